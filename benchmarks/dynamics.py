@@ -4,8 +4,8 @@
 time per event and error against the exact map, on the thesis's two masses at V = 0.1 with starts all over the interval
 of d, of
 
-    exact, fine, coarse     rig_sim.dynamics.maps.stick_map, compiled
-    scipy                   rig_sim.comparison.two_masses: DOP853 between located events, rtol 1e-6
+    exact, fine, coarse     rig_sim.dynamics.rig.stick, compiled
+    scipy                   oracles.two_masses: DOP853 between located events, rtol 1e-6
     pynamicalsys            RK45 of the equations with sign(w) replaced by tanh(w/width), compiled by numba
 
 then the time of a diagram of both attractors at 400 velocities: in this process, in two, and by a dask cluster of two
@@ -29,12 +29,12 @@ from pathlib import Path
 import numpy as np
 
 from daq.base.compute.workers import workers
-from rig_sim.dynamics.maps.stick_map import COARSE, EXACT, FINE, StickMap
-from rig_sim.dynamics.maps.sweep import attractors_at, sweep
+from rig_sim.dynamics.analyses.sweep import sweep
+from rig_sim.dynamics.rig.stick import COARSE, EXACT, FINE, StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
+from rig_sim.functions.systems import SweptScene, TwoMassAttractors
 from rig_sim.scenes.scene import scene
-from rig_sim.scenes.swept import SweptScene
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FLOW = TwoMassFlow(Flow(v_belt=0.1))
@@ -58,19 +58,21 @@ def main(argument: str) -> None:
 def map_speed(events):
     """Print and return what an event costs by each method."""
     # Not above: every process of a sweep imports this file, and with it would import scipy, 0.4 s.
-    from rig_sim.comparison.two_masses import next_stick
+    from oracles.two_masses import next_stick
 
     rows = []
     exact = StickMap(FLOW)
-    expected = exact(STARTS)
+    expected = exact.images(STARTS)
     for name, precision in (("exact", EXACT), ("fine", FINE), ("coarse", COARSE)):
         f = StickMap(FLOW, precision)
         f(STARTS[:2])
-        cost = min(cpu_of(partial(f, STARTS))[0] for _ in range(REPEATS)) / len(STARTS)
-        rows.append(row(name, f"degree {precision[0]}, tolerance {precision[1]:.0e}", cost, f(STARTS) - expected))
+        cost = min(cpu_of(partial(f.images, STARTS))[0] for _ in range(REPEATS)) / len(STARTS)
+        rows.append(
+            row(name, f"degree {precision[0]}, tolerance {precision[1]:.0e}", cost, f.images(STARTS) - expected)
+        )
     few = STARTS[:: len(STARTS) // events]
     cost, found = cpu_of(lambda: np.array([next_stick(FLOW, float(d), rtol=1e-6)[0] for d in few]))
-    rows.append(row("scipy", "DOP853, rtol 1e-06", cost / len(few), found - exact(few)))
+    rows.append(row("scipy", "DOP853, rtol 1e-06", cost / len(few), found - exact.images(few)))
     smooth = smoothed()
     if smooth is not None:
         events_of = [exact.event(float(d)) for d in few]
@@ -78,7 +80,7 @@ def map_speed(events):
         cost, found = cpu_of(
             lambda: np.array([smooth(float(d), event.duration) for d, event in zip(few, events_of, strict=True)])
         )
-        rows.append(row("pynamicalsys", f"RK45, tanh(w/{WIDTH:g})", cost / len(few), found - exact(few)))
+        rows.append(row("pynamicalsys", f"RK45, tanh(w/{WIDTH:g})", cost / len(few), found - exact.images(few)))
     for entry in rows:
         print(
             f"{entry['method']:13} {entry['setting']:32} {entry['per_second']:10.0f} events/s  "
@@ -93,7 +95,7 @@ def map_speed(events):
 
 def sweep_speed():
     """Print and return the times of the diagram by who computes it."""
-    find = partial(attractors_at, SweptScene(scene("two-mass"), "belt.speed"), "poincare")
+    find = TwoMassAttractors(SweptScene(scene("two-mass"), "belt.speed"), "poincare")
     ways = {"one process": (1, False), "two processes": (2, False), "two dask workers": (1, True)}
     if find_spec("distributed") is None:
         print("dask.distributed is not installed: pip install 'stickslip[cluster]'")

@@ -14,19 +14,17 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rig_sim.cli.continuation import SweptFlow, point_intervals
-from rig_sim.cli.parameter_range import ParameterRange
-from rig_sim.dynamics.continuation import continuation
+import rig_sim
+from rig_sim.functions.arguments import parameter_range
+from rig_sim.functions.branches import point_intervals
+from rig_sim.functions.systems import SweptScene
 from rig_sim.scenes.draws import drawn_changes
 from rig_sim.scenes.scene import scene
 
 RESULTS = Path(__file__).resolve().parent / "results"
 DAMPER = 0.3
 CASES: dict[str, list[str]] = {"no scatter": ["--set", "scatter.Fs=0"], "3 % scatter": []}
-RANGES = {
-    "damper.c": ParameterRange("damper.c", 0.3, 3.3, 7),
-    "belt.speed": ParameterRange("belt.speed", 0.2, 2.6, 9),
-}
+RANGES = {"damper.c": "damper.c=0.3:3.3:7", "belt.speed": "belt.speed=0.2:2.6:9"}
 DRAWS = 100
 
 
@@ -41,10 +39,8 @@ def called(*words: str) -> Any:
 def main(seeds: int) -> None:
     """Run all seeds, print a line for each, and write JSON."""
     rows: list[dict[str, Any]] = []
-    truth = {
-        key: continuation(SweptFlow("rig", {"damper.c": DAMPER}, key), span.values()).points
-        for key, span in RANGES.items()
-    }
+    rig = rig_sim.scene("rig", **{"damper.c": DAMPER})
+    truth = {key: rig_sim.continue_(rig, over).points for key, over in RANGES.items()}
     covered: dict[tuple[str, str, str], list[bool]] = {}
     for case, changes in CASES.items():
         for seed in range(1, seeds + 1):
@@ -56,7 +52,8 @@ def main(seeds: int) -> None:
                 called("fitting.cli", run, "--laws", "5", "--mass", "0.3", "--save-scene", file, "--no-report")
                 drawn = drawn_changes(scene(file), DRAWS, file)
                 for key, points in truth.items():
-                    intervals, _ = point_intervals(SweptFlow(file, {}, key), points, RANGES[key], drawn)
+                    swept = SweptScene(scene(file), key)
+                    intervals, _ = point_intervals(swept, points, parameter_range(RANGES[key]), drawn)
                     for point, one in zip(points, intervals, strict=True):
                         lo, hi = (-math.inf if one.lo is None else one.lo), (math.inf if one.hi is None else one.hi)
                         inside = lo <= point.value <= hi

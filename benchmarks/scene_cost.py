@@ -30,9 +30,10 @@ from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import displacement, frame
 from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, RAMP, STICK
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR
-from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.compiled import compiled
-from rig_sim.integrate.phases import next_event, run
+from rig_sim.integrate.events import new_lists
+from rig_sim.integrate.phases import State, next_event, run
+from rig_sim.integrate.work import new_work, unboxed
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
 
@@ -108,32 +109,32 @@ def terms(found: Scene) -> Terms:
     )  # fmt: skip
 
 
-def phase_by_phase(flow, mode, x, w, t_max, factors, wear, kick, turn, levels, out_t, out_x, out_kind, work):
+def phase_by_phase(flow, at, t_max, factors, wear, kick, turn, levels, lists, work):
     """List events as `rig_sim.motion.play.ScenePlayer` does, with the engine's kernel; return their number."""
-    t = 0.0
+    work = unboxed(work)
     count = drawn = kicks = 0
     while True:
         end = min(t_max, (kicks + 1) * turn) if turn > 0.0 else t_max
-        kind, mode, x, w, t = next_event(flow, mode, x, w, t, end, work)
+        kind, at = next_event(flow, at, end, work)
         if kind >= FORCE_REVERSAL or (kind == COMPLETED and end == t_max):
             return count
-        out_t[count] = t
-        out_x[count] = x
-        out_kind[count] = kind
+        lists.t[count] = at.t
+        lists.x[count] = at.x
+        lists.kind[count] = kind
         count += 1
         if kind == COMPLETED:
-            out_kind[count - 1] = KICK
+            lists.kind[count - 1] = KICK
             kicks += 1
-            w += kick
-            was = mode
-            mode = initial_mode(flow, x, w + flow.v_belt, t)
-            if mode != was:
-                out_t[count] = t
-                out_x[count] = x
-                out_kind[count] = 4 * was + mode
+            w = at.w + kick
+            was = at.mode
+            at = State(initial_mode(flow, at.x, w + flow.v_belt, at.t), at.x, w, at.t, 0.0)
+            if at.mode != was:
+                lists.t[count] = at.t
+                lists.x[count] = at.x
+                lists.kind[count] = 4 * was + at.mode
                 count += 1
-        elif levels and (mode == STICK or mode == RAMP):
-            factor = max(LEAST_FACTOR, (1.0 - wear * t) * factors[drawn])
+        elif levels and (at.mode == STICK or at.mode == RAMP):
+            factor = max(LEAST_FACTOR, (1.0 - wear * at.t) * factors[drawn])
             drawn += 1
             flow = Flow(
                 flow.m, flow.k, flow.x0, flow.c, flow.v_belt, flow.curve, flow.ramp, flow.Fs, flow.static, factor,
@@ -157,7 +158,7 @@ class Race:
         new = np.array if machine else list
         factors = new([1.0 + sd * draw.gauss(0.0, 1.0) for _ in range(ROOM)])
         self.mine = [new([0.0] * ROOM) for _ in range(3)]
-        self.engines = [new([0.0] * ROOM) for _ in range(4)]
+        self.engines = new_lists(ROOM, compiled=machine)
         hand_work = new([0.0] * 5 * SIZE)
         fr = frame(flow)
         self.hand = quick if machine else plain
@@ -173,17 +174,14 @@ class Race:
         )
         mode = initial_mode(flow, x, v, 0.0)
         self.whole = not (self.scene.wear or self.scene.scatter or self.scene.joint)
-        t_out, carry, x_out, kinds = self.engines
-        start = (flow, mode, x, v - flow.v_belt)
+        start = (flow, State(mode, x, v - flow.v_belt, 0.0))
         if self.whole:
             self.engine = compiled(run) if machine else run
-            self.engine_call = (*start, 0.0, until, ROOM, t_out, carry, x_out, kinds, 0)
+            self.engine_call = (*start, until, self.engines, 0)
         else:
             self.engine = compiled(phase_by_phase) if machine else phase_by_phase
             levels = 1 if terms(self.scene).levels else 0
-            self.engine_call = (
-                *start, until, factors, con.wear, con.kick, con.turn, levels, t_out, x_out, kinds,
-            )  # fmt: skip
+            self.engine_call = (*start, until, factors, con.wear, con.kick, con.turn, levels, self.engines)
         self.machine = machine
         self.fresh()
 
@@ -202,7 +200,7 @@ class Race:
         """Return the number of events and the largest difference of their times; events must be the same."""
         self.fresh()
         count, other = self.run_engine(), self.run_hand()
-        t_out, carry, _, kinds = (list(buffer)[:count] for buffer in self.engines)
+        t_out, carry, _, kinds = (list(buffer)[:count] for buffer in self.engines[:4])
         mine_t, _, mine_kinds = (list(buffer)[:other] for buffer in self.mine)
         if count != other or [int(kind) for kind in kinds] != [int(kind) for kind in mine_kinds]:
             at = next((i for i, pair in enumerate(zip(kinds, mine_kinds, strict=False)) if pair[0] != pair[1]), -1)

@@ -1,9 +1,11 @@
-"""The board's firmware: which file is for which board, and the command that writes it into one.
+"""The firmware of boards: which files are for which board, and the command that writes them into one.
 
-The built files and their source stand beside each other: in ``firmware/`` of the project, or in an installed package in
-``daq/firmware``.
+Of Arduino Uno, Nano and Mega there is firmware of the project's own, built files and source beside each other: in
+``firmware/`` of the project, or in an installed package in ``daq/firmware``.  Of the others there are sketches, in its
+folder ``sketches``, which print text lines.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -51,11 +53,87 @@ MEGA = BoardFirmware(
 BOARDS = {board.name: board for board in (UNO, NANO, MEGA)}
 
 
-def board(name: str) -> BoardFirmware:
+@dataclass(frozen=True)
+class Sketch:
+    """A sketch that prints text lines, for one kind of board.
+
+    Attributes
+    ----------
+    name, what : str
+        The board, and what it is called in full.
+    counter : str
+        What counts the edges.
+    encoder_pins : str
+        Where A and B go.
+    core : str
+        What must be installed to build it; "" for a file that is copied.
+    fqbn : str
+        The board's name for arduino-cli.
+    baud : int or None
+        Of its line; None for USB, where it is only a name.
+    tested : str
+        What was run on what.
+    """
+
+    name: str
+    what: str
+    counter: str
+    encoder_pins: str
+    core: str
+    fqbn: str
+    baud: int | None
+    tested: str
+
+
+ESP32 = Sketch(
+    "esp32",
+    "ESP32",
+    "its pulse counter (PCNT)",
+    "A to GPIO 18, B to GPIO 19, 3.3 V",
+    "the Arduino core esp32, 3.0 or later (arduino-cli core install esp32:esp32)",
+    "esp32:esp32:esp32",
+    921_600,
+    "compiled for a computer with a model of the pulse counter, and its lines read by daq; not on a board",
+)
+PICO = Sketch(
+    "pico",
+    "Raspberry Pi Pico",
+    "a state machine of its PIO",
+    "A to GP2, B to GP3, 3.3 V",
+    "the Arduino core of Earle Philhower, 3.0 or later (arduino-cli core install rp2040:rp2040)",
+    "rp2040:rp2040:rpipico",
+    None,
+    "compiled for a computer with a model of the PIO that runs its words, which also run on the emulator rp2040js, and "
+    "its lines read by daq; not on a board",
+)
+PICO_MICROPYTHON = replace(
+    PICO,
+    name="pico-micropython",
+    what="Raspberry Pi Pico with MicroPython",
+    core="",
+    fqbn="",
+    tested="run on MicroPython's Unix port, its lines read by daq; its PIO program is that of the sketch for the pico, "
+    "word by word; not on a board",
+)
+TEENSY = Sketch(
+    "teensy",
+    "Teensy 3 or 4",
+    "interrupts",
+    "A to pin 2, B to pin 3, 3.3 V",
+    "Teensyduino, which brings the library Encoder",
+    "teensy:avr:teensy41",
+    None,
+    "compiled for a computer with a counter in place of the library Encoder, and its lines read by daq; not on a board",
+)
+SKETCHES = {sketch.name: sketch for sketch in (ESP32, PICO, PICO_MICROPYTHON, TEENSY)}
+
+
+def board(name: str) -> BoardFirmware | Sketch:
     """Return a board by its name; InputError for another."""
-    if name not in BOARDS:
-        raise InputError(f"no firmware for a board {name!r}", "--board", nearest(name, list(BOARDS)))
-    return BOARDS[name]
+    known = BOARDS | SKETCHES
+    if name not in known:
+        raise InputError(f"no firmware for a board {name!r}", "--board", nearest(name, list(known)))
+    return known[name]
 
 
 def folder() -> Path:
@@ -68,7 +146,7 @@ def folder() -> Path:
     """
     here = Path(__file__).resolve().parent
     for place in (here.parent / "firmware", here / "firmware"):
-        if (place / "latch.S").is_file():
+        if (place / "latch.S").exists():
             return place
     raise InputError("the firmware's files are missing", str(here / "firmware"), "install stickslip again")
 
@@ -99,21 +177,46 @@ def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Pa
     others = {other.hex_name for other in BOARDS.values()} - {kind.hex_name}
     files = sorted(file for file in source.iterdir() if file.is_file() and file.name not in others)
     files = [file for file in files if file.suffix in (".hex", ".c", ".h", ".S", ".md") or file.name == "Makefile"]
-    for file in files:
-        existing = target / file.name
-        if existing.exists() and not force and existing.read_bytes() != file.read_bytes():
-            raise InputError("exists with different content", str(existing), "give another -o, or --force")
+    written = _copied({target / file.name: file for file in files}, target, force)
+    return target / kind.hex_name, [file for file in written if file.name != kind.hex_name]
+
+
+def write_sketch(sketch: Sketch, target: Path, *, force: bool = False) -> tuple[Path, list[Path]]:
+    """Write a board's sketch into a folder, which the Arduino tools open as it is.
+
+    Parameters, errors as of `write`.
+
+    Returns
+    -------
+    tuple of (Path, list of Path)
+        The folder of the sketch, or the file for MicroPython; and all files.
+    """
+    source = folder() / "sketches"
+    own = source / sketch.name
+    files = {target / file.relative_to(own): file for file in sorted(own.rglob("*")) if file.is_file()}
+    main = next(place for place in files if place.suffix in (".ino", ".py"))
+    if main.suffix == ".ino":
+        files |= {main.parent / file.name: file for file in sorted((source / "common").iterdir())}
+    return (main if main.suffix == ".py" else main.parent), _copied(files, target, force)
+
+
+def _copied(files: Mapping[Path, Path], target: Path, force: bool) -> list[Path]:
+    """Copy files to their places in a folder, each whole or not at all; return the places."""
+    for place, file in files.items():
+        if place.exists() and not force and place.read_bytes() != file.read_bytes():
+            do = "give another -o, or --force"
+            raise InputError("exists with different content", str(place), do)
     from daq.base.output import atomic
 
     if target.exists() and not target.is_dir():
         raise InputError("is not a folder", str(target), "give a folder, with -o")
     with disk.writing(target):
-        target.mkdir(parents=True, exist_ok=True)
-    for file in files:
-        with atomic.replacing(target / file.name, force=True) as temporary:
+        for place in files:
+            place.parent.mkdir(parents=True, exist_ok=True)
+    for place, file in files.items():
+        with atomic.replacing(place, force=True) as temporary:
             temporary.write_bytes(file.read_bytes())
-    written = [target / file.name for file in files]
-    return target / kind.hex_name, [file for file in written if file.name != kind.hex_name]
+    return list(files)
 
 
 def command(kind: BoardFirmware, hexfile: Path, port: str) -> str:
@@ -122,3 +225,12 @@ def command(kind: BoardFirmware, hexfile: Path, port: str) -> str:
 
     words = ["avrdude", "-p", kind.mcu, "-c", kind.programmer, "-b", str(kind.bootloader_baud), "-P", port]
     return shlex.join([*words, "-D", "-U", f"flash:w:{hexfile}:i"])
+
+
+def sketch_command(sketch: Sketch, main: Path, port: str) -> str:
+    """Return the command line that writes a sketch into the board at a port."""
+    import shlex
+
+    if not sketch.core:
+        return shlex.join(["mpremote", "connect", port, "cp", str(main), ":main.py", "+", "reset"])
+    return shlex.join(["arduino-cli", "compile", "--upload", "-b", sketch.fqbn, "-p", port, str(main)])

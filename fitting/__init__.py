@@ -3,12 +3,13 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fitting.law import Law as Law
     from fitting.selection.ranking import Ranking as Ranking
     from fitting.selection.ranking import rank as rank
 
     __version__: str
 
-__all__ = ["Ranking", "__version__", "rank"]
+__all__ = ["Law", "Ranking", "__version__", "rank"]
 
 
 def __getattr__(name: str) -> Any:
@@ -17,6 +18,10 @@ def __getattr__(name: str) -> Any:
         from daq.base.version import VERSION
 
         return VERSION
+    if name == "Law":
+        from fitting.law import Law
+
+        return Law
     if name in __all__:
         from fitting.selection import ranking
 

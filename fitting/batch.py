@@ -11,6 +11,7 @@ from typing import Any
 
 from daq.base import errors
 from daq.base.compute.workers import workers
+from daq.base.console import application
 from daq.base.errors import DeviceError, InputError, StickslipError
 from fitting import job
 from fitting.job import FitOptions, FitOutput, LoadedRun
@@ -118,6 +119,25 @@ def summary(rows: Sequence[BatchRow]) -> str:
     without = f"{count[errors.EXIT_NO_LAW]} that no law describes, " if count[errors.EXIT_NO_LAW] else ""
     undecided = f"{count[errors.EXIT_UNDECIDED]} undecided"
     return f"{count[errors.EXIT_DONE]} decided, {undecided}, {without}{count[errors.EXIT_BUG]} failed"
+
+
+def text(rows: Sequence[BatchRow], compared: Path | None) -> list[Any]:
+    """Return what is printed of a batch: a table of file, set and verdict, or what went wrong; and all warnings."""
+    table = application.table("runs fitted one by one", ("file", "set", "verdict"))
+    table.columns[0].overflow = table.columns[2].overflow = "fold"
+    table.columns[2].justify, table.columns[2].no_wrap = "left", False
+    common = Path(os.path.commonpath([row.file.absolute().parent for row in rows]))
+    for row in rows:
+        failed = row.failure
+        named = () if failed else (*row.document["set"], *row.document.get("rivals", ()))
+        members = "-" if failed else ", ".join(map(str, named)) or "none"
+        verdict = f"error: {failed.what}; {failed.do}" if failed else row.document["verdict"]
+        table.add_row(str(row.file.absolute().relative_to(common)), members, verdict)
+    lines: list[Any] = [table]
+    for row in rows:
+        lines += [f"warning: {row.file.name}: {warning}" for warning in row.document.get("warnings", ())]
+    lines.append(f"{len(rows)} runs: {summary(rows)}" + (f"; comparison: {compared}" if compared else ""))
+    return lines
 
 
 def compare(rows: Sequence[BatchRow], path: Path, alpha: float, *, force: bool = False) -> None:

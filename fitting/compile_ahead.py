@@ -14,12 +14,12 @@ from daq.base.compute.arrays import Array
 from daq.base.compute.compile import compiled
 from fitting.least_squares import elimination
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
-from fitting.model.shooting import evaluator
 from fitting.model.windows import ShootingWindows
 from fitting.selection.phase_distance import nearest_distances
 from fitting.sensitivity.path import Path, follow, law_curve
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
+from fitting.sensitivity.values import positions
 
 SAMPLES = 5  # of each window: compiled code does not depend on how many
 
@@ -46,9 +46,7 @@ def compile_arithmetic() -> None:
 def compile_predictions() -> None:
     """Compile what predicts the positions of a law in windows."""
     windows, run, local = _imagined()
-    unknowns = [int(Global.K)]
-    predict = evaluator(1, False, windows, run, unknowns, np.ones(PER_RUN), np.ones(PER_CYCLE))
-    predict(run[unknowns], local, True)
+    positions(windows, law_curve(1, ramp=False), run, local)
 
 
 def compile_motion() -> None:

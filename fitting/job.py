@@ -16,9 +16,10 @@ from daq.runfile.nexus import EVERY
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting.adequacy.result import ADEQUATE
+from fitting.competitors import ALL_LAWS, Competitors
 from fitting.report import page as report
 from fitting.report import stage as store
-from fitting.selection.ranking import ALL_LAWS, rank
+from fitting.selection.ranking import rank
 from fitting.selection.result import Ranking
 from processing import stage
 from processing.record.kinematics import Kinematics
@@ -29,6 +30,9 @@ from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 AT_THE_ENDS = 0.01
 
 
+SIX = Competitors()
+
+
 @dataclass(frozen=True)
 class FitOptions:
     """Options of a fit, the same for every run; None keeps the run's own calibration.
@@ -36,7 +40,7 @@ class FitOptions:
     ``begin`` and ``end`` are times (s) of the run between which it is fitted; ``report`` is whether a page is wanted.
     """
 
-    laws: tuple[int, ...] = ALL_LAWS
+    competitors: Competitors = SIX
     mass: Measured | None = None
     stiffness: Measured | None = None
     x0: Measured | None = None
@@ -116,10 +120,17 @@ class FitOutput:
 
 
 def exit_code(document: Mapping[str, Any]) -> int:
-    """Return the exit code of a fit by its document: one law, several, or none that describes the record."""
+    """Return the exit code of a fit by its document: one law that was asked for, several laws, or none.
+
+    A rival that was not asked for leaves no law where it is alone in the set.
+    """
     if document["adequacy"]["verdict"] not in (ADEQUATE, None):  # None: goodness of fit could not be judged
         return EXIT_NO_LAW
-    return EXIT_DONE if len(document["set"]) + len(document.get("rivals", ())) == 1 else EXIT_UNDECIDED
+    rivals = document.get("rivals", ())
+    unasked = {row["law"] for row in document.get("ranking", ()) if not row.get("asked", True)}
+    if not document["set"] and unasked.issuperset(rivals):
+        return EXIT_NO_LAW
+    return EXIT_DONE if len(document["set"]) + len(rivals) == 1 else EXIT_UNDECIDED
 
 
 def load_run(path: Path, options: FitOptions) -> LoadedRun:
@@ -160,7 +171,7 @@ def fit_runs(
         ranking = rank(
             motions,
             [run.rig for run in runs],
-            options.laws,
+            options.competitors,
             belt_speed=options.belt_speed,
             excluded=options.excluded,
             alpha=options.alpha,
@@ -188,11 +199,25 @@ def fitted_part(runs: Sequence[LoadedRun], times: Sequence[Array], options: FitO
         if max(time[0] - first, last - time[-1]) > AT_THE_ENDS * (last - first):
             name = f"{run.recording.source.name}: " if len(runs) > 1 else ""
             said.append(f"{name}{round(time[0], 2):g} to {round(time[-1], 2):g} s")
-    if options.laws != ALL_LAWS:
-        said.append(f"law{'s' * (len(options.laws) > 1)} {', '.join(str(law) for law in options.laws)}")
+    said += _fitted_laws(options.competitors)
     if options.excluded:
         said.append(f"without cycle{'s' * (len(options.excluded) > 1)} {', '.join(map(str, options.excluded))}")
     return "; ".join(said)
+
+
+def _fitted_laws(competitors: Competitors) -> list[str]:
+    """Return in words which laws were fitted, where they were not the six alone, and what was given of them."""
+    laws, names = competitors.laws, competitors.names
+    said = []
+    if laws != ALL_LAWS and laws:
+        said.append(f"law{'s' * (len(laws) > 1)} {', '.join(map(str, laws))}")
+    if names:
+        said.append(f"{'with ' if laws else ''}law{'s' * (len(names) > 1)} {', '.join(names)}")
+    if competitors.fix:
+        said.append(", ".join(f"{name} = {value:g}" for name, value in competitors.fix.items()))
+    if competitors.bounds:
+        said.append(f"bounds of {', '.join(competitors.bounds)}")
+    return said
 
 
 def _rig(rig: Rig, options: FitOptions) -> Rig:

@@ -17,7 +17,7 @@ power                       Fs - b (s/v_1)^p, v_1 = 1 m/s                      E
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from daq.base.errors import InputError, nearest
@@ -138,6 +138,33 @@ class Law:
         low, high = (self.bounds or {}).get(name, (None, None))
         return -math.inf if low is None else low, math.inf if high is None else high
 
+    def behind_ramp(self) -> "Law":
+        """Return the law behind a ramp."""
+        return replace(self, ramp=True)
+
+    @property
+    def title(self) -> str:
+        """What the curve is called in a sentence."""
+        return TITLES.get(self.name, f"the formula {self.formula}")
+
+    def given(
+        self,
+        fix: Mapping[str, float] | None = None,
+        bounds: Mapping[str, Bound] | None = None,
+        start: Mapping[str, float] | None = None,
+    ) -> "Law":
+        """Return the law with more parameters fixed, bounded or started; what is given here comes first."""
+        fixed = dict(self.fix or {}) | dict(fix or {})
+        return replace(
+            self,
+            fix=fixed or None,
+            bounds=dict(self.bounds or {}) | dict(bounds or {}) or None,
+            start={
+                name: value for name, value in (dict(self.start or {}) | dict(start or {})).items() if name not in fixed
+            }
+            or None,
+        )
+
     def __str__(self) -> str:
         return f"{self.name}: {self.formula}"
 
@@ -169,3 +196,31 @@ LIMITS: dict[str, tuple[int | str, ...]] = {
     "logarithmic": (1, 3),
     "power": (1, 3),
 }
+TITLES = {
+    "stribeck": "a Stribeck curve",
+    "stribeck-viscous": "a Stribeck curve with a viscous term",
+    "stribeck-gaussian": "a Gaussian Stribeck curve",
+    "stribeck-gaussian-viscous": "a Gaussian Stribeck curve with a viscous term",
+    "logarithmic": "a logarithmic curve",
+    "power": "a power curve",
+}
+
+
+def read_law(spec: str, where: str = "--law") -> Law:
+    """Return the law that a text names: ``NAME`` of a published one, or ``NAME: FORMULA``.
+
+    Raises
+    ------
+    InputError
+        For a name that is not known, a published name with another formula, and what `Law` refuses.
+    """
+    name, colon, formula = (part.strip() for part in spec.partition(":"))
+    if not colon:
+        if name in PUBLISHED:
+            return PUBLISHED[name]
+        do = f'{nearest(name, list(PUBLISHED))}; a law of your own is "NAME: FORMULA", such as "mine: Fs/(1 + s/v)"'
+        raise InputError(f"{name!r} is no published law", where, do)
+    if name in PUBLISHED and formula != PUBLISHED[name].formula:
+        what = f"{name} is the name of a published law, {PUBLISHED[name].formula}"
+        raise InputError(what, where, "give a law of your own another name")
+    return PUBLISHED.get(name) or Law(name, formula)

@@ -3,14 +3,14 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from processing.entry import smooth as smooth
     from processing.record.kinematics import Kinematics as Kinematics
-    from processing.smoothing import smooth as smooth
 
     __version__: str
 
 __all__ = ["Kinematics", "__version__", "smooth"]
 
-_HOME = {"Kinematics": "processing.record.kinematics", "smooth": "processing.smoothing"}
+_HOME = {"Kinematics": "processing.record.kinematics", "smooth": "processing.entry"}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,17 +1,67 @@
-"""The rig in software: ``scene(name)``, ``events(scene, until)``, ``cycle(scene)``; nothing loads until asked."""
+"""The rig in software: a function for every command of ``rig-sim``, and systems of one's own.
+
+Each function takes a scene (a built-in name, the path of a TOML file, or what `scene` returns) and the flags of its
+command as keywords of the same names, and returns a frozen dataclass with ``to_dataframe()`` and ``plot(ax=None)``.
+Nothing loads until it is asked for.
+
+>>> import rig_sim
+>>> rig_sim.cycle("base").outcome
+'cycle'
+"""
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rig_sim.dynamics.limit_cycle import cycle as cycle
-    from rig_sim.motion.play import events as events
+    from rig_sim.dynamics.system.formula import FormulaMap as FormulaMap
+    from rig_sim.functions.branches import continue_ as continue_
+    from rig_sim.functions.control import lock as lock
+    from rig_sim.functions.control import quench as quench
+    from rig_sim.functions.control import shaker as shaker
+    from rig_sim.functions.maps import basins as basins
+    from rig_sim.functions.maps import lyapunov as lyapunov
+    from rig_sim.functions.maps import map as map
+    from rig_sim.functions.motion import compare as compare
+    from rig_sim.functions.motion import events as events
+    from rig_sim.functions.motion import run as run
+    from rig_sim.functions.one_mass import cycle as cycle
+    from rig_sim.functions.one_mass import fixed_point as fixed_point
+    from rig_sim.functions.one_mass import floquet as floquet
+    from rig_sim.functions.sweeps import sweep as sweep
     from rig_sim.scenes.scene import scene as scene
 
     __version__: str
 
-__all__ = ["__version__", "cycle", "events", "scene"]
+_HOMES = {
+    "rig_sim.dynamics.system.formula": ("FormulaMap",),
+    "rig_sim.functions.branches": ("continue_",),
+    "rig_sim.functions.control": ("lock", "quench", "shaker"),
+    "rig_sim.functions.maps": ("basins", "lyapunov", "map"),
+    "rig_sim.functions.motion": ("compare", "events", "run"),
+    "rig_sim.functions.one_mass": ("cycle", "fixed_point", "floquet"),
+    "rig_sim.functions.sweeps": ("sweep",),
+    "rig_sim.scenes.scene": ("scene",),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
 
-_HOME = {"scene": "rig_sim.scenes.scene", "events": "rig_sim.motion.play", "cycle": "rig_sim.dynamics.limit_cycle"}
+__all__ = [
+    "FormulaMap",
+    "__version__",
+    "basins",
+    "compare",
+    "continue_",
+    "cycle",
+    "events",
+    "fixed_point",
+    "floquet",
+    "lock",
+    "lyapunov",
+    "map",
+    "quench",
+    "run",
+    "scene",
+    "shaker",
+    "sweep",
+]
 
 
 def __getattr__(name: str) -> Any:
@@ -25,3 +75,7 @@ def __getattr__(name: str) -> Any:
 
         return getattr(import_module(_HOME[name]), name)
     raise AttributeError(f"module 'rig_sim' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

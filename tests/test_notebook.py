@@ -1,4 +1,4 @@
-"""docs/notebooks: the example is stored with its outputs, and runs from a file of data_samples to its verdict."""
+"""docs/notebooks: stored with their outputs, they run from a file of data_samples to a verdict, and to bifurcations."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,10 @@ from pathlib import Path
 import nbformat
 import pytest
 
-NOTEBOOK = Path(__file__).resolve().parent.parent / "docs" / "notebooks" / "example.ipynb"
+FOLDER = Path(__file__).resolve().parent.parent / "docs" / "notebooks"
+PICTURES = {"example.ipynb": 3, "bifurcations.ipynb": 5}
+NOTEBOOKS = pytest.mark.parametrize("path", [FOLDER / name for name in PICTURES], ids=lambda path: path.stem)
+NOTEBOOK = FOLDER / "example.ipynb"
 LONGEST = 600  # characters of a value's short text
 
 
@@ -14,19 +17,25 @@ def code(notebook):
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
-def test_the_notebook_is_stored_with_the_outputs_of_one_run():
+def test_every_notebook_is_tested():
+    assert {path.name for path in FOLDER.glob("*.ipynb")} == set(PICTURES)
+
+
+@NOTEBOOKS
+def test_a_notebook_is_stored_with_the_outputs_of_one_run(path):
     """It had none: who read it without running it saw neither a table nor a picture."""
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     assert [cell.execution_count for cell in code(notebook)] == list(range(1, len(code(notebook)) + 1))
     assert all(cell.outputs for cell in code(notebook)[1:])  # the first one imports
     outputs = [output for cell in code(notebook) for output in cell.outputs]
     assert {output.output_type for output in outputs} == {"execute_result", "stream"}  # no error, no warning
-    assert sum("image/png" in output.get("data", {}) for output in outputs) == 3
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == PICTURES[path.name]
 
 
-def test_the_notebook_names_no_place_of_the_machine_that_ran_it():
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
+@NOTEBOOKS
+def test_a_notebook_names_no_place_of_the_machine_that_ran_it(path):
+    notebook = nbformat.read(path, as_version=4)
     assert set(notebook.metadata) <= {"kernelspec", "language_info"}
     shown = [output.get("text", "") for cell in code(notebook) for output in cell.outputs]
     shown += [
@@ -39,24 +48,49 @@ def test_the_notebook_names_no_place_of_the_machine_that_ran_it():
     assert not [text for text in shown if re.search(r"(?<![\w.<])/\w+/|[A-Z]:\\\\", text)]
 
 
-def test_the_links_of_the_notebook_exist():
+@NOTEBOOKS
+def test_the_links_of_a_notebook_exist(path):
     """The link to "From Python" led to a page that is not there."""
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    notebook = nbformat.read(path, as_version=4)
     words = "".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
     links = re.findall(r"\]\(([^)#]+)", words)
     assert links
     for link in links:
-        assert (NOTEBOOK.parent / link).is_file(), link
+        assert (FOLDER / link).is_file(), link
+
+
+def outputs_of_a_run(path):
+    from nbclient import NotebookClient
+
+    notebook = nbformat.read(path, as_version=4)
+    place = {"metadata": {"path": str(FOLDER)}}
+    NotebookClient(notebook, timeout=120, kernel_name="python3", resources=place).execute()
+    return [output for cell in code(notebook) for output in cell.outputs]
+
+
+@pytest.mark.slow
+def test_bifurcations_of_a_fitted_contact_are_where_the_notebook_says():
+    path = FOLDER / "bifurcations.ipynb"
+    outputs = outputs_of_a_run(path)
+    shown = [output.data for output in outputs if output.output_type == "execute_result"]
+    assert sum("image/png" in data for data in shown) == PICTURES[path.name]
+    stored = nbformat.read(path, as_version=4)
+    kept = [output.data for cell in code(stored) for output in cell.outputs if output.output_type == "execute_result"]
+    points, as_stored = (
+        [data["text/plain"] for data in found if "hopf" in data["text/plain"]] for found in (shown, kept)
+    )
+    assert len(points) == 2
+    for text, expected in zip(points, as_stored, strict=True):
+        found, wanted = ([float(number) for number in re.findall(r"\d\.\d+", one)] for one in (text, expected))
+        assert found == pytest.approx(wanted, rel=1e-4)
+    printed = "".join(output.text for output in outputs if output.output_type == "stream")
+    assert "exact: log 2" in printed
+    assert "outcome        locked" in printed
 
 
 @pytest.mark.slow
 def test_the_notebook_runs_from_a_file_to_its_verdict():
-    from nbclient import NotebookClient
-
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
-    place = {"metadata": {"path": str(NOTEBOOK.parent)}}
-    NotebookClient(notebook, timeout=120, kernel_name="python3", resources=place).execute()
-    outputs = [output for cell in code(notebook) for output in cell.outputs]
+    outputs = outputs_of_a_run(NOTEBOOK)
     shown = [output.data for output in outputs if output.output_type == "execute_result"]
     assert sum("image/png" in data for data in shown) == 3  # plot() of the run, the motion and the ranking
     assert sum("text/html" in data for data in shown) >= 5  # the three values and two tables

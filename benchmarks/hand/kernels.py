@@ -30,11 +30,11 @@ from numba import njit
 from numba.extending import register_jitable
 
 from daq.base.compute.compile import register
-from rig_sim.integrate.buffer import EXIT, EXIT_E, EXIT_S, LATE
-from rig_sim.integrate.compiled import JIT_OPTIONS, KERNEL_MODULES
+from rig_sim.integrate.compiled import JIT_OPTIONS, KERNEL_MODULES, unbox_records
 from rig_sim.integrate.linear import FreeMotion, change, fundamental, linear_exit, stick_lateness
 from rig_sim.integrate.newton import EPS, newton_step
 from rig_sim.integrate.phases import sum_of
+from rig_sim.integrate.work import unboxed
 
 STICK, NEGATIVE, POSITIVE, RAMP, KICK = 0, 1, 2, 3, 99
 LEAST_FACTOR = 0.05
@@ -80,7 +80,7 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Return the kernel of these terms, interpreted and compiled.
 
     It is called with (constants, p, w, t_max, factors, out_t, out_x, out_kind, work, spare) and returns the number of
-    events; ``spare`` is a working buffer of the engine, in which the closed form leaves what it knows at an exit.
+    events; ``spare`` is the engine's record, in which the closed form leaves what it knows at an exit.
     """
     hyperbola, linear, ramp, damper, drive, droop, static, levels, joint = terms
     has_edge = ramp or droop
@@ -304,12 +304,13 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
 
     @register_jitable
     def solution(zeta, omega2, disc, tau, spare):
-        if tau == spare[EXIT]:
-            return spare[EXIT_S], spare[EXIT_E]
+        if tau == spare.exit:
+            return spare.exit_s, spare.exit_e
         S, E, _ = fundamental(zeta, omega2, disc, tau)
         return S, E
 
     def kernel(con, p, w, t_max, factors, out_t, out_x, out_kind, work, spare):
+        spare = unboxed(spare)
         A = con.Fs
         B = con.static * A if static else A
         slip = (B - con.c * con.v) / con.k if damper else B / con.k
@@ -368,7 +369,7 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 elif w == -edge:
                     a = max(a, 0.0)
                 u = w + con.v
-                spare[LATE] = 0.0
+                spare.late = 0.0
                 side, tau = linear_exit(
                     FreeMotion(w, a, u, zeta_ramp, omega2, disc_ramp), -edge, edge, rest, 0.0, spare
                 )
@@ -376,7 +377,7 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 dp, dw = change(a, u, zeta_ramp, omega2, S, E)
                 p, p_rest = sum_of(p, p_rest, dp)
                 w, w_rest = sum_of(w, w_rest, dw)
-                late = spare[LATE]
+                late = spare.late
                 if side != 0:
                     w = edge if side > 0 else -edge
             elif mode == RAMP:
@@ -423,13 +424,13 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 u = w + con.v
                 lo, hi = (-reversal, -edge) if sign > 0.0 else (edge, reversal)
                 touch = 0.0 if has_edge else 4.0 * EPS
-                spare[LATE] = 0.0
+                spare.late = 0.0
                 side, tau = linear_exit(FreeMotion(w, a, u, zeta_slip, omega2, disc_slip), lo, hi, rest, touch, spare)
                 S, E = solution(zeta_slip, omega2, disc_slip, tau, spare)
                 dp, dw = change(a, u, zeta_slip, omega2, S, E)
                 p, p_rest = sum_of(p, p_rest, dp)
                 w, w_rest = sum_of(w, w_rest, dw)
-                late = spare[LATE]
+                late = spare.late
                 if side != 0:
                     w = hi if side > 0 else lo
                     if (side > 0) != (sign > 0.0):
@@ -497,6 +498,7 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                     zeta_ramp = 0.5 * C_ramp / con.m
                     disc_ramp = (zeta_ramp - omega0) * (zeta_ramp + omega0)
 
+    unbox_records()
     for module in KERNEL_MODULES:
         register(module, forceinline=True, **JIT_OPTIONS)
     for function in (reach, changes, deflated, survey, polish, first_root):

@@ -33,7 +33,7 @@ EXIT_UNDECIDED = 5
 EXIT_NO_LAW = 6
 EXIT_INTERRUPTED = 130
 
-_FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9]*(?:-[a-z0-9]+)*)(?:=([^\s,;:()]*[^\s,;:().]))?")
+_FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9]*(?:-[a-z0-9]+)*)(?:[= ]('[^']*')|=([^\s,;:()]*[^\s,;:().]))?")
 
 
 class StickslipError(Exception):
@@ -110,13 +110,15 @@ def in_python(text: str) -> str:
     """Return a text in which flags are the keywords that functions take: ``--max-steps`` is ``max_steps``.
 
     A value that follows an equals sign is Python's: ``--method=dop853`` is ``method='dop853'``; numbers and names in
-    capital letters (``--until=T``) stay as they are.
+    capital letters (``--until=T``) stay as they are.  So do values in quotes: ``--mass '1 kg'`` is ``mass='1 kg'``.
     """
     return _FLAG.sub(_keyword, text)
 
 
 def _keyword(flag: "re.Match[str]") -> str:
-    name, value = flag[1].replace("-", "_"), flag[2]
+    name, quoted, value = flag[1].replace("-", "_"), flag[2], flag[3]
+    if quoted is not None:
+        return f"{name}={quoted}"
     if value is None:
         return name
     return f"{name}={value if value.isupper() or _is_number(value) else repr(value)}"

@@ -6,9 +6,15 @@ comma is refused, since ``1,000 g`` has two readings.
 
 import math
 import re
+from collections.abc import Sequence
+from numbers import Real
+from typing import Any
 
 from daq.base.errors import InputError, nearest
-from daq.base.measured import Measured
+from daq.base.measured import Measured, checked
+
+# A quantity of a rig as Python code states it: a number in SI, value and standard deviation, or text with a unit.
+Stated = float | Sequence[float] | str | Measured
 
 # Dimension -> its SI unit, then every unit known for it with its size in SI.
 UNITS: dict[str, dict[str, float]] = {
@@ -34,6 +40,11 @@ EXAMPLES = {"length": "12 cm", "time": "20 ms", "mass": "300 g", "rate": "400 fp
     "angle": "90 deg",
     "angular frequency": "5.9 rad/s",
 }
+
+# The dimension of each quantity of a rig.
+OF_QUANTITY = {"mass": "mass", "stiffness": "stiffness", "damping": "damping", "belt_speed": "speed"} | dict.fromkeys(
+    ("metres_per_count", "belt_metres_per_count", "datum", "x0"), "length"
+)
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
@@ -80,6 +91,40 @@ def measured(text: str, dimension: str, where: str) -> Measured:
     if sd < 0:
         raise InputError(f"{text!r} has a negative standard deviation", where, "write it as a positive number")
     return Measured(value * (_size(value_unit, text, dimension, where) if value_unit else size), sd * size)
+
+
+def stated(value: Stated | None, key: str) -> Measured | None:
+    """Return a quantity of a rig as Python code states it; None where it states none.
+
+    Parameters
+    ----------
+    value : float, (float, float), str, Measured or None
+        A number in SI; value and standard deviation in SI; or text with a unit, such as ``"500 g +- 1 g"``.
+    key : str
+        Which quantity, one of `daq.base.measured.QUANTITIES`.
+
+    Raises
+    ------
+    InputError
+        It is none of these, or a value that this quantity cannot have.
+    """
+    if value is None:
+        return None
+    found = in_si(value, OF_QUANTITY[key], key)
+    return checked(key, found.value, found.sd, key)
+
+
+def in_si(value: Stated, dimension: str, key: str) -> Measured:
+    """Return a quantity as Python code states it (`stated`), of any dimension; ``key`` is its name."""
+    if isinstance(value, Measured):
+        return value
+    if isinstance(value, str):
+        return measured(value, dimension, key)
+    parts: tuple[Any, ...] = tuple(value) if isinstance(value, Sequence) and len(value) == 2 else (value,)
+    if not all(isinstance(part, Real) and not isinstance(part, bool) for part in parts):
+        do = f"give a number in {si_unit(dimension)}, (value, sd), or text such as {EXAMPLES[dimension]!r}"
+        raise InputError(f"{key} is {value!r:.60}", key, do)
+    return Measured(*map(float, parts))
 
 
 def unit_size(text: str, dimension: str, where: str) -> float:

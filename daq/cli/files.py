@@ -10,6 +10,7 @@ from daq.base.console import application
 from daq.base.console.application import Answer, Json
 from daq.base.console.flags import Force
 from daq.base.console.notes import NO_NOTES, NoteFlags
+from daq.base.console.rig_flags import NO_RIG, RigFlags
 from daq.base.errors import InputError
 from daq.cli import sentences
 from daq.imports.options import NO_CAPTURE, NO_OPTIONS, NO_PROBES, CaptureOptions, ImportOptions, ProbeOptions
@@ -29,7 +30,12 @@ def register(app: cyclopts.App) -> None:
 
 
 def import_table(
-    file: Annotated[Path, Parameter(help="The table: a text file, or a MATLAB file (.mat).")],
+    file: Annotated[
+        Path,
+        Parameter(
+            help="The table: text (.csv, .txt, .lvm ...) or MATLAB (.mat); with the extra 'formats' .xlsx and .tdms."
+        ),
+    ],
     /,
     *,
     output: Output = None,
@@ -38,18 +44,22 @@ def import_table(
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Make a run file from a table of times and positions: a CSV, for instance from a camera, or a MATLAB file.
+    """Make a run file from a table of times and positions: of a camera, a sensor or another program.
 
     Delimiter, decimal sign, preamble, header and units in it are detected; numbers without a unit are SI, and where
     that cannot be, the unit is asked for.  With mass and stiffness the frame rate is checked against the duration of
     the slips.
 
     A tribometer's record of the force of a pulling spring is read by --spring-force: the position is force /
-    stiffness, as seen from the pulling end, which moves at --belt.
+    stiffness, as seen from the pulling end, which moves at --belt.  A belt that was measured is --belt-column.
 
     Example: daq import track.csv -o run.h5 --x-unit cm --mass "300 g" --stiffness "10.5 N/m"
 
     Example: daq import track.csv -o run.h5 --x-unit mm --x0 "60 mm +- 0.1 mm"
+
+    Example: daq import measurement.lvm -o run.h5 --belt-column stage
+
+    Example: daq import encoder.xlsx -o run.h5 --counts-per-rev 16384 --circumference "125.66 mm"
 
     Example: daq import force.csv -o run.h5 --spring-force F --force-unit mN --stiffness "168 N/m" --belt "42 um/s"
     """
@@ -67,7 +77,7 @@ def import_table(
         found = track.read(file, options, show.stage)
     store.write(target, replace(found.run, **given), force=force)
     data = sentences.run_data(found.run, target, found.warnings) | {
-        key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even", "skipped")
+        key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even", "skipped", "assumed")
     }
     return Answer(data, sentences.run_text("imported", found.run, data, sentences.columns(found)))
 
@@ -79,24 +89,30 @@ def replay(
     output: Output = None,
     options: CaptureOptions = NO_CAPTURE,
     rig: Annotated[Path | None, Parameter(help="Calibration (rig.toml) to use instead of the recorded one.")] = None,
+    known: RigFlags = NO_RIG,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
     """Rebuild a run file from a journal, a run file, or a sigrok .sr capture.
 
+    What --mass, --metres-per-count and the others state replaces what --rig or the record says.
+
     Example: daq replay capture.sr --channels A=XA,B=XB -o run.h5
+
+    Example: daq replay run.h5 --counts-per-rev 16384 --circumference "125.66 mm" -o calibrated.h5
     """
     from daq.base.output import atomic, suffix
     from daq.imports import replay as again
     from daq.runfile import store
+    from daq.runfile.rig import Rig
 
     kind = again.kind_of(source)
     target = output or _default_output(source, kind)
     suffix.check_run(target)
     atomic.refuse_existing(target, force, source)
-    calibration = _rig(rig)
+    calibration, stated = _rig(rig), known.stated()
     if kind == "capture":
-        return _replay_capture(source, target, options, rig, force)
+        return _replay_capture(source, target, options, (calibration or Rig()).stating(stated), force)
     for name, value in vars(options).items():
         if value is not None:
             flag = "--dir" if name == "direction" else f"--{name.replace('_', '-')}"
@@ -111,8 +127,8 @@ def replay(
     else:
         run = again.from_run(source)
         extra = again.findings(run) | {"warnings": [], "clock_ppm": run.clock_ppm}
-    if calibration is not None:
-        run = again.recalibrated(run, calibration)
+    if calibration is not None or stated:
+        run = again.recalibrated(run, (calibration or run.rig).stating(stated))
     store.write(target, run, force=force)
     data = sentences.run_data(run, target, extra["warnings"]) | extra | {"file": target}
     return Answer(data, sentences.run_text(f"replayed the {kind} {source}:", run, data))
@@ -190,14 +206,13 @@ def export(
     return Answer(data, f"{', '.join(names)}: {len(rows)} rows")
 
 
-def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: Path | None, force: bool) -> Answer:
+def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: "Rig", force: bool) -> Answer:
     from dataclasses import replace
 
     from daq.imports import capture as decoding
     from daq.imports import replay as again
     from daq.imports import sigrok
     from daq.runfile import store
-    from daq.runfile.rig import Rig
 
     capture = sigrok.read(source)
     if options.capture_rate is not None:
@@ -205,11 +220,11 @@ def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: Pa
     wired = decoding.wiring(capture, options)
     rate_hz = options.rate or min(1000.0, capture.rate_hz or 1000.0)
     with application.progress("replaying", capture.samples, "samples") as progress:
-        run, totals = again.from_capture(capture, wired, rate_hz, _rig(rig) or Rig(), progress)
+        run, totals = again.from_capture(capture, wired, rate_hz, rig, progress)
     store.write(target, run, force=force)
     warnings = sentences.count_warnings(totals)
     if run.rig.metres_per_count is None:
-        warnings.append("metres per count are not known: positions are counts; give --rig to calibrate")
+        warnings.append("metres per count are not known: positions are counts; give --metres-per-count or --rig")
     data = again.findings(run) | {"clock_ppm": None} | sentences.run_data(run, target, warnings) | vars(totals)
     return Answer(data, sentences.run_text(f"replayed the capture {source}:", run, data, sentences.counts(totals)))
 

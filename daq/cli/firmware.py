@@ -2,11 +2,14 @@
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 
 from daq.base.console.application import Answer, Json
+
+if TYPE_CHECKING:
+    from daq.firmware_files import Sketch
 
 DEFAULT_FOLDER = Path("stickslip-firmware")
 SOME_PORT = "COM3" if os.name == "nt" else "/dev/ttyACM0"
@@ -19,7 +22,7 @@ def register(app: cyclopts.App) -> None:
 
 def firmware(
     *,
-    board: Annotated[str, cyclopts.Parameter(help="uno, nano or mega.")],
+    board: Annotated[str, cyclopts.Parameter(help="uno, nano, mega, esp32, pico, pico-micropython or teensy.")],
     output: Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="Folder to write into.")] = DEFAULT_FOLDER,
     port: Annotated[
         str | None, cyclopts.Parameter(help="Port of the board; default the only serial port connected.")
@@ -27,19 +30,25 @@ def firmware(
     force: Annotated[bool, cyclopts.Parameter(negative=(), help="Replace files with different content.")] = False,
     json: Json = False,
 ) -> Answer:
-    """Write the firmware of a board (built .hex and source), and print how to flash it.
+    """Write the firmware of a board, or a sketch for it, and print how to wire and flash it.
+
+    Of Uno, Nano and Mega the built .hex and its source; of the others a sketch that prints text lines.
 
     Example: daq firmware --board uno -o firmware
+
+    Example: daq firmware --board pico-micropython
     """
     from daq import firmware_files
     from daq.recorder.ports import SIMULATED_RIG, list_ports
 
     kind = firmware_files.board(board)
-    hexfile, source = firmware_files.write(kind, output, force=force)
     if port is None:
         # A ttyS is a port of the machine itself, without a board.
         there = [found.port for found in list_ports() if found.port != SIMULATED_RIG and "ttyS" not in found.port]
         port = there[0] if len(there) == 1 else SOME_PORT
+    if isinstance(kind, firmware_files.Sketch):
+        return _sketch(kind, output, port, force)
+    hexfile, source = firmware_files.write(kind, output, force=force)
     flash = firmware_files.command(kind, hexfile, port)
     data = {
         "board": kind.name,
@@ -60,4 +69,34 @@ def firmware(
     ]
     lines += [f"       {kind.other}"] if kind.other else []
     lines.append(f"next: daq record --port {port} --rate 1000")
+    return Answer(data, "\n".join(lines))
+
+
+def _sketch(sketch: "Sketch", output: Path, port: str, force: bool) -> Answer:
+    from daq import firmware_files
+
+    main, source = firmware_files.write_sketch(sketch, output, force=force)
+    flash = firmware_files.sketch_command(sketch, main, port)
+    record = f"daq record --port {port} --protocol text" + (f" --baud {sketch.baud}" if sketch.baud else "")
+    data = {
+        "board": sketch.name,
+        "sketch": main,
+        "source": source,
+        "flash": flash,
+        "port": port,
+        "encoder_pins": sketch.encoder_pins,
+        "needs": sketch.core,
+        "bauds": [sketch.baud] if sketch.baud else [],
+        "tested": sketch.tested,
+        "record": record,
+    }
+    needs = sketch.core or "MicroPython on the board, and mpremote or any editor for it"
+    lines = [
+        f"sketch for {sketch.what} -> {main}; {sketch.counter} counts the edges",
+        f"wire: {sketch.encoder_pins}; GND to GND",
+        f"needs: {needs}",
+        f"flash: {flash}",
+        f"tested: {sketch.tested}",
+        f"next: {record}",
+    ]
     return Answer(data, "\n".join(lines))

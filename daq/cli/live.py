@@ -32,26 +32,34 @@ def register(app: cyclopts.App) -> None:
 
 
 def watch(
-    journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal of a running recording.")],
+    run: Annotated[
+        Path, cyclopts.Parameter(name="RUN.h5", help="A run file, or RUN.h5.part: the journal of a running recording.")
+    ],
     /,
     *,
     wait: Annotated[float, flags.quantity("--wait", "time", "Time to wait for the journal, s or with a unit.")] = 0.0,
     no_browser: NoBrowser = False,
     json: Json = False,
 ) -> Answer:
-    """Show a recording in the browser while it runs; the URL is the first line of the output.
+    """Show a recording in the browser while it runs, or a finished run; the URL is the first line of the output.
 
-    The page is served on this computer alone, under a random address.  It only reads the journal: closing it, or
-    stopping this command by Ctrl-C, does not touch the recording.  The command ends with the recording.
+    The page is served on this computer alone, under a random address.  It only reads: closing it, or stopping this
+    command by Ctrl-C, does not touch the recording; its button "end recording" does what Ctrl-C does in the recording's
+    terminal.  The command ends with the recording; of a finished run, by Ctrl-C.
 
     Example: daq watch run.h5.part
     """
     from daq.live import assets
 
     assets.check_installed()
-    if journal.suffix != ".part":
-        raise InputError("is not a journal", str(journal), "give the RUN.h5.part of a recording that is running")
-    _wait_for(journal, wait)
+    running = run.with_name(run.name + ".part")
+    if run.suffix != ".part" and not run.exists() and running.exists():
+        run = running
+    if run.suffix == ".part":
+        _wait_for(run, wait)
+    elif not run.exists():
+        do = f"check the path; a recording that runs is {running.name}"
+        raise InputError("no such file, and no recording of it runs", str(run), do)
     with contextlib.suppress(AttributeError, OSError):  # no such call on Windows
         os.nice(NICE)
     from daq.live.server import serve
@@ -66,7 +74,7 @@ def watch(
         if not no_browser:
             open_browser(url)
 
-    ended = serve(journal, show)
+    ended = serve(run, show)
     return Answer({"url": pages[0], "ended": ended})
 
 

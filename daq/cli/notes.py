@@ -116,7 +116,7 @@ def _lines(row: "RunRow") -> list[str]:
     """Return the lines about one run: its facts, what people wrote, and the verdict."""
     about = [row.title, row.sample, row.operator, *(f"{name}={value}" for name, value in row.tags.items())]
     facts = [
-        (row.date, f"{(row.date or '')[:16].replace('T', ' ')}"),
+        (row.date, f"{'file of ' * row.of_file}{(row.date or '')[:16].replace('T', ' ')}"),
         (row.duration, f"{row.duration:.4g} s" if row.duration is not None else ""),
         (row.rate, f"{row.rate:.5g} Hz" if row.rate is not None else ""),
         (row.lost, f"{row.lost} lost"),

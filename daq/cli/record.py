@@ -15,6 +15,7 @@ from daq.base.console import application, flags
 from daq.base.console.application import Answer, Json, SetChanges
 from daq.base.console.flags import Force
 from daq.base.console.notes import NO_NOTES, NoteFlags
+from daq.base.console.rig_flags import NO_RIG, RigFlags
 from daq.base.console.settings import NO_FLAGS, BoardFlags, resolve
 from daq.base.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, InputError
 from daq.cli import sentences
@@ -62,6 +63,7 @@ def record(
     live: Live = False,
     no_browser: NoBrowser = False,
     board: BoardFlags = NO_FLAGS,
+    known: RigFlags = NO_RIG,
     notes: NoteFlags = NO_NOTES,
     force: Force = False,
     json: Json = False,
@@ -74,9 +76,13 @@ def record(
     Port, protocol, columns, baud, rate and decoder may also come from the environment (STICKSLIP_PORT ...), from the
     [board] of --rig, or from the user's config.toml, in this order.
 
+    What --mass, --metres-per-count and the others state replaces what --rig or the board says.
+
     In the name of the run file {n} becomes the next free number and {date} the date and time.
 
     Example: daq record --rate 1000 --duration 20 -o run.h5
+
+    Example: daq record --port /dev/ttyACM0 --protocol text --columns t_us,F_N --stiffness "168 N/m" -o run.h5
 
     Example: daq record -o 'run-{n:03}.h5' --sample "brass on steel" --operator Ada --tag humidity=45
     """
@@ -97,7 +103,9 @@ def record(
         board = replace(board, port=rig_port(scene, set_, realtime))
     written = notes.given()
     target = names.completed(output)
-    wanted = RecordRequest(output=target, duration_s=duration, force=force, notes=written, **resolve(board))
+    wanted = RecordRequest(
+        output=target, duration_s=duration, force=force, stated=known.stated(), notes=written, **resolve(board)
+    )
     view = viewer(wanted.part, no_browser) if live else contextlib.nullcontext()
     with view, _stop_on_signal() as stop, application.progress("recording", duration, "s") as show:
         found = take(wanted, progress=show, status=show.status, say=application.note, stop=stop)
@@ -128,14 +136,9 @@ def recover(
 
     Example: daq recover run.h5.part
     """
-    from daq.base.output import suffix
-    from daq.finalise.run import finalise
+    from daq.recorder import source
 
-    if journal.suffix != ".part":
-        raise InputError("is not a journal", str(journal), "give the RUN.h5.part that the recording left")
-    if output is not None:
-        suffix.check_run(output)
-    found = finalise(journal, output or journal.with_suffix(""), finished_by="daq recover", force=force)
+    found = source.recover(journal, output, force=force)
     return Answer(found.as_json(), sentences.recorded("recovered", found))
 
 

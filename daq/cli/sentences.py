@@ -18,6 +18,15 @@ if TYPE_CHECKING:
 UNITS = {"metres_per_count": "m", "stiffness": "N/m", "damping": "N s/m", "datum": "m", "mass": "kg"}
 
 
+# What a table is that is no text of delimiters, by `daq.imports.table.Table.kind`.
+KINDS = {
+    "MATLAB": "vectors of a MATLAB file",
+    "TDMS": "channels of a TDMS file",
+    "LabVIEW": "a LabVIEW measurement",
+    "workbook": "a sheet of a workbook",
+}
+
+
 def warnings(found: Sequence[str]) -> list[str]:
     """Return the lines of warnings."""
     return [f"warning: {warning}" for warning in found]
@@ -74,11 +83,14 @@ def recorded(done: str, found: "RecordingQuality") -> str:
 
 def columns(found: "Imported") -> str:
     """Return how the columns of a table were read."""
-    form = f"delimiter {found.delimiter}, decimal {found.decimal!r}"
-    if found.delimiter == "MATLAB":
-        form = "vectors of a MATLAB file"
+    form = KINDS.get(found.delimiter, f"delimiter {found.delimiter}, decimal {found.decimal!r}")
     line = f"read as: {form}, time from {found.columns['time']}"
-    return line + f", position from {found.columns['position']}" + ("" if found.even else "; unevenly sampled")
+    line += f", position from {found.columns['position']}"
+    line += f", belt from {found.columns['belt']}" if "belt" in found.columns else ""
+    line += "" if found.even else "; unevenly sampled"
+    if found.assumed:
+        line += f"\nno unit is stated for what is read in {' and in '.join(found.assumed)}"
+    return line
 
 
 def counts(totals: "Totals") -> str:

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.output.spill import Column, Shelf, Spill
-from daq.finalise import belt_counter
-from daq.finalise.belt_counter import BeltCount
 from daq.finalise.connections import TICK_NS
 from daq.finalise.integrity import CheckedCounts
 from daq.finalise.timeline import Samples, TruthRows, parts_of, sample_keys
+from daq.runfile import belt_counter
+from daq.runfile.belt_counter import BeltCount
 from daq.runfile.recording import Raw, Truth
 from daq.runfile.rig import Rig
 from daq.wire import frames

@@ -27,9 +27,9 @@ WHY = {"clock": "the clock leapt"}  # of a segment's beginning, where one word d
 LONG_GAP_S = 0.5  # a gap that a warning places in time
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RecordingQuality:
-    """The findings of one recording.
+    """The findings of one recording, by `daq.record`, ``daq record`` or ``daq recover``.
 
     Attributes
     ----------
@@ -116,6 +116,13 @@ class RecordingQuality:
     def sparse(self) -> bool:
         """Whether too many samples are lost between the first and the last."""
         return self.lost > (1 - LEAST_HELD) * (self.samples + self.lost)
+
+    def __repr__(self) -> str:
+        lost = f"{self.lost} samples lost" if self.lost else "no sample lost"
+        said = "".join(f"\n warning: {text}" for text in self.warnings)
+        name = "" if self.file is None else f" {self.file.name}"
+        head = f"{self.samples} samples, {self.duration_s:.4g} s at {self.rate_hz:g} Hz, {lost}"
+        return f"<RecordingQuality{name}: {head}{said}>"
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON document of ``daq record`` and ``daq recover``."""
@@ -229,7 +236,7 @@ def from_run(
             if len(record.data) == journal.DROPPED_BYTES
         ),
         travel=totals.travel,
-        unit="m" if run.rig.metres_per_count is not None else "count",
+        unit=run.unit,
         port_lost=recorded.records.kinds.count(journal.LOST),
         asked_s=recorded.header["samples"] / run.rate_hz if recorded.header.get("samples") is not None else None,
         ended=next(map(journal.end_reason, recorded.records.of_kind(journal.END)), ""),
@@ -264,6 +271,8 @@ def _incomplete(found: RecordingQuality, totals: DataTotals) -> list[str]:
             journal.COMPLETE: "samples are missing",
             journal.PORT_LOST: "the port was lost",
             journal.BOARD_STOPPED: "the board stopped",
+            journal.SOURCE_FAILED: "the source failed",
+            journal.SOURCE_ENDED: "the source ended",
         }
         held_s = found.samples / found.rate_hz
         because = why.get(found.ended, f"ended by {found.ended}")
@@ -303,6 +312,8 @@ def _port_outages(records: journal.Records) -> list[str]:
             for_good.append(
                 f"the port was lost ({lost}) {(heard - first) / 1e9:.3g} s after the start and was not reopened"
             )
+        elif record.kind == journal.END and journal.end_reason(record) == journal.SOURCE_FAILED:
+            for_good.append(f"the source failed: {lost}")
     return [*_reopened(away), *for_good]
 
 

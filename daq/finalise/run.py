@@ -6,7 +6,7 @@ file byte for byte, except for the name of the command.
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -16,21 +16,23 @@ import numpy as np
 from daq.base import toml
 from daq.base.errors import DataError, InputError
 from daq.base.output import atomic
-from daq.base.output.spill import Spill
+from daq.base.output.spill import Column, Spill
 from daq.base.text import storable
-from daq.finalise import claim, connections, quality
+from daq.finalise import blocks, claim, connections, quality
 from daq.finalise.clock_points import PartClock
 from daq.finalise.columns import RunColumns
 from daq.finalise.events import RunEvents
 from daq.finalise.integrity import CountCheck
 from daq.finalise.quality import DataTotals, RecordingQuality
 from daq.finalise.timeline import Samples, Timeline, parts_of
+from daq.protocols import blocks as block_records
 from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import EVENT_NAMES, Recording, positions
 from daq.runfile.rig import Rig
 from daq.wire import decode, frames
 
 logger = logging.getLogger(__name__)
+WITHOUT_PITCH = "no metres per count are known, so positions are counts"
 
 
 def finalise(
@@ -70,6 +72,7 @@ def finalise(
     if not recorded.damaged:
         try:
             markers.unlink(missing_ok=True)
+            journal.stop_path(part).unlink(missing_ok=True)
             remove()
         except OSError as error:
             left = f"{error.filename or part} could not be removed ({error.strerror})"
@@ -96,10 +99,111 @@ def run_data(
     DataError
         It holds no samples.
     """
-    header = journal_header.complete(recorded.header, recorded.path)
-    rate_hz = float(header["rate_hz"])
+    recorded = replace(recorded, header=journal_header.complete(recorded.header, recorded.path))
+    header = recorded.header
     spill = Spill(output)
-    shelves = connections.connections(replace(recorded, header=header), spill)
+    gathered = (_of_blocks if header["protocol"] == block_records.NAME else _of_board)(recorded, markers, spill)
+    totals, rig, clocks = gathered.totals, gathered.rig, gathered.clock.compared()
+    started, ended = _instants(recorded.path, header, gathered.first_ns, totals.last_s)
+    found_events = gathered.events.sorted()
+    run = Recording(
+        title=header["title"],
+        started=started.isoformat(),
+        ended=ended.isoformat(),
+        rate_hz=float(header["rate_hz"]),
+        rig=rig,
+        config_toml=gathered.config,
+        clock_sample=clocks.index.astype(np.uint32),
+        clock_offset=clocks.offset,
+        clock_ppm=clocks.ppm,
+        clock_ppm_error=clocks.ppm_error,
+        clock_offset_error=clocks.offset_error,
+        event_sample=np.array([event[0] for event in found_events], dtype=np.uint32),
+        event_kind=tuple(EVENT_NAMES[event[1]] for event in found_events),
+        event_note=tuple(event[2] for event in found_events),
+        operator=header["operator"],
+        sample_name=header["sample_name"],
+        note=header["note"],
+        tags=header["tags"],
+        provenance=header["provenance"] | {"finished_by": finished_by},
+        **gathered.columns,
+    )
+    streams = gathered.streams
+    found = quality.from_run(recorded, totals, gathered.peak_count_rate, streams, run)
+    said = quality.warnings(found, recorded, totals, gathered.repeated, streams, rig)
+    return run, replace(found, warnings=(*header["warnings"], *gathered.warnings, *said))
+
+
+@dataclass(frozen=True)
+class _Gathered:
+    """What the records of a journal hold.
+
+    Attributes
+    ----------
+    rig, config : Rig, str
+        The calibration, and its text.
+    columns : dict
+        The attributes of the run that are columns over its samples, or follow from them.
+    totals, events, clock : DataTotals, RunEvents, PartClock
+        What was counted, what happened, and how the clocks went.
+    streams : list of Stream
+        What was sent, without its arrays.
+    warnings : list of str
+        What is wrong with the calibration.
+    first_ns : int
+        Host's stamp of the first sample.
+    peak_count_rate, repeated
+        See `CountCheck`, `Timeline`.
+    """
+
+    rig: Rig
+    config: str
+    columns: dict[str, Any]
+    totals: DataTotals
+    events: RunEvents
+    clock: PartClock
+    streams: list[decode.Stream]
+    warnings: list[str]
+    first_ns: int
+    peak_count_rate: float
+    repeated: int = 0
+
+
+def _of_blocks(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spill: Spill) -> _Gathered:
+    """Gather the samples of blocks that a program handed over."""
+    header = recorded.header
+    config, rig, _ = calibration(recorded.records.of_kind(journal.CONFIGURATION), (), None)
+    rig = replace(rig, counter_bits=blocks.COUNTER_BITS)
+    counted = header["columns"] == block_records.COUNTS
+    columns = {name: Column(spill) for name in ("time", "position", "segment", *(["count"] if counted else []))}
+    totals, events = DataTotals(), RunEvents(markers, float(header["rate_hz"]))
+    clock = PartClock(0, None, by_bytes=False, spill=spill)
+    damaged: list[decode.Stream] = []
+    first_ns, peak = 0, 0.0
+    for piece, checked, values in blocks.pieces(recorded):
+        position = positions(checked.count, rig) if counted else values.astype(np.float64)
+        if len(values) and not totals.samples:
+            first_ns = int(piece.samples.stamp_ns[0])
+        own = {"time": piece.samples.time, "position": position, "segment": checked.segment, "count": checked.count}
+        for name, column in columns.items():
+            column.append(own[name])
+        totals.take(piece, checked, position)
+        events.take(piece, checked)
+        clock.take(piece)
+        peak = max(peak, checked.peak_count_rate)
+        damaged += [piece.stream] if piece.stream.crc_errors else []
+    if not totals.samples:
+        raise _no_samples(recorded)
+    warnings = [WITHOUT_PITCH] if counted and rig.metres_per_count is None else []
+    whole = {name: column.whole() for name, column in columns.items()}
+    return _Gathered(rig, config, whole, totals, events, clock, damaged, warnings, first_ns, peak)
+
+
+def _of_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spill: Spill) -> _Gathered:
+    """Gather the samples of a board's bytes."""
+    header = recorded.header
+    rate_hz = float(header["rate_hz"])
+    shelves = connections.connections(recorded, spill)
     streams = [stream for shelf in shelves for stream in shelf.labels]
     ident = connections.first_ident(streams)
     line = Timeline(shelves, rate_hz, connections.TICK_NS, header["samples"], spill)
@@ -121,45 +225,33 @@ def run_data(
         totals.take(piece, checked, position)
         events.take(piece, checked)
         clock.take(piece)
-    started, ended = _instants(recorded.path, header, columns.first_ns, totals.last_s)
     belt_count, belt_velocity = columns.belt(rate_hz)
     if columns.has("belt_count") and belt_velocity is None:
         warnings.append("no metres per belt count are known, so the belt's counts give no speed")
-    clocks = clock.compared()
-    found_events = events.sorted()
-    run = Recording(
-        title=header["title"],
-        started=started.isoformat(),
-        ended=ended.isoformat(),
-        rate_hz=rate_hz,
-        rig=rig,
-        time=columns["time"],
-        position=columns["position"],
-        count=columns["count"],
-        raw=columns.raw(),
-        segment=columns["segment"],
-        config_toml=config,
-        clock_sample=clocks.index.astype(np.uint32),
-        clock_offset=clocks.offset,
-        clock_ppm=clocks.ppm,
-        clock_ppm_error=clocks.ppm_error,
-        clock_offset_error=clocks.offset_error,
-        event_sample=np.array([event[0] for event in found_events], dtype=np.uint32),
-        event_kind=tuple(EVENT_NAMES[event[1]] for event in found_events),
-        event_note=tuple(event[2] for event in found_events),
-        belt_velocity=belt_velocity,
-        belt_count=belt_count,
-        truth=columns.truth(header["port"]),
-        sent_as=connections.stored(line.idents, rig, totals.segment, totals.source),
-        operator=header["operator"],
-        sample_name=header["sample_name"],
-        note=header["note"],
-        tags=header["tags"],
-        provenance=header["provenance"] | {"finished_by": finished_by},
+    whole = {
+        "time": columns["time"],
+        "position": columns["position"],
+        "count": columns["count"],
+        "raw": columns.raw(),
+        "segment": columns["segment"],
+        "belt_velocity": belt_velocity,
+        "belt_count": belt_count,
+        "truth": columns.truth(header["port"]),
+        "sent_as": connections.stored(line.idents, rig, totals.segment, totals.source),
+    }
+    return _Gathered(
+        rig,
+        config,
+        whole,
+        totals,
+        events,
+        clock,
+        streams,
+        warnings,
+        columns.first_ns,
+        checking.peak_count_rate,
+        line.repeated,
     )
-    found = quality.from_run(recorded, totals, checking.peak_count_rate, streams, run)
-    warnings = [*header["warnings"], *warnings, *quality.warnings(found, recorded, totals, line.repeated, streams, rig)]
-    return run, replace(found, warnings=tuple(warnings))
 
 
 class _CountedPieces:
@@ -224,5 +316,5 @@ def calibration(
             )
         rig = replace(rig, decoder=ident.decoder, counter_bits=ident.counter_bits)
     if rig.metres_per_count is None:
-        warnings.append("no metres per count are known, so positions are counts")
+        warnings.append(WITHOUT_PITCH)
     return config, rig, warnings

@@ -1,24 +1,56 @@
 """Which column of a table is the time, which the position, and in what units: by flag, by name, by elimination."""
 
 import re
+from dataclasses import replace
 
 from daq.base import units
-from daq.base.errors import InputError, nearest
+from daq.base.errors import InputError, in_python, nearest
+from daq.imports import layout
 from daq.imports.table import Table, short
 
 TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")
 FRAME_NAMES = ("frame", "frames", "frame number", "frame no", "frameno", "image", "slice", "bild")
 POSITION_NAMES = ("x", "position", "pos", "displacement", "distance", "weg", "ort", "auslenkung")
-DIMENSIONS = ("time", "length", "force")  # of columns
+FORCE_NAMES = (
+    *("f", "force", "fx", "fy", "ft", "friction force", "tangential force", "lateral force", "load", "load cell"),
+    *("kraft", "reibkraft"),
+)
+# What is no length though it has no unit: a friction coefficient.
+RATIO_NAMES = (
+    *("cof", "mu", "\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}", "friction", "friction coefficient"),
+    *("coefficient of friction", "reibwert", "reibzahl", "reibungszahl"),
+)
+RATIO_UNITS = ("-", "1", "%", "dimensionless", "none", "unitless")
+COUNT_UNITS = ("count", "counts", "cts", "tick", "ticks", "pulse", "pulses", "inc", "increments", "steps")
+DIMENSIONS = ("time", "length", "force", "speed")  # of columns
 EXAMPLE_UNITS = {"time": "ms", "force": "mN, or weight for a force divided by the weight"}
 _IN_WORD = re.compile(r"[/,]|\bin\b")  # what stands between a name and its unit
 _BRACKETS = (("(", ")"), ("[", "]"))
 
 
+def named(cells: Table) -> Table:
+    """Return a table without a header with the names that a comment above it has, as numpy and trackers write them.
+
+    A comment is one of names where it has as many as there are columns, and one of them is known or has a unit.
+    """
+    for comment in () if cells.names else cells.comments:
+        text = comment.strip().lstrip("#%/").strip()
+        names = tuple(name.strip() for name in layout.header(text, cells.delimiter, cells.width))
+        known = any(_bare(name) in TIME_NAMES + FRAME_NAMES + POSITION_NAMES or _dimension(name) for name in names)
+        if len(names) == cells.width and known and all(cells.number(name) is None for name in names):
+            return replace(cells, names=names)
+    return cells
+
+
 def find(
-    cells: Table, time: str | None, position: str | None, rate_known: bool, flag: str = "--position"
+    cells: Table,
+    time: str | None,
+    position: str | None,
+    rate_known: bool,
+    flag: str = "--position",
+    belt: int | None = None,
 ) -> tuple[int | None, int, bool]:
-    """Find the columns of times and positions.
+    """Find the columns of times and positions: as they are called, by name, by unit, by elimination.
 
     Parameters
     ----------
@@ -30,6 +62,8 @@ def find(
         Whether times can be made from a frame rate.
     flag : str
         The flag that ``position`` came from.
+    belt : int or None
+        The column of the belt, which is neither.
 
     Returns
     -------
@@ -41,9 +75,9 @@ def find(
     InputError
         When a column is missing or there is more than one choice, listing the columns.
     """
-    t_column = None if time is None else _named(cells, time, "--time")
-    x_column = None if position is None else _named(cells, position, flag)
-    free = [i for i in range(cells.width) if i not in (t_column, x_column)]
+    t_column = None if time is None else called(cells, time, "--time")
+    x_column = None if position is None else called(cells, position, flag)
+    free = [i for i in range(cells.width) if i not in (t_column, x_column, belt)]
     frames = False
     if cells.names:
         plain = [_bare(name) for name in cells.names]
@@ -51,33 +85,45 @@ def find(
             t_column = next((i for i in free if plain[i] in TIME_NAMES), None)
             if t_column is None:
                 t_column = next((i for i in free if plain[i] in FRAME_NAMES), None)
+            t_column = _only(cells, free, "time", x_column) if t_column is None else t_column
         if x_column is None:
-            called = [i for i in free if plain[i] in POSITION_NAMES and i != t_column]
-            if len(called) > 1 and plain[called[0]] == plain[called[1]]:
-                both = " and ".join(f"{short(cells.names[i])} (column {i + 1})" for i in called[:2])
-                raise InputError(f"which column is the position: {both}?", str(cells.path), "give --position NUMBER")
-            x_column = called[0] if called else None
+            places = [i for i in free if plain[i] in POSITION_NAMES and i != t_column]
+            if len(places) > 1 and plain[places[0]] == plain[places[1]]:
+                both = " and ".join(f"{short(cells.names[i])} (column {i + 1})" for i in places[:2])
+                raise InputError(f"which column is the position: {both}?", str(cells.path), "give --position=NUMBER")
+            x_column = places[0] if places else None
+            x_column = _only(cells, free, "length", t_column) if x_column is None else x_column
         frames = t_column is not None and plain[t_column] in FRAME_NAMES
     free = [i for i in free if i not in (t_column, x_column)]
     listed = cells.listed or f"1 to {cells.width}"
     if x_column is None and cells.width == 1:
         x_column, t_column = 0, None
-    elif cells.width == 2 and t_column is None and x_column is None:
-        t_column, x_column = 0, 1
+    elif len(free) == 2 and t_column is None and x_column is None:
+        t_column, x_column = free
     elif x_column is None and len(free) == 1:
         x_column = free[0]
     if x_column is None:
-        raise InputError(f"which column is the position? the columns are: {listed}", str(cells.path), "give --position")
-    if t_column is None and cells.width == 2 and not rate_known:
-        t_column = 1 - x_column
-    if t_column is None and cells.width > 2 and not rate_known:
+        forces = [i for i in free if _dimension(cells.names[i]) == "force"] if cells.names else []
+        what = f"which column is the position? the columns are: {listed}"
+        if not forces:
+            raise InputError(what, str(cells.path), "give --position")
+        flags, keywords = _spring(cells, forces[0])
+        do = "give {}, or for the force of a pulling spring {}"
+        raise InputError(
+            what, str(cells.path), do.format("--position", flags), python=do.format("position=NAME", keywords)
+        )
+    free = [i for i in free if i != x_column]
+    if t_column is None and len(free) == 1 and not rate_known:
+        t_column = free[0]
+    if t_column is None and len(free) > 1 and not rate_known:
         raise InputError(f"which column is the time? the columns are: {listed}", str(cells.path), "give --time")
     if t_column == x_column:
         raise InputError("time and position are the same column", str(cells.path), f"the columns are: {listed}")
     return t_column, x_column, frames
 
 
-def _named(cells: Table, name: str, flag: str) -> int:
+def called(cells: Table, name: str, flag: str) -> int:
+    """Return the column of a name, or of a number from 1; InputError where there is none."""
     wanted = name.strip()
     for same in (str, str.lower, _bare):
         for i, found in enumerate(cells.names):
@@ -144,6 +190,83 @@ def _stated_unit(name: str) -> str | None:
     return tail if head and any(units.known(tail, dimension) for dimension in DIMENSIONS) else None
 
 
+def is_length(name: str) -> bool:
+    """Return whether a column states a unit of length."""
+    return _dimension(name) == "length"
+
+
+def _only(cells: Table, free: list[int], dimension: str, but: int | None) -> int | None:
+    """Return the one free column with a unit of a dimension; None where there are none or several."""
+    own = [i for i in free if i != but and _dimension(cells.names[i]) == dimension]
+    return own[0] if len(own) == 1 else None
+
+
+def _dimension(name: str) -> str:
+    """Return the dimension of a column by its unit; "" where it states none that is known."""
+    stated = _stated_unit(name)
+    return next((each for each in DIMENSIONS if stated is not None and units.known(stated, each)), "")
+
+
+def _spring(cells: Table, column: int, *others: tuple[str, str]) -> tuple[str, str]:
+    """Return what reads a column as the force of a pulling spring: as flags, and as keywords in Python."""
+    name = split_unit(cells.names[column])[0]
+    given = (("spring-force", name), ("stiffness", "168 N/m"), *others)
+    flags = " ".join(f"--{flag} {value if value.isalnum() else repr(value)}" for flag, value in given)
+    return flags, ", ".join(f"{flag.replace('-', '_')}={value!r}" for flag, value in given)
+
+
+def check_length(cells: Table, column: int) -> None:
+    """Raise InputError for a column that is no length by its unit or name, unless a flag states its unit.
+
+    A force suggests `daq import --spring-force`; a friction coefficient is asked about; counts need their pitch.
+    """
+    if not cells.names:
+        return
+    name = cells.names[column]
+    stated, dimension, plain = _stated_unit(name), _dimension(name), _bare(name)
+    where, other = cells.place(cells.header_line, column), "choose the position by --position"
+    do = "{} {}; else " + other + ", or state its unit by --x-unit"
+    if dimension == "force" or (stated is None and plain in FORCE_NAMES):
+        is_of = f"is in {stated}: a force" if stated else "is a force by its name"
+        how = "for the force of a pulling spring give"
+        flags, keywords = _spring(cells, column, *([] if stated else [("force-unit", "N")]))
+        what = f"{cells.label(column)} {is_of}, no position"
+        raise InputError(what, where, do.format(how, flags), python=in_python(do.format(how, keywords)))
+    if dimension in ("speed", "time"):
+        raise InputError(f"{cells.label(column)} is in {stated}: a {dimension}, no position", where, other)
+    if (stated or "").lower() in RATIO_UNITS or (stated is None and plain in RATIO_NAMES):
+        is_of = f"is dimensionless ({stated})" if stated else "is a friction coefficient by its name"
+        how = "if it is the force of the pulling spring over the slider's weight give"
+        flags, keywords = _spring(cells, column, ("force-unit", "weight"), ("mass", "1 kg"))
+        what = f"{cells.label(column)} {is_of}, no position"
+        raise InputError(what, where, do.format(how, flags), python=in_python(do.format(how, keywords)))
+    if (stated or plain).lower() in COUNT_UNITS:
+        do = "give --metres-per-count '7.67 um', or --counts-per-rev=16384 and --circumference '125.66 mm'"
+        raise InputError(f"{cells.label(column)} holds counts", where, do)
+
+
+def belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[str, float, str]:
+    """Return what a column of the belt holds, "length" or "speed", the size of its unit in SI, and its name.
+
+    Raises
+    ------
+    InputError
+        Its unit is neither stated nor given, or is one of neither dimension.
+    """
+    stated = flag_value or (_stated_unit(cells.names[column]) if cells.names else None)
+    for dimension in ("length", "speed"):
+        if stated is not None and (units.known(stated, dimension) or flag_value is not None):
+            try:
+                return dimension, units.unit_size(stated, dimension, "--belt-unit"), stated
+            except InputError:
+                continue
+    what = f"{cells.label(column)} states no unit" if stated is None else f"{stated!r} is a unit of neither"
+    do = "give --belt-unit=mm for a position of the belt, --belt-unit=mm/s for its speed"
+    raise InputError(
+        f"{what}: is it the position or the speed of the belt?", cells.place(cells.header_line, column), do
+    )
+
+
 def unit(
     cells: Table, column: int, flag_value: str | None, dimension: str, flag: str, warnings: list[str]
 ) -> tuple[float, str]:
@@ -155,6 +278,8 @@ def unit(
         When the header's unit is unknown and the flag was not given.
     """
     stated = _stated_unit(cells.names[column]) if cells.names else None
+    if dimension == "length" and flag_value is None:
+        check_length(cells, column)
     if flag_value is not None:
         size = units.unit_size(flag_value, dimension, flag)
         if stated and units.known(stated, dimension) and units.unit_size(stated, dimension, flag) != size:
@@ -163,7 +288,7 @@ def unit(
     if stated is None:
         return 1.0, units.si_unit(dimension)
     if not units.known(stated, dimension):
-        example = "'0.25 mm' for a pixel of that size" if dimension == "length" else EXAMPLE_UNITS[dimension]
+        example = f"'0.25 mm' for {stated} of that size" if dimension == "length" else EXAMPLE_UNITS[dimension]
         what = f"{cells.label(column)} is in {short(stated)}, which is not a known unit of {dimension}"
         do = f"give {flag}, for example {flag} {example}"
         raise InputError(what, cells.place(cells.header_line, column), do)

@@ -29,6 +29,7 @@ _NUMBER = re.compile(r"[+-]?+(?:(?:\d++\.?+\d*+|\.\d++)(?>[eE][+-]?+\d++)?+|nan|
 _PLAIN = r"[ \t]*+[+-]?+(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?>[eE][+-]?+[0-9]++)?+[ \t]*+"
 _PLAIN_NUMBERS = re.compile(rf"{_PLAIN}(?>\n{_PLAIN})*+")
 _CLOCK = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?>[.,]\d*+)?+)")
+_TIMECODE = re.compile(r"\d{1,2}(?::[0-5]\d){2}:\d{2,3}")
 _DATE_END = re.compile("[T ]")
 _WIDE_GAP = re.compile(r"(?<!\s)\s{2,}+|\t")
 _GAP = re.compile(r"(?<!\s)\s++(?![(\[])")
@@ -65,6 +66,11 @@ def clock(cell: str) -> float | None:
         return None
     hours, minutes, seconds = found.groups()
     return 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
+
+
+def is_timecode(cell: str) -> bool:
+    """Return whether a cell is a video's time code such as 0:00:01:12, whose last part may be frames or hundredths."""
+    return len(cell) <= LONGEST_NUMBER and _TIMECODE.fullmatch(cell.strip()) is not None
 
 
 def split(text: str, delimiter: str) -> list[str]:
@@ -116,6 +122,11 @@ def find_format(texts: Sequence[str], named: str | None) -> tuple[str, str]:
     return best
 
 
+def _counts(cell: str, decimal: str) -> bool:
+    """Return whether a cell may stand in a line of data."""
+    return number(cell, decimal) is not None or clock(cell) is not None or is_timecode(cell)
+
+
 @dataclass(frozen=True)
 class _Line:
     """What a line of the file could be, in a table of a known width."""
@@ -134,7 +145,7 @@ def find_start(texts: Sequence[str], delimiter: str, decimal: str, width: int) -
 
     def line(index: int) -> _Line:
         cells = tuple(split(texts[index], delimiter))
-        return _Line(cells, tuple(number(cell, decimal) is not None or clock(cell) is not None for cell in cells))
+        return _Line(cells, tuple(_counts(cell, decimal) for cell in cells))
 
     first = next((index for index in range(len(texts)) if not line(index).words), len(texts))
     if first == len(texts):

@@ -6,12 +6,13 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from daq.base.console import flags
+from daq.base.console.rig_flags import RigFlags
 from daq.base.measured import Measured
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class ImportOptions:
+class ImportOptions(RigFlags):
     """Columns, units and rig of a table; None where not given.  Quantities are in SI."""
 
     position: Annotated[str | None, Parameter(help="Column of positions: its name, or its number from 1.")] = None
@@ -35,7 +36,15 @@ class ImportOptions:
             "needs --mass; without it positions are in units of weight / stiffness. Default from the header, else N."
         ),
     ] = None
+    belt_column: Annotated[
+        str | None,
+        Parameter(help="Column of the belt, by name or number: its position or its speed, as its unit says."),
+    ] = None
+    belt_unit: Annotated[
+        str | None, Parameter(help="Unit of --belt-column, mm or mm/s, if the header states none.")
+    ] = None
     clock: Annotated[bool, Parameter(negative=(), help="Times are times of day, 12:00:00.000.")] = False
+    sheet: Annotated[str | None, Parameter(help="Sheet of a workbook (.xlsx), if several hold a table.")] = None
     preamble: Annotated[int, Parameter(help="Lines to skip above the header.")] = 0
     skip_bad: Annotated[bool, Parameter(negative=(), help="Leave out lines that cannot be read, and count them.")] = (
         False
@@ -43,21 +52,6 @@ class ImportOptions:
     frame_rate_hz: Annotated[
         float | None,
         flags.rate("--frame-rate", "The camera's true rate, '400 fps': makes or corrects the times."),
-    ] = None
-    mass: Annotated[
-        Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
-    ] = None
-    stiffness: Annotated[
-        Measured | None, flags.measured("--stiffness", "stiffness", "Spring: '10.5', '10.5 N/m'.", "stiffness")
-    ] = None
-    belt_speed: Annotated[
-        Measured | None, flags.measured("--belt", "speed", "Belt speed towards +x: '0.22', '22 cm/s'.", "belt_speed")
-    ] = None
-    x0: Annotated[
-        Measured | None,
-        flags.measured(
-            "--x0", "length", "The table's reading where the spring is at rest: '60 mm', '-60 mm +- 0.1 mm'.", "x0"
-        ),
     ] = None
     datum: Annotated[
         Measured | None,

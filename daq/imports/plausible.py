@@ -19,7 +19,6 @@ SLOWEST_S = (
 FEWEST = 100  # samples; nothing is asked of a shorter table, which is too short to be fitted
 FARTHEST_M = 1e6  # a larger position is a typing error or a wrong unit
 SPANS = 200  # pieces that the record is cut into to measure its speed: noise between neighbours is none
-SMALLER = (("cm", 1e2), ("mm", 1e3), ("um", 1e6))
 
 
 def check_range(values: Array, most: float, cells: Table, column: int, unit: str, flag: str) -> None:
@@ -55,6 +54,7 @@ def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
             f"the unit of the times is not stated; in s there would be a sample every {step:.3g} s",
             cells.place(cells.header_line, column),
             f"give the unit: --t-unit {unit}? (--t-unit s if they are seconds)",
+            python=f"give the unit: t_unit={unit!r}? (t_unit='s' if they are seconds)",
         )
 
 
@@ -80,14 +80,11 @@ def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int,
         return
     moved = f"the mass would move {travel:.3g} m, at {speed:.3g} m/s"
     if force:
-        what, do = (
-            f"the unit of the forces is not stated; in N {moved}",
-            "give it: --force-unit mN? (--force-unit N if N)",
-        )
+        what = f"the unit of the forces is not known: none is stated, and in N {moved}"
+        do = "give it: --force-unit mN? --force-unit kgf? (--force-unit N if they are newtons)"
+        python = "give it: force_unit='mN'? force_unit='kgf'? (force_unit='N' if they are newtons)"
     else:
-        fits = (
-            unit for unit, size in SMALLER if speed <= size * FASTEST_M_PER_S / 10 and travel <= size * LONGEST_M / 10
-        )
-        what = f"the unit of the positions is not stated; in m {moved}"
-        do = f"give it: --x-unit {next(fits, 'um')}? (--x-unit m if they are metres)"
-    raise InputError(what, cells.place(cells.header_line, column), do)
+        what = f"the unit of the positions is not known: none is stated, and in m {moved}"
+        do = "give it: --x-unit mm? --x-unit cm? --x-unit '0.25 mm', a pixel? (--x-unit m if they are metres)"
+        python = "give it: x_unit='mm'? x_unit='cm'? x_unit='0.25 mm', a pixel? (x_unit='m' if they are metres)"
+    raise InputError(what, cells.place(cells.header_line, column), do, python=python)

@@ -18,10 +18,9 @@ from daq.base.compute.arrays import runs
 from daq.base.errors import InputError
 from daq.base.output import provenance
 from daq.base.toml import quoted
-from daq.finalise import belt_counter
 from daq.imports import capture as decode
 from daq.imports import sigrok
-from daq.runfile import store
+from daq.runfile import belt_counter, store
 from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, SentAs, lost_samples, positions
 from daq.runfile.rig import Rig
 from daq.wire import counters

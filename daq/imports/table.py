@@ -14,15 +14,16 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
+from daq.base.errors import InputError, in_python
 from daq.imports import layout
 
-DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar", "": "MATLAB"}
+DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar"}
 COMMENTS = ("#", "%", "//")
 HDF5 = b"\x89HDF\r\n\x1a\n"  # how such a file begins, a run file among them
 # A column, what makes a number of its cells (None where it cannot), and what a cell should be.
 ColumnReader = tuple[int, Callable[[str], float | None], str]
 TOGETHER = 4096  # rows whose cells are converted together; half costs the same CPU time, double 50 % more
+MOST_COMMENTS = 100  # lines above a table in which its names are looked for
 LISTED = 5  # lines named in a message about many
 # Characters.  A table of 4000 columns has lines of half of it; at twice, a file that is no table takes a second to be
 # found out, since every delimiter and decimal sign is tried on each line.
@@ -57,6 +58,12 @@ class Table:
         As found.
     header_line : int
         Line number of the header; 0 without one.
+    kind : str
+        What the file is, "LabVIEW", "MATLAB", "TDMS" or "workbook"; "" for a text file of any program.
+    recorded : str
+        When it was recorded, as the file says it; "" where it does not.
+    comments : tuple of str
+        The comment lines above the data, the nearest first.
     """
 
     path: Path
@@ -67,11 +74,14 @@ class Table:
     delimiter: str
     decimal: str
     header_line: int = 0
+    kind: str = ""
+    recorded: str = ""
+    comments: tuple[str, ...] = ()
 
     @property
     def delimiter_name(self) -> str:
-        """The delimiter in words; "none" for a single column, "MATLAB" for vectors of such a file."""
-        return DELIMITER_NAMES[self.delimiter] if self.width > 1 or not self.delimiter else "none"
+        """The delimiter in words; "none" for a single column, the kind of a file that is no text."""
+        return self.kind or (DELIMITER_NAMES[self.delimiter] if self.width > 1 else "none")
 
     def label(self, column: int) -> str:
         """Return the name of a column in messages."""
@@ -149,7 +159,8 @@ class Table:
                         bad.append(Skipped(self.lines[index], what))
             values.append(np.array(found, np.float64).reshape(-1, len(readers)).T)
         if bad and not skip:
-            raise InputError(_bad_lines(bad), self.place(bad[0].line, first), _advice(self, bad, kept))
+            do, python = _advice(self, bad, kept)
+            raise InputError(_bad_lines(bad), self.place(bad[0].line, first), do, python=python)
         good = self
         if bad:
             good = replace(self, rows=[self.rows[index] for index in kept], lines=[self.lines[index] for index in kept])
@@ -176,11 +187,13 @@ def _bad_lines(bad: Sequence[Skipped]) -> str:
     return bad[0].what + (f"; {len(bad)} lines cannot be read: {listed(bad)}" if len(bad) > 1 else "")
 
 
-def _advice(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> str:
+def _advice(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> tuple[str, str]:
+    """Return what to do, for a terminal and in Python."""
     what = "those lines" if len(bad) > 1 else "that line"
-    do = f"correct or delete {what}, or leave such lines out with --skip-bad: times need not be even"
-    above = kept and len(bad) == kept[0] and not cells.names
-    return f"{do}; if the table begins below, give --preamble {bad[-1].line}" if above else do
+    do = f"correct or delete {what}, or leave such lines out with {{}}: times need not be even"
+    if kept and len(bad) == kept[0] and not cells.names:
+        do += f"; if the table begins below, give --preamble {bad[-1].line}"
+    return do.format("--skip-bad"), in_python(do.format("skip_bad=True"))
 
 
 def short(cell: str) -> str:
@@ -206,7 +219,12 @@ def read(path: Path, preamble: int = 0, progress: Stages = silent) -> Table:
         When the file is missing, not text or empty, has a line longer than `LONGEST_LINE`, or a header that names
         another number of columns than the lines have.
     """
-    lines, named = _lines(path, preamble, progress)
+    return of_lines(path, text_of(path).split("\n"), preamble, progress)
+
+
+def of_lines(path: Path, lines_of_file: Sequence[str], preamble: int = 0, progress: Stages = silent) -> Table:
+    """Return the table in the lines of a file; arguments and errors as of `read`."""
+    lines, comments, named = _kept(path, lines_of_file, preamble, progress)
     texts = [text for _, text in lines]
     delimiter, decimal = layout.find_format(texts, named)
     rows: list[Sequence[str]] = []
@@ -237,11 +255,18 @@ def read(path: Path, preamble: int = 0, progress: Stages = silent) -> Table:
         )
     header_line = lines[start - 1][0] if names else 0
     numbers = [line for line, _ in lines[start:]]
-    return Table(path, names, rows[start:], numbers, width, delimiter, decimal, header_line)
+    above = tuple(text for line, text in reversed(comments) if line < numbers[0])
+    return Table(path, names, rows[start:], numbers, width, delimiter, decimal, header_line, comments=above)
 
 
-def _lines(path: Path, preamble: int, progress: Stages) -> tuple[list[tuple[int, str]], str | None]:
-    """Return number and text of each line that may hold data, and the delimiter where the file names it."""
+def text_of(path: Path) -> str:
+    """Return the text of a file, its lines ended by line feeds.
+
+    Raises
+    ------
+    InputError
+        The file is missing, or no text.
+    """
     where = str(path)
     if not path.exists():
         raise InputError("no such file", where, "check the path")
@@ -260,20 +285,33 @@ def _lines(path: Path, preamble: int, progress: Stages) -> tuple[list[tuple[int,
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("cp1252", "replace")
-    numbered = list(enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1))[preamble:]
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _kept(
+    path: Path, lines: Sequence[str], preamble: int, progress: Stages
+) -> tuple[list[tuple[int, str]], list[tuple[int, str]], str | None]:
+    """Return number and text of each line that may hold data, of comments, and the delimiter that the file names."""
+    where = str(path)
+    numbered = list(enumerate(lines, start=1))[preamble:]
     kept: list[tuple[int, str]] = []
+    comments: list[tuple[int, str]] = []
     for begin in range(0, len(numbered), TOGETHER):
         progress("reading lines", begin, len(numbered))
         some = [(line, content) for line, content in numbered[begin : begin + TOGETHER] if content.strip(" \t;,|")]
-        kept += [(line, content) for line, content in some if not content.lstrip().startswith(COMMENTS)]
+        comment = [content.lstrip().startswith(COMMENTS) for _, content in some]
+        kept += [each for each, is_comment in zip(some, comment, strict=True) if not is_comment]
+        if len(comments) < MOST_COMMENTS:
+            comments += [each for each, is_comment in zip(some, comment, strict=True) if is_comment]
     named = None
     if kept and kept[0][1].lower().startswith("sep=") and len(kept[0][1]) == 5:
         named = kept.pop(0)[1][4]  # written by spreadsheets
     if not kept:
-        raise InputError("is empty" if not data else "holds no data", where, "give a CSV with a column of positions")
+        what = "holds no data" if any(lines) else "is empty"
+        raise InputError(what, where, "give a CSV with a column of positions")
     for line, content in kept:
         if len(content) > LONGEST_LINE:
             what = f"the line holds {len(content)} characters; a line of a table has at most {LONGEST_LINE}"
             do = "delete that line; if the table begins below it, give --preamble"
             raise InputError(what, f"{where}, line {line}", f"{do} {line}")
-    return kept, named
+    return kept, comments[:MOST_COMMENTS], named

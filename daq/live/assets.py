@@ -3,6 +3,7 @@
 That package is found but not imported: its own modules need IPython.
 """
 
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,6 +14,8 @@ KINDS = {
     "index.html": "text/html",
     "live.css": "text/css",
     "live.js": "text/javascript",
+    "plots.js": "text/javascript",
+    "record.js": "text/javascript",
     "uPlot.iife.js": "text/javascript",
     "uPlot.min.css": "text/css",
 }
@@ -26,10 +29,13 @@ def check_installed() -> None:
         raise InputError(what, "command line", "install them with: pip install 'stickslip[live]'")
 
 
+@cache
 def content(name: str) -> bytes:
-    """Return a file of the page, one of `KINDS`."""
+    """Return a file of the page, one of `KINDS`, without the indentation and the lines of comment: a fifth of it."""
     own = PAGE / name
-    return own.read_bytes() if own.exists() else (_uplot() / name).read_bytes()
+    text = (own if own.exists() else _uplot() / name).read_text(encoding="utf-8")
+    lines = (line.strip() for line in text.splitlines())
+    return "\n".join(line for line in lines if line and not line.startswith("//")).encode()
 
 
 def _uplot() -> Path:

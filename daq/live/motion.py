@@ -1,51 +1,63 @@
-"""Velocity, acceleration, and stick or slip while a recording runs: estimates for the eye, from the past alone.
+"""Velocity and acceleration while a recording runs: a parabola is fitted to a short window about each reading.
 
-A parabola is fitted to the last `WINDOW_S` of positions; its value, slope and curvature at the middle of the window are
-position, velocity and acceleration, half a window late.  `process smooth` estimates the velocity of the finished run,
-with corners at break-aways and landings, which these parabolas round.
+Its slope and curvature are velocity and acceleration at the middle of the window, so that they come half a window late.
+`process smooth` estimates the velocity of the finished run, with corners at break-aways and landings, which these
+parabolas round.
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
+from daq.base.compute.arrays import HOLE, Array, Mask, joined
 from daq.live.tail import NewSamples
-from daq.runfile.rig import Rig
 
-# Half has five times the noise in the acceleration, double rounds the landings of a cycle of 0.5 s over a tenth of it.
+# Of a window before a slip has been seen.  Half leaves so much noise in the velocity of a camera that no stick is seen,
+# double rounds the landings of a cycle of 0.5 s over a tenth of it.
 WINDOW_S = 0.02
 FEWEST = 5  # samples of a parabola
-STICK_SHARE = 0.03  # of the belt's speed: within it a mass that moves with the belt sticks
-MEMORY_S = 20.0  # of motion from which the belt's speed and k/m are read where nobody measured them
-SLIP_SHARE = 0.2  # of the belt's speed: beyond it the mass slips, past the rounding of break-away and landing
-BELT_BINS = 60  # of the range of velocities; the fullest one must hold `BELT_SHARE` of them
-BELT_SHARE = 0.15
-LEAST_SAMPLES = 200
-# Velocities of a slip are compared within so many bins: half lets friction vary within one, double leaves bins that a
-# slip passes once.
-SLIP_BINS = 40
+MOST = 401  # samples of a parabola: twice as many take twice the time of a look at the journal
+# Of a slip, and of a stick: a longer window hardly lies within one, and short sticks are then missed.  Half leaves more
+# noise in the acceleration; with double, missed sticks make the slips, and so the window, longer and longer.
+MOST_SHARE = 0.25
+# Of the mean speed of slips: the noise of the velocity at most.  In a noisy, slow record half makes slips a tenth
+# longer, and with double a twentieth of them is missed.
+QUIET_SHARE = 0.05
+MOST_TRIED = 5000  # samples, the last ones, of which a window is tried that is longer than the noise
+CHANGED = 1.25  # a better window takes the place of one that differs by so much; a smaller step gives the same to 5 %
 
 
 @dataclass(frozen=True)
 class LiveMotion:
-    """Estimates at k times, each of shape (k,); NaN where a window has a gap.
+    """Motion at k times, each array of shape (k,).
 
     Attributes
     ----------
     time : s
-    x, v, a : m, m/s and m/s^2; or counts, counts/s and counts/s^2
-    stick : bool
+    x : m or counts
+        The reading itself.
+    v, a : m/s and m/s^2, or counts/s and counts/s^2
+        Of the parabola; NaN where its window has a gap.
+    fresh : bool
+        True where nothing connects with the time before: at the first one of a segment, and after a hole.
     """
 
     time: Array
     x: Array
     v: Array
     a: Array
-    stick: np.typing.NDArray[np.bool_]
+    fresh: Mask
+
+
+@dataclass(frozen=True)
+class MotionErrors:
+    """Standard deviations of a reading, of velocity and of acceleration, in the units of `LiveMotion`."""
+
+    x: float
+    v: float
+    a: float
 
 
 class LiveFilter:
@@ -55,90 +67,126 @@ class LiveFilter:
     ----------
     rate_hz : float
         Nominal rate of the samples.
+    window : int, optional
+        Samples of a parabola, odd; by default those of `WINDOW_S`.
 
     Attributes
     ----------
-    belt_speed : float
-        m/s; NaN until it is known: from the calibration, else the velocity that occurs most often.
-    k_over_m : float
-        s^-2; NaN until it is known: from mass and stiffness, else from the slips, whose velocities each occur twice, at
-        different positions: what the acceleration then differs by is due to the spring.
+    window : int
+        Samples of the next parabolas.
     """
 
-    def __init__(self, rate_hz: float) -> None:
-        self._window = max(FEWEST, round(WINDOW_S * rate_hz) | 1)
-        self._longest = 1.5 * self._window / rate_hz
-        self._time, self._position = np.empty(0), np.empty(0)
-        self._recent: deque[LiveMotion] = deque()
-        self.belt_speed = self.k_over_m = math.nan
+    def __init__(self, rate_hz: float, window: int | None = None) -> None:
+        self.window = window or samples_of(WINDOW_S, rate_hz)
+        self._rate_hz = rate_hz
+        self._begin()
+
+    def _begin(self) -> None:
+        self._time, self._x = np.empty(0), np.empty(0)
+        self._next = -1  # place of the next middle of a window; -1: the first one of a segment
+
+    @property
+    def half_s(self) -> float:
+        """Half of the window, s: so late the motion is, and so much it rounds a corner to either side."""
+        return (self.window - 1) / 2 / self._rate_hz
 
     def feed(self, new: NewSamples) -> LiveMotion:
-        """Return the motion at the times that a window now surrounds; those before a segment's end stay unknown."""
+        """Return the motion at the times that a window now surrounds; those at a segment's ends stay unknown."""
         cuts = [0, *np.flatnonzero(new.fresh).tolist(), new.time.size]
         parts = []
         for start, stop in pairwise(cuts):
             if start < new.time.size and new.fresh[start]:
-                self._time, self._position = np.empty(0), np.empty(0)
+                self._begin()
             self._time = np.concatenate((self._time, new.time[start:stop]))
-            self._position = np.concatenate((self._position, new.position[start:stop]))
-            if self._time.size >= self._window:
-                parts.append(parabolas(self._time, self._position, self._window, self._longest))
-                self._time, self._position = self._time[1 - self._window :], self._position[1 - self._window :]
-        time, x, v, a = np.concatenate(parts, axis=1) if parts else np.empty((4, 0))
-        stick = np.abs(v - self.belt_speed) < STICK_SHARE * abs(self.belt_speed)
-        motion = LiveMotion(time, x, v, a, stick)
-        if time.size:
-            self._recent.append(motion)
-            while self._recent[-1].time[-1] - self._recent[0].time[0] > MEMORY_S:
-                self._recent.popleft()
-        return motion
+            self._x = np.concatenate((self._x, new.position[start:stop]))
+            parts.append(self._made())
+        return joined(parts)
 
-    def estimate(self, rig: Rig) -> None:
-        """Estimate `belt_speed` and `k_over_m` from the last `MEMORY_S`, where the calibration does not hold them."""
-        x, v, a = (np.concatenate([getattr(part, name) for part in self._recent] or [[]]) for name in "xva")
-        known = np.isfinite(v)
-        x, v, a = x[known], v[known], a[known]
-        if rig.belt_speed is not None and rig.metres_per_count is not None:
-            self.belt_speed = rig.belt_speed.value
-        elif v.size >= LEAST_SAMPLES:
-            self.belt_speed = _most_frequent(v, self.belt_speed)
-        if rig.mass is not None and rig.stiffness is not None:
-            self.k_over_m = rig.stiffness.value / rig.mass.value
-        else:
-            slips = np.abs(v - self.belt_speed) > SLIP_SHARE * abs(self.belt_speed)
-            if np.count_nonzero(slips) >= LEAST_SAMPLES:
-                self.k_over_m = _spring(x[slips], v[slips], a[slips], self.k_over_m)
+    def _made(self) -> LiveMotion:
+        """Return the motion at the middles that can be had now."""
+        half = self.window // 2
+        begins = self._next < 0
+        first = half if begins else self._next
+        stop = self._time.size - half
+        if stop <= first:
+            nothing = np.empty(0)
+            return LiveMotion(nothing, nothing, nothing, nothing, np.empty(0, np.bool_))
+        # A window that has grown reaches beyond the first sample of its segment at first.
+        low = max(first, half)
+        span = slice(low - half, stop + half)
+        v, a = np.full((2, stop - first), math.nan)
+        if stop > low:
+            longest = 1.5 * self.window / self._rate_hz
+            v[low - first :], a[low - first :] = parabolas(self._time[span], self._x[span], self.window, longest)
+        fresh = np.diff(self._time[first:stop], prepend=self._time[max(0, first - 1)]) > HOLE / self._rate_hz
+        fresh[0] |= begins
+        found = LiveMotion(self._time[first:stop], self._x[first:stop], v, a, fresh)
+        kept = max(0, stop - MOST // 2)
+        self._time, self._x, self._next = self._time[kept:], self._x[kept:], stop - kept
+        return found
+
+    def errors(self, density: float) -> MotionErrors:
+        """Return the errors of the motion from readings whose noise has a density, m^2 s: variance over their rate."""
+        window_s = self.window / self._rate_hz
+        variances = density * self._rate_hz, 12 * density / window_s**3, 720 * density / window_s**5
+        return MotionErrors(*map(math.sqrt, variances))
+
+    def suit_slips(self, density: float, slip_s: float, drop: float, stick_s: float) -> None:
+        """Choose the window for slips of a duration, s, and a drop, m, between sticks, in readings of a noise density.
+
+        A parabola over 2h of a sine of amplitude A = drop/2 and angular frequency w = pi/slip_s has an acceleration
+        that is wrong by A w^4 h^2/14 at most, and by the noise of 22.5 density/h^5 in the mean square.  The window
+        makes the sum of both squares least: h^9 = (5/4) 22.5 density (14/(A w^4))^2.
+        """
+        curvature = drop / 2 * (math.pi / slip_s) ** 4 / 14
+        half_s = (1.25 * 22.5 * density / curvature**2) ** (1 / 9)
+        # So short that noise looks like slips it must not be, whatever is taken for slips.
+        least_s = (12 * density * (slip_s / (QUIET_SHARE * drop)) ** 2) ** (1 / 3)
+        self._choose(max(min(2 * half_s, MOST_SHARE * min(slip_s, stick_s)), least_s))
+
+    def quiet_window(self, motion: LiveMotion, density: float, share: float) -> int:
+        """Return the window, as short as now or longer, in which noise makes at most a share of the rms acceleration.
+
+        The one of now where none does: then there is no acceleration but that of the noise.
+        """
+        time, x = motion.time[-MOST_TRIED:], motion.x[-MOST_TRIED:]
+        trial = LiveFilter(self._rate_hz, self.window)
+        while trial.window <= min(MOST, time.size // 4):
+            a = parabolas(time, x, trial.window, math.inf)[1]
+            if trial.errors(density).a <= share * float(np.sqrt(np.mean(a * a))):
+                return trial.window
+            trial.window = round(1.5 * trial.window) | 1
+        return self.window
+
+    def _choose(self, window_s: float) -> None:
+        wanted = samples_of(window_s, self._rate_hz)
+        if not self.window / CHANGED <= wanted <= self.window * CHANGED:
+            self.window = wanted
 
 
-def _most_frequent(v: Array, otherwise: float) -> float:
-    """Return the velocity that occurs most often; ``otherwise`` where none does, or rest does."""
-    place, width = _bins(v, BELT_BINS)
-    inside = place == np.argmax(np.bincount(place))
-    speed = float(np.median(v[inside]))
-    return speed if abs(speed) > 1.5 * width and inside.mean() >= BELT_SHARE else otherwise
+def noise_density(time: Array, x: Array) -> float:
+    """Return the density of the noise of readings, m^2 s: variance over rate; ``time`` and ``x``, (n,), evenly spaced.
+
+    The variance is that of third differences, of which slips are few.  Where most readings repeat the one before they
+    are counts: one is wrong by a twelfth of its square, anew as often as it changes.
+    """
+    steps = np.diff(x)
+    span = float(time[-1]) - float(time[0])
+    moved = np.abs(steps[steps != 0])
+    if 0 < moved.size < steps.size / 2:
+        count = float(np.median(moved))
+        return count * count / 12 * span / float(moved.size)
+    sd = float(np.median(np.abs(np.diff(steps, 2)))) / 0.6745
+    return sd * sd / 20 * span / float(time.size)
 
 
-def _spring(x: Array, v: Array, a: Array, otherwise: float) -> float:
-    """Return k/m, s^-2, by regression of the acceleration on the position among samples of about equal velocity."""
-    place, _ = _bins(v, SLIP_BINS)
-    number = np.maximum(np.bincount(place, minlength=SLIP_BINS), 1)
-    x = x - (np.bincount(place, x, SLIP_BINS) / number)[place]
-    a = a - (np.bincount(place, a, SLIP_BINS) / number)[place]
-    spread = float(np.sum(x * x))
-    found = -float(np.sum(x * a)) / spread if spread > 0 else math.nan
-    return found if found > 0 else otherwise
-
-
-def _bins(v: Array, bins: int) -> tuple[np.typing.NDArray[np.intp], float]:
-    """Return in which of ``bins`` equal parts of their range the values lie, and the width of one."""
-    width = float(np.ptp(v)) / bins
-    if width == 0:
-        return np.zeros(v.size, np.intp), 0.0
-    return np.minimum(((v - v.min()) / width).astype(np.intp), bins - 1), width
+def samples_of(window_s: float, rate_hz: float) -> int:
+    """Return an odd number of samples that last about ``window_s``, from `FEWEST` to `MOST`."""
+    return min(max(FEWEST, round(window_s * rate_hz) | 1), MOST)
 
 
 def parabolas(time: Array, position: Array, window: int, longest: float) -> Array:
-    """Return time, position, velocity and acceleration by least-squares parabolas over every ``window`` samples.
+    """Return velocity and acceleration by least-squares parabolas over every ``window`` samples.
 
     Parameters
     ----------
@@ -151,20 +199,26 @@ def parabolas(time: Array, position: Array, window: int, longest: float) -> Arra
 
     Returns
     -------
-    (4, n - window + 1) float64
+    (2, n - window + 1) float64
         At the middle sample of each window.
     """
     middle = window // 2
     t = np.lib.stride_tricks.sliding_window_view(time, window)
     x = np.lib.stride_tricks.sliding_window_view(position, window)
-    at, level = t[:, middle : middle + 1], x[:, middle : middle + 1]
-    scale = np.maximum((t[:, -1:] - t[:, :1]) / 2, np.finfo(float).tiny)
-    u, y = (t - at) / scale, x - level
-    powers = [np.sum(u**k, axis=1) for k in range(5)]
-    moments = [np.sum(u**k * y, axis=1) for k in range(3)]
-    normal = np.array([[powers[i + j] for j in range(3)] for i in range(3)])
-    p, q, r = np.linalg.solve(np.moveaxis(normal, 2, 0), np.array(moments).T[..., None])[..., 0].T
-    width = scale[:, 0]
-    found = np.array([at[:, 0], level[:, 0] + p, q / width, 2 * r / width**2])
-    found[1:, t[:, -1] - t[:, 0] > longest] = math.nan
+    scale = np.maximum((t[:, -1] - t[:, 0]) / 2, np.finfo(float).tiny)
+    u = (t - t[:, middle, None]) / scale[:, None]
+    y = x - x[:, middle, None]
+    u2 = u * u
+    ones = np.ones(window)
+    p1, p2 = u @ ones, u2 @ ones
+    p3, p4 = (np.einsum("ij,ij->i", u2, other) for other in (u, u2))
+    m0, m1, m2 = y @ ones, np.einsum("ij,ij->i", u, y), np.einsum("ij,ij->i", u2, y)
+    # The normal equations of y = c0 + c1 u + c2 u^2, without c0.
+    s11, s12, s22 = p2 - p1 * p1 / window, p3 - p1 * p2 / window, p4 - p2 * p2 / window
+    r1, r2 = m1 - p1 * m0 / window, m2 - p2 * m0 / window
+    determinant = s11 * s22 - s12 * s12
+    c1, c2 = (r1 * s22 - r2 * s12) / determinant, (r2 * s11 - r1 * s12) / determinant
+    # At the middle u = 0: the slope is c1, the curvature 2 c2.
+    found = np.array([c1 / scale, 2 * c2 / scale**2])
+    found[:, t[:, -1] - t[:, 0] > longest] = math.nan
     return found

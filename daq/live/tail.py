@@ -4,6 +4,8 @@ A chunk of bytes is decoded together with the last lines before it, so that its 
 each chunk only the samples after the last one known are handed on; counts and times continue from there.
 """
 
+import os
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from daq.base.errors import InputError
 from daq.finalise import connections, timeline
 from daq.finalise.integrity import CheckedCounts, check
 from daq.finalise.run import calibration
+from daq.protocols import blocks
 from daq.runfile import journal, journal_header, journal_records
 from daq.runfile.journal import Record
 from daq.runfile.recording import positions
@@ -26,7 +29,7 @@ from daq.wire import counters, decode, frames
 # leaves few where several are damaged in a row, double costs 0.1 ms more a chunk.
 OVERLAP_LINES = 6
 MOST_OVERLAP = 1 << 14  # bytes that are kept of a stream without lines, such as noise at a wrong baud rate
-MOST_BYTES = 1 << 22  # of a journal read at once: a viewer that starts late catches up in steps
+MOST_BYTES = 1 << 18  # of a journal read at once, 0.2 s of CPU time: a viewer that starts late catches up in steps
 
 
 @dataclass(frozen=True)
@@ -39,11 +42,14 @@ class NewSamples:
         s since the first sample of the recording, and m (counts without a calibration).
     fresh : (k,) bool
         True for the first sample of a segment: nothing connects it with the one before.
+    belt : (k,) float64 or None
+        m, of the belt's own encoder, from the first sample of each segment; None without one.
     """
 
     time: Array
     position: Array
     fresh: np.typing.NDArray[np.bool_]
+    belt: Array | None = None
 
 
 @dataclass
@@ -66,6 +72,7 @@ class _Last:
     time: float
     count: int
     index: int
+    belt: int = 0
 
 
 class JournalTail:
@@ -86,6 +93,8 @@ class JournalTail:
         Totals so far.
     ended : str
         How the recording ended, "" while it goes on (`daq.runfile.journal`).
+    port_lost : str
+        Why the port was lost, "" while it is there.
 
     Raises
     ------
@@ -103,8 +112,9 @@ class JournalTail:
         self.header: dict[str, Any] = journal_header.complete(header, path)
         self.rig = Rig()
         self.counts = JournalTotals()
-        self.ended = ""
-        self._backend = protocols.load(self.header["protocol"], str(path))
+        self.ended = self.port_lost = ""
+        self._of_blocks = self.header["protocol"] == blocks.NAME
+        self._backend = protocols.load("frames" if self._of_blocks else self.header["protocol"], str(path))
         self._rate_hz = float(self.header["rate_hz"])
         self._at = len(journal.MAGIC)
         self._reads: list[tuple[int, bytes]] = []
@@ -112,25 +122,42 @@ class JournalTail:
         self._ident: frames.Ident | None = None
         self._last: _Last | None = None
         self._first_stamp: int | None = None
+        self._begun_s = 0.0  # time of the first sample of blocks
         self._trailing_damage = 0
         self._calibrated = False
 
     @property
     def unit(self) -> str:
         """Of positions: "m", or "count" without a calibration."""
-        return "count" if self.rig.metres_per_count is None else "m"
+        return "count" if self.rig.metres_per_count is None and self.header["columns"] != blocks.POSITIONS else "m"
 
-    def poll(self) -> list[NewSamples]:
-        """Return what came since the last call, in order; an empty list when nothing did.
+    @property
+    def bytes_read(self) -> int:
+        """Bytes of the journal that have been looked at."""
+        return self._at
+
+    def fork(self) -> "JournalTail":
+        """Return another tail that goes on from where this one is."""
+        made = copy(self)
+        made.counts = replace(self.counts)
+        return made
+
+    def poll(self, most: int = MOST_BYTES) -> list[NewSamples]:
+        """Return what came since the last call, in order, of at most so many bytes; an empty list when nothing did.
 
         Raises
         ------
         FileNotFoundError
             The journal is gone: its run file is in place, or its folder was removed.
+        InputError
+            Another journal has its name.
         """
         with self.path.open("rb") as file:
+            if file.seek(0, os.SEEK_END) < self._at:
+                what = "is shorter than before: it is another recording's"
+                raise InputError(what, str(self.path), "open the view of that recording")
             file.seek(self._at)
-            content = journal.Content(journal.MAGIC + file.read(MOST_BYTES))
+            content = journal.Content(journal.MAGIC + file.read(most))
         made: list[NewSamples] = []
         new: list[tuple[int, bytes]] = []
         end = len(journal.MAGIC)
@@ -139,9 +166,12 @@ class JournalTail:
             end = place.at + record.size
             if record.kind == journal.RECEIVED:
                 new.append((record.stamp_ns, record.data))
+            elif record.kind == journal.LOST:
+                self.port_lost = record.data.decode(errors="replace") or "without a reason"
             elif record.kind == journal.REOPENED:
                 made += self._decoded(new)
                 new, self._reads, self._last, self._trailing_damage = [], [], None, 0
+                self.port_lost = ""
             elif record.kind == journal.CONFIGURATION:
                 self._configuration.append(record)
             elif record.kind == journal.END:
@@ -152,7 +182,9 @@ class JournalTail:
     def _decoded(self, new: list[tuple[int, bytes]]) -> list[NewSamples]:
         if not new:
             return []
-        self._reads += new
+        if self._of_blocks:
+            return self._unpacked(new)
+        self._reads = [*self._reads, *new]  # a fork may have the other one
         stream = self._backend.decode(self._reads, self.header)
         self._ident = connections.first_ident([stream]) or self._ident
         self._calibrate(stream)
@@ -170,17 +202,55 @@ class JournalTail:
         if known == len(samples) - 1:
             return []
         count, fresh = self._unwrapped(samples)
+        belt = self._belt(samples, fresh)
         time = samples.time.copy()
         if known >= 0 and self._last is not None:
-            count[samples.part == samples.part[known]] += self._last.count - count[known]
+            same = samples.part == samples.part[known]
+            count[same] += self._last.count - count[known]
+            belt[same] += self._last.belt - belt[known]
             time += self._last.time - time[known]
         else:
             if self._first_stamp is None:
                 self._first_stamp = int(samples.stamp_ns[0])
             time += (int(samples.stamp_ns[0]) - self._first_stamp) / 1e9
         ticks, index = (int(column[-1]) for column in (samples.ticks, samples.index))
-        self._last = _Last(ticks, float(time[-1]), int(count[-1]), index)
-        return [NewSamples(time[own], positions(count[own], self.rig), fresh[own])]
+        self._last = _Last(ticks, float(time[-1]), int(count[-1]), index, int(belt[-1]))
+        pitch = self.rig.belt_metres_per_count
+        track = None if samples.belt is None or pitch is None else pitch.value * belt[own].astype(np.float64)
+        return [NewSamples(time[own], positions(count[own], self.rig), fresh[own], track)]
+
+    def _belt(self, samples: timeline.Samples, fresh: np.typing.NDArray[np.bool_]) -> np.typing.NDArray[np.int64]:
+        """Return the belt's count without roll-over, (n,), from 0 in each part; 0 without an encoder of its own."""
+        if samples.belt is None:
+            return np.zeros(len(samples), np.int64)
+        moved = np.concatenate(([0], counters.moves(samples.belt, self.rig.counter_bits)))
+        return counters.running_sum(fresh, moved[1:], np.zeros(len(samples), np.int64))
+
+    def _unpacked(self, new: list[tuple[int, bytes]]) -> list[NewSamples]:
+        """Return the samples of blocks that a program hands over."""
+        if self._configuration and not self._calibrated:
+            _, self.rig, _ = calibration(self._configuration, [], None)
+            self._calibrated = True
+        made = []
+        for _, data in new:
+            found = blocks.unpacked(data, self.header["columns"])
+            if found is None:
+                self.counts.crc_errors += 1
+                continue
+            time, values = found
+            begins = self._last is None
+            if self._last is None:
+                self._begun_s, self._last = float(time[0]), _Last(0, float(time[0]), 0, 0)
+            steps = np.rint(np.diff(time, prepend=self._last.time) * self._rate_hz)
+            self.counts.lost += int(np.sum(np.maximum(steps[begins:], 1) - 1))
+            self.counts.samples += len(time)
+            self.counts.segments = 1
+            self._last = _Last(0, float(time[-1]), 0, 0)
+            position = positions(values.astype(np.int64), self.rig) if values.dtype.kind == "i" else values
+            fresh = np.zeros(len(time), np.bool_)
+            fresh[0] = begins
+            made.append(NewSamples(time - self._begun_s, position.astype(np.float64), fresh))
+        return made
 
     def _unwrapped(self, samples: timeline.Samples) -> tuple[np.typing.NDArray[np.int64], np.typing.NDArray[np.bool_]]:
         """Return the unwrapped counts, (n,), and which samples begin a part.

@@ -8,8 +8,11 @@ lines is made from one line, and it reads what the pattern of the columns reads:
   as columns, so that each word is one column's; labels that are used hold no digits (`daq.protocols.columns`).
 
 - From the separator before an xor on, which must be the last column, nothing but its digits differs.
+- A measured number has the decimals of its column.  Without the point it is the count, sign included; so the points are
+  taken out of such lines, and there are none but its own and that of the time.
 
-Not so read: text with a minus that is no sign, and an xor among labels or before other columns.
+Not so read: text with a minus that is no sign, an xor among labels or before other columns, and measured numbers of
+other decimals, in powers of ten, or beside text with points.
 """
 
 import re
@@ -20,7 +23,7 @@ from string import hexdigits
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.protocols.columns import LONGEST_LINE, TIMES, VALUES, Columns
+from daq.protocols.columns import LONGEST_LINE, MEASURED, TIMES, UNREAD, VALUES, Columns
 from daq.protocols.lines import Other, Row
 
 # Searches for lines like the last ones that may fail before others are searched for.  Half costs 0.7 us more a line
@@ -34,6 +37,7 @@ _NUMBER, _DIGITS, _SPACES, _OTHER = 1, 2, 3, 4
 _LIKE = {_NUMBER: (rb"-?+\d{1,9}+", 10), _DIGITS: (rb"\d{1,9}+", 9), _SPACES: (rb"[ \t]{1,8}+", 8)}
 _LIKE_VALUE = {name: pattern.replace("(", "(?:").encode() for name, pattern in VALUES.items()} | {"time": rb"\d{1,12}+"}
 _LONGEST_VALUE = 12
+_MOST_DIGITS = 18  # of a number without its point, in 64 bits
 _HEX_DIGIT = np.array([int(chr(byte), 16) if chr(byte) in hexdigits else 0 for byte in range(256)], dtype=np.uint8)
 _DIGITS_AND_SIGNS = bytes(byte if byte in b"-0123456789" else 32 for byte in range(256))  # anything else: a space
 
@@ -57,6 +61,8 @@ class Shape:
         line does not have.
     fraction_digits : int
         Digits of the time's fraction.
+    pointless : bool
+        The points are taken out before the numbers are read.
     unguarded, xor : int
         Bytes of a line from the end of what its xor covers on, and from the xor's digits on; 0 without an xor.
     """
@@ -68,6 +74,7 @@ class Shape:
     taken: NDArray[np.intp]
     masks: NDArray[np.int64]
     fraction_digits: int
+    pointless: bool
     unguarded: int
     xor: int
 
@@ -77,19 +84,25 @@ class Shape:
         A short read takes 20 lines: what each operation on an array costs counts here, not what each line adds.
         """
         lines, damaged = self._checked(lines) if self.xor else (lines, None)
-        sent = np.fromstring(lines.translate(_DIGITS_AND_SIGNS), np.int64, sep=" ").reshape(-1, self.numbers)
+        points = b"." if self.pointless else b""
+        sent = np.fromstring(lines.translate(_DIGITS_AND_SIGNS, points), np.int64, sep=" ").reshape(-1, self.numbers)
         rows = sent.take(self.taken, axis=1)
         unit = self.form.us_per_unit
+        fraction = None
+        if self.fraction_digits and self.pointless:
+            rows[:, 0], fraction = np.divmod(rows[:, 0], 10**self.fraction_digits)
+        elif self.fraction_digits:
+            fraction = sent[:, self.place["fraction"]]
         if unit != 1:
             rows[:, 0] *= unit
-        if self.fraction_digits:
-            micro = sent[:, self.place["fraction"]] * 10 ** max(6 - self.fraction_digits, 0)
+        if fraction is not None:
+            micro = fraction * 10 ** max(6 - self.fraction_digits, 0)
             micro //= 10 ** max(self.fraction_digits - 6, 0)  # digits beyond the microsecond are cut off
             rows[:, 0] += micro * unit // 1_000_000
         if "b" in self.place:
             rows[:, 3] |= sent[:, self.place["b"]] << 1
         limit, counts = 1 << self.form.bits, rows[:, 1 : 2 if self.form.net else 3]
-        outside = counts >= limit
+        outside = counts >= (limit if self.form.decimals is None else limit // 2)
         if self.form.net:
             outside |= counts < -limit // 2
         if damaged is not None:
@@ -124,9 +137,18 @@ def shape_of(form: Columns, found: re.Match[bytes]) -> Shape | None:
         guarded, xor = len(form.guarded(found)), found.start(form.checks[-1])
     pattern, place, numbers, longest, at = b"", {}, 0, 0, 0
     parts = chain.from_iterable(
-        ("time", "fraction") if name in TIMES else (name,) for name in form.names if name != "-"
+        ("time", "fraction") if name in TIMES else (name,) for name in form.names if name not in UNREAD
     )
     spans = [(name, *found.span(group)) for group, name in enumerate(parts, start=1)]
+    digits = next((end - start for name, start, end in spans if name == "fraction"), 0)
+    pointless = bool(form.decimals)
+    if form.decimals is not None:
+        number = found[form.counts[2]]
+        if not re.fullmatch(_measured(form.decimals), number):
+            return None
+        points = [start - 1 for name, start, end in spans if name == "fraction" and start < end]
+        if pointless and (line.count(b".") != 1 + len(points) or _LONGEST_VALUE + digits > _MOST_DIGITS):
+            return None
     for name, start, end in [*spans, ("", len(line), len(line))]:
         if name == "fraction" and start == end:
             continue
@@ -142,18 +164,25 @@ def shape_of(form: Columns, found: re.Match[bytes]) -> Shape | None:
         if name == "xor":
             pattern, at = pattern + b"[0-9A-Fa-f]{2}", end
         elif name:
-            pattern += rb"\d{%d}" % (end - start) if name == "fraction" else _LIKE_VALUE[name]
-            place[name], numbers, longest, at = numbers, numbers + 1, longest + _LONGEST_VALUE, end
+            like = _measured(form.decimals or 0) if name in MEASURED else _LIKE_VALUE.get(name, b"")
+            pattern += rb"\d{%d}" % (end - start) if name == "fraction" else like
+            longest, at = longest + _LONGEST_VALUE + (form.decimals or 0 if name in MEASURED else 0), end
+            if name != "fraction" or not pointless:
+                place[name], numbers = numbers, numbers + 1
     if longest > LONGEST_LINE:
         return None  # a line like it could be too long
-    digits = next((end - start for name, start, end in spans if name == "fraction"), 0)
     values = ["time", *form.counters, *(("a", "illegal") if form.checks else ())]
     taken = np.array([place.get(name, 0) for name in values])
     bits = (32, form.bits, form.bits, 2, 16)
     masks = np.array([(1 << b) - 1 if name in place else 0 for name, b in zip(values, bits, strict=False)])
     compiled = re.compile(rb"(?>%b\n)++" % pattern)
     unguarded, unchecked = len(line) - guarded, len(line) - xor
-    return Shape(compiled, form, numbers, place, taken, masks, digits, unguarded, unchecked)
+    return Shape(compiled, form, numbers, place, taken, masks, digits, pointless, unguarded, unchecked)
+
+
+def _measured(decimals: int) -> bytes:
+    """Return the pattern of a measured number with so many decimals."""
+    return rb"[+-]?+\d{1,9}+" + (rb"\.\d{%d}" % decimals if decimals else b"")
 
 
 class LineParser:

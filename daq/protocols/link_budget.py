@@ -53,7 +53,8 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
     rate_hz = plan.rate_hz
     if rate_hz > ident.max_rate_hz:
         what = f"{rate_hz:g} Hz is more than this board samples at, {ident.max_rate_hz} Hz"
-        raise InputError(what, "--rate", f"give --rate {ident.max_rate_hz} or less")
+        most = ident.max_rate_hz
+        raise InputError(what, "--rate", f"give --rate {most} or less", python=f"give rate_hz={most} or less")
     _check_roll_over(ident, rig, rate_hz)
     warnings = _check_edges(ident, rig)
     if baud is not None:
@@ -66,7 +67,8 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
         if load > room and plan.comes_already:
             return warnings  # more than a serial line carries: its baud rate is only a name, as with native USB
         if load > room:
-            raise InputError(load_text, "--rate", f"give --rate {most} or less, or a faster line")
+            do = "give {} or less, or a faster line"
+            raise InputError(load_text, "--rate", do.format(f"--rate {most}"), python=do.format(f"rate_hz={most}"))
         if load > TIGHT * room:
             warnings.append(f"{load_text}: no reserve; {int(TIGHT * most)} Hz would leave a reserve")
     return warnings
@@ -99,7 +101,8 @@ def _check_roll_over(ident: frames.Ident, rig: Rig, rate_hz: float) -> None:
         safe = min(safe, longest_gap_s(2 * counts_per_s, 1, ident.counter_bits - 1))
     if 1 / rate_hz >= safe:
         what = f"{rate_hz:g} Hz is too slow: the {ident.counter_bits}-bit counters may roll over in {safe:.3g} s"
-        raise InputError(what, "--rate", f"give --rate {int(1 / safe) + 1} or more")
+        least = int(1 / safe) + 1
+        raise InputError(what, "--rate", f"give --rate {least} or more", python=f"give rate_hz={least} or more")
 
 
 def _check_edges(ident: frames.Ident, rig: Rig) -> list[str]:

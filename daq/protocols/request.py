@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from daq.base.measured import Measured
+
 
 @dataclass(frozen=True)
 class RecordRequest:
@@ -32,6 +34,9 @@ class RecordRequest:
         The decoder that the board is to use, one of `daq.wire.frames.DECODERS`.
     calibration : str or None
         TOML text of a ``rig.toml`` that replaces the calibration that the board sends.
+    stated : mapping
+        Quantities of the rig, by the attributes of `daq.runfile.rig.Rig`, that replace those of the calibration, given
+        or sent.
     notes : mapping
         Title, operator and the other notes on the run, by the attributes of `daq.runfile.recording.Recording`.
     """
@@ -46,6 +51,7 @@ class RecordRequest:
     columns: str | None = None
     decoder: str | None = None
     calibration: str | None = None
+    stated: Mapping[str, Measured | int] = field(default_factory=dict)
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     @property

@@ -64,10 +64,22 @@ class Port(Protocol):
 
 @dataclass(frozen=True)
 class Identity:
-    """Identification sent by the board, or implied by its protocol; and the calibration, if the board has one."""
+    """Identification sent by the board, or implied by its protocol; and the calibration, if the board has one.
+
+    Attributes
+    ----------
+    ident : Ident
+        The identification.
+    config : str or None
+        The calibration, TOML.
+    measured : (str, float) or None
+        Where positions are measured numbers: what they are, "length", "force" or "" of a unit that nobody stated, and
+        a count in SI.
+    """
 
     ident: frames.Ident
     config: str | None = None
+    measured: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@ r"""Lines of numbers, one per sample, as any sketch prints them; the user declar
 
 ``--columns t_us,up,down``: names in the order of the line, separated by commas; the line itself may use commas,
 semicolons, tabs or spaces.  A sign, a decimal point in a time, and ``\r\n`` are understood; a line that begins with
-``#`` is a comment.  Exactly one time, and either a net count or both counters:
+``#`` is a comment, brackets about a line are passed over.  Exactly one time, and a net count, both counters, or a
+measured number:
 
 ==================  ===================================================================================================
 column              holds
@@ -10,6 +11,9 @@ column              holds
 t_us  t_ms  t_s     device time (also us, ms, s); micros() and millis() may roll over at 2^32
 up  down            the two counters; ``up:16`` and ``down:16`` when they roll over at 2^16 (32 without)
 count               net count, signed (also ticks); ``count:16`` when it rolls over at 2^16
+x_m  x_mm           position in m, mm (also x_cm, x_um), with decimals and sign; ``x`` when its unit is not known
+F_N  F_mN           force of a spring of known stiffness
+seq                 number of the line; only its form counts: losses show in the time
 a  b                levels of the channels, 0 or 1
 illegal             illegal transitions counted so far
 xor                 two hex digits: XOR of the bytes before the separator in front of them, the only checksum
@@ -17,8 +21,13 @@ xor                 two hex digits: XOR of the bytes before the separator in fro
 ==================  ===================================================================================================
 
 Labelled lines (``t=12,pos=34``, ``us: 12; count: 34``) need no columns: micros, millis, t and time are times, too; pos,
-position, counts and encoder are counts; other labels are ignored.  The unit of t and time is that of the declared
-column, us without.
+position, counts and encoder are counts; x, distance and laser are positions, and force is one; a unit may follow, as in
+pos_mm.  Other labels are ignored.  The unit of t and time is that of the declared column, us without.
+
+A sketch may state its columns itself, in a comment that it repeats: ``# columns seq,t_us,count,xor``.
+
+A measured number counts its last decimal, so that all behind this module is the same as for counts: ``x_mm:2`` has two.
+The decimals that are not declared are those of the first lines.
 
 The rate is the sketch's own: it is measured before the recording starts.  Nothing is sent to the board.
 """
@@ -35,7 +44,7 @@ from typing import TYPE_CHECKING, Any
 from daq.base.errors import DeviceError, InputError, check_known
 from daq.protocols import lines
 from daq.protocols import session as sessions
-from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, columns, lacking
+from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, columns, lacking, with_decimals
 from daq.protocols.line_parser import LineParser
 from daq.protocols.lines import LineReader, LineTally
 from daq.protocols.request import RecordRequest
@@ -136,8 +145,8 @@ class Text(Session):
         while time.monotonic() < until:
             data = self.read()
             heard += len(data)
+            kept += data
             if self.request.columns is None:
-                kept += data
                 if vote.feed(data):
                     self.request = replace(self.request, columns=vote.columns)
                     self._form = columns(vote.columns)
@@ -153,6 +162,9 @@ class Text(Session):
                 break
         if len(times) <= FEWEST_LINES:
             raise DeviceError(*self._silent(heard, len(times), bad, listener.example))
+        if self.request.columns is not None and self._form.measured is not None:
+            self._form = with_decimals(self.request.columns, kept)
+            self.request = replace(self.request, columns=self._form.declared)
         typical = median(steps)
         if not any(steps):
             raise DeviceError("the time in the lines does not change", self.url, "print micros() with each sample")
@@ -173,7 +185,10 @@ class Text(Session):
             raise DeviceError("the time in most lines does not change", self.url, "print micros() with each sample")
         self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
         self._line_bytes = heard / max(1, len(times) + bad)
-        return Identity(ident(self._form, self.request.decoder))
+        return self._identity()
+
+    def _identity(self) -> Identity:
+        return Identity(ident(self._form, self.request.decoder), measured=self._form.measured)
 
     def plan(self, identity: Identity) -> Plan:
         """Return the sketch's own rate.
@@ -187,7 +202,9 @@ class Text(Session):
         if requested is not None:
             if abs(rate_hz / requested - 1) > RATE_WITHIN:
                 what = f"the lines arrive at {rate_hz:.4g} Hz, not at {requested} Hz"
-                raise InputError(what, "--rate", f"leave --rate out, or give {round(rate_hz)}, or change the sketch")
+                do = f"leave --rate out, or give {round(rate_hz)}, or change the sketch"
+                python = f"give rate_hz=None, or {round(rate_hz)}, or change the sketch"
+                raise InputError(what, "--rate", do, python=python)
             rate_hz = float(requested) if abs(rate_hz / requested - 1) < 0.01 else rate_hz
         else:
             rate_hz = float(f"{rate_hz:.3g}") if abs(float(f"{rate_hz:.3g}") / rate_hz - 1) < 0.005 else rate_hz
@@ -199,12 +216,18 @@ class Text(Session):
             )
         elif self._coarse:
             notes.append("the times are whole milliseconds, with errors up to 1 ms: let the sketch print micros()")
+        if self._form.measured is not None and not self._form.measured[0]:
+            example = self._form.declared.replace("x:", "x_mm:")
+            notes.append(
+                f"the positions have no unit, and are recorded as counts of {self._form.measured[1]:g} of it: "
+                f"give the unit by --columns {example}, or --metres-per-count"
+            )
         return Plan(rate_hz, 1, rate_hz * self._line_bytes, tuple(notes), comes_already=True)
 
     def prepare(self, plan: Plan) -> Identity:
         """Do nothing: a sketch takes no settings."""
         self._rate_hz = plan.rate_hz
-        return Identity(ident(self._form, self.request.decoder))
+        return self._identity()
 
     def start(self) -> None:
         """Discard the bytes received since then: the sketch prints all the time."""
@@ -236,7 +259,8 @@ class Text(Session):
                 return labels[0], self.url, labels[1]
             seen = example.rstrip(b"\r")[:60].decode("ascii", "backslashreplace")
             if self.request.columns is None:
-                do = "declare the columns, as in --columns t_us,up,down, or print labels, as in t=1,pos=2; check --baud"
+                form = "t_us,x_mm" if "." in seen else "t_us,up,down"
+                do = f"declare the columns, as in --columns {form}, or print labels, as in t=1,pos=2; check --baud"
                 return f"the lines have no labels, and no columns are declared; one is {seen!r}", self.url, do
             what = f"the lines are not of the columns {self.request.columns}; one is {seen!r}"
             return what, self.url, "declare the actual columns by --columns, and check --baud"

@@ -12,17 +12,20 @@ import platform
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from daq import protocols
 from daq.base.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from daq.base.measured import Measured
 from daq.base.output import disk, provenance
 from daq.finalise import claim
 from daq.protocols import link_budget
+from daq.protocols.columns import FORCE
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Session
 from daq.recorder import ports
@@ -71,39 +74,50 @@ class StopRequest(threading.Event):
 
 def check_request(request: RecordRequest) -> None:
     """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
-    from daq.base.output.atomic import refuse_existing
-    from daq.base.output.suffix import check_run
-
     if request.rate_hz is not None and request.rate_hz < 1:
-        raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")
-    _samples(request, request.rate_hz or 1000)
+        raise InputError(
+            f"the rate is {request.rate_hz} Hz",
+            "--rate",
+            "give 1 or more samples per second",
+            python="give rate_hz=1 or more",
+        )
+    samples_wanted(request.duration_s, request.rate_hz or 1000)
     protocols.load(request.protocol).check(request)
     if request.calibration is not None:
         Rig.from_toml(request.calibration, "--rig")
+    check_output(request)
+
+
+def check_output(request: RecordRequest) -> None:
+    """Raise InputError for a run file that may not be written, or whose journal is in use or was left."""
+    from daq.base.output.atomic import refuse_existing
+    from daq.base.output.suffix import check_run
+
     check_run(request.output)
     refuse_existing(request.output, request.force)
     if request.part.exists() and not claim.remove_empty(request.part):
-        raise _journal_exists(request.part)
+        raise journal_exists(request.part)
 
 
-def _journal_exists(part: Path) -> InputError:
+def journal_exists(part: Path) -> InputError:
     """Return the error of a journal that is there already: another recorder's, or one that was left."""
     if claim.is_locked(part):
         what, do = claim.in_use(part)
-        return InputError(what, str(part), f"give another -o, or {do}")
+        return InputError(what, str(part), f"give another -o, or {do}", python="give another output, or wait for it")
     return InputError(
         "an earlier recording was not finished: its journal still exists",
         str(part),
         f"run 'daq recover {part}' to get its data, or delete it, or give another -o",
+        python=f"run 'daq recover {part}', or call daq.recover, to get its data; or delete it, or give another output",
     )
 
 
-def _samples(request: RecordRequest, rate_hz: float) -> int:
-    """Return the samples wanted at a rate."""
-    if not 1 <= request.duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
-        what = f"the duration is {request.duration_s:g} s, {request.duration_s * rate_hz:g} samples at {rate_hz:g} Hz"
-        raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples")
-    return round(request.duration_s * rate_hz)
+def samples_wanted(duration_s: float, rate_hz: float) -> int:
+    """Return the samples wanted of a duration at a rate."""
+    if not 1 <= duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
+        what = f"the duration is {duration_s:g} s, {duration_s * rate_hz:g} samples at {rate_hz:g} Hz"
+        raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples", python="give seconds of it")
+    return round(duration_s * rate_hz)
 
 
 def record(
@@ -142,7 +156,7 @@ def record(
         is left behind.
     """
     check_request(request)
-    board, identity, plan, warnings = _connect(request)
+    board, identity, plan, warnings, calibration = _connect(request)
     stop = stop or threading.Event()
     if stop.is_set():
         board.close()
@@ -150,61 +164,73 @@ def record(
     say(f"{identity.ident.name or 'a board'} on {ports.shown(request.port)}, decoder {identity.ident.decoder}")
     logger.info("%s at %g Hz, blocks of %d, journal %s", request.port, plan.rate_hz, plan.block, request.part)
     try:
-        samples = _samples(request, plan.rate_hz)
+        samples = samples_wanted(request.duration_s, plan.rate_hz)
         writer = journal.Writer(request.part, _header(request, board, identity, plan, samples, warnings))
     except FileExistsError as error:
         board.close()
-        raise _journal_exists(request.part) from error
+        raise journal_exists(request.part) from error
     except OSError as error:
         board.close()
-        raise _disk(request.part, error) from error
+        raise disk_error(request.part, error) from error
     except InputError:
         board.close()
         raise
     if not writer.locked:
         say(f"{writer.path} cannot be locked on this file system: run no 'daq recover' on it before the recording ends")
     place = JournalPlace(writer, request.output, say)
-    reader = Reader(board, lambda: _connect(request)[0], plan.rate_hz, samples, say)
+    reader = Reader(board, lambda: _connect(request).board, plan.rate_hz, samples, say)
+    with keeping(writer):
+        try:
+            if calibration is not None:
+                writer.append(journal.CONFIGURATION, time.monotonic_ns(), calibration.encode())
+            began = time.monotonic()
+
+            def show(reached: int) -> None:
+                progress(min(reached, samples) / plan.rate_hz)
+                status(reader.tally.words(time.monotonic() - began))
+
+            _take(reader, writer, place, show, stop)
+            logger.info("ended: %s; %s", reader.ended, reader.tally.words(time.monotonic() - began))
+            if reader.failure is not None:
+                if not reader.heard:
+                    writer.remove()  # it is empty, and would block the next recording
+                raise reader.failure
+            return make_run(request, writer, place)
+        except DataError as error:
+            why = f": {reader.tally.notice}" if reader.tally.notice else ""
+            if reader.heard:
+                what = f"not one sample can be read in the {reader.heard} bytes that came{why}"
+                do = f"check --baud and --protocol; the bytes are kept in {writer.path}"
+                raise DataError(what, request.port, do) from error
+            writer.remove()  # it is empty, and would block the next recording
+            if stop.is_set():
+                what = "interrupted before the first sample came"
+                raise RecordingInterruptedError(what, request.port, "record again") from error
+            raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
+
+
+@contextmanager
+def keeping(writer: journal.Writer) -> Iterator[None]:
+    """Close a journal at the end, and say where it is kept after an interrupt or when a disk refuses."""
     try:
-        if request.calibration is not None:
-            writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
-        begun = time.monotonic()
-
-        def show(reached: int) -> None:
-            progress(min(reached, samples) / plan.rate_hz)
-            status(reader.tally.words(time.monotonic() - begun))
-
-        _take(reader, writer, place, show, stop)
-        logger.info("ended: %s; %s", reader.ended, reader.tally.words(time.monotonic() - begun))
-        if reader.failure is not None:
-            if not reader.heard:
-                writer.remove()  # it is empty, and would block the next recording
-            raise reader.failure
-        return _finished(request, writer, place)
+        yield
     except KeyboardInterrupt as error:
         do = f"get its data with 'daq recover {writer.path}'"
-        raise RecordingInterruptedError("interrupted; the journal was kept", str(writer.path), do) from error
+        what, python = (
+            "interrupted; the journal was kept",
+            f"get its data with 'daq recover {writer.path}', or call daq.recover",
+        )
+        raise RecordingInterruptedError(what, str(writer.path), do, python=python) from error
     except OSError as error:
-        raise _disk(writer.path, error) from error
+        raise disk_error(writer.path, error) from error
     except disk.RefusedError as error:
         do = f"correct that, then get the data with 'daq recover {writer.path}'"
         raise disk.RefusedError(f"{error.what}; the journal is kept", error.where, do) from error
-    except DataError as error:
-        why = f": {reader.tally.notice}" if reader.tally.notice else ""
-        if reader.heard:
-            what = f"not one sample can be read in the {reader.heard} bytes that came{why}"
-            do = f"check --baud and --protocol; the bytes are kept in {writer.path}"
-            raise DataError(what, request.port, do) from error
-        writer.remove()  # it is empty, and would block the next recording
-        if stop.is_set():
-            what = "interrupted before the first sample came"
-            raise RecordingInterruptedError(what, request.port, "record again") from error
-        raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
     finally:
         writer.abandon()
 
 
-def _finished(request: RecordRequest, writer: journal.Writer, place: JournalPlace) -> "RecordingQuality":
+def make_run(request: RecordRequest, writer: journal.Writer, place: JournalPlace) -> "RecordingQuality":
     """Make the run file; once more where the folder goes away meanwhile."""
     from daq.finalise.run import finalise
 
@@ -225,7 +251,17 @@ def _finished(request: RecordRequest, writer: journal.Writer, place: JournalPlac
             return replace(found, warnings=(*found.warnings, *place.changes))
 
 
-def _connect(request: RecordRequest) -> tuple[Session, Identity, Plan, list[str]]:
+class _Connected(NamedTuple):
+    """A board that is ready, how the recording will go, warnings, and the calibration that replaces the board's."""
+
+    board: Session
+    identity: Identity
+    plan: Plan
+    warnings: list[str]
+    calibration: str | None
+
+
+def _connect(request: RecordRequest) -> _Connected:
     """Open the port, identify the board, check that it can carry out the request, and configure it."""
     backend = protocols.load(request.protocol)
     port = ports.open_port(request.port, request.baud or backend.BAUD)
@@ -234,7 +270,9 @@ def _connect(request: RecordRequest) -> tuple[Session, Identity, Plan, list[str]
         identity = board.identify()
         plan = board.plan(identity)
         baud = ports.line_baud(request.port, port)
-        warnings = [*plan.notes, *link_budget.check(identity.ident, _known(request, identity), plan, baud)]
+        calibration = _calibration(request, identity)
+        known = _known(calibration or identity.config or "", identity)
+        warnings = [*plan.notes, *link_budget.check(identity.ident, known, plan, baud)]
         identity = board.prepare(plan)
     except OSError as error:
         port.close()
@@ -242,12 +280,40 @@ def _connect(request: RecordRequest) -> tuple[Session, Identity, Plan, list[str]
     except BaseException:
         port.close()
         raise
-    return board, identity, plan, warnings
+    return _Connected(board, identity, plan, warnings, calibration)
 
 
-def _known(request: RecordRequest, identity: Identity) -> Rig:
+def _calibration(request: RecordRequest, identity: Identity) -> str | None:
+    """Return the calibration that replaces the one sent by the board; None where nothing replaces it.
+
+    Where the board sends measured numbers, a count is metres by their unit, of a force by the spring's stiffness.
+
+    Raises
+    ------
+    InputError
+        For forces of a spring of unknown stiffness, and metres per count beside numbers with a unit.
+    """
+    of, size = identity.measured or ("", 0.0)
+    if not request.stated and not of:
+        return request.calibration
+    rig = _known(request.calibration or identity.config or "", identity).stating(request.stated)
+    if not of:
+        return rig.to_toml()
+    if "metres_per_count" in request.stated:
+        what = "the columns give positions with a unit, and metres per count are given"
+        raise InputError(what, "--metres-per-count", "leave it out: it is for counts")
+    pitch = Measured(size)
+    if of == FORCE:
+        if rig.stiffness is None:
+            what = "the columns give a force, and the stiffness of its spring is not known"
+            raise InputError(what, "--columns", "give --stiffness '10.5 N/m', or stiffness in the rig.toml")
+        pitch = Measured(size / rig.stiffness.value, size * rig.stiffness.sd / rig.stiffness.value**2)
+    return replace(rig, metres_per_count=pitch, counts_per_revolution=None).to_toml()
+
+
+def _known(calibration: str, identity: Identity) -> Rig:
     try:
-        rig = Rig.from_toml(request.calibration or identity.config or "", "the board's CONFIG")
+        rig = Rig.from_toml(calibration, "the board's CONFIG")
     except InputError:
         rig = Rig()  # the finaliser reads the same text, and its warning names the error
     return replace(rig, decoder=identity.ident.decoder)
@@ -256,23 +322,31 @@ def _known(request: RecordRequest, identity: Identity) -> Rig:
 def _header(
     request: RecordRequest, board: Session, identity: Identity, plan: Plan, samples: int, warnings: list[str]
 ) -> dict[str, Any]:
-    now = datetime.now().astimezone()
-    offset = now.utcoffset()
-    return {name: getattr(board.request, name) for name in ("protocol", "columns", "decoder", "port")} | {
+    how = {name: getattr(board.request, name) for name in ("protocol", "columns", "decoder", "port")} | {
         "baud": ports.uart_baud(request.port, board.port),
         "rate_hz": plan.rate_hz,
         "samples": samples,
         "title": f"{identity.ident.name or 'stick-slip'}, {plan.rate_hz:g} Hz",
+        "warnings": warnings,
+    }
+    return begun(how, request.notes, {"port": request.port, "firmware": _version(identity.ident)})
+
+
+def begun(how: Mapping[str, Any], notes: Mapping[str, Any], origin: Mapping[str, str]) -> dict[str, Any]:
+    """Return the header of a journal that begins now: ``how`` it is recorded, notes, and where its samples are from."""
+    now = datetime.now().astimezone()
+    offset = now.utcoffset()
+    return {
+        **how,
         **dict.fromkeys(("operator", "sample_name", "note"), ""),
         "tags": {},
-        **request.notes,
+        **notes,
         "wall_ns": time.time_ns(),
         "monotonic_ns": time.monotonic_ns(),
         "pid": os.getpid(),
         "host": platform.node(),
         "utc_offset_s": int(offset.total_seconds()) if offset else 0,
-        "warnings": warnings,
-        "provenance": provenance.here() | {"port": request.port, "firmware": _version(identity.ident)},
+        "provenance": provenance.here() | dict(origin),
     }
 
 
@@ -305,6 +379,8 @@ def _take(
                 pass
             if writer.tick():
                 place.check()
+                if writer.is_asked_to_stop():
+                    stop.set()
         stopped_by = stop.reason if isinstance(stop, StopRequest) else journal.STOPPED
         reason = stopped_by if reader.ended == journal.STOPPED else reader.ended
         writer.append(journal.END, time.monotonic_ns(), json.dumps({"reason": reason}).encode())
@@ -327,7 +403,7 @@ def _dismiss(reader: Reader) -> None:
             continue
 
 
-def _disk(part: Path, error: OSError) -> StickslipError:
+def disk_error(part: Path, error: OSError) -> StickslipError:
     """Return the error of a disk that refuses; it mentions the journal when there is one."""
     if part.exists():
         do = f"correct that, then get the data with 'daq recover {part}'"

@@ -15,9 +15,10 @@ that is cut short is a crash's mark.
 
 While a recording runs it holds the journal's lock (`daq.base.output.lock`): whoever wants to finish the journal asks
 for it first, whoever only reads does not.  A marker comes from another process: one line ``<monotonic ns> <text>``
-appended to ``RUN.h5.markers``.
+appended to ``RUN.h5.markers``; and so does the wish to stop: a file ``RUN.h5.stop``.
 """
 
+import contextlib
 import errno
 import json
 import os
@@ -61,6 +62,7 @@ HEADER_EVERY = 1 << 16
 
 # What ended a recording, in its last record; another word there is the name of a signal.
 COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
+SOURCE_ENDED, SOURCE_FAILED = "source ended", "source failed"  # of blocks that a program hands over
 
 
 class Records:
@@ -127,6 +129,7 @@ class Writer:
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
         self.path = path
         self._file, self._lock = _create(path)
+        self.is_asked_to_stop()  # one that an earlier recording of this name has left
         self._synced = time.monotonic()
         self._since_header = 0
         self._header = json.dumps(header).encode()
@@ -163,6 +166,15 @@ class Writer:
         if due:
             self.sync()
         return due
+
+    def is_asked_to_stop(self) -> bool:
+        """Return whether somebody has put a file beside the journal that asks to stop (`stop_path`), and remove it."""
+        asked = stop_path(self.path)
+        if not asked.exists():
+            return False
+        with contextlib.suppress(OSError):
+            asked.unlink()
+        return True
 
     def sync(self) -> None:
         """Put everything appended so far on the disk."""
@@ -357,6 +369,11 @@ def _without_header(path: Path, size: int, received: int) -> InputError:
 def markers_path(run: Path) -> Path:
     """Return where the markers of ``run`` (the .h5 or its .part) are."""
     return run.with_name(run.name.removesuffix(".part") + ".markers")
+
+
+def stop_path(run: Path) -> Path:
+    """Return the file that asks the recorder of ``run`` (the .h5 or its .part) to stop."""
+    return run.with_name(run.name.removesuffix(".part") + ".stop")
 
 
 def read_markers(path: Path) -> tuple[tuple[int, str], ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.base.errors import InputError
 from daq.runfile import joint, nexus, schema, store, trust
-from daq.runfile.recording import lost_samples
+from daq.runfile.recording import OF_FILE, lost_samples
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
 UNFINISHED = "a journal: still recording, or left by one that was killed (daq recover)"
@@ -43,6 +43,8 @@ class RunRow:
         Named values.
     runs : int or None
         How many were fitted jointly; None for a run.
+    of_file : bool
+        The date is that of the file that was imported: nobody stated when it was recorded.
     problem : str or None
         Why nothing else is known: not a run, damaged, not finished.
     """
@@ -61,6 +63,7 @@ class RunRow:
     note: str | None = None
     tags: dict[str, str] = field(default_factory=dict)
     runs: int | None = None
+    of_file: bool = False
     problem: str | None = None
 
 
@@ -109,7 +112,7 @@ def _joint_row(entry: h5py.Group, file: Path) -> RunRow:
 
 
 def _row(entry: h5py.Group, file: Path) -> RunRow:
-    wanted = ("title", "started", "rate_hz", "operator", "sample_name", "note", "tags")
+    wanted = ("title", "started", "rate_hz", "operator", "sample_name", "note", "tags", "provenance")
     known = schema.read(entry, (row for row in schema.FIELDS if row.of in wanted), file)
     time = nexus.read_dataset(entry, f"{schema.ENCODER_LOG}/time", file)
     lost = None
@@ -131,4 +134,5 @@ def _row(entry: h5py.Group, file: Path) -> RunRow:
         sample=known.get("sample_name"),
         note=known.get("note"),
         tags=known.get("tags", {}),
+        of_file=known.get("provenance", {}).get("start_time_from") == OF_FILE,
     )

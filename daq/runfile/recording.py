@@ -1,120 +1,67 @@
-"""What a run is: the samples as sent, the motion made of them, and everything known about both."""
+"""What a run is to its user: read from a file, made of arrays, looked at and written."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.output.lengths import shown_length, shown_range
-from daq.base.output.spill import BLOCK, blocks
 from daq.base.text import storable
-from daq.runfile.rig import Rig
+from daq.runfile.run_data import (
+    EVENT_NAMES,
+    EVENTS,
+    FARTHEST,
+    FASTEST_HZ,
+    LONGEST_S,
+    OF_FILE,
+    Raw,
+    RunData,
+    SentAs,
+    Truth,
+    first_disorder,
+    impossible_motion,
+    lost_samples,
+    positions,
+)
 
 if TYPE_CHECKING:
+    import os
+
     import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
-    from daq.base.output.plot import PngFigure
+    from daq.base.units import Stated
 
-# What can happen to a run, with the code its event is stored under.
-EVENTS = {
-    "gap": 1,  # samples are missing before this one
-    "crc": 2,  # a frame arrived damaged
-    "illegal": 3,  # A and B changed together: the direction is unknown
-    "phase": 4,  # the count disagrees with the levels sent beside it
-    "overrun": 5,  # the board could not keep its own pace
-    "marker": 6,  # set by a person
-    "both-moved": 7,  # up and down both counted within one sample
-    "invalid": 8,  # a gap too long to unwrap the counters across
-    "reopened": 9,  # the port went away and came back: a new segment
-    "notice": 10,  # the board reported something in words
-    "retimed": 11,  # the time as sent was not true and has been interpolated
-}
-EVENT_NAMES = {code: name for name, code in EVENTS.items()}
-# What no run reaches, and numbers whose products stay in the range of a float64: 30 years, and a count that a float64
-# holds exactly.
-LONGEST_S, FASTEST_HZ, FARTHEST = 1e9, 1e9, 1e16
+__all__ = [
+    "EVENTS",
+    "EVENT_NAMES",
+    "FARTHEST",
+    "FASTEST_HZ",
+    "LONGEST_S",
+    "OF_FILE",
+    "Raw",
+    "Recording",
+    "SentAs",
+    "Truth",
+    "first_disorder",
+    "impossible_motion",
+    "lost_samples",
+    "positions",
+]
 
 
 @dataclass(frozen=True)
-class Raw:
-    """The samples as the board sent them; each array has shape (n,).
+class Recording(RunData):
+    """A run: times and positions, the samples as sent, and what is known of the rig.
+
+    `daq.load` reads one from a file, `from_arrays` makes one of arrays, `save` writes one.
 
     Attributes
     ----------
-    sample : u4
-        Sequence number, unwrapped; it skips over lost samples and restarts in each segment.
-    count_up, count_down : u2, or u4 of counters wider than 16 bits
-        The two counters, rolling over at their width.
-    device_time : u4
-        Device time in us as sent, rolling over at 2^32.
-    levels : u1
-        Channel levels at the sample, A = 1, B = 2.
-    flags : u2
-        The status bits of the sample.
-    illegal : u2
-        Illegal transitions counted so far, rolling over.
-    belt_count, edge_time : u2 or None
-        The belt encoder's count, and us from the last edge to the sample, when the board sends them.
-    """
-
-    sample: NDArray[np.uint32]
-    count_up: NDArray[np.uint16] | NDArray[np.uint32]
-    count_down: NDArray[np.uint16] | NDArray[np.uint32]
-    device_time: NDArray[np.uint32]
-    levels: NDArray[np.uint8]
-    flags: NDArray[np.uint16]
-    illegal: NDArray[np.uint16]
-    belt_count: NDArray[np.uint16] | None = None
-    edge_time: NDArray[np.uint16] | None = None
-
-
-@dataclass(frozen=True)
-class SentAs:
-    """The identifications that a run was sent under, where there were several; i stretches of segments.
-
-    Attributes
-    ----------
-    segment : (i,) u4
-        First segment of each stretch.
-    counter_bits : (i,) u1
-        Width of the counters there.
-    counts : (i,) u1
-        Counts of the run in one count of these counters: 4 of a decoder that counts one edge in four.
-    ident : (i,) str
-        The identification, in words.
-    """
-
-    segment: NDArray[np.uint32]
-    counter_bits: NDArray[np.uint8]
-    counts: NDArray[np.uint8]
-    ident: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Truth:
-    """The exact motion of a simulated rig: time (s), x (m), v (m/s), friction force F (N), each of shape (m,)."""
-
-    time: NDArray[np.float64]
-    x: NDArray[np.float64]
-    v: NDArray[np.float64]
-    F: NDArray[np.float64]
-    scene: str = ""
-
-
-def _none(dtype: type[np.generic]) -> Callable[[], NDArray[Any]]:
-    return lambda: np.empty(0, dtype)
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A run: what a recorder, an import or a replay hands to `daq.runfile.store.write`, and `store.load` returns.
-
-    Attributes
-    ----------
-    title, started, ended : str
     title : str
     started, ended : str
         Time of the first and of the last sample, ISO 8601 with zone.
@@ -143,7 +90,7 @@ class Recording:
     event_sample, event_kind, event_note
         Index into the run, (e,) u4; name of the kind (a key of `EVENTS`); words where there are any.
     belt_velocity : (n,) f8 or None
-        m/s, signed, only with a belt channel: differences of its counts (`daq.finalise.belt_counter`), not smoothed.
+        m/s, signed, only with a belt channel: differences of its counts (`daq.runfile.belt_counter`), not smoothed.
     belt_count : (n,) i8 or None
         Unwrapped count of the belt's encoder, only with a belt channel; metres of it are in `rig`.
     truth : Truth or None
@@ -162,53 +109,122 @@ class Recording:
         time and position for an import).
     """
 
-    title: str
-    started: str
-    ended: str
-    rate_hz: float
-    rig: Rig
-    time: NDArray[np.float64]
-    position: NDArray[np.float64]
-    count: NDArray[np.int64] | None = None
-    raw: Raw | None = None
-    segment: NDArray[np.uint16] | NDArray[np.uint32] = field(default_factory=_none(np.uint16))
-    config_toml: str = ""
-    clock_sample: NDArray[np.uint32] = field(default_factory=_none(np.uint32))
-    clock_offset: NDArray[np.float64] = field(default_factory=_none(np.float64))
-    clock_ppm: float | None = None
-    clock_ppm_error: float | None = None
-    clock_offset_error: NDArray[np.float64] = field(default_factory=_none(np.float64))
-    event_sample: NDArray[np.uint32] = field(default_factory=_none(np.uint32))
-    event_kind: tuple[str, ...] = ()
-    event_note: tuple[str, ...] = ()
-    belt_velocity: NDArray[np.float64] | None = None
-    belt_count: NDArray[np.int64] | None = None
-    truth: Truth | None = None
-    sent_as: SentAs | None = None
-    operator: str = ""
-    sample_name: str = ""
-    note: str = ""
-    tags: Mapping[str, str] = field(default_factory=dict)
-    provenance: Mapping[str, str | int] = field(default_factory=dict)
-    source: Path = Path()
-    default: str = "data"
-    digest: str = ""
+    @classmethod
+    def from_arrays(
+        cls,
+        time: "ArrayLike",
+        position: "ArrayLike",
+        *,
+        mass: "Stated | None" = None,
+        stiffness: "Stated | None" = None,
+        belt_speed: "Stated | None" = None,
+        x0: "Stated | None" = None,
+        damping: "Stated | None" = None,
+        metres_per_count: "Stated | None" = None,
+        belt_position: "ArrayLike | None" = None,
+        title: str = "",
+    ) -> "Recording":
+        """Make a run of arrays.
 
-    def __post_init__(self) -> None:
-        if not self.segment.size:
-            object.__setattr__(self, "segment", np.zeros(self.time.size, np.uint16))
-        if not self.event_note:
-            object.__setattr__(self, "event_note", ("",) * self.event_sample.size)
+        A quantity is a number in SI, ``(value, sd)``, or text with a unit: ``"5 cm/s"``, ``"500 g +- 1 g"``.  What is
+        not known is left out.
 
-    @property
-    def unit(self) -> str:
-        """Of `position`: "m", or "count" for counts of a rig whose metres per count nobody measured."""
-        return "count" if self.count is not None and self.rig.metres_per_count is None else "m"
+        Parameters
+        ----------
+        time : array_like of shape (n,)
+            Times of the samples, s, increasing; they need not be even.  Those of the run begin with 0.
+        position : array_like of shape (n,)
+            Positions, m, positive towards +x.  Integers are counts: in metres with ``metres_per_count``, else the run
+            is in counts.
+        mass, stiffness, damping : quantity, optional
+            Moving mass, kg; stiffness of the spring, N/m; viscous damping, N s/m.
+        belt_speed : quantity, optional
+            Speed of the belt, m/s, positive towards +x.
+        x0 : quantity, optional
+            Reading at the spring's rest, m, with the sign of the positions.
+        metres_per_count : quantity, optional
+            Travel in a count, m; negative where counting up means towards -x.
+        belt_position : array_like of shape (n,), optional
+            Positions of the belt at the same times, m, positive towards +x, where they were measured.
+        title : str
+            Title of the run.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        InputError
+            For arrays that are no columns of numbers of one length, a value that is not finite, times that do not
+            increase (naming the sample), and a quantity that cannot be.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import daq
+        >>> t = np.arange(2000) / 1000
+        >>> run = daq.Recording.from_arrays(t, 0.01 * np.sin(6 * t), mass="500 g +- 1 g", x0=(0, 1e-4))
+        >>> run
+        <Recording a run in memory: 'arrays'
+         2000 samples, 1.999 s at 1000 Hz>
+        >>> run.rig.mass
+        Measured(value=0.5, sd=0.001)
+        """
+        from daq.runfile.in_memory import from_arrays
+
+        return from_arrays(
+            cls,
+            time,
+            position,
+            mass=mass,
+            stiffness=stiffness,
+            belt_speed=belt_speed,
+            x0=x0,
+            damping=damping,
+            metres_per_count=metres_per_count,
+            belt_position=belt_position,
+            title=title,
+        )
+
+    def save(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
+        """Write the run into a run file (.h5), which `daq.load` and every command read.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+        force : bool
+            Replace an existing file.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            The file exists and ``force`` is not given, its folder does not exist, or its name has the suffix of
+            another format.
+        """
+        from daq.base.output import suffix
+        from daq.runfile.write import write
+
+        target = Path(path)
+        suffix.check_run(target)
+        write(target, self, force=force)
+        return target
 
     @property
     def name(self) -> str:
         """Name of its file; "a run in memory" when it was not loaded from one."""
         return storable(self.source.name) or "a run in memory"
+
+    @property
+    def when(self) -> str:
+        """Time of the first sample, ISO 8601; "file of ..." where it is that at which an imported file was changed."""
+        return ("file of " if self.provenance.get("start_time_from") == OF_FILE else "") + self.started
 
     def remarks(self) -> dict[str, str]:
         """Return what people wrote about the run, by name: operator, sample, note, then the tags."""
@@ -244,8 +260,13 @@ class Recording:
         own = ((int(at), words) for at, kind, words in events if kind == "marker")
         return tuple((float(self.time[at]), words) for at, words in own if at < self.time.size)
 
-    def plot(self) -> "PngFigure":
+    def plot(self, ax: "Axes | None" = None) -> "Figure":
         """Draw position against time, with the markers that a person set.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw; by default a new figure.
 
         Returns
         -------
@@ -262,6 +283,7 @@ class Recording:
             f"position ({unit})",
             self.markers,
             f"{self.name}: {self.title}",
+            ax,
         )
 
     def facts(self) -> dict[str, str]:
@@ -277,7 +299,7 @@ class Recording:
             "position": shown_range(self.position.min(), self.position.max(), self.unit) if self.time.size else "",
             "belt": "with an encoder of its own" if self.belt_velocity is not None else "",
             "events": ", ".join(f"{self.event_kind.count(kind)} {kind}" for kind in sorted(set(self.event_kind))),
-            "started": self.started,
+            "started": self.when,
         }
         return {name: text for name, text in found.items() if text} | self.remarks()
 
@@ -293,45 +315,3 @@ class Recording:
         from daq.base.output import notebook
 
         return notebook.table(f"Recording {self.name}: {self.title}", self.facts().items())
-
-
-def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.unsignedinteger]) -> int:
-    """Return how many samples the sequence numbers skip within segments; both arguments have shape (n,)."""
-    within = np.diff(segment) == 0
-    return int((np.diff(sample.astype(np.int64))[within] - 1).sum())
-
-
-def first_disorder(time: NDArray[np.float64]) -> int | None:
-    """Return the first sample whose time is not finite or not after the one before; None when there is none."""
-    before = -np.inf
-    for number, block in enumerate(blocks(time)):
-        wrong = ~np.isfinite(block) | ~(np.diff(block, prepend=before) > 0)
-        if wrong.any():
-            return number * BLOCK + int(np.argmax(wrong))
-        before = float(block[-1])
-    return None
-
-
-def impossible_motion(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:
-    """Return why times, s, and positions, m or counts, both of shape (n,), are not those of a run; None if they are."""
-    if (at := first_disorder(time)) is not None:
-        return f"time does not increase at sample {at}"
-    if not (wrong := np.abs(position) <= FARTHEST).all():
-        at = int(np.argmin(wrong))
-        what = f"{position[at]:.3g}, too large" if np.isfinite(position[at]) else "not finite"
-        return f"position is {what} at sample {at}"
-    if max(-time[0], time[-1]) > LONGEST_S:
-        return f"its times reach {max(time[0], time[-1], key=abs):.3g} s"
-    if (time[-1] - time[0]) * FASTEST_HZ < time.size - 1:
-        return f"{time.size} samples in {time[-1] - time[0]:.3g} s are too many"
-    return None
-
-
-def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:
-    """Return ``position = count * metres_per_count + datum``, m, or the bare count of an uncalibrated rig.
-
-    The product is exact to one rounding; counts below 2^53 are exact as f8.
-    """
-    if rig.metres_per_count is None:
-        return count.astype(np.float64)
-    return np.asarray(count * rig.metres_per_count.value + rig.offset, np.float64)

@@ -17,6 +17,7 @@ The text form is TOML, the same in a board's CONFIG frame and in a lab's ``rig.t
 A quantity that nobody measured is absent, never zero.  SI throughout; ``*_sd`` is one standard deviation.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -87,6 +88,13 @@ class Rig:
     def resting_at(self, x0: Measured) -> "Rig":
         """Return the rig with the reading at the spring's rest, m, in place of a datum or another x0."""
         return replace(self, datum=None, x0=x0)
+
+    def stating(self, values: Mapping[str, Measured | int]) -> "Rig":
+        """Return the rig with some quantities stated anew, by their attributes; an x0 takes the place of a datum."""
+        changes: dict[str, Any] = dict(values)
+        if "x0" in values:
+            changes["datum"] = None
+        return replace(self, **changes)
 
     @classmethod
     def from_toml(cls, text: str, where: str) -> "Rig":

@@ -1,7 +1,7 @@
 """The tree of a run file: one table that writes it, reads it and documents it.
 
 `TREE` lists the groups of /entry, in NeXus base classes, and the fields of each.  A field names the attribute of
-`Recording` it holds (``rig.mass``), and how it is computed where that is not simply the attribute.  `write` and `read`
+`RunData` it holds (``rig.mass``), and how it is computed where that is not simply the attribute.  `write` and `read`
 go through the table; docs/reference/run-file.md is generated from it (docs/run_file_table.py).
 
 Types: ``f8`` and the like are numpy's; ``[n]`` is a column over the samples, ``[c]`` over the clock readings, ``[e]``
@@ -27,7 +27,7 @@ from daq.base.output.spill import Column, blocks
 from daq.base.text import storable
 from daq.base.version import VERSION
 from daq.runfile import nexus
-from daq.runfile.recording import EVENT_NAMES, EVENTS, Recording, first_disorder
+from daq.runfile.run_data import EVENT_NAMES, EVENTS, RunData, first_disorder
 
 SCHEMA = 1
 KIND = h5py.enum_dtype(EVENTS, basetype="u1")
@@ -50,7 +50,7 @@ class Field:
     text : str
         What it is, for the documentation; the target of a link.
     of : str
-        The attribute of `Recording` that it is read into; "" for a field that is only written.
+        The attribute of `RunData` that it is read into; "" for a field that is only written.
     value : callable, optional
         The value to write, None to leave the field out; by default the attribute ``of``.
     optional : bool
@@ -62,7 +62,7 @@ class Field:
     unit: str
     text: str
     of: str = ""
-    value: Callable[[Recording], Any] | None = None
+    value: Callable[[RunData], Any] | None = None
     optional: bool = False
 
     @property
@@ -75,7 +75,7 @@ class Field:
         """The letter of the column's axis, "" for a single value."""
         return self.kind.partition("[")[2].rstrip("]")
 
-    def of_run(self, run: Recording) -> Any:
+    def of_run(self, run: RunData) -> Any:
         """Return the value to write, None where the run has none."""
         if self.value is not None:
             found = self.value(run)
@@ -98,33 +98,33 @@ class Group:
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _counted(of: str) -> Callable[[Recording], Any]:
+def _counted(of: str) -> Callable[[RunData], Any]:
     """Return what gives an attribute of a run with counts, None of an import."""
     return lambda run: None if run.count is None else attrgetter(of)(run)
 
 
-def _sensor(counted: str, imported: str) -> Callable[[Recording], str]:
+def _sensor(counted: str, imported: str) -> Callable[[RunData], str]:
     return lambda run: imported if run.count is None else counted
 
 
-def _duration(run: Recording) -> int:
+def _duration(run: RunData) -> int:
     span = datetime.fromisoformat(run.ended) - datetime.fromisoformat(run.started)
     return round(span.total_seconds())
 
 
-def _identity(run: Recording) -> str:
+def _identity(run: RunData) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{run.started} {storable(run.title)} {run.digest}"))
 
 
-def _sample(run: Recording) -> str:
+def _sample(run: RunData) -> str:
     return run.sample_name or run.rig.name or "mass"
 
 
-def _segment(run: Recording) -> NDArray[np.uint16] | NDArray[np.uint32] | None:
+def _segment(run: RunData) -> NDArray[np.uint16] | NDArray[np.uint32] | None:
     return None if run.raw is None else run.segment
 
 
-def _belt(run: Recording) -> str | None:
+def _belt(run: RunData) -> str | None:
     known = (run.rig.belt_speed, run.rig.belt_metres_per_count, run.belt_velocity)
     return "belt" if any(item is not None for item in known) else None
 
@@ -244,7 +244,7 @@ FIELDS = tuple(row for row in TREE if isinstance(row, Field))
 OPTIONAL_GROUPS = tuple(row.path for row in TREE if isinstance(row, Group) and row.optional)
 
 
-def digest(run: Recording) -> str:
+def digest(run: RunData) -> str:
     """Return the sha256 of the raw columns, or of time and position when there are none."""
     columns: dict[str, Any] = {"time": run.time, "position": run.position}
     if run.raw is not None:
@@ -258,7 +258,7 @@ def digest(run: Recording) -> str:
     return sha.hexdigest()
 
 
-def write(file: h5py.File, run: Recording, file_name: str) -> None:
+def write(file: h5py.File, run: RunData, file_name: str) -> None:
     """Write the whole tree of ``run`` into the empty ``file``.
 
     No clock is read: ``@file_time`` is the end of the run, the entry's identifier is derived from the raw data.
@@ -280,7 +280,7 @@ def write(file: h5py.File, run: Recording, file_name: str) -> None:
     entry["data"].attrs["title"] = storable(run.title)
 
 
-def rewrite_notes(file: h5py.File, run: Recording) -> None:
+def rewrite_notes(file: h5py.File, run: RunData) -> None:
     """Write the notes and events of ``run`` over those in the file of the run; nothing else is changed."""
     entry = file["entry"]
     rows = [row for row in FIELDS if row.path.startswith(NOTES)]
@@ -291,7 +291,7 @@ def rewrite_notes(file: h5py.File, run: Recording) -> None:
     entry["data"].attrs["title"] = storable(run.title)
 
 
-def _write_fields(file: h5py.File, rows: Iterable[Field], run: Recording) -> None:
+def _write_fields(file: h5py.File, rows: Iterable[Field], run: RunData) -> None:
     """Write those of the fields that the run has a value for, and the groups they stand in."""
     filled = [row for row in rows if row.of_run(run) is not None]
     inside = {parent(row) for row in filled}
@@ -308,7 +308,7 @@ def parent(row: Field) -> str:
     return row.path.rpartition("/")[0]
 
 
-def _write_field(entry: h5py.Group, row: Field, value: Any, run: Recording) -> None:
+def _write_field(entry: h5py.Group, row: Field, value: Any, run: RunData) -> None:
     unit = run.unit if row.unit == "m or count" else row.unit
     match row.dtype:
         case "link":
@@ -332,7 +332,7 @@ def _write_field(entry: h5py.Group, row: Field, value: Any, run: Recording) -> N
 
 
 def read(entry: h5py.Group, rows: Iterable[Field], where: Path, own: slice = nexus.EVERY) -> dict[str, Any]:
-    """Read fields into a mapping from attribute of `Recording` (``rig.mass``) to value.
+    """Read fields into a mapping from attribute of `RunData` (``rig.mass``) to value.
 
     ``own`` are the samples to read of columns over the samples.  An absent optional field is absent in the mapping.
 
@@ -380,7 +380,7 @@ def _read_field(entry: h5py.Group, row: Field, where: Path, own: slice) -> Any:
     return nexus.read_array(entry, row.path, row.dtype, where, own if row.axis == "n" else nexus.EVERY)
 
 
-def check(run: Recording) -> None:
+def check(run: RunData) -> None:
     """Raise ValueError when the parts of ``run`` do not belong together."""
     n = run.time.size
     if n == 0:

@@ -24,6 +24,22 @@ from daq.base.output import atomic, disk
 from daq.runfile import nexus, schema, trust
 from daq.runfile.recording import Raw, Recording, SentAs, Truth, impossible_motion
 from daq.runfile.rig import Rig
+from daq.runfile.write import write
+
+__all__ = [
+    "RunReader",
+    "annotate",
+    "between",
+    "extend",
+    "holds",
+    "load",
+    "opened",
+    "reading",
+    "samples",
+    "times",
+    "truth",
+    "write",
+]
 
 # A stage rests on those before it: writing one drops the ones after it, which were made from what it replaces.
 STAGES = ("data", "smooth", "fit")
@@ -146,34 +162,6 @@ def truth(path: str | os.PathLike[str]) -> Truth | None:
         entry = nexus.read_group(file, "entry", where)
         found = _part(schema.read(entry, (row for row in schema.FIELDS if row.of.startswith("truth.")), where), "truth")
         return Truth(**found) if found else None
-
-
-def write(path: str | os.PathLike[str], run: Recording, *, force: bool = False) -> None:
-    """Write a run into a new file: build it beside ``path``, sync it to disk, move it into place.
-
-    Parameters
-    ----------
-    path : path
-        The run file.
-    run : Recording
-        The run.
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    InputError
-        When ``path`` exists and ``force`` was not given, or its folder does not exist.
-    ValueError
-        When the arrays of ``run`` do not belong together.
-    """
-    target = Path(path)
-    atomic.refuse_existing(target, force)
-    schema.check(run)
-    run = replace(run, digest=schema.digest(run))
-    with atomic.replacing(target, force) as temporary, disk.hdf5(temporary, "w") as file:
-        schema.write(file, run, target.name)
-    trust.trust_own(target)
 
 
 def extend(
@@ -362,10 +350,20 @@ def _unopened(path: Path, error: OSError) -> InputError:
     with path.open("rb") as stream:
         head = stream.read(32)
     if head.startswith(b"stickslip journal"):
-        return InputError("is a journal, not a finished run", str(path), f"run: daq recover {path.name}")
+        return InputError(
+            "is a journal, not a finished run",
+            str(path),
+            f"run: daq recover {path.name}",
+            python=f"run: daq recover {path.name}, or call daq.recover",
+        )
     if not head.startswith(b"\x89HDF\r\n\x1a\n"):
         what = "is empty" if not head else "is not an HDF5 file"
-        return InputError(what, str(path), "give a run file; a CSV is read by daq import, a capture by daq replay")
+        return InputError(
+            what,
+            str(path),
+            "give a run file; a CSV is read by daq import, a capture by daq replay",
+            python="give a run file or a table",
+        )
     detail = "is cut short" if "truncated" in str(error) else f"is damaged HDF5 ({str(error).splitlines()[0]})"
     return InputError(detail, str(path), trust.AGAIN)
 

@@ -1,6 +1,9 @@
-"""`assess`: whether a law describes a record; the friction curve without a law; and what else acts where none does."""
+"""Whether a law describes a record; the friction curve without a law; and what else acts where none does.
 
-from collections.abc import Callable, Sequence
+`measure` judges the six and measures the curve; `assess` concludes, once it is known which laws are in the set.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +20,7 @@ from fitting.departures.explain import Question, explain_beside_curve, explain_m
 from fitting.departures.refit import Refit
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.fit import Fit
+from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
@@ -29,27 +33,31 @@ MISSED = 1.1
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """The adequacy of all runs together, and of each, by the law that was judged."""
+    """The adequacy of all runs together, and of each, by the law that was judged.
 
-    law: int
+    ``beaten`` is whether noise may have made what that law leaves, but another curve describes the runs better.
+    """
+
+    law: int | str
     together: Adequacy
     runs: tuple[Adequacy, ...]
+    beaten: bool = False
 
-    def beaten(self, laws: int) -> "Assessment":
-        """Return the assessment where another curve describes the runs better than each of the ``laws`` asked for.
+    def by_others(self, laws: int) -> "Assessment":
+        """Return the assessment where another curve describes the runs better than each of the ``laws`` of the six.
 
         Noise alone may have made what the best law leaves; less is left of the same record by a rival.
         """
         outcome = NONE_FITTED if laws < NUMBER_OF_LAWS else NONE_OF_SIX
         runs = tuple(replace(own, verdict=outcome) for own in self.runs)
-        return replace(self, together=replace(self.together, verdict=outcome), runs=runs)
+        return replace(self, together=replace(self.together, verdict=outcome), runs=runs, beaten=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
     """A law's goodness of fit, of all runs and of each; its fit made linear, with all cycles and the usual ones."""
 
-    fit: Fit
+    fit: FittedLaw
     linearised: LinearisedFit | None
     usual: LinearisedFit | None
     slips: tuple[RunSlips, ...]
@@ -57,28 +65,71 @@ class Judged:
     each: tuple[GoodnessOfFit, ...]
 
 
-def assess(
-    fits: Sequence[Fit],
-    members: Sequence[int],
-    motions: Sequence[MeasuredMotion],
-    laws: int,
-    alpha: float = 0.05,
-    revolution: float | None = None,
-) -> Assessment:
-    """Assess the laws of a set until one is not rejected, and measure the friction curve without a law.
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What the six say of the runs, and the friction curve without a law.
+
+    Attributes
+    ----------
+    fits : sequence of Fit
+        Of the six, best first.
+    members : sequence of int
+        Their set.
+    judged : Judged
+        The first of it that describes the runs, else the best.
+    curve : MeasuredCurve or None
+        Per unit mass.
+    noise : (runs,) f8
+        Standard deviation of one position of each run, m.
+    """
+
+    fits: Sequence[Fit]
+    members: Sequence[int]
+    judged: Judged
+    curve: MeasuredCurve | None
+    noise: Array
+
+
+def measure(
+    fits: Sequence[Fit], members: Sequence[int], motions: Sequence[MeasuredMotion], alpha: float = 0.05
+) -> Measurement:
+    """Judge the laws of a set until one describes the runs, and measure the friction curve without a law.
 
     Parameters
     ----------
     fits : sequence of Fit
-        Every law that was fitted, best first.
+        Every law of the six that was fitted, best first.
     members : sequence of int
-        The laws that the record cannot distinguish from the best.
+        Those that the record cannot distinguish from the best.
+    motions : sequence of MeasuredMotion
+        Of each run.
+    alpha : float
+        1 - confidence of the curve's band.
+    """
+    judged = _first_not_rejected([fit for fit in fits if fit.law in members], motions)
+    noise = np.array([own.noise_m for own in judged.slips])
+    curve = measure_curve(_first(fits, judged.fit.law), noise, alpha)
+    return Measurement(fits, members, judged, curve, noise)
+
+
+def assess(
+    measured: Measurement,
+    members: Sequence[FittedLaw],
+    motions: Sequence[MeasuredMotion],
+    laws: int,
+    revolution: float | None = None,
+) -> Assessment:
+    """Assess the laws of the set until one is not rejected, and say what else acts where all are.
+
+    Parameters
+    ----------
+    measured : Measurement
+    members : sequence of FittedLaw
+        The laws of the set, best first, formulas among them.
     motions : sequence of MeasuredMotion
         Of each run.
     laws : int
-        How many laws were asked for.
-    alpha : float
-        1 - confidence of the curve's band.
+        How many of the six were asked for.
     revolution : float, optional
         Travel per revolution of the encoder, m; scanned where it is not known.
 
@@ -88,9 +139,8 @@ def assess(
         By the first law that describes the record, or by the best where none does.  Of a single run of several,
         goodness of fit and the smallest visible departure alone: curve and departures are those of all together.
     """
-    chosen = _first_not_rejected([fit for fit in fits if fit.law in members], motions)
-    noise = np.array([own.noise_m for own in chosen.slips])
-    curve = measure_curve([chosen.fit, *(fit for fit in fits if fit is not chosen.fit)], noise, alpha)
+    of_six, curve, noise, fits = measured.judged, measured.curve, measured.noise, measured.fits
+    chosen = _first_not_rejected(members, motions, {of_six.fit.law: of_six})
     rejected = chosen.together.rejected
     curve_goodness = None
     if curve is not None and (rejected or curve.chi > MISSED):
@@ -105,11 +155,9 @@ def assess(
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FoundDeparture, ...] = ()
     if curve is not None and rejected:
-        others = [fit for fit in fits if fit is not chosen.fit]
-        departures = _departures(chosen, others, curve, motions, noise, revolution, of_speed=of_speed)
-    visible = (
-        (None,) * len(motions) if chosen.usual is None else smallest_visible(chosen.fit, chosen.usual, chosen.slips)
-    )
+        law = chosen.fit.law if isinstance(chosen.fit, Fit) else of_six.fit.law
+        departures = _departures(_first(fits, law), curve, motions, noise, revolution, of_speed=of_speed)
+    visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
         chosen.together.noise_m,
@@ -135,6 +183,23 @@ def assess(
     return Assessment(chosen.fit.law, together, tuple(each))
 
 
+def describes_all(fits: Sequence[FittedLaw], motions: Sequence[MeasuredMotion]) -> frozenset[int | str]:
+    """Return which of some formulas leave no more than noise, as far as that can be judged."""
+    return frozenset(fit.law for fit in fits if not _judged(fit, motions).together.rejected)
+
+
+def _first(fits: Sequence[Fit], law: int | str) -> list[Fit]:
+    """Return the fits with that of one law before all others."""
+    return sorted(fits, key=lambda fit: fit.law != law)
+
+
+def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
+    """Return the smallest departure that each run would show, % of the friction at rest."""
+    if chosen.usual is None:
+        return (None,) * len(motions)
+    return smallest_visible(chosen.fit, chosen.usual, chosen.slips)
+
+
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
     """Return whether one of the laws leaves no more than noise, as far as that can be judged."""
     return not _first_not_rejected(fits, motions).together.rejected
@@ -153,23 +218,31 @@ def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> Mea
     return curve if mass is None else in_newtons(curve, mass)
 
 
-def _first_not_rejected(members: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> Judged:
+def _first_not_rejected(
+    members: Sequence[FittedLaw],
+    motions: Sequence[MeasuredMotion],
+    known: Mapping[int | str, Judged] | None = None,
+) -> Judged:
     first = None
     for fit in members:
-        linearised = LinearisedFit.at(fit)
-        if linearised is None:
-            # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
-            usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
-            slips = judge(fit.residual, _unchanged, fit, motions, nowhere)
-        else:
-            usual, slips = _judged_without_faults(linearised, fit.path, fit, fit.windows, motions)
-        found = Judged(fit, linearised, usual, slips, *goodness_of_fit(slips))
+        found = (known or {}).get(fit.law) or _judged(fit, motions)
         if not found.together.rejected:
             return found
         first = first or found
     if first is None:
         raise ValueError("no law to assess")
     return first
+
+
+def _judged(fit: FittedLaw, motions: Sequence[MeasuredMotion]) -> Judged:
+    linearised = LinearisedFit.at(fit.at)
+    if linearised is None:
+        # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
+        usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
+        slips = judge(fit.residual, _unchanged, fit, motions, nowhere)
+    else:
+        usual, slips = _judged_without_faults(linearised, fit.path, fit, fit.windows, motions)
+    return Judged(fit, linearised, usual, slips, *goodness_of_fit(slips))
 
 
 def _unchanged(residuals: Array) -> Array:
@@ -179,7 +252,7 @@ def _unchanged(residuals: Array) -> Array:
 def _judged_without_faults(
     linear: LinearisedFit,
     path: Callable[[], Path | None],
-    fit: Fit,
+    fit: FittedLaw,
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
 ) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:
@@ -202,8 +275,7 @@ def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> Goo
 
 
 def _departures(
-    chosen: Judged,
-    others: Sequence[Fit],
+    fits: Sequence[Fit],
     curve: MeasuredCurve,
     motions: Sequence[MeasuredMotion],
     noise: Array,
@@ -217,7 +289,6 @@ def _departures(
     """
     if of_speed and any(form.inside_band for form in curve.forms):
         return ()
-    fits = [chosen.fit, *others]
 
     def describes(refit: Refit) -> bool:
         fit = next(fit for fit in fits if fit.law == refit.law)

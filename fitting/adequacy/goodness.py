@@ -20,7 +20,7 @@ from daq.base.compute.distributions import gamma_tail, gamma_upper_quantile
 from fitting.adequacy.noise import PositionNoise, estimate_noise
 from fitting.adequacy.statistics import CycleSquares, SlipBins, SlipStatistics, cycle_squares
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.fit import Fit
+from fitting.estimation.fitted_law import FittedLaw
 from fitting.model.windows import SPOILT, ShootingWindows
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
@@ -135,7 +135,7 @@ class RunSlips:
 def judge(
     residual: Array,
     refit: Callable[[Array], Array],
-    fit: Fit,
+    fit: FittedLaw,
     motions: Sequence[MeasuredMotion],
     left_out: Mask,
     windows: ShootingWindows | None = None,
@@ -149,7 +149,7 @@ def judge(
     refit : callable
         Residuals (N, B) to what a linear fit of all unknowns leaves of them
         (`fitting.estimation.linearised.LinearisedFit.refit`).
-    fit : Fit
+    fit : FittedLaw
         Whose cycles are judged, of all runs together.
     motions : sequence of MeasuredMotion
         Of each run.

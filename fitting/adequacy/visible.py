@@ -17,7 +17,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from fitting.adequacy.goodness import REJECTED, RunSlips, least
 from fitting.adequacy.statistics import cycle_squares
-from fitting.estimation.fit import Fit
+from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.tangents import tangents
@@ -29,12 +29,12 @@ EVERY = 2  # repetitions are counted: half of 30 is known to 0.1, and the share 
 STEPS = 12  # of the bisection: to 0.4 %
 
 
-def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
+def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
     """Return for each run the amplitude that half of its repetitions show, % of Fs; median over the waves.
 
     Parameters
     ----------
-    fit : Fit
+    fit : FittedLaw
     linearised : LinearisedFit
         Of the same fit.
     slips : sequence of RunSlips
@@ -60,12 +60,12 @@ def _percent(sizes: Sequence[float]) -> float | None:
     return typical if math.isfinite(typical) else None
 
 
-def departure_waves(fit: Fit) -> Array | None:
+def departure_waves(fit: FittedLaw) -> Array | None:
     """Return the answer of the positions to waves of the friction as large as itself, shape (N, waves), m."""
     path = fit.path()
     if path is None or not path.slips.any():
         return None
-    F = np.exp(path.u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
+    F = np.exp(fit.u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
     level = np.where(path.slips, path.side * path.level * F, 0.0)
     friction = np.where(path.slips, path.friction, 0.0)
     turn = 2 * math.pi * path.slip_speed / float(np.max(path.slip_speed[path.slips]))

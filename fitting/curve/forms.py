@@ -29,7 +29,6 @@ from daq.base.compute.arrays import Array
 from daq.base.compute.distributions import chi_square_quantile, normal_quantile
 from fitting.curve.result import FormFit
 from fitting.curve.spline_fit import SplineFit
-from fitting.curve.starts import project
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import Parameter
 from fitting.least_squares.normal_equations import eigen
@@ -240,7 +239,7 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
 def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> FormFit:
     fastest, size = float(fit.spline.knots[-1]), float(np.median(fit.spline.coefficients))
     x = np.linspace(0.0, 1.0, GRID) ** 1.6
-    onto = size * np.einsum("ij,jg->ig", metric.root, project(fit.spline, x * fastest))
+    onto = size * np.einsum("ij,jg->ig", metric.root, fit.spline.projection(x * fastest))
 
     aim = metric.aim
     constant = np.zeros((aim.size, 0))

@@ -1,400 +1,225 @@
-"""A law given as a formula, fitted to the positions of every window from the end of the measured curve's fit.
+"""A law given as a formula, fitted by the driver to the positions of every window.
 
-The motion is followed along a spline through the formula, whose knots are set closer until it errs by less than
-`TOLERANCE` of the friction; its derivatives by the parameters are the formula's own.  Everything else (windows, noise,
-weights of the cycles, calibrations) is that of the measured curve, so that the fit differs from it in the curve alone.
+Windows, noise and calibrations are those of the measured curve, so that the fit differs from it in the curve alone.
+The search starts where the measured curve ended, at each minimum of the formula on it.
 
-A parameter that bends the curve and is never negative is fitted by its logarithm.  A trial whose formula is not finite
-or is negative at a speed of the motion is refused as one that cannot be followed.
+A formula with a constant hides the rest position where no calibration gives that: it is then assumed, as for the
+measured curve (`fitting.curve.level`).  The shape of one without a constant says where the spring rests.
 """
 
 import math
-import time as clock
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array
-from daq.base.compute.distributions import student_quantile
-from daq.base.errors import InputError
 from daq.base.measured import Measured
-from fitting.curve.band import covariances
-from fitting.curve.spline_fit import FINAL, SplineFit
-from fitting.data.cycles import Cycle
-from fitting.estimation.linearised import LinearisedFit
-from fitting.estimation.result import Parameter
+from fitting.curve.forms import GRID, metric_of
+from fitting.curve.level import rest_prior
+from fitting.curve.spline_fit import SplineFit
+from fitting.driver.driver import best_end, start_beside
+from fitting.driver.fit import TaskFit
+from fitting.driver.formula import BEYOND, FormulaCurve, Target
+from fitting.driver.passes import finish
+from fitting.driver.task import KNOT_POWER, OF_THE_LAW, Task
+from fitting.estimation.covariance import covariances
+from fitting.estimation.fitted_law import FittedLaw
 from fitting.law import Law
-from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.levenberg_marquardt import Solution
-from fitting.least_squares.problem import LeastSquaresProblem
-from fitting.model import parameters
 from fitting.model.parameters import NUISANCE, PER_RUN, Global
-from fitting.model.windows import ShootingWindows
-from fitting.sensitivity import flow
-from fitting.sensitivity.columns import local_tangents, shared_tangents
-from fitting.sensitivity.path import Path, follow, spline_curve
-from fitting.sensitivity.spline import FrictionSpline
-from fitting.sensitivity.tangents import tangents
-from rig_sim.flow.modes import STICK
+from fitting.model.problem import EstimationProblem
+from fitting.undetermined import Undetermined
 
-TOLERANCE = 1e-6  # of the largest friction: how far the spline may be from the formula
-FIRST_PIECES, KNOT_POWER = 24, 1.8  # knots s_max u^1.8, before they are set closer where the curve bends most
-MOST_PIECES = 300  # a power with an infinite slope at rest takes 150; more are a curve with a corner
-PER_PIECE = 6  # speeds of each piece at which the spline is put through the formula, and compared with it
-BEYOND = 1.1  # of the measured curve's last knot: slips of the fit may be a little faster
-STEPS: dict[str, Any] = FINAL | {"max_steps": 40, "damping": 1e-6}  # a form leaves the measured curve by a few bands
-DOUBLED = 2.0  # of a parameter: whether the derivative by it changes then shows whether it bends the curve
 LEAST_SHOWN = 1e-6  # of a prior's precision: a record that adds less shows nothing of the unknown
-SAME = 1e-9  # of a derivative: less is rounding
-
-
-class FormulaFriction:
-    """A law's formula as the friction that a path is followed with.
-
-    Unknowns theta (k,) stand for the law's free parameters: the value, or its logarithm (``by_log``).
-    """
-
-    def __init__(self, law: Law, fastest: float, start: dict[str, float], *, ramp: bool) -> None:
-        self.law, self.fastest, self.ramp = law, fastest, ramp
-        self._speeds = np.linspace(0.0, fastest, 41)
-        self.by_log = np.array([self._bends(name, start) and law.limits(name)[0] >= 0.0 for name in law.free])
-        self.start = self.theta(start)
-        self._through(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
-
-    def values(self, theta: Array) -> dict[str, float]:
-        """Return the parameters by name."""
-        free = np.where(self.by_log, np.exp(np.clip(theta, -700.0, 700.0)), theta)
-        return dict(self.law.fix or {}) | dict(zip(self.law.free, free.tolist(), strict=True))
-
-    def theta(self, values: dict[str, float]) -> Array:
-        """Return the unknowns (k,) of parameters."""
-        free = np.array([values[name] for name in self.law.free])
-        return np.where(self.by_log, np.log(np.where(self.by_log, free, 1.0)), free)
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (k,) of the unknowns."""
-        lower, upper = np.array([self.law.limits(name) for name in self.law.free]).T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self.by_log, np.log(lower), lower), np.where(self.by_log, np.log(upper), upper)
-
-    def friction(self, theta: Array, s: Array) -> Array:
-        """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s.
-
-        Raises
-        ------
-        InputError
-            Where it is not finite, or negative.
-        """
-        found = self.law.curve.value(s, self.values(theta))
-        if found.min() < 0:
-            at = self.law.curve.place(float(s[np.argmin(found)]), self.values(theta))
-            what = f"law {self.law.name}: friction is negative, {found.min():.4g} m/s^2, {at}"
-            raise InputError(what, "formula", "give bounds, or a form that stays above 0")
-        return found
-
-    def slopes(self, theta: Array, s: Array) -> Array:
-        """Return the derivatives (k, unknowns) of friction at slip speeds s (k,) by the unknowns."""
-        values = self.values(theta)
-        found = self.law.curve.gradient(s, values, self.law.free)
-        return np.asarray(found * np.where(self.by_log, [values[name] for name in self.law.free], 1.0))
-
-    def spline(self, theta: Array) -> FrictionSpline | None:
-        """Return a spline through the formula; None where it is no friction, or too abrupt to be followed."""
-        while True:
-            try:
-                target = self.friction(theta, self._at)
-            except InputError:
-                return None
-            found = self._spline.with_coefficients(np.einsum("ij,j->i", self._project, target))
-            away = np.abs(found(self._at) - target) > TOLERANCE * target.max()
-            if not away.any():
-                return found
-            knots = self._spline.knots
-            bad = np.unique(np.clip(np.searchsorted(knots, self._at[away], side="right") - 1, 0, knots.size - 2))
-            if knots.size + bad.size > MOST_PIECES:
-                return None
-            self._through(np.sort(np.concatenate((knots, 0.5 * (knots[bad] + knots[bad + 1])))))
-
-    def _through(self, knots: Array) -> None:
-        """Make splines through the formula with these knots."""
-        parts = [np.linspace(a, b, PER_PIECE, endpoint=False) for a, b in pairwise(knots)]
-        self._at = np.append(np.concatenate(parts), knots[-1])
-        self._spline = FrictionSpline.over(knots)
-        self._project = np.linalg.pinv(self._spline.basis(self._at))
-
-    def _bends(self, name: str, start: dict[str, float]) -> bool:
-        whole = dict(self.law.fix or {}) | start
-        first, other = (
-            self.law.curve.gradient(self._speeds, whole | {name: factor * whole[name]}, (name,))
-            for factor in (1.0, DOUBLED)
-        )
-        return bool(np.any(np.abs(first - other) > SAME * np.max(np.abs(first))))
+LEVEL = 1e-6  # of a constant: what is left of it beside the derivatives of a formula that has one
+# Other minima on the measured curve are starts too: those that are off it by less than its errors, or by less than so
+# many times the nearest one's chi square.  A fall over which the record has few samples has two such minima; at twice a
+# wrong formula is started once or twice more.
+AS_NEAR = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class FormulaFit:
-    """A law as a formula, fitted to the windows of a measured curve.
+class FormulaFit(FittedLaw):
+    """A formula fitted to the runs; attributes as of `FittedLaw`, and these.
 
     Attributes
     ----------
-    formula : Law
-    host : SplineFit
-        The measured curve that the fit began at.
-    friction : FormulaFriction
-    solution : Solution
-        Unknowns are those of ``host.places``, then theta.
-    path : Path
-    jacobian : (N, p + 6) f8
-    task : LeastSquaresProblem
-    cpu_s : float
+    asked_for : Law
+        The law as it was asked for; of parameters that no record can determine apart some are held in the fit.
+    number : int or None
+        That of one of the six, which was fitted as its formula.
+    together : tuple of Undetermined
+        Parameters that the formula has only together.
+    level_held : bool
+        Whether the rest position is assumed, since a constant of the formula stands for it.
     """
 
-    formula: Law
-    host: SplineFit
-    friction: FormulaFriction
-    solution: Solution
-    path: Path
-    jacobian: Array
-    task: LeastSquaresProblem
-    cpu_s: float
+    asked_for: Law
+    number: int | None
+    together: tuple[Undetermined, ...]
+    level_held: bool
 
     @property
-    def law(self) -> str:
-        """The law's name."""
-        return self.formula.name
+    def law(self) -> int | str:
+        """The law's number where it stands for one of the six, else its name."""
+        return self.asked_for.name if self.number is None else self.number
 
     @property
-    def windows(self) -> ShootingWindows:
-        """The windows that were fitted."""
-        return self.path.windows
+    def curve(self) -> FormulaCurve:
+        """The formula as it was fitted."""
+        curve = self.at.task.curve
+        if not isinstance(curve, FormulaCurve):
+            raise TypeError("not the fit of a formula")
+        return curve
 
     @property
-    def rows(self) -> tuple[slice, ...]:
-        """The residuals of each cycle."""
-        return self.windows.rows
-
-    @property
-    def residual(self) -> Array:
-        """Model minus measurement, m, (N,)."""
-        return self.solution.residual
-
-    @property
-    def cycles(self) -> tuple[Cycle, ...]:
-        """The cycles that were fitted."""
-        return self.host.fit.cycles
-
-    @property
-    def inlier_cycles(self) -> NDArray[np.bool_]:
-        """Which cycles (cycles,) fit about as well as the others."""
-        return self.host.inlier
-
-    @property
-    def cycle_rms(self) -> Array:
-        """Rms residual of each cycle, m."""
-        return self.windows.rms(self.residual)
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of all residuals, m."""
-        return float(np.sqrt(np.mean(self.residual**2)))
-
-    @property
-    def geometric_mean_rms(self) -> float:
-        """Geometric mean of the cycles' errors, m."""
-        return float(np.exp(np.mean(np.log(self.cycle_rms))))
+    def places(self) -> tuple[int, ...]:
+        """The shared unknowns of all runs beside the formula's own."""
+        return self.at.task.places
 
     @property
     def theta(self) -> Array:
         """Unknowns (k,) of the formula."""
-        return self.solution.u[len(self.host.places) :]
+        return self.at.q[len(self.places) :]
 
     @property
-    def values(self) -> dict[str, float]:
+    def own_values(self) -> dict[str, float]:
         """The formula's parameters by name, per unit mass."""
-        return self.friction.values(self.theta)
+        return self.curve.values(self.theta)
 
     @property
     def law_parameters(self) -> int:
-        """Number of the law's own shared unknowns, as `fitting.estimation.fit.Fit.law_parameters` counts them.
-
-        Where the rest position is assumed, a constant of the formula stands for it, and no law pays for that.
-        """
-        own = len(self.formula.free) - (self.host.rest is not None)
-        return sum(place % PER_RUN not in NUISANCE for place in self.host.places) + own
-
-    @property
-    def calibration_deviations(self) -> Array:
-        """How far the unknowns are from their calibrations, in standard deviations; 0 where there is none."""
-        places, motions = self.host.places, self.host.fit.problem.motions
-        off = np.abs(self.solution.u - self.task.prior) * np.sqrt(self.task.precision)
-        guessed = [
-            place % PER_RUN == Global.DATUM and motions[place // PER_RUN].datum_prior is None for place in places
-        ]
-        return np.where(guessed, 0.0, off[: len(places)])
-
-    def for_run(self, run: int) -> "_RunResiduals":
-        """Return the residuals of one run."""
-        own = np.flatnonzero(self.windows.run == run)
-        parts = self.windows.parts
-        return _RunResiduals(
-            parts[run] if parts else self.windows,
-            np.concatenate([self.residual[self.rows[k]] for k in own]),
-            tuple(self.cycles[k] for k in own),
-        )
+        """As `FittedLaw`; where a constant of the formula stands for the rest position, no law pays for that."""
+        held = self.at.task.problem.held
+        shared = sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.places)
+        return shared + self.curve.size - self.level_held
 
     @cached_property
-    def variances(self) -> Array:
-        """Variances (p,) of the shared unknowns: the larger of those by the noise and by the scatter of the cycles."""
-        linear = LinearisedFit(
-            shared=np.ascontiguousarray(self.jacobian[:, : self.solution.u.size]),
-            local=np.ascontiguousarray(self.jacobian[:, self.solution.u.size :]),
-            residual=self.residual,
-            rows=self.rows,
-            weights=self.task.weights,
-            prior_precision=np.diag(self.task.precision),
-            prior_gradient=self.task.precision * (self.solution.u - self.task.prior),
-            local_precision=self.task.local_precision,
-            local_gradient=self.task.local_precision * (self.solution.local - self.task.local_prior),
-        )
-        return np.asarray(np.maximum(np.max([np.diag(found) for found in covariances(linear)], axis=0), 0.0))
+    def spreads(self) -> Array:
+        """Covariances (2, p + k, p + k) of the shared unknowns and the formula's, by scatter and by curvature."""
+        return np.array(covariances(self, self.at.problem.precision))
 
     def without_prior(self, slot: Global, run: int = 0) -> Measured | None:
-        """Return what the record alone shows of an unknown with a prior; None where there is none, or nothing shown."""
-        place = PER_RUN * run + slot
-        index = self.host.places.index(place if place in self.host.places else slot)
-        weight, variance = float(self.task.precision[index]), float(self.variances[index])
-        alone = 1 / variance - weight if variance > 0 else 0.0
-        if weight == 0 or alone <= LEAST_SHOWN * weight:
+        """Return what the record alone shows of an unknown; None where its value was given, and where nothing is."""
+        place, problem = PER_RUN * run + slot, self.at.problem
+        index = self.places.index(place if place in self.places else int(slot))
+        if problem.lower[index] == problem.upper[index]:
             return None
-        value = float(self.solution.u[index])
-        return Measured(value + weight * (value - float(self.task.prior[index])) / alone, math.sqrt(1 / alone))
-
-    def parameters(self, alpha: float) -> dict[str, Parameter]:
-        """Return k/m and the formula's parameters, with intervals of confidence 1 - alpha; per unit mass."""
-        error = np.sqrt(self.variances)
-        quantile = student_quantile(1 - alpha / 2, max(len(self.rows) - 1, 1))
-        u, places = self.solution.u, list(self.host.places)
-        found = {"k/m": _interval(float(u[0]), float(error[places.index(Global.K)]), quantile, "s^-2")}
-        place = places.index(Global.V_DR)
-        found["v_dr"] = _interval(float(u[place]), float(error[place]), quantile, "m/s")
-        for name in self.formula.curve.parameters:
-            if name not in self.formula.free:
-                value = self.values[name]
-                found[name] = Parameter(value, 0.0, value, value, self.formula.unit(name))
-                continue
-            k = self.formula.free.index(name)
-            own, value = float(error[len(places) + k]), self.values[name]
-            if self.friction.by_log[k]:
-                lo, hi = (value * math.exp(min(max(sign * quantile * own, -700.0), 700.0)) for sign in (-1, 1))
-                found[name] = Parameter(value, value * own, lo, hi, self.formula.unit(name))
-            else:
-                found[name] = _interval(value, own, quantile, self.formula.unit(name), *self.formula.limits(name))
-        return found
+        value, weight = float(self.at.q[index]), float(problem.precision[index])
+        variance = float(self.spreads[:, index, index].max())
+        if weight == 0:
+            return Measured(value, math.sqrt(variance))
+        alone = 1 / variance - weight if variance > 0 else 0.0
+        if alone <= LEAST_SHOWN * weight:
+            return None
+        return Measured(value + weight * (value - float(problem.prior[index])) / alone, math.sqrt(1 / alone))
 
 
-@dataclass(frozen=True, eq=False)
-class _RunResiduals:
-    """What a fit leaves of one run."""
-
-    windows: ShootingWindows
-    residual: Array
-    cycles: tuple[Cycle, ...]
-
-    @property
-    def rows(self) -> tuple[slice, ...]:
-        """The residuals of each cycle."""
-        return self.windows.rows
-
-
-def _interval(
-    value: float, error: float, quantile: float, unit: str, low: float = -math.inf, high: float = math.inf
-) -> Parameter:
-    lo, hi = max(value - quantile * error, low), min(value + quantile * error, high)
-    return Parameter(value, error, lo, hi, unit)
-
-
-def fit_formula(law: Law, host: SplineFit, start: dict[str, float]) -> FormulaFit | None:
-    """Fit a law from the measured curve's end; None where its motion cannot be followed.
+def fit_formula(
+    law: Law,
+    host: SplineFit,
+    *,
+    asked_for: Law | None = None,
+    number: int | None = None,
+    together: Sequence[Undetermined] = (),
+) -> FormulaFit | None:
+    """Fit a law to the runs of the measured curve; None where its motion cannot be followed.
 
     Parameters
     ----------
     law : Law
-        On the contact of the measured curve: a jump or a ramp.
+        With a jump or a ramp of its own.
     host : SplineFit
-    start : dict of str to float
-        A value of each free parameter, per unit mass.
+        The measured curve.
+    asked_for, number, together
+        See `FormulaFit`.
+
+    Raises
+    ------
+    InputError
+        With none of the values tried is the formula a friction curve.
     """
-    begun = clock.process_time()
-    ramp = bool(host.path.curve.ramp)
-    friction = FormulaFriction(law, BEYOND * float(host.spline.knots[-1]), start, ramp=ramp)
-    p = len(host.places)
-    task = host.task
-
-    def path(q: Array, local: Array) -> Path | None:
-        spline = friction.spline(q[p:])
-        if spline is None:
-            return None
-        u = host.u.copy()
-        u[list(host.places)] = q[:p]
-        curve = spline_curve(spline, ramp)
-        return follow(host.path.windows, curve, parameters.copy_shared(u), local, longest_step=flow.LONGEST_STEP)
-
-    def evaluate(q: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
-        found = path(q, local)
-        if found is None:
-            return None
-        if not derivatives:
-            return found.residual, np.zeros((0, 0))
-        try:
-            own = _formula_tangents(found, friction, q[p:])
-        except InputError:  # a derivative that is not finite
-            return None
-        return found.residual, np.hstack([shared_tangents(found, host.places), own, local_tangents(found)])
-
-    none = np.zeros(len(law.free))
-    lower, upper = friction.bounds
-    own = replace(
-        task,
-        evaluate=evaluate,
-        some=None,
-        lower=np.concatenate((task.lower[:p], lower)),
-        upper=np.concatenate((task.upper[:p], upper)),
-        prior=np.concatenate((task.prior[:p], none)),
-        precision=np.concatenate((task.precision[:p], none)),
-    )
-    begin = np.concatenate((host.solution.u[:p], friction.start))
-    solution = levenberg_marquardt.minimise(own, begin, host.solution.local, **STEPS)
-    if solution is None:
+    fastest = BEYOND * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
+    measured, level_sd = _measured(host)
+    near = measured.off_by_a_constant(level_sd)
+    curve = FormulaCurve(law, fastest, near)
+    level_held = host.rest is not None and _has_constant(curve)
+    problem = _problem(law, host, rest_free=host.rest is not None and not level_held)
+    task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
+    beside = start_beside(task, host.at)
+    starts = []
+    for start in curve.starts:
+        if start.misfit <= max(AS_NEAR * curve.starts[0].misfit, near.aim.size):
+            theta = curve.theta(start.values)
+            rise = measured.constant_beside(curve.at_speeds(theta, measured.speeds), level_sd) / host.u[Global.K]
+            shared = beside.q[: len(task.places)] + [rise * _is_free_rest(problem, place) for place in task.places]
+            begin = beside._replace(q=np.concatenate([shared, theta]))
+            starts += [(begin, host.at.noise.without_fade), (begin, None)]
+    settled = best_end(task, starts, host.noise)
+    found = None if settled is None else finish(settled, host.noise) or settled
+    if found is None or found.path is None:
         return None
-    last, found = path(solution.u, solution.local), own.evaluate(solution.u, solution.local, True)
-    if last is None or found is None:
-        return None
-    return FormulaFit(law, host, friction, solution, last, found[1], own, clock.process_time() - begun)
+    return _read(found, law if asked_for is None else asked_for, number, tuple(together), level_held=level_held)
 
 
-def _formula_tangents(path: Path, friction: FormulaFriction, theta: Array) -> Array:
-    """Return the derivatives of the positions by the unknowns of the formula, shape (N, k)."""
-    spline = path.curve.spline
-    if spline is None:
-        raise RuntimeError("the path of a formula follows a spline")
-    at_rest = float(spline.coefficients[0])
-    d = path.unknown(Global.D) if path.curve.ramp else 0.0
-    q = path.unknown(Global.COMPLIANCE) * np.exp(path.unknown(Global.LOG_F)) / path.unknown(Global.K)
-    giving = 1 - q * path.friction_slope / path.level if np.any(q) else 1.0
-    slips = path.slips
-    forces = np.zeros((path.time.size, theta.size))
-    speed = np.clip(path.slip_speed[slips], 0.0, friction.fastest)
-    side = np.broadcast_to(path.level * path.side * giving, path.time.shape)[slips]
-    forces[slips] = side[:, None] * friction.slopes(theta, speed)
-    rest = friction.slopes(theta, np.zeros(1))[0]
-    if path.curve.ramp or np.any(q):
-        ramp = ~slips & (path.mode != STICK)
-        share = path.friction / at_rest * (d / np.maximum(d + q * at_rest, 1e-300))
-        forces[ramp] = share[ramp][:, None] * rest
-    edge = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]][:, None] * rest
-    return tangents(path, forces, edge=edge)
+def _read(
+    at: TaskFit, asked_for: Law, number: int | None, together: tuple[Undetermined, ...], *, level_held: bool
+) -> FormulaFit:
+    read = FormulaFit.read(at)
+    u = at.u.copy()
+    u[Global.LOG_F :: PER_RUN] = math.log(float(at.task.friction(at.q, np.zeros(1))[0]))
+    return FormulaFit(**(read | {"u": u}), asked_for=asked_for, number=number, together=together, level_held=level_held)
+
+
+def _measured(host: SplineFit) -> tuple[Target, float]:
+    """Return the measured curve in the metric of the record, and how well its level is known, m/s^2.
+
+    That metric is `fitting.curve.forms.Metric`.
+    """
+    metric, fastest = metric_of(host, host.linearised()), float(host.spline.knots[-1])
+    s = fastest * np.linspace(0.0, 1.0, GRID) ** KNOT_POWER
+    root = np.einsum("mn,nk->mk", metric.root, host.spline.projection(s))
+    return Target(s, root, metric.aim, float(np.median(host.spline.coefficients))), metric.level_sd
+
+
+def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
+    """Return whether a shared unknown is a rest position that neither a calibration nor an assumption gives."""
+    run, slot = divmod(place, PER_RUN)
+    given = problem.motions[run].datum_prior is not None or problem.held[place]
+    return slot == Global.DATUM and not given
+
+
+def _ramp_width(host: SplineFit) -> float:
+    return float(host.u[Global.D]) if host.path.curve.ramp else 0.0
+
+
+def _has_constant(curve: FormulaCurve) -> bool:
+    """Return whether a constant can be added to the formula by its parameters: it then hides the rest position."""
+    speeds = np.linspace(0.0, curve.fastest, 41)
+    slopes = curve.slopes(curve.start, speeds)
+    slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    one = np.ones(speeds.size)
+    left = one - np.einsum("kp,p->k", slopes, np.linalg.lstsq(slopes, one, rcond=None)[0])
+    return bool(np.max(np.abs(left)) < LEVEL)
+
+
+def _problem(law: Law, host: SplineFit, *, rest_free: bool) -> EstimationProblem:
+    """Return the problem of a law of that contact, with what is given of the law and the curve's rest position.
+
+    Of a law whose shape determines that, it is free, and about as well known as nothing.
+    """
+    curve = host.at.task.problem
+    own = EstimationProblem.build(6 if law.ramp else 5, curve.runs, law.name)
+    changed = {name: getattr(own, name).copy() for name in ("start", "prior", "precision", "lower", "upper")}
+    for run in range(len(curve.runs)):
+        place = PER_RUN * run + Global.DATUM
+        if own.held[place]:
+            continue
+        for name, values in changed.items():
+            values[place] = getattr(curve, name)[place]
+        if run == 0 and rest_free:
+            known = rest_prior(curve.runs[0])
+            changed["lower"][place], changed["upper"][place] = -math.inf, math.inf
+            changed["prior"][place], changed["precision"][place] = known.value, known.sd**-2.0
+    return replace(own, **changed)

@@ -115,7 +115,7 @@ def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tu
 def unseen(places: Sequence[int], path: Path) -> Array:
     """Return by how much the unknowns at ``places`` (p,) must move with the first run's rest position to hide it.
 
-    That position itself counts as 0; the curve follows in any case (`fitting.curve.coordinates`).
+    That position itself counts as 0; the curve follows in any case (`fitting.driver.coordinates`).
     """
     spline = path.curve.spline
     if spline is None:

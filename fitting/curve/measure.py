@@ -11,7 +11,7 @@ from daq.base.compute.distributions import normal_quantile, student_quantile
 from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
 from fitting.curve.forms import fit_forms
 from fitting.curve.result import BandExit, FormFit, MeasuredCurve
-from fitting.curve.spline_fit import REACHED, SplineFit, fit_spline
+from fitting.curve.spline_fit import SplineFit, fit_spline
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import Global
@@ -22,6 +22,7 @@ from rig_sim.friction.law import LAWS
 # where there is no ramp.
 RAMP_NEARER = 0.97
 NEAR = 1.3  # times the noise
+REACHED = 1.03  # times the noise: the other contact can be no better
 NEWTON = {"m s^-2": "N", "s^-1": "N s/m", "m^-1": "N s^2/m^2", "s m^-2": "N s^3/m^3"}  # units per unit mass, with it
 
 
@@ -106,11 +107,16 @@ def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
 
 
 def band_exit(curve: MeasuredCurve, fit: Fit) -> BandExit:
-    """Return where a law's fitted curve leaves the measured band the furthest."""
+    """Return where a law's fitted curve leaves the measured band, which is per unit mass, the furthest."""
     p = fit.values
     friction = np.asarray(  # of a mass slower than the belt: along x
         force(LAWS[fit.law], -curve.speed, Fs=p.F, G_slip=p.shape * p.F, gamma=p.shape, d=p.d, static=p.static)
     )
+    return furthest_exit(curve, friction)
+
+
+def furthest_exit(curve: MeasuredCurve, friction: Array) -> BandExit:
+    """Return where a friction (k,) at the curve's speeds and in its unit leaves the measured band the furthest."""
     off, half = friction - curve.friction, curve.hi - curve.friction
     if not curve.level_known:
         off, half = off - off.mean(), curve.shape_half

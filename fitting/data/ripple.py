@@ -335,17 +335,44 @@ def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np
     return parts if long >= FEWEST else []
 
 
-def _peaks(time: Array, rest: Array, slip_s: float) -> list[float]:
-    """Return the strongest frequencies of what is left in stick, Hz."""
+def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: float, count: int) -> tuple[Array, float]:
+    """Return the strongest frequencies of what is left in stick, and how far apart two are that the transform tells.
+
+    Parameters
+    ----------
+    time : (n,) f8
+        s.
+    rest : (n,) f8
+        What is left, in any unit.
+    slip_s : float
+        About how long a slip lasts, s.
+    slowest : float
+        Hz.
+    count : int
+        At most so many.
+
+    Returns
+    -------
+    frequencies : (k,) f8
+        Hz, the strongest first.
+    apart : float
+        Hz.
+    """
     grid = np.bincount(((time - time[0]) * (GRID / slip_s)).astype(np.int64), weights=rest)
     size = FINER * grid.size
     power = np.abs(np.fft.rfft(grid, size)) ** 2
     hertz = np.fft.rfftfreq(size, slip_s / GRID)
-    slowest = min(max(SLOWEST / slip_s, FEWEST_PERIODS / (time[-1] - time[0])), ANYHOW / slip_s)
     power[(hertz < slowest) | (hertz > FASTEST / slip_s)] = 0.0
     found: list[float] = []
-    while len(found) < CANDIDATES and power.any():
+    while len(found) < count and power.any():
         top = int(np.argmax(power))
         found.append(float(hertz[top]))
         power[max(top - FINER, 0) : top + FINER + 1] = 0.0
-    return found
+    return np.array(found), float(hertz[1])
+
+
+def _peaks(time: Array, rest: Array, slip_s: float) -> list[float]:
+    """Return the strongest frequencies of what is left in stick, Hz."""
+    slowest = min(max(SLOWEST / slip_s, FEWEST_PERIODS / (time[-1] - time[0])), ANYHOW / slip_s)
+    found, _ = strongest_frequencies(time, rest, slip_s, slowest, CANDIDATES)
+    return [float(hertz) for hertz in found]

@@ -8,9 +8,9 @@ import numpy as np
 
 from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.data.frame import MeasuredMotion
-from fitting.departures.definition.departure import Forcing
-from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.estimation.linearised import LinearisedFit
+from fitting.forces.departure import Forcing
+from fitting.forces.fitted_motion import FittedMotion
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.flow import SEARCH_STEP
 from fitting.sensitivity.path import Path, follow

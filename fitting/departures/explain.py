@@ -10,8 +10,6 @@ from daq.base.compute.arrays import Array
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
-from fitting.departures.definition.departure import Departure
-from fitting.departures.host import Host
 from fitting.departures.memory import suspect_memory
 from fitting.departures.refit import Refit, refit_with
 from fitting.departures.result import FoundDeparture
@@ -20,6 +18,7 @@ from fitting.departures.strongest import LEAST_SIGMAS, Tested, describe, misfit_
 from fitting.departures.table import departures
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
+from fitting.forces.departure import Departure
 
 # Usual error of a cycle over the noise, below which a law with a departure describes the record.  True departures end
 # at 0.99 to 1.02; a wrong one that comes near, friction by position for a hard spring, at 1.1.
@@ -71,9 +70,10 @@ class Question:
         """Linearise the best law."""
         return cls(fits, records, noise, revolution, base_of(fits[0], records, revolution))
 
-    def base(self, fit: Fit) -> Base | None:
-        """Linearise a law; None where the motion cannot be followed beside its solution."""
-        return self.first if fit is self.fits[0] else base_of(fit, self.records, self.revolution)
+    @property
+    def noises(self) -> Array:
+        """Standard deviation of a position of each run, (runs,), m."""
+        return np.full(len(self.records), self.noise)
 
 
 def explain_misfit(
@@ -191,7 +191,7 @@ def _drag_with_laws(
 def _with_curve(lists: Sequence["_List"], asked: Question) -> tuple[FoundDeparture, ...] | None:
     """Return what was found on the free curve, if that describes the record together with the strongest; else None."""
     for one in lists:
-        refit = None if one.curve is None else confirm_on_curve(one.tested[0], one.base, one.curve, asked.noise)
+        refit = None if one.curve is None else confirm_on_curve(one.tested[0], one.curve, asked.noise)
         if refit is not None:
             return one.with_first(refit, one.tested[0].sigmas, asked)
     return None
@@ -244,17 +244,16 @@ def confirm(at: tuple[Departure, float, Array], asked: Question, *, hurried: boo
         if len(curves) == MOST_LAWS:
             break
         curves.add(fit.problem.curve)
-        base = asked.base(fit)
         quick = hurried or _reached(best, asked.noise) is not None
-        found = None if base is None else refit_with(Host.of_law(fit), base, *at, asked.noise, hurried=quick)
+        found = refit_with(fit.at, fit.law, *at, asked.noises, hurried=quick)
         if found is not None and (best is None or found.usual_rms < best.usual_rms):
             best = found
     return _reached(best, asked.noise)
 
 
-def confirm_on_curve(tested: Tested, base: Base, curve: MeasuredCurve, noise: float) -> Refit | None:
+def confirm_on_curve(tested: Tested, curve: MeasuredCurve, noise: float) -> Refit | None:
     """Fit a departure with the free curve; None where that does not reach the noise, or stops before its end."""
-    refit = _reached(refit_with(Host.of_curve(curve.spline_fit), base, *tested.at, noise), noise)
+    refit = _reached(refit_with(curve.spline_fit.at, None, *tested.at, curve.spline_fit.noise), noise)
     return None if refit is None or refit.score.gain < LEAST_PART * tested.score.gain else refit
 
 
@@ -265,7 +264,7 @@ def _reached(refit: Refit | None, noise: float) -> Refit | None:
 
 def base_of(fit: Fit, records: Sequence[MeasuredMotion], revolution: float | None = None) -> Base | None:
     """Linearise the fit of a law; None where the motion cannot be followed beside its solution."""
-    linear = LinearisedFit.at(fit)
+    linear = LinearisedFit.at(fit.at)
     path = fit.path()
     if linear is None or path is None or not math.isfinite(linear.cost):
         return None

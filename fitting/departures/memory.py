@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from fitting.departures.base import Base
-from fitting.departures.definition.departure import Forcing
 from fitting.departures.result import FoundDeparture
 from fitting.departures.scores import score, sigmas
+from fitting.forces.departure import Forcing
 from fitting.model.parameters import PER_RUN, Global
 
 # Of the misfit beyond the noise: a departure that explains more needs no memory beside it.  True departures explain 0.8

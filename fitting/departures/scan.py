@@ -7,8 +7,8 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from fitting.departures.base import Base
-from fitting.departures.definition.departure import Departure
 from fitting.departures.scores import LEAST_KEPT, RIDGE
+from fitting.forces.departure import Departure
 
 CHUNK = 16  # scales at a time: the curvatures between all columns are made, and only those of one scale are used
 CLOSER = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of the step between neighbours: where the best of a scan is looked at again

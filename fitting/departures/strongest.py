@@ -9,12 +9,12 @@ from daq.base.compute.arrays import Array
 from daq.base.measured import Measured
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
-from fitting.departures.definition.departure import Departure
 from fitting.departures.result import FoundDeparture, Scale
 from fitting.departures.scan import best_scale
 from fitting.departures.scores import Score, score, sigmas
 from fitting.departures.table import departures
 from fitting.estimation.linearised import LinearisedFit
+from fitting.forces.departure import Departure
 
 # Least standard deviations and least fall of the cost of a departure that is reported.  On six records that one of
 # the six laws describes, the best of all departures reached a gain of 6.

@@ -7,7 +7,7 @@ names it.
 from functools import cache
 from importlib import import_module
 
-from fitting.departures.definition.departure import Departure
+from fitting.forces.departure import Departure
 
 LIBRARY = "fitting.departures.library"
 ROWS = (

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.fit import Fit
+from fitting.estimation.fitted_law import FittedLaw
 from fitting.model.parameters import PerCycle
-from rig_sim.friction.contact import force
-from rig_sim.friction.law import LAWS
 
 
-def mass(motion: MeasuredMotion, fit: Fit) -> float:
+def mass(motion: MeasuredMotion, fit: FittedLaw) -> float:
     """Return the mass that turns accelerations into newtons, kg; 1 when neither mass nor stiffness is known."""
     if motion.mass is not None:
         return motion.mass.value
@@ -50,14 +48,12 @@ def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
     return np.unique(np.concatenate(list(widest.values())))
 
 
-def curve(fit: Fit, motion: MeasuredMotion, w: Array) -> Array:
+def curve(fit: FittedLaw, motion: MeasuredMotion, w: Array) -> Array:
     """Return a law's friction at relative velocities w (n,), m/s in the record's own sign; in `unit`."""
-    p = fit.values
-    Fs = p.F * mass(motion, fit)
-    return np.asarray(force(LAWS[fit.law], w, Fs=Fs, G_slip=p.shape * Fs, gamma=p.shape, d=p.d or 1.0, static=p.static))
+    return fit.force(w, mass(motion, fit))
 
 
-def points(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array, NDArray[np.bool_]]:
+def points(fit: FittedLaw, motion: MeasuredMotion) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return relative velocity (m/s), friction (in `unit`) and whether it is a stick, of every slip and stick sample.
 
     The fit, usually of the best law, gives the force balance and the level of each cycle.

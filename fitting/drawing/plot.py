@@ -11,9 +11,8 @@ from daq.base.output.plot import STYLE, PngFigure, figure
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.drawing import curves
-from fitting.drawing.palette import COLOURS, INK, MEASURED
-from fitting.estimation.fit import Fit
-from rig_sim.friction.law import LAWS
+from fitting.drawing.palette import INK, MEASURED, law_colours
+from fitting.estimation.fitted_law import FittedLaw
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,13 +22,16 @@ COLUMNS = 140  # of a line of the title
 MOST_POINTS = 12_000
 
 
-def friction(fits: Sequence[Fit], motion: MeasuredMotion, measured: MeasuredCurve | None, title: str) -> PngFigure:
+Shown = Sequence[tuple[FittedLaw, str]]  # laws, best first, each with what it is called
+
+
+def friction(laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, title: str) -> PngFigure:
     """Return friction against relative speed (m/s), all speeds and the low ones.
 
     Parameters
     ----------
-    fits : sequence of Fit
-        The laws to draw, best first; at least one.
+    laws : sequence of (FittedLaw, str)
+        The laws to draw, best first, and what each is called; at least one.
     motion : MeasuredMotion
         Gives mass or stiffness, and where ``measured`` is None the points.
     measured : MeasuredCurve or None
@@ -42,9 +44,9 @@ def friction(fits: Sequence[Fit], motion: MeasuredMotion, measured: MeasuredCurv
         whole, low = drawn.subplots(1, 2)
         top = float(measured.speed[-1]) if measured is not None else float(np.abs(curves.speeds(motion)).max())
         for axes, reach in ((whole, top), (low, ZOOM * top)):
-            _curves(axes, fits, motion, 1.02 * reach)
+            _curves(axes, laws, motion, 1.02 * reach)
             if measured is None:
-                w, force, _ = curves.points(fits[0], motion)
+                w, force, _ = curves.points(laws[0][0], motion)
                 thin = slice(None, None, max(1, w.size // MOST_POINTS))
                 shown = {"color": MEASURED, "ms": 2.5, "alpha": 0.4, "zorder": 1, "rasterized": True}
                 axes.plot(-motion.sign * w[thin], motion.sign * force[thin], ".", label="measured", **shown)
@@ -63,11 +65,11 @@ def friction(fits: Sequence[Fit], motion: MeasuredMotion, measured: MeasuredCurv
     return drawn
 
 
-def _curves(axes: "Axes", fits: Sequence[Fit], motion: MeasuredMotion, reach: float) -> None:
+def _curves(axes: "Axes", laws: Shown, motion: MeasuredMotion, reach: float) -> None:
     """Draw each law from just above 0, where a jump has no value, to a relative speed, m/s."""
     speed = reach * np.linspace(0, 1, 401)[1:] ** 2  # densest near 0, where a ramp bends
-    for fit in fits:
+    colours = law_colours(fit.law for fit, _ in laws)
+    for place, (fit, name) in enumerate(laws):
         force = motion.sign * curves.curve(fit, motion, -motion.sign * speed)
-        style = "-" if fit is fits[0] else (0, (5, 3))
-        name = f"law {fit.law} ({LAWS[fit.law].name})"
-        axes.plot(speed, force, color=COLOURS[fit.law], lw=1.6, ls=style, zorder=3, label=name)
+        style = (0, (5, 3)) if place else "-"
+        axes.plot(speed, force, color=colours[fit.law], lw=1.6, ls=style, zorder=3, label=name)

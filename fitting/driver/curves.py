@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from fitting.curve.coordinates import CurveCoordinates
-from fitting.curve.starts import project
+from fitting.driver.coordinates import CurveCoordinates
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.columns import shared_tangents
@@ -22,6 +21,7 @@ from rig_sim.flow.modes import STICK
 from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS
 
+NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
 Friction = Callable[[Array], Array]  # slip speeds (k,), m/s, to friction per unit mass (k,), m/s^2
 PER_PIECE = 20  # slip speeds a piece at which another friction is read; half and twice give the same spline to 1e-4
 
@@ -70,6 +70,10 @@ class FrictionCurve(ABC):
         """Return whether this is the other curve behind a ramp, and so contains it."""
         return False
 
+    def contains(self, other: "FrictionCurve") -> bool:
+        """Return whether the other curve is a limit of this one."""
+        return False
+
 
 class LawCurve(FrictionCurve):
     """One of the six laws: its parameters are the shared unknowns LOG_F and SHAPE, and none of its own."""
@@ -100,6 +104,10 @@ class LawCurve(FrictionCurve):
     def is_ramp_of(self, other: FrictionCurve) -> bool:
         """See `FrictionCurve`."""
         return self.ramp and isinstance(other, LawCurve) and other.law == self.law - 1
+
+    def contains(self, other: FrictionCurve) -> bool:
+        """See `FrictionCurve`."""
+        return isinstance(other, LawCurve) and other.law in NESTED[self.law]
 
 
 class ThroughSpline(FrictionCurve):
@@ -156,7 +164,7 @@ class FreeCurve(ThroughSpline):
     def near(self, friction: Friction, beside: Array) -> Array:
         """See `FrictionCurve`."""
         s = np.linspace(0.0, self.spline.knots[-1], PER_PIECE * (self.spline.knots.size - 1))
-        found = np.einsum("ik,k->i", project(self.spline, s), friction(s))
+        found = np.einsum("ik,k->i", self.spline.projection(s), friction(s))
         return self.basis.unknowns(beside, found)[beside.size :]
 
     def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:

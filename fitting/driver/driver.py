@@ -5,20 +5,35 @@ from others too.  One that errs `GIVEN_UP` times as much as the best one then is
 as much as the best one when settled is fitted to the thinned record alone.
 """
 
+import logging
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from daq.base.compute.arrays import Array
+from daq.base.compute.ordered import Map
+from daq.base.compute.workers import workers
 from fitting.driver.curves import LawCurve
 from fitting.driver.fit import TaskFit
 from fitting.driver.noise import PassNoise
-from fitting.driver.passes import finish, first_pass, regressed_start, restarted_windows, settle
+from fitting.driver.overtaking import find_overtaking, with_overtaking
+from fitting.driver.passes import (
+    assumed_noise,
+    finish,
+    first_pass,
+    regressed_start,
+    restarted_windows,
+    settle,
+    with_cycles_of,
+    with_own_static,
+)
 from fitting.driver.task import FitStart, Task, law_task
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
-from rig_sim.friction.law import LAWS
 
+logger = logging.getLogger(__name__)
+SIX = (1, 2, 3, 4, 5, 6)
 # Times the resolution, after the first pass: at half true laws are started again for nothing, at twice a ramp law that
 # ended in a poor minimum is not.
 LOST = 3.0
@@ -28,9 +43,15 @@ NEAR = 10.0  # times the best error; no law that errs 5 times as much was in a s
 # Times the error of the best, where that is lost: what errs less starts again.  At half a wrong law is judged by a poor
 # minimum, at twice laws that cannot be the nearest take time.
 RIVAL = 3.0
+LESS_NOISE = 10.0  # times the resolution: assumed in another first pass of a task that leaves more than noise
 DONATES = 0.8  # of a task's error: another that errs less gives it a start; at 0.95 neighbours in noise do
 NARROW = 0.02  # of the first width of a ramp that starts next to none, where it starts at its jump law's end
 CONTAINED = 1.0005  # times the error of the curve that it contains: a ramp that errs more is in a poor minimum
+# Of the belt's speed: a ramp so narrow, or one that noise hides, is the jump.  Where it errs less than
+# `CONTAINED` allows, the jump is in a poor minimum.
+CLOSED = 0.02
+REACHED = 1.03  # times the noise: no other start can be much better
+NOISE_ALONE = 1.2  # times the resolution: an error that is noise alone
 
 
 def fit(task: Task) -> TaskFit | None:
@@ -48,48 +69,162 @@ def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
 
 def fit_beside(task: Task, others: Sequence[TaskFit]) -> TaskFit | None:
     """Fit one task that may also start where others ended; the error after the first pass decides."""
-    tried = [first_pass(task, start_beside(task, other), other.noise) for other in others]
-    tried.append(first_pass(task, regressed_start(task)))
-    for first in sorted((one for one in tried if one is not None), key=lambda one: one.rms):
-        settled = settle(first)
-        if settled is not None:
-            return finish(settled) or settled
-    return None
+    starts = [(start_beside(task, other), other.noise.without_fade) for other in others]
+    settled = best_end(task, [*starts, (regressed_start(task), None)])
+    return None if settled is None else finish(settled) or settled
 
 
-def fit_laws(laws: Sequence[int], runs: Sequence[Run]) -> list[TaskFit]:
-    """Fit laws to runs of one contact; a law whose motion cannot be followed is missing.
+def best_end(
+    task: Task, starts: Sequence[tuple[FitStart, PassNoise | None]], noise_m: Array | None = None
+) -> TaskFit | None:
+    """Settle a task from each start until one reaches the noise; return the end that errs least.
 
-    All six are searched, whichever are asked for: what one leaves does not depend on which others compete.
+    Starts come with the noise of the fit that they are from; that errs least after its first pass comes first.
+    ``noise_m`` (runs,) is the noise of a position, m, where it is known; else the resolution.
     """
-    tasks = [law_task(law, runs) for law in sorted(LAWS) if law > 0]
+    reached = REACHED * (_resolution(task) if noise_m is None else float(np.max(noise_m)))
+    best: TaskFit | None = None
+    tried = [first_pass(task, start, noise) for start, noise in starts]
+    for first in sorted((one for one in tried if one is not None), key=lambda one: one.geometric_mean_rms):
+        settled = settle(first, noise_m)
+        if settled is not None and (best is None or settled.geometric_mean_rms < best.geometric_mean_rms):
+            best = settled
+        if best is not None and best.geometric_mean_rms < reached:
+            break
+    return best
+
+
+def fit_laws(
+    laws: Sequence[int],
+    runs: Sequence[Run],
+    among: Sequence[int] = SIX,
+    *,
+    jobs: int = 1,
+    progress: Callable[[float], None] | None = None,
+    scheduler: str | None = None,
+) -> list[TaskFit]:
+    """Fit laws to runs of one contact.
+
+    Parameters
+    ----------
+    laws : sequence of int
+        Those that are asked for.
+    runs : sequence of Run
+    among : sequence of int
+        All that are searched, whichever are asked for: what one leaves does not depend on which others compete.
+    jobs : int
+        Processes; more than one for each law are not started.
+    progress : callable, optional
+        Called with the number of laws searched, of those that are asked for.
+    scheduler : str, optional
+        Address of a dask scheduler whose workers do it instead.
+
+    Returns
+    -------
+    list of TaskFit
+        Jump laws before ramp laws, each by number; a law whose motion cannot be followed is missing.
+    """
+    tasks = [law_task(law, runs) for law in sorted(among)]
     asked = set(laws)
-    return fit_all(tasks, lambda task: isinstance(task.curve, LawCurve) and task.curve.law in asked)
+
+    def told(done: int) -> None:
+        if progress is not None:
+            progress(len(asked) * done / len(tasks))
+
+    with workers(min(jobs, len(tasks)), scheduler) as each:
+        found = fit_all(tasks, lambda task: _law(task) in asked, each, told)
+    return sorted(found, key=lambda one: (one.task.curve.ramp, _law(one.task)))
 
 
-def fit_all(tasks: Sequence[Task], asked: Callable[[Task], bool] = lambda _: True) -> list[TaskFit]:
+def _law(task: Task) -> int:
+    return task.curve.law if isinstance(task.curve, LawCurve) else 0
+
+
+def fit_all(
+    tasks: Sequence[Task],
+    asked: Callable[[Task], bool] = lambda _: True,
+    each: Map = map,
+    told: Callable[[int], None] = lambda _: None,
+) -> list[TaskFit]:
     """Fit tasks to the same runs, and return those ``asked`` for in the order given.
 
     A curve that contains another comes after it.  Each starts from the regression and, where another errs less after
     its first pass, from there too.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    asked : callable
+    each : callable
+        The ``map`` that work is done by (`daq.base.compute.workers`).
+    told : callable
+        Called with the number of tasks that have made their first pass.
     """
-    first = [first_pass(task, regressed_start(task)) for task in tasks]
-    for k, task in enumerate(tasks):
-        far = LOST * max(motion.resolution for motion in task.problem.motions)
-        for donor in _donors(task, k, first):
-            own = first[k]
-            if own is None or (far < own.rms and donor.rms < DONATES * own.rms):
-                trial = first_pass(task, start_beside(task, donor))
-                if trial is not None and (own is None or trial.rms < own.rms):
-                    first[k] = trial
-    found = _again([one for one in first if one is not None])
-    limit = GIVEN_UP * min((one.rms for one in found), default=0.0)
-    found = _contained([one if one.rms > limit else settle(one) or one for one in found], settle)
-    limit = NEAR * min((one.rms for one in found), default=0.0)
+    first: list[TaskFit | None] = []
+    for one in each(_from_regression, tasks):
+        first.append(one)
+        told(len(first))
+    first = list(each(partial(_from_donors, tasks=tasks, first=tuple(first)), range(len(tasks))))
+    found = _again([one for one in first if one is not None], each)
+    limit = GIVEN_UP * min((one.geometric_mean_rms for one in found), default=0.0)
+    found = list(each(partial(_settled, limit=limit), found))
+    found = _overtaking(found, each)
+    found = _contained(_opened(found, each), settle, each)
+    limit = NEAR * min((one.geometric_mean_rms for one in found), default=0.0)
+    found = list(each(partial(_with_static, limit=limit), found))
+    for one in found:
+        logger.debug("settled: law %d, %.4g um", _law(one.task), 1e6 * one.geometric_mean_rms)
+    limit = NEAR * min((one.geometric_mean_rms for one in found), default=0.0)
     wanted = [one for one in found if asked(one.task)]
-    needed = [one for one in found if asked(one.task) or any(_is_ramp_of(other, one) for other in wanted)]
-    needed = _contained([one if one.rms > limit else finish(one) or one for one in needed], finish)
+    needed = [
+        one for one in found if asked(one.task) or any(other.task.curve.contains(one.task.curve) for other in wanted)
+    ]
+    needed = _contained(list(each(partial(_finished, limit=limit), needed)), finish, each)
     return [one for one in needed if asked(one.task)]
+
+
+def _from_regression(task: Task) -> TaskFit | None:
+    """Return the first pass from the regression, or one with less noise assumed where that errs less.
+
+    Much noise leads out of poor minima of single cycles; less lets a law that is wrong find its way along a valley that
+    calibrations as strong as that noise close.
+    """
+    start = regressed_start(task)
+    found = first_pass(task, start)
+    if found is not None and found.geometric_mean_rms < NOISE_ALONE * _resolution(task):
+        return found
+    other = first_pass(task, start, assumed_noise(task, LESS_NOISE))
+    return other if found is None else _better(found, other)
+
+
+def _from_donors(k: int, tasks: Sequence[Task], first: Sequence[TaskFit | None]) -> TaskFit | None:
+    """Return the first pass of task k, or one that starts where another's ended and errs less."""
+    task, own = tasks[k], first[k]
+    far = LOST * _resolution(task)
+    for donor in _donors(task, k, first):
+        if own is None or (
+            far < own.geometric_mean_rms and donor.geometric_mean_rms < DONATES * own.geometric_mean_rms
+        ):
+            trial = first_pass(task, start_beside(task, donor))
+            if trial is not None and (own is None or trial.geometric_mean_rms < own.geometric_mean_rms):
+                own = trial
+    return own
+
+
+def _settled(at: TaskFit, limit: float) -> TaskFit:
+    return at if at.geometric_mean_rms > limit else settle(at) or at
+
+
+def _with_static(at: TaskFit, limit: float) -> TaskFit:
+    return at if at.geometric_mean_rms > limit else with_own_static(at)
+
+
+def _finished(at: TaskFit, limit: float) -> TaskFit:
+    return at if at.geometric_mean_rms > limit else finish(at) or at
+
+
+def _resolution(task: Task) -> float:
+    return max(motion.resolution for motion in task.problem.motions)
 
 
 def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
@@ -115,40 +250,105 @@ def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit
     """Return from where a task may start besides: its own curve without a ramp, and the other that errs least."""
     others = [one for j, one in enumerate(first) if j != k and one is not None]
     inner = [one for one in others if task.curve.is_ramp_of(one.task.curve)]
-    best = sorted((one for one in others if one not in inner), key=lambda one: one.rms)[:1]
+    best = sorted((one for one in others if one not in inner), key=lambda one: one.geometric_mean_rms)[:1]
     return [*inner, *best]
 
 
-def _again(found: list[TaskFit]) -> list[TaskFit]:
+def _again(found: list[TaskFit], each: Map) -> list[TaskFit]:
     """Let tasks start again with their windows at the smoothed motion, where even the best of them is lost."""
-    lowest = min((one.rms for one in found), default=0.0)
-    out = []
-    for one in found:
-        lost = LOST * max(motion.resolution for motion in one.task.problem.motions)
-        trial = first_pass(one.task, restarted_windows(one)) if lowest > lost and one.rms < RIVAL * lowest else None
-        out.append(trial if trial is not None and trial.rms < one.rms else one)
+    lowest = min((one.geometric_mean_rms for one in found), default=0.0)
+    if not found or lowest <= LOST * _resolution(found[0].task):
+        return found
+    near = [one for one in found if one.geometric_mean_rms < RIVAL * lowest]
+    trials = dict(zip(map(id, near), each(_restarted, near), strict=True))
+    return [_better(one, trials.get(id(one))) for one in found]
+
+
+def _restarted(at: TaskFit) -> TaskFit | None:
+    return first_pass(at.task, restarted_windows(at))
+
+
+def _better(one: TaskFit, other: TaskFit | None) -> TaskFit:
+    return other if other is not None and other.geometric_mean_rms < one.geometric_mean_rms else one
+
+
+def _overtaking(found: Sequence[TaskFit], each: Map) -> list[TaskFit]:
+    """Settle those of one curve again with the cycles in which the mass overtakes the belt by one of them.
+
+    A ramp may describe such a cycle by a very low level, where its jump shows that it is spoilt.
+    """
+    near = [one for one in found if one.geometric_mean_rms < NEAR * _resolution(one.task)]
+    seen = {id(one): find_overtaking(one) for one in near}
+    out, moved = list(found), []
+    for k, one in enumerate(found):
+        own = [seen[id(other)] for other in near if other is one or _is_ramp_of(one, other) or _is_ramp_of(other, one)]
+        cycles = np.any(own, axis=0) if own else np.zeros(1, np.bool_)
+        if cycles.any():
+            moved.append((k, with_overtaking(one, cycles)))
+    again = each(_resettled, [one for _, one in moved])
+    for (k, start), settled in zip(moved, again, strict=True):
+        out[k] = settled or start or out[k]
     return out
+
+
+def _resettled(at: TaskFit | None) -> TaskFit | None:
+    return None if at is None else settle(at)
 
 
 def _is_ramp_of(one: TaskFit, other: TaskFit) -> bool:
     return one.task.curve.is_ramp_of(other.task.curve)
 
 
-def _contained(found: list[TaskFit], again: Callable[[TaskFit], TaskFit | None]) -> list[TaskFit]:
-    """Let a ramp that errs more than the same curve without it start from there; it contains that."""
-    out: list[TaskFit] = []
+def _contained(found: list[TaskFit], again: Callable[[TaskFit], TaskFit | None], each: Map) -> list[TaskFit]:
+    """Let a curve that errs more than one that it contains start from there: it can be no worse."""
+    pairs = []
     for one in found:
-        best = one
-        for inner in (other for other in found if _is_ramp_of(one, other)):
-            if best.rms > CONTAINED * inner.rms:
-                trial = _moved(one, start_beside(one.task, inner, NARROW), inner.noise)
-                better = None if trial is None else again(trial)
-                if better is not None and better.rms < best.rms:
-                    best = better
-        out.append(best)
-    return out
+        inner = [other for other in found if one.task.curve.contains(other.task.curve)]
+        best = min(inner, key=lambda other: other.geometric_mean_rms, default=one)
+        if one.geometric_mean_rms > CONTAINED * best.geometric_mean_rms:
+            pairs.append((one, best))
+    return _kept(found, pairs, each, again)
 
 
-def _moved(at: TaskFit, start: FitStart, noise: PassNoise) -> TaskFit | None:
-    """Return a fit's thinned record at another start; None where the motion cannot be followed there."""
-    return first_pass(at.task, start, replace(noise, fade_sd=None))
+def _opened(found: list[TaskFit], each: Map) -> list[TaskFit]:
+    """Let a jump that errs more than the same curve behind a closed ramp start from there: it is as good.
+
+    Of one that errs no more, single cycles may: in harsh records one in twenty has a better minimum.
+    """
+    closed = [(jump, ramp) for ramp, jump in _with_ramps(found) if _is_closed(ramp, jump)]
+    errs = [jump.geometric_mean_rms > CONTAINED * ramp.geometric_mean_rms for jump, ramp in closed]
+    found = _kept(found, [pair for pair, more in zip(closed, errs, strict=True) if more], each, settle)
+    pairs = [pair for pair, more in zip(closed, errs, strict=True) if not more]
+    trials = zip(pairs, each(with_cycles_of, pairs), strict=True)
+    by_id = {id(jump): trial for (jump, _), trial in trials}
+    return [by_id.get(id(one)) or one for one in found]
+
+
+def _with_ramps(found: Sequence[TaskFit]) -> list[tuple[TaskFit, TaskFit]]:
+    """Return each ramp with the same curve without it."""
+    return [(one, other) for one in found for other in found if _is_ramp_of(one, other)]
+
+
+def _kept(
+    found: list[TaskFit],
+    pairs: Sequence[tuple[TaskFit, TaskFit]],
+    each: Map,
+    again: Callable[[TaskFit], TaskFit | None],
+) -> list[TaskFit]:
+    """Return the fits, the first of each pair as it ends from where the second did, if it errs less."""
+    trials = zip(pairs, each(partial(_moved, again=again), pairs), strict=True)
+    by_id = {id(pair[0]): trial for pair, trial in trials}
+    return [_better(one, by_id.get(id(one))) for one in found]
+
+
+def _is_closed(ramp: TaskFit, jump: TaskFit) -> bool:
+    slowest = min(motion.belt_speed for motion in ramp.task.problem.motions)
+    hidden = jump.geometric_mean_rms < NOISE_ALONE * _resolution(jump.task)
+    return hidden or float(ramp.u[Global.D]) < CLOSED * slowest
+
+
+def _moved(pair: tuple[TaskFit, TaskFit], again: Callable[[TaskFit], TaskFit | None]) -> TaskFit | None:
+    """Return the first task fitted from where the second ended, with its noise; None where that cannot be followed."""
+    one, inner = pair
+    trial = first_pass(one.task, start_beside(one.task, inner, NARROW), inner.noise.without_fade)
+    return None if trial is None else again(trial)

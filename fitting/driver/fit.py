@@ -1,5 +1,6 @@
 """Where a fit ended: unknowns, residuals, path, derivatives and covariance."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,9 +10,8 @@ from daq.base.compute.arrays import Array
 from fitting.driver.model import Model
 from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task
-from fitting.estimation.covariance import scaled_inverse, upper_bound
 from fitting.least_squares.levenberg_marquardt import Solution
-from fitting.least_squares.normal_equations import SchurComplement
+from fitting.least_squares.normal_equations import SchurComplement, scaled_inverse
 from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
@@ -37,6 +37,8 @@ class TaskFit:
         Where it stopped.
     whole : bool
         Whether the last pass took every sample.
+    cpu_s : float
+        CPU time of all passes, s.
     """
 
     model: Model
@@ -47,6 +49,7 @@ class TaskFit:
     problem: LeastSquaresProblem
     solution: Solution
     whole: bool = False
+    cpu_s: float = 0.0
 
     @property
     def task(self) -> Task:
@@ -84,20 +87,18 @@ class TaskFit:
         return self.windows.rms(self.residual)
 
     @property
-    def rms(self) -> float:
+    def geometric_mean_rms(self) -> float:
         """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
 
-    @cached_property
-    def covariance(self) -> Array:
-        """Covariance of q: in no direction smaller than by the curvature, or by how the cycles' gradients differ."""
-        blocks = self.solution.blocks
-        reduced = SchurComplement(blocks)
-        scale, bread = scaled_inverse(reduced.H, np.diag(blocks.H))
-        own = (blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.local_step(blocks.gl))) * scale
-        cycles = own.shape[0]
-        meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1))
-        meat += np.diag(self.problem.precision * scale**2)  # a prior's own error is one more independent source
-        sandwich = np.einsum("ik,kl,lj->ij", bread, meat, bread)
-        units = scale[:, None] * scale
-        return upper_bound(sandwich * units, bread * units)
+    @property
+    def misfit(self) -> float:
+        """What noise (the largest of all runs) does not explain of the geometric mean of the cycles' errors, m."""
+        noise = max(motion.resolution for motion in self.task.problem.motions)
+        return math.sqrt(max(self.geometric_mean_rms**2 - noise**2, 0.0))
+
+    def deviation(self, place: int) -> float:
+        """Return the standard deviation of a shared unknown by the noise that the last pass assumed."""
+        blocks, index = self.solution.blocks, self.task.places.index(place)
+        scale, inverse = scaled_inverse(SchurComplement(blocks).H, np.diag(blocks.H))
+        return float(scale[index] * np.sqrt(inverse[index, index]))

@@ -5,17 +5,15 @@ from typing import Any
 import numpy as np
 
 from daq.base.compute.arrays import Array, Integers
-from fitting.departures.definition.departure import Forcing
-from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.driver.task import Task
+from fitting.forces.fitted_motion import FittedMotion
+from fitting.forces.force import Force
 from fitting.least_squares.problem import Evaluate
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.columns import local_tangents
 from fitting.sensitivity.path import Curve, Path, follow
 from fitting.sensitivity.tangents import tangents
 from fitting.sensitivity.values import positions
-
-NO_SCALE = float("nan")  # of a force: a task fits none that depends on one
 
 
 class Model:
@@ -47,13 +45,13 @@ class Model:
         self.task, self.windows, self.longest_step, self.near = task, windows, longest_step, near
         self._size = None if count is None else np.sqrt(count)
         fastest = max(float(np.max(np.abs(motion.velocity))) for motion in task.problem.motions)
-        self._tables = [force.drag_table(fastest) for force in task.forces]
+        self._tables = [force.departure.drag_table(fastest) for force in task.forces]
         self._last: tuple[Array, Array, Array | None] | None = None
 
     @property
     def along(self) -> bool:
         """Whether a force acts along an earlier path."""
-        return any(force.drag is None for force in self.task.forces)
+        return any(force.departure.drag is None for force in self.task.forces)
 
     def settle(self, q: Array, local: Array, times: int) -> None:
         """Evaluate forces along the path of these unknowns from now on; ``times``, as they change the path."""
@@ -111,9 +109,10 @@ class Model:
 
     def jacobian(self, path: Path, q: Array) -> Array:
         """Return the derivatives of the positions by all unknowns, shape (N, p + n + m + 6)."""
-        _, theta, _ = self.task.split(q)
+        _, theta, sizes = self.task.split(q)
         parts = [self.task.curve.columns(path, theta, self.task.places)]
-        for forcing in self._forcings(path):
+        motion = self._motion(path)
+        for forcing in (one for force, own in self._sizes(sizes) for one in force.derivatives(motion, own)):
             width = next(part.shape[1] for part in forcing if part is not None)
             if forcing.acceleration is None and forcing.belt_speed is None and forcing.reading is not None:
                 parts.append(forcing.reading)
@@ -130,32 +129,31 @@ class Model:
             return residual, jacobian
         return residual * self._size, jacobian * self._size[: len(jacobian), None]
 
-    def _forcings(self, path: Path) -> list[Forcing]:
-        if not self.task.forces:
-            return []
-        motion = FittedMotion.from_path(path, self.task.problem.motions, path.residual)
-        return [force.forcing(motion, NO_SCALE) for force in self.task.forces]
+    def _motion(self, path: Path) -> FittedMotion:
+        return FittedMotion.from_path(path, self.task.problem.motions, path.residual)
+
+    def _sizes(self, sizes: Array) -> list[tuple[Force, Array]]:
+        """Return each force with its own unknowns."""
+        ends = np.cumsum([force.width for force in self.task.forces]).tolist()
+        return [(force, sizes[end - force.width : end]) for force, end in zip(self.task.forces, ends, strict=True)]
 
     def _acting(self, sizes: Array) -> tuple[dict[str, Any], Array | float]:
         """Return what the forces add to a path, as arguments of `follow`, and to the reading, m."""
         more: dict[str, Any] = {}
         reading: Array | float = 0.0
-        forcings = [] if self.near is None else self._forcings(self.near)
-        first = 0
-        for k, (force, table) in enumerate(zip(self.task.forces, self._tables, strict=True)):
-            own = sizes[first : first + force.columns]
-            first += force.columns
-            if force.drag is not None:
+        motion = None if self.near is None or not self.along else self._motion(self.near)
+        for (force, own), table in zip(self._sizes(sizes), self._tables, strict=True):
+            if force.departure.drag is not None:
                 more["drag"] = table._replace(acceleration=float(own[0]) * table.acceleration)
                 continue
-            if not forcings:
+            if motion is None:
                 continue
             more["along"] = self.near
+            forcing, coefficients = force.forcing(motion, own), force.coefficients(own)
             for name in ("acceleration", "belt_speed"):
-                part = getattr(forcings[k], name)
+                part = getattr(forcing, name)
                 if part is not None:
-                    more[name] = more.get(name, 0.0) + np.einsum("mk,k->m", part, own)
-            part = forcings[k].reading
-            if part is not None:
-                reading = reading + np.einsum("nk,k->n", part, own)
+                    more[name] = more.get(name, 0.0) + np.einsum("mk,k->m", part, coefficients)
+            if forcing.reading is not None:
+                reading = reading + np.einsum("nk,k->n", forcing.reading, coefficients)
         return more, reading

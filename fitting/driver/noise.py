@@ -1,27 +1,28 @@
 """What a pass of a fit assumes of the noise, and what its residuals show."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
+from daq.base.compute.arrays import Array, Mask, autocorrelation_time
 from fitting.driver.task import Task
-from fitting.estimation import wear
-from fitting.estimation.fit import (
-    DEFAULT_FADE_SD,
-    INLIER_WEIGHT,
-    LEAST_FADE_SD,
-    OUTLIER_LEVEL_SD,
-    OVERTAKING_FACTOR,
-    cycle_weights,
-    effective_sigma,
-    without_outliers,
-)
-from fitting.estimation.objective import STICK_SPEED_SD
+from fitting.model import wear
 from fitting.model.parameters import PerCycle
 from fitting.model.windows import ShootingWindows
 
+DEFAULT_FADE_SD = 0.005  # a slip: what a friction level may fade by where a run has too few cycles to show wear
+LEAST_FADE_SD = 5e-7  # a slip
+INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
+# In the last pass an outlier's weight is this power of weight/`INLIER_WEIGHT` times as large, and at least that share.
+OUTLIER_POWER, LEAST_OUTLIER_SHARE = 3, 0.02
+OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
+# Times the levels' scatter, for one under which the mass overtakes the belt: it is low for that reason, and it is the
+# next cycle's as well.  With 20 it counts in the mean by 1 in 400; unbounded, a search that leaves the overtaking
+# loses it.
+OVERTAKING_FACTOR = 20.0
+STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
 # Of the logarithms of the friction levels: their standard deviation before a fit has seen them, and within what limits
 # one that was seen is believed.  At half the lower limit a record of few cycles holds its levels together; at twice the
 # upper one a level runs off where its slip shows next to none.
@@ -61,6 +62,11 @@ class PassNoise:
         """The same with outlying cycles that hardly count."""
         return replace(self, weights=without_outliers(self.weights))
 
+    @property
+    def without_fade(self) -> "PassNoise":
+        """The same with levels that do not fade within a cycle."""
+        return replace(self, fade_sd=None)
+
     def with_fade(self, task: Task, windows: ShootingWindows, local: Array) -> "PassNoise":
         """Return the same with levels that may fade within a cycle about as they fall from cycle to cycle."""
         sd = []
@@ -93,8 +99,33 @@ class PassNoise:
         """Return the precisions (cycles, 6) of the cycles' own unknowns: about the smoothed motion, and their level."""
         wide = [(START_SD * motion.travel, motion.belt_speed) for motion in task.problem.motions]
         sd = np.array([[x, v, 0.0, 0.0, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
-        levels = slice(PerCycle.LEVEL, PerCycle.NEXT_LEVEL + 1)
-        sd[:, levels] = task.problem.level_prior * self.scatter
-        sd[windows.overtaking, PerCycle.NEXT_LEVEL] *= OVERTAKING_FACTOR
-        sd[~self.inliers, levels] = OUTLIER_LEVEL_SD
+        sd[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = self.level_sd(windows, task.problem.level_prior)
         return np.asarray(1 / sd**2)
+
+    def level_sd(self, windows: ShootingWindows, wider: float) -> Array:
+        """Return the standard deviations (cycles, 2) of the priors of the log levels: ``wider`` times the scatter."""
+        found = np.full((len(windows.rows), 2), wider * self.scatter)
+        found[windows.overtaking, 1] *= OVERTAKING_FACTOR
+        found[~self.inliers] = OUTLIER_LEVEL_SD
+        return found
+
+
+def without_outliers(weights: Array) -> Array:
+    """Return weights (cycles,) under which outlying cycles hardly count.
+
+    Those of `cycle_weights` are enough for an outlier to pull: its residuals keep one sign over much of a slip, those
+    of noise do not.  Not 0, since the cycle's own unknowns must still follow it.
+    """
+    return weights * np.clip((weights / INLIER_WEIGHT) ** OUTLIER_POWER, LEAST_OUTLIER_SHARE, 1.0)
+
+
+def cycle_weights(errors: Array, usual: float) -> Array:
+    """Return weights (cycles,) of cycles with these errors: 1, and less for one that fits worse than the usual one."""
+    return np.minimum(2 / (1 + (errors / usual) ** 2), 1.0)
+
+
+def effective_sigma(residual: Array, rows: Sequence[slice]) -> float:
+    """Return rms x sqrt(tau), tau their integrated autocorrelation time in samples, pooled over the cycles."""
+    parts = [residual[own] for own in rows]
+    square, count = sum(float(np.sum(r**2)) for r in parts), sum(r.size for r in parts)
+    return math.sqrt(square / count * autocorrelation_time(parts)) if square > 0 else 0.0

@@ -2,28 +2,32 @@
 
 first_pass   noise 30 times the resolution, on the thinned record: priors then hold what is far off
 settle       again with the noise, weights and scatter that the pass before showed, until these stay
-finish       every sample, seen through nodes; levels may fade, outlying cycles hardly count
+finish       every sample, seen through nodes, and a last step of all; levels may fade, outlying cycles hardly count
 """
 
-from collections.abc import Sequence
+import math
+import time as clock
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from daq.base.compute.arrays import Array
+from fitting.driver.curves import LawCurve
 from fitting.driver.fit import TaskFit
 from fitting.driver.model import Model
 from fitting.driver.nodes import SampleNodes
 from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task
-from fitting.estimation.objective import coarse_stride, fitted_windows
 from fitting.least_squares import levenberg_marquardt
+from fitting.least_squares.normal_equations import SchurComplement, normal_equations, scaled_inverse
 from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
+from fitting.model.problem import coarse_stride
 from fitting.sensitivity import flow
 from fitting.sensitivity.path import Path
+from rig_sim.friction.law import LAWS
 
 
 class Limits(NamedTuple):
@@ -40,12 +44,16 @@ FIRST_NOISE = 30.0
 # Of each pass on the thinned record.  Half the steps end before a bent valley's floor; twice the steps cost laws that
 # are wrong twice the time.  A wrong law's noise is large and its gain small: its rms says whether it still moves.
 SEARCH = Limits(12, 1e-3, 1e-3)
-WHOLE = Limits(15, 1e-5, np.inf)  # of every sample: at half, a level that fades is not at its end
+WHOLE = Limits(30, 1e-5, np.inf)  # of every sample: at half, a level that fades is not at its end
 MOST_PASSES = 4  # after the first; the noise of a true law stays after two
 SETTLED = 0.8  # of the noise assumed: a pass that shows no less was the last.  At 0.9 each law takes one pass more
+APPROACH = 4.0  # by which the noise assumed falls from pass to pass, where it is known
 FIRST_DAMPING, LATER_DAMPING = 1e-4, 1e-6  # of the curvatures: far from the end, and near it
-NODE_ROUNDS = 2  # how often the nodes read the samples; after the second positions change by less than the rounding
 CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the own unknowns of outlying cycles
+# Least gain in log likelihood of a ramp's break-away level of its own: of one that is estimated, and of one that is
+# tried with every sample, where the gain is up to 8 times as large.  One contact in six without one has as much.
+STATIC_GAIN, STATIC_HINT = 5.0, 0.5
+FIRST_STATIC = 1.5  # of the level of slip: where that of the break-away starts; from 1.1, one of 1.5 is not found
 CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
 # Of forces along an earlier path: how often the path is followed before a pass, the passes in which they settle, the
 # most steps of each, and the change of their size at which they have.
@@ -55,7 +63,7 @@ FOLLOWED, FORCE_PASSES, FORCE_STEPS, FORCE_SETTLED = 4, 6, 8, 1e-3
 def regressed_start(task: Task) -> FitStart:
     """Return the start: shared unknowns of the regression, forces of size 0, windows at the smoothed motion."""
     problem = task.problem
-    windows = fitted_windows(problem, thinned=True)
+    windows = problem.windows(thinned=True)
     local = starts.cycle_starts(windows, problem.motions, problem.cycles, problem.start)
     shared = problem.start[list(task.places)]
     return FitStart(np.concatenate([shared, task.curve.start, np.zeros(task.widths[2])]), local)
@@ -70,66 +78,189 @@ def restarted_windows(at: TaskFit) -> FitStart:
     return FitStart(at.q, starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u))
 
 
+def assumed_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
+    """Return noise of so many resolutions, before a fit has seen any."""
+    resolution = np.array([motion.resolution for motion in task.problem.motions])
+    return PassNoise(times * resolution, np.ones(len(task.problem.cycles)))
+
+
 def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> TaskFit | None:
     """Fit on the thinned record; None where the start cannot be followed.
 
     A start that was fitted brings its ``noise`` with it; of another nearly any misfit is taken for noise.
     """
-    windows = fitted_windows(task.problem, thinned=True)
-    if noise is None:
-        resolution = np.array([motion.resolution for motion in task.problem.motions])
-        noise = PassNoise(FIRST_NOISE * resolution, np.ones(len(windows.rows)))
+    begun = clock.process_time()
+    windows = task.problem.windows(thinned=True)
+    noise = assumed_noise(task) if noise is None else noise
     at = _one_pass(Model(task, windows, flow.SEARCH_STEP), start, noise, SEARCH, FIRST_DAMPING)
-    return None if at is None else _with_noise(at, first=True)
+    if at is None:
+        return None
+    return replace(_with_noise(at, first=True), cpu_s=clock.process_time() - begun)
 
 
-def settle(at: TaskFit) -> TaskFit | None:
-    """Fit again with the noise and the weights that the pass before showed, until these no longer change."""
+def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
+    """Fit again with the noise and the weights that the pass before showed, until these no longer change.
+
+    Where the noise of a position is known, ``noise_m`` (runs,), m, it is approached in steps, whatever a pass shows.
+    """
+    begun, spent = clock.process_time(), at.cpu_s
     for _ in range(MOST_PASSES):
-        model = Model(at.task, at.windows, flow.SEARCH_STEP, at.model.near)
-        found = _one_pass(model, FitStart(at.q, restarted(at)), at.noise, SEARCH, LATER_DAMPING)
+        found = _searched(at)
         if found is None:
             return None
         before, at = at, _with_noise(found, first=False)
+        if noise_m is not None:
+            nearer = np.maximum(np.minimum(at.noise.sigma, before.noise.sigma / APPROACH), noise_m)
+            at = replace(at, noise=replace(at.noise, sigma=nearer))
         same = bool(np.all(at.noise.sigma > SETTLED * before.noise.sigma))
         if same and at.solution.outcome == "converged":
             break
-    return at
+    return replace(at, cpu_s=spent + clock.process_time() - begun)
 
 
-def finish(at: TaskFit) -> TaskFit | None:
-    """Fit again with every sample, through nodes; None where the motion cannot be followed in these shorter steps."""
-    task = at.task
-    fading = Model(task, at.windows, flow.SEARCH_STEP, at.model.near)
-    noise = at.noise.with_fade(task, at.windows, at.local)
+def _searched(at: TaskFit) -> TaskFit | None:
+    """Return another pass on the thinned record, from where a fit ended."""
+    model = Model(at.task, at.windows, flow.SEARCH_STEP, at.model.near)
+    return _one_pass(model, FitStart(at.q, restarted(at)), at.noise, SEARCH, LATER_DAMPING)
+
+
+def with_cycles_of(pair: tuple[TaskFit, TaskFit]) -> TaskFit | None:
+    """Return the first fit settled again with those cycles of the second that cost it less; None where none does."""
+    at, other = pair
+    residual = at.model.residual(at.q, other.local) if other.local.shape == at.local.shape else None
+    if residual is None:
+        return None
+    own = cost_by_cycle(at.problem, at.local, at.residual)
+    better = cost_by_cycle(at.problem, other.local, residual) < CYCLE_GAIN * own
+    if not better.any():
+        return None
+    return settle(replace(at, local=np.where(better[:, None], other.local, at.local)))
+
+
+def with_own_static(at: TaskFit) -> TaskFit:
+    """Return the fit of a ramp with a break-away level of its own where that gains something on the thinned record.
+
+    Asked first is what a small change of the level would gain; then the fit is settled again from a level far above
+    that of slip.  A level that is free from the first pass on ends in a poor minimum where the ramp has none.
+    """
+    begun, task = clock.process_time(), at.task.with_static
+    if task is at.task or _static_score(at, task) < STATIC_HINT:
+        return at
+    u = at.u.copy()
+    _set_static(task, u, FIRST_STATIC)
+    first = first_pass(task, FitStart(_beside(task, u, at), at.local), at.noise)
+    found = None if first is None else settle(first)
+    spent = at.cpu_s + clock.process_time() - begun
+    if found is None or found.geometric_mean_rms > at.geometric_mean_rms or _static_gain(found) < STATIC_GAIN:
+        return replace(at, cpu_s=spent)
+    return replace(found, cpu_s=spent)
+
+
+def _static_score(at: TaskFit, task: Task) -> float:
+    """Return by how much the log likelihood would rise with the level's first step upwards."""
+    model = Model(task, at.windows, flow.SEARCH_STEP)
+    q = _beside(task, at.u, at)
+    found = model.evaluate(q, at.local, True)
+    if found is None:
+        return 0.0
+    blocks = normal_equations(least_squares_problem(model, at.noise, q), q, at.local, *found)
+    reduced = SchurComplement(blocks)
+    scale, inverse = scaled_inverse(reduced.H, np.diag(blocks.H))
+    gradient = reduced.reduced_gradient(blocks.g, reduced.local_step(blocks.gl))
+    index = task.places.index(Global.STATIC)
+    variance = float(inverse[index, index] * scale[index] ** 2)
+    return 0.5 * float(gradient[index]) ** 2 * variance if gradient[index] < 0 else 0.0
+
+
+def _beside(task: Task, u: Array, at: TaskFit) -> Array:
+    """Return the unknowns of a task with other free places, at u (13 runs,) and where a fit ended."""
+    u = np.clip(u, task.problem.lower, task.problem.upper)
+    return np.concatenate([u[list(task.places)], at.q[len(at.task.places) :]])
+
+
+def _set_static(task: Task, u: Array, level: float) -> None:
+    """Change the break-away level in u (13 runs,), with the same friction in slip and slope in stick."""
+    if isinstance(task.curve, LawCurve):
+        code = LAWS[task.curve.law].curve_code
+        for own in u.reshape(-1, PER_RUN):
+            own[:] = parameters.to_array(starts.with_static(code, parameters.values(own), level))
+
+
+def _static_gain(at: TaskFit) -> float:
+    """Return about how much a ramp's own break-away level gains in log likelihood; inf where it has none."""
+    if Global.STATIC not in at.task.places:
+        return math.inf
+    excess, sd = float(at.u[Global.STATIC]) - 1.0, at.deviation(Global.STATIC)
+    return 0.5 * (excess / sd) ** 2 if sd > 0 else 0.0
+
+
+def finish(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
+    """Fit again with every sample, through nodes; None where the motion cannot be followed in these shorter steps.
+
+    ``noise_m`` (runs,) is the noise of a position, m, where it is known better than by what this curve leaves.
+    """
+    begun, spent = clock.process_time(), at.cpu_s
+    noise = at.noise.with_fade(at.task, at.windows, at.local)
     # The noise is that of levels that fade: without, a drag that wears shows several times as much.
-    faded = _one_pass(fading, FitStart(at.q, restarted(at)), noise, SEARCH, LATER_DAMPING)
+    faded = _searched(replace(at, noise=noise))
     if faded is None:
         return None
     at = _with_noise(faded, first=False)
-    start, noise = FitStart(at.q, restarted(at)), at.noise.for_last_pass
-    whole = fitted_windows(task.problem, thinned=False)
+    if noise_m is not None:
+        at = replace(at, noise=replace(at.noise, sigma=noise_m))
+    found = _whole(at.task, FitStart(at.q, restarted(at)), at.noise, at.model.near)
+    if found is None:
+        return None
+    if _static_gain(found) < STATIC_GAIN:
+        task, u = found.task.without(Global.STATIC), found.u.copy()
+        _set_static(task, u, 1.0)
+        found = _whole(task, FitStart(_beside(task, u, found), found.local), at.noise, at.model.near) or found
+    found = _started_below_belt(found, at.noise)
+    return replace(found, cpu_s=spent + clock.process_time() - begun)
+
+
+def _whole(
+    task: Task, start: FitStart, settled: PassNoise, near: Path | None, *, below_belt: bool = False
+) -> TaskFit | None:
+    """Fit every sample through nodes, from near the end."""
+    noise = settled.for_last_pass
+    whole = task.problem.windows(thinned=False)
     nodes = SampleNodes.of(whole, [coarse_stride(motion) for motion in task.problem.motions])
-    every = Model(task, whole, flow.LONGEST_STEP)
-    found: TaskFit | None = None
-    for _ in range(NODE_ROUNDS):
-        sparse = Model(task, nodes.windows, flow.LONGEST_STEP)
-        for model in (every, sparse):
-            model.settle(*start, FOLLOWED)
-        residual, there = every.residual(*start), sparse.residual(*start)
-        if residual is None or there is None:
-            break
-        seen = nodes.seen(there + nodes.windows.position, residual)
-        seen_by = Model(task, seen, flow.LONGEST_STEP, _over(sparse.near, seen), nodes.count)
-        last = _one_pass(seen_by, start, noise, WHOLE, LATER_DAMPING)
-        if last is None:
-            break
-        every.settle(*last.start, FOLLOWED)
-        residual = every.residual(*last.start)
-        if residual is None:
-            break
-        found, start = replace(last, model=every, residual=residual, whole=True), last.start
-    return found
+    every, sparse = Model(task, whole, flow.LONGEST_STEP), Model(task, nodes.windows, flow.LONGEST_STEP)
+    for model in (every, sparse):
+        model.settle(*start, FOLLOWED)
+    residual, there = every.residual(*start), sparse.residual(*start)
+    if residual is None or there is None:
+        return None
+    seen = nodes.seen(there + nodes.windows.position, residual)
+    seen_by = Model(task, seen, flow.LONGEST_STEP, _over(sparse.near, seen), nodes.count)
+    last = _one_pass(seen_by, start, noise, WHOLE, LATER_DAMPING, below_belt=below_belt)
+    if last is None:
+        return None
+    every.settle(*last.start, FOLLOWED)
+    problem = least_squares_problem(every, noise, last.q, below_belt=below_belt)
+    solution = levenberg_marquardt.last_step(problem, last.solution)
+    if solution is None:
+        return None
+    return TaskFit(every, solution.u, solution.local, solution.residual, settled, problem, solution, whole=True)
+
+
+def _started_below_belt(at: TaskFit, noise: PassNoise) -> TaskFit:
+    """Return the fit, or a better one where slips that it starts beyond the belt's speed start below it.
+
+    Beyond the belt's speed friction points the other way until the mass sticks, and the cycle's own break-away then
+    fixes its level: under noise a local minimum, with Fs up to 15 % too small.  Bounds from the first pass on lead
+    other fits into poor minima.  On a ramp the two directions meet without a jump.
+    """
+    problem, curve = at.task.problem, at.task.curve
+    fastest = at.windows.fastest_starts(at.u)
+    beyond = (at.local > fastest).any(axis=1) & noise.inliers
+    if curve.ramp or not isinstance(curve, LawCurve) or LAWS[curve.law].curve == "constant" or not beyond.any():
+        return at
+    fresh = starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u)
+    below = np.minimum(np.where(beyond[:, None], fresh, at.local), fastest)
+    found = _whole(at.task, FitStart(at.q, below), noise, None, below_belt=True)
+    return found if found is not None and found.solution.cost < at.solution.cost else at
 
 
 def restarted(at: TaskFit) -> Array:
@@ -164,11 +295,12 @@ def _with_noise(at: TaskFit, *, first: bool) -> TaskFit:
     return replace(at, noise=at.noise.seen(at.task, at.windows, at.residual, at.local, first=first))
 
 
-def _one_pass(model: Model, start: FitStart, noise: PassNoise, limits: Limits, damping: float) -> TaskFit | None:
+def _one_pass(
+    model: Model, start: FitStart, noise: PassNoise, limits: Limits, damping: float, *, below_belt: bool = False
+) -> TaskFit | None:
     """Minimise with the noise assumed; forces along the path are evaluated anew until they settle."""
     model.settle(*start, FOLLOWED)
-    held: Sequence[Global] = () if noise.fade_sd is not None else (Global.FADE,)
-    problem = _least_squares(model, noise, start.q, held)
+    problem = least_squares_problem(model, noise, start.q, below_belt=below_belt)
     settings: dict[str, Any] = {"tolerance": limits.gain, "steady": limits.steady}
     solution = levenberg_marquardt.minimise(problem, *start, max_steps=limits.steps, damping=damping, **settings)
     first = model.task.curve.size + len(model.task.places)
@@ -188,25 +320,27 @@ def _one_pass(model: Model, start: FitStart, noise: PassNoise, limits: Limits, d
     return None if residual is None else TaskFit(model, solution.u, solution.local, residual, noise, problem, solution)
 
 
-def _least_squares(model: Model, noise: PassNoise, q: Array, held: Sequence[Global]) -> LeastSquaresProblem:
-    """Return what a pass minimises: calibrations are priors, shared unknowns of the slots ``held`` stay."""
+def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_belt: bool = False) -> LeastSquaresProblem:
+    """Return what a pass minimises: calibrations are priors; levels that do not fade keep their fade.
+
+    ``below_belt`` is whether a slip must start slower than the belt, as it must beside a curve or a force of its own.
+    """
     task, windows = model.task, model.windows
     problem, (p, _, m) = task.problem, task.widths
     index = list(task.places)
-    # a drag takes energy; another force may have either sign
-    least = [0.0 if force.drag is not None else -np.inf for force in task.forces for _ in range(force.columns)]
-    lower = np.concatenate([problem.lower[index], task.curve.lower, np.array(least)])
-    upper = np.concatenate([problem.upper[index], task.curve.upper, np.full(m, np.inf)])
+    lower = np.concatenate([problem.lower[index], task.curve.lower, *(force.lower for force in task.forces)])
+    upper = np.concatenate([problem.upper[index], task.curve.upper, *(force.upper for force in task.forces)])
     prior = np.concatenate([problem.prior[index], task.curve.prior, np.zeros(m)])
     precision = np.concatenate([problem.precision[index], task.curve.precision, np.zeros(m)])
     for j, place in enumerate(index):
         run, slot = divmod(place, PER_RUN)
-        if slot in held:
-            lower[j] = upper[j] = q[j]
-        elif slot == Global.FADE and noise.fade_sd is not None:
-            precision[j] = noise.fade_sd[run] ** -2.0
+        if slot == Global.FADE:
+            if noise.fade_sd is None:
+                lower[j] = upper[j] = q[j]
+            else:
+                precision[j] = noise.fade_sd[run] ** -2.0
     # A slip that starts beyond the belt's speed lets a curve or a drag of its own bend away from the true one.
-    bounded = bool(task.curve.size or task.forces) and not task.curve.ramp
+    bounded = not task.curve.ramp and bool(below_belt or task.curve.size or task.forces)
     u = problem.start.copy()
     u[index] = q[:p]
     return LeastSquaresProblem(

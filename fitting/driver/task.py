@@ -9,16 +9,19 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.least_squares import least_squares
-from fitting.curve.spline_fit import FASTEST, KNOT_POWER, PIECES
-from fitting.departures.definition.departure import Departure
 from fitting.driver.curves import FreeCurve, FrictionCurve, LawCurve
+from fitting.forces.force import Force
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import EstimationProblem, Run
+from fitting.sensitivity.spline import FrictionSpline
 
+PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where friction falls; 22 pieces widen the band
+FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot lies
 # Weight of a second difference of a regressed curve's coefficients, over that of a typical slip sample times the root
 # of their number: at half the curve follows the smoothing's noise at low speed, at twice it begins to lose its bend.
 SMOOTHNESS = 0.03
+LOW_SPEED = 0.06  # of the last knot: regressed slips show little below
 OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a curve of its own has no use for
 
 
@@ -42,24 +45,19 @@ class Task:
     curve : FrictionCurve
     places : tuple of int
         Which shared unknowns are free (`fitting.model.parameters`).
-    forces : tuple of Departure
-        What acts besides.  None of them has a scale that is scanned.
+    forces : tuple of Force
+        What acts besides.
     """
 
     problem: EstimationProblem
     curve: FrictionCurve
     places: tuple[int, ...]
-    forces: tuple[Departure, ...] = ()
-
-    def __post_init__(self) -> None:
-        for force in self.forces:
-            if force.scales is not None:
-                raise ValueError(f"{force.name} depends on {force.scale}, which a task does not fit; scan it")
+    forces: tuple[Force, ...] = ()
 
     @property
     def widths(self) -> tuple[int, int, int]:
         """How many of the unknowns are shared ones, the curve's, and the forces'."""
-        return len(self.places), self.curve.size, sum(force.columns for force in self.forces)
+        return len(self.places), self.curve.size, sum(force.width for force in self.forces)
 
     def split(self, q: Array) -> tuple[Array, Array, Array]:
         """Return the unknowns of all runs (13 runs,), the curve's own, and the forces' sizes."""
@@ -68,30 +66,37 @@ class Task:
         u[list(self.places)] = q[:p]
         return parameters.copy_shared(u), q[p : p + n], q[p + n :]
 
+    def without(self, slot: Global) -> "Task":
+        """Return the same with a shared unknown held where the regression has it."""
+        return replace(self, places=tuple(place for place in self.places if place % PER_RUN != slot))
+
+    @property
+    def with_static(self) -> "Task":
+        """The same with a break-away level of its own, where it is a ramp that can have one."""
+        free = Global.STATIC in self.problem.active and Global.STATIC not in self.places
+        return replace(self, places=tuple(sorted((*self.places, int(Global.STATIC))))) if free else self
+
     def friction(self, q: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,)."""
         u, theta, _ = self.split(q)
         return self.curve.friction(u, theta, q[: len(self.places)], s)
 
 
-def law_task(law: int, runs: Sequence[Run], forces: Sequence[Departure] = (), *, static: bool = False) -> Task:
-    """Return the task of one of the six laws; ``static`` frees a ramp's break-away level."""
+def law_task(law: int, runs: Sequence[Run], forces: Sequence[Force] = ()) -> Task:
+    """Return the task of one of the six laws; a ramp breaks away at the level of slip."""
     problem = EstimationProblem.build(law, runs)
-    places = tuple(place for place in problem.active if static or place % PER_RUN != Global.STATIC)
-    return Task(problem, LawCurve(law), places, tuple(forces))
+    return Task(problem, LawCurve(law), problem.active, tuple(forces)).without(Global.STATIC)
 
 
-def curve_problem(runs: Sequence[Run], *, ramp: bool) -> tuple[EstimationProblem, tuple[int, ...], float]:
-    """Return what a curve that is no law's has beside it: the problem, free places, and the fastest slip, m/s."""
-    problem = EstimationProblem.build(6 if ramp else 5, runs)
-    places = tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW)
+def curve_knots(runs: Sequence[Run], d: float) -> Array:
+    """Return the knots of a free curve, m/s: from 0 to the fastest slip beyond a ramp of half-width d."""
     fastest = 0.0
     for run in runs:
         for cycle in run.cut.used:
             speed = run.motion.belt_speed - run.motion.velocity[slice(*cycle.slip)]
             if speed.size:
                 fastest = max(fastest, float(np.quantile(speed, FASTEST)))
-    return problem, places, fastest
+    return np.asarray((fastest - d) * np.linspace(0.0, 1.0, PIECES + 1) ** KNOT_POWER)
 
 
 def regress(
@@ -127,25 +132,62 @@ def regress(
     return found, float(np.sum(left**2))
 
 
-def curve_task(runs: Sequence[Run], forces: Sequence[Departure] = (), *, ramp: bool = False) -> Task:
+def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coefficients: Array) -> Task:
+    """Return the task of a free curve on the contact of a problem, its coordinates about u (13 runs,) and coefficients.
+
+    A curve and a rest position that move together leave the motion as it is.
+    """
+    places = tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW)
+    beside = u[list(places)]
+    datums = np.array([place % PER_RUN == Global.DATUM for place in places])
+    offset = np.where(datums, -u[Global.K] / len(problem.runs), 0.0)
+    curve = FreeCurve(knots, ramp=problem.ramp, coefficients=coefficients, offset=offset, beside=beside)
+    start = problem.start.copy()
+    start[Global.K :: PER_RUN] = u[Global.K]
+    return Task(replace(problem, start=start), curve, places)
+
+
+def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -> tuple[float, Array] | None:
+    """Return K and the coefficients of a free curve by regression of the smoothed slips; None where these are absurd.
+
+    At low speed, where slips show little, the curve begins with the load at the break-aways: with more friction at rest
+    than that the mass sticks in every window, with far less it slips too early.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    start : (13 runs,) f8
+        Unknowns, for rest position, damping and belt speed.
+    knots : (n + 1,) f8
+        m/s.
+    d : float
+        Half-width of the ramp, m/s.
+    """
+    spline = FrictionSpline.over(knots)
+    held = SMOOTHNESS * np.diff(np.eye(spline.coefficients.size), 2, axis=0)
+    found, _ = regress(runs, start[Global.DATUM], lambda s: spline.basis(np.clip(s - d, 0, knots[-1])), held)
+    K, coefficients = float(found[0]), found[1:].copy()
+    if not (K > 0 and np.median(coefficients) > 0):
+        return None
+    if d == 0.0:
+        loads = [
+            K * (starts.break_away_position(run.motion, run.cut) - own[Global.DATUM])
+            + own[Global.DAMPING] * own[Global.V_DR]
+            for run, own in zip(runs, start.reshape(-1, PER_RUN), strict=True)
+        ]
+        low = max(3, int(np.sum(knots < LOW_SPEED * knots[-1])) + 1)
+        coefficients[:low] = np.linspace(float(np.median(loads)), coefficients[low], low, endpoint=False)
+    return K, coefficients
+
+
+def curve_task(runs: Sequence[Run], forces: Sequence[Force] = (), *, ramp: bool = False) -> Task:
     """Return the task of the free curve, which starts from the regression."""
-    problem, places, fastest = curve_problem(runs, ramp=ramp)
+    problem = EstimationProblem.build(6 if ramp else 5, runs)
     start = problem.start.copy()
     d = float(start[Global.D]) if ramp else 0.0
-    knots = (fastest - d) * np.linspace(0.0, 1.0, PIECES + 1) ** KNOT_POWER
-    free = FreeCurve(
-        knots,
-        ramp=ramp,
-        coefficients=np.ones(PIECES + 3),
-        offset=np.zeros(len(places)),
-        beside=start[list(places)],
-    )
-    held = SMOOTHNESS * np.diff(np.eye(free.size), 2, axis=0)
-    found, _ = regress(runs, start[Global.DATUM], lambda s: free.spline.basis(np.clip(s - d, 0, knots[-1])), held)
-    coefficients = np.full(free.size, math.exp(start[Global.LOG_F]))
-    if found[0] > 0 and np.median(found[1:]) > 0:  # else the law's regression, which says something of any record
-        start[Global.K :: PER_RUN], coefficients = found[0], found[1:]
-    datums = np.array([place % PER_RUN == Global.DATUM for place in places])
-    offset = np.where(datums, -start[Global.K] / len(runs), 0.0)
-    curve = FreeCurve(knots, ramp=ramp, coefficients=coefficients, offset=offset, beside=start[list(places)])
-    return Task(replace(problem, start=start), curve, places, tuple(forces))
+    knots = curve_knots(runs, d)
+    coefficients = np.full(knots.size + 2, math.exp(start[Global.LOG_F]))
+    regressed = regressed_curve(runs, start, knots, d)
+    if regressed is not None:  # else the law's regression, which says something of any record
+        start[Global.K :: PER_RUN], coefficients = regressed
+    return replace(free_curve_task(problem, knots, start, coefficients), forces=tuple(forces))

@@ -12,12 +12,10 @@ from daq.base.compute.arrays import Array
 from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
-from fitting.estimation.fit import Fit
+from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.result import BreakAway
 from fitting.model.parameters import PER_CYCLE, Global, PerCycle
-from fitting.model.shooting import evaluator
 from fitting.model.windows import ShootingWindows
-from rig_sim.friction.law import LAWS
 
 # Times in slips (`MeasuredMotion.slip_s`).
 SEARCH_RANGE, SEARCH_STEP = 0.3, 2e-4  # about the smoothed break-away
@@ -26,12 +24,12 @@ ROUNDS, TRIALS = 3, 21  # of the search: each round looks closer, about the best
 POOR_CYCLE = 3.0  # times the usual error of a cycle: a larger one means that something else happened in it
 
 
-def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
+def find_break_aways(fit: FittedLaw, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
     """Return every break-away of the record, fitted or not.
 
     Parameters
     ----------
-    fit : Fit
+    fit : FittedLaw
         Of the best law.
     motion, cut : MeasuredMotion, CycleSegmentation
         What it was fitted to.
@@ -51,7 +49,7 @@ def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -
     return tuple(rows)
 
 
-def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
+def _break_aways(fit: FittedLaw, motion: MeasuredMotion) -> tuple[Array, Array]:
     """Return time (s) and friction over Fs/m of each fitted cycle's break-away; arrays of shape (cycles,).
 
     The search begins where the load reaches the level of the slip that follows: earlier, the law itself would hold.
@@ -70,24 +68,24 @@ def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
     return best, _friction(fit, best, place) / fit.values.F
 
 
-def _belt_ripple(fit: Fit, time: Array) -> tuple[Array, Array, Array]:
+def _belt_ripple(fit: FittedLaw, time: Array) -> tuple[Array, Array, Array]:
     """Return position (m), velocity and acceleration of the belt's ripple at ``time`` (any shape), as fitted."""
     p = fit.values
     return Ripple(p.cosine, p.sine, p.omega).belt_motion(time)
 
 
-def _edge_speed(fit: Fit, time: Array) -> Array:
+def _edge_speed(fit: FittedLaw, time: Array) -> Array:
     """Return the velocity at which a stick ends, m/s: the belt's less `_width`."""
     return np.asarray(fit.values.v_dr - _width(fit) + _belt_ripple(fit, time)[1])
 
 
-def _width(fit: Fit) -> float:
+def _width(fit: FittedLaw) -> float:
     """Return how much slower than the free belt the mass breaks away, m/s: ramp and belt compliance together."""
     p = fit.values
-    return (p.d if LAWS[fit.law].ramp else 0.0) + p.compliance / p.K * p.F
+    return (p.d if fit.problem.ramp else 0.0) + p.compliance / p.K * p.F
 
 
-def _friction(fit: Fit, time: Array, x: Array) -> Array:
+def _friction(fit: FittedLaw, time: Array, x: Array) -> Array:
     """Return friction per unit mass (m/s^2) just before the break-away at ``time`` and ``x``.
 
     On a ramp, or a belt that slows under load, the mass is already slowing down, and that much of the load is not
@@ -99,7 +97,7 @@ def _friction(fit: Fit, time: Array, x: Array) -> Array:
     return np.asarray(load - slowing)
 
 
-def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
+def _reaches_level(fit: FittedLaw, motion: MeasuredMotion, k: int) -> float:
     """Return when the friction in stick reaches the level of the slip after it, s."""
     smoothed = fit.cycles[k].break_away
     reach = SEARCH_RANGE * motion.slip_s
@@ -109,9 +107,8 @@ def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
     return float(time[np.argmax(enough)]) if enough.any() else smoothed
 
 
-def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
+def _misfit(fit: FittedLaw, motion: MeasuredMotion, trials: Array) -> Array:
     """Return the squared error around the corner for break-aways at ``trials`` (cycles, m), same shape; m^2."""
-    law, u = LAWS[fit.law], fit.u
     errors = np.full(trials.shape, np.inf)
     table: list[tuple[int, ...]] = []
     owner: list[tuple[int, ...]] = []
@@ -127,7 +124,7 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
             if after >= last:
                 continue
             row = np.zeros(PER_CYCLE)
-            row[PerCycle.X_SLIP], row[PerCycle.V_SLIP] = x, float(edge) - 1e-9 * u[Global.V_DR]
+            row[PerCycle.X_SLIP], row[PerCycle.V_SLIP] = x, float(edge) - 1e-9 * fit.u[Global.V_DR]
             row[PerCycle.LEVEL] = row[PerCycle.NEXT_LEVEL] = fit.local[k, PerCycle.LEVEL]
             taken = np.r_[begin, motion.time[after:last]]
             table.append((len(local), 0, total, taken.size, 0, 0))
@@ -146,11 +143,9 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
         source=np.zeros(total, np.int64),
         rows=(),
     )
-    evaluate = evaluator(law.curve_code, bool(law.ramp), windows, u, [Global.K], np.ones(u.size), np.ones(PER_CYCLE))
-    found = evaluate(u[[Global.K]], np.array(local), False)
-    if found is None:
+    model = fit.residual_in(windows, np.array(local))
+    if model is None:
         return errors
-    model = found[0]
     for k, j, first, after, last, at in owner:
         before = _in_stick(fit, motion, k, motion.time[first:after]) - motion.measured[first:after]
         slipping = model[at + 1 : at + 1 + last - after] - motion.measured[after:last]
@@ -158,7 +153,7 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
     return errors
 
 
-def _in_stick(fit: Fit, motion: MeasuredMotion, k: int, time: Array) -> Array:
+def _in_stick(fit: FittedLaw, motion: MeasuredMotion, k: int, time: Array) -> Array:
     """Return where the mass would be at ``time`` had it not yet left the belt, m."""
     first, end = fit.cycles[k].stick
     if _width(fit) > 0 or end <= first:

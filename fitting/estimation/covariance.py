@@ -20,8 +20,8 @@ import numpy as np
 from daq.base.compute.arrays import Array, autocorrelation_time
 from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
-from fitting.least_squares.normal_equations import SchurComplement, eigen, normal_equations
-from fitting.least_squares.problem import LeastSquaresProblem
+from fitting.estimation.fitted_law import FittedLaw
+from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, normal_equations, scaled_inverse
 from fitting.model.parameters import PerCycle
 
 # Times the variance that the fit assumes of a cycle's residuals: what they may have, since a correlation time from one
@@ -31,11 +31,10 @@ ALLOWED = 2.0
 # cycles that is a scatter as large as the errors, which noise alone shows once in 150 contacts; with half of it once in
 # 13, with twice of it the scatter must be 1.4 times the errors.
 SEEN = 3.0
-ROUNDING = 1e-14  # of a curvature: as little left of it after elimination is rounding; sums of 1e4 terms err by less
 
 
-def without_level_errors(fit: Fit, task: LeastSquaresProblem) -> Fit:
-    """Return a fit whose curvatures are those at the levels without their own errors; ``task`` is what it minimised.
+def without_level_errors(fit: Fit) -> Fit:
+    """Return a fit whose curvatures are those at the levels without their own errors.
 
     Without a datum a ramp law knows Fs/d, v_dr - d and x0 + Fs/k alone, unless the friction level changes from cycle to
     cycle: then the load follows Fs and the ramp follows Fs/d.  Levels that differ by their errors alone would pass for
@@ -47,6 +46,7 @@ def without_level_errors(fit: Fit, task: LeastSquaresProblem) -> Fit:
     for column in (PerCycle.LEVEL, PerCycle.NEXT_LEVEL):
         true, error = _true_square(fit, column)
         local[:, column] *= true / (true + error)
+    task = fit.at.problem
     found = task.evaluate(fit.solution.u, local, True)
     if found is None:
         return fit
@@ -68,7 +68,7 @@ def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
     return max(float(np.mean(fit.local[own, column] ** 2)) - likely, 0.0), error
 
 
-def covariance(fit: Fit, precision: Array) -> Array:
+def covariance(fit: FittedLaw, precision: Array) -> Array:
     """Return a covariance (p, p) of the active shared unknowns, in no direction smaller than either of `covariances`.
 
     An unknown's own variance in it may be larger than both: for one quantity take the larger of both variances.
@@ -76,14 +76,15 @@ def covariance(fit: Fit, precision: Array) -> Array:
     return upper_bound(*covariances(fit, precision))
 
 
-def covariances(fit: Fit, precision: Array) -> tuple[Array, Array]:
+def covariances(fit: FittedLaw, precision: Array) -> tuple[Array, Array]:
     """Return the covariances (p, p) of the active shared unknowns by the sandwich and by the curvature.
 
     Parameters
     ----------
-    fit : Fit
+    fit : FittedLaw
     precision : (p,) f8
-        1/sd^2 of the calibrations, 0 where there is none: a prior's own error is one more independent source.
+        1/sd^2 of the calibrations, and of a formula's own unknowns; 0 where there is none.  A prior's own error is one
+        more independent source.
     """
     blocks = fit.solution.blocks
     reduced = SchurComplement(blocks)
@@ -119,9 +120,9 @@ def upper_bound(first: Array, second: Array) -> Array:
     return np.asarray(np.einsum("ik,jk->ij", half, half))
 
 
-def _founded(fit: Fit) -> Array:
+def _founded(fit: FittedLaw) -> Array:
     """Return the share (cycles,) of what a cycle informs that its residuals allow."""
-    assumed = fit.sigma[fit.windows.run] ** 2 / fit.state.weights
+    assumed = 1 / fit.at.problem.weights
     own = np.full(assumed.size, 1e-300)
     for cycle, _, first, size, *_ in fit.windows.table:  # a drag is a window of the first cycle
         part = fit.residual[first : first + size]
@@ -129,10 +130,10 @@ def _founded(fit: Fit) -> Array:
     return np.asarray(np.minimum(ALLOWED * assumed / own, 1.0))
 
 
-def _excess(fit: Fit) -> Array:
+def _excess(fit: FittedLaw) -> Array:
     """Return the part of the precisions (cycles, q) of the levels' prior by which it is wider than their scatter."""
-    sd = fit.state.level_sd(fit.windows, fit.problem.level_prior)
-    excess = (1 - (fit.state.scatter / sd) ** 2) / sd**2
+    sd = fit.at.noise.level_sd(fit.windows, fit.problem.level_prior)
+    excess = (1 - (fit.at.noise.scatter / sd) ** 2) / sd**2
     found = np.zeros_like(fit.solution.blocks.gl)
     found[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = np.where(fit.inlier_cycles[:, None], excess, 0.0)
     return found
@@ -159,16 +160,3 @@ def without_prior(fit: Fit, index: int) -> Measured:
     step = float(bread[index, index] * scale[index] ** 2) * weight * (value - float(fit.problem.prior[place]))
     variance = max(float(spread[index, index]) for spread in covariances(alone, precision))
     return Measured(value + step, math.sqrt(variance))
-
-
-def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
-    """Return units (p,) of the parameters and the inverse (p, p) of reduced curvatures in these units.
-
-    In units of the curvatures nothing overflows where a record shows next to nothing of an unknown.  A weak direction
-    must neither make the inverse fail nor pass for a known one: one that only rounding holds gets the variance of a
-    guess that is all there is to it.  ``raw`` (p,) are the curvatures before elimination.
-    """
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * raw, 1e-100)))
-    size, axes = eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
-    half = axes / np.sqrt(np.maximum(size, 1e-15))
-    return scale, np.asarray(np.einsum("ik,jk->ij", half, half))

@@ -19,6 +19,7 @@ from fitting.estimation.fit import Fit
 from fitting.estimation.result import Correlations, Parameter
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
+from fitting.model.wear import Wear
 from rig_sim.friction.law import LAWS
 
 # Of a default's variance: where more is left of it after the fit, the default still decides, and what depends on it is
@@ -81,7 +82,7 @@ def derived_parameters(
 
     ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
     sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
-    second, both by the line through the cycles' friction levels (`fitting.estimation.wear`).  ``static`` is a ramp's
+    second, both by the line through the cycles' friction levels (`fitting.model.wear`).  ``static`` is a ramp's
     break-away level over Fs, given where the record shows that they differ.  ``droop`` is how much
     slower the belt runs under the load Fs, ``ripple`` and ``ripple_hz`` are amplitude and frequency of its speed.
 
@@ -105,16 +106,11 @@ def derived_parameters(
     known = _known(fit, motion, run)
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
     found: dict[str, Parameter] = {}
-    for row, scale in _given(fit, motion, known):
-        value, variance = _propagated(row, known, motion)
-        if scale is not None:
-            variance = variance * scale.value**2 + (value * scale.sd) ** 2
-            value *= scale.value
-        error = math.sqrt(max(variance, 0.0))
-        found[row.name] = _parameter(value, error, quantile, row.unit, signed=row.name in SIGNED)
+    for row, scale in given_rows(LAWS[fit.law].curve, motion, known):
+        found[row.name] = scaled(row, scale, known, motion, quantile)
         if row.name == "c/m" and sustained:
-            found |= _wear(fit, run, found["Fs/m"], alpha)
-    return {name: item for name, item in found.items() if name not in _hidden(known)}
+            found |= wear_of(fit.level_trend(run), found["Fs/m"], alpha)
+    return {name: item for name, item in found.items() if name not in hidden(known)}
 
 
 def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations:
@@ -133,12 +129,16 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
         Whose own parameters are wanted, beside those that all runs share.
     """
     known = _known(fit, motion, run)
-    left_out = {"Fs/k", *_hidden(known)}
-    rows = [row for row, scale in _given(fit, motion, known) if scale is None and row.name not in left_out]
+    left_out = {"Fs/k", *hidden(known)}
+    rows = [
+        row
+        for row, scale in given_rows(LAWS[fit.law].curve, motion, known)
+        if scale is None and row.name not in left_out
+    ]
     slopes = np.array([list(_slopes(row.formula, known.own, known.active)) for row in rows])
-    slopes *= np.array([_sign(row, motion) for row in rows])[:, None]
+    slopes *= np.array([sign_of(row, motion) for row in rows])[:, None]
     lengths = np.array([row.length * row.formula(values(known.own)) * motion.length_error for row in rows])
-    lengths *= [_sign(row, motion) for row in rows]
+    lengths *= [sign_of(row, motion) for row in rows]
     spread = np.einsum("ri,ij,sj->rs", slopes, upper_bound(*known.spreads), slopes) + np.outer(lengths, lengths)
     shown = np.diag(spread) > 0
     error = np.sqrt(np.diag(spread)[shown])
@@ -159,7 +159,7 @@ def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> fl
     return math.sqrt(max(float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max()), 0.0))
 
 
-class _Known(NamedTuple):
+class Known(NamedTuple):
     """What a fit knows of one run.
 
     ``own`` (13,) are its unknowns, ``spreads`` (2, p, p) the covariances of the ``active`` ones by the sandwich and by
@@ -172,7 +172,7 @@ class _Known(NamedTuple):
     undetermined: set[Global]
 
 
-def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
+def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
     slots = columns(fit.active, fit.runs)[run]
     known = slots >= 0
     active = [Global(slot) for slot in slots[known]]
@@ -201,8 +201,11 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
         Global.DAMPING: motion.damping_prior is None or motion.per_mass,
     }
     left = np.einsum("sii->si", spread).max(axis=0) * fit.precision[known]
+    held = fit.problem.held[PER_RUN * run : PER_RUN * (run + 1)]
     undetermined = {
-        slot for slot, share in zip(active, left, strict=True) if default.get(slot) and share > UNDETERMINED
+        slot
+        for slot, share in zip(active, left, strict=True)
+        if default.get(slot) and not held[slot] and share > UNDETERMINED
     }
     if default[Global.DATUM] and law.curve == "constant":
         undetermined.add(Global.DATUM)
@@ -210,7 +213,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
         undetermined.add(Global.V_DR)
         at = active.index(Global.V_DR)  # no better than its start, however sharply the mass bounds it from below
         spread[:, at, at] = np.maximum(spread[:, at, at], 1 / fit.precision[known][at])
-    return _Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined)
+    return Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined)
 
 
 def _hidden_level(fit: Fit, run: int, active: list[Global]) -> Array:
@@ -238,12 +241,12 @@ def _hidden_level(fit: Fit, run: int, active: list[Global]) -> Array:
     return np.array([moves.get(slot, 0.0) for slot in active]) * datum_sd * width * p.K / p.F
 
 
-def _given(fit: Fit, motion: MeasuredMotion, known: _Known) -> Iterator[tuple[Derived, Measured | None]]:
-    """Yield the rows of the table that this fit gives, each with the calibration that it is multiplied by."""
+def given_rows(curve: str, motion: MeasuredMotion, known: Known) -> Iterator[tuple[Derived, Measured | None]]:
+    """Yield the rows of the table that a fit with this curve gives, each with the calibration it is multiplied by."""
     for row in TABLE:
         scale = None if not row.scale or (row.scale == "stiffness" and motion.mass) else getattr(motion, row.scale)
         if (
-            row.curve in ("", LAWS[fit.law].curve)
+            row.curve in ("", curve)
             and (row.needs is None or row.needs in known.active)
             and (not row.scale or scale is not None)
             and (row.instead_of is None or row.instead_of in known.undetermined)
@@ -251,21 +254,27 @@ def _given(fit: Fit, motion: MeasuredMotion, known: _Known) -> Iterator[tuple[De
             yield row, scale
 
 
-def _hidden(known: _Known) -> set[str]:
+def hidden(known: Known) -> set[str]:
     """Return the names that are known only together with what is undetermined."""
     return {name for slot in known.undetermined for name in UNDETERMINED_WITH[slot]}
 
 
-def _sign(row: Derived, motion: MeasuredMotion) -> float:
+def sign_of(row: Derived, motion: MeasuredMotion) -> float:
+    """Return -1 for what changes sign with a backward belt, where the run's is one."""
     return motion.sign if row.name in MIRRORED else 1.0
 
 
-def _propagated(row: Derived, known: _Known, motion: MeasuredMotion) -> tuple[float, float]:
-    """Return a derived quantity per unit mass and its variance."""
-    value = _sign(row, motion) * float(row.formula(values(known.own)))
+def scaled(row: Derived, scale: Measured | None, known: Known, motion: MeasuredMotion, quantile: float) -> Parameter:
+    """Return a derived quantity with its interval, multiplied by the calibration that its row names."""
+    value = sign_of(row, motion) * float(row.formula(values(known.own)))
     slope = np.array(list(_slopes(row.formula, known.own, known.active)))
     variance = float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max())
-    return value, variance + (row.length * value * motion.length_error) ** 2
+    variance += (row.length * value * motion.length_error) ** 2
+    if scale is not None:
+        variance = variance * scale.value**2 + (value * scale.sd) ** 2
+        value *= scale.value
+    error = math.sqrt(max(variance, 0.0))
+    return as_parameter(value, error, quantile, row.unit, signed=row.name in SIGNED)
 
 
 def _slopes(formula: Callable[[Values], float], u: Array, active: list[Global]) -> Iterator[float]:
@@ -277,20 +286,20 @@ def _slopes(formula: Callable[[Values], float], u: Array, active: list[Global]) 
         yield (formula(values(up)) - formula(values(down))) / (2 * step)
 
 
-def _wear(fit: Fit, run: int, level: Parameter, alpha: float) -> dict[str, Parameter]:
+def wear_of(trend: Wear | None, level: Parameter, alpha: float) -> dict[str, Parameter]:
     """Return Fs/m when the recording began, and wear; empty where the cycles show no trend."""
-    trend = fit.level_trend(run)
     if trend is None:
         return {}
     first, rate = trend.first, trend.rate
     quantile = student_quantile(1 - alpha / 2, trend.degrees_of_freedom)
     error = math.hypot(level.stderr * first.value, level.value * first.sd)
     return {
-        "Fs0/m": _parameter(level.value * first.value, error, quantile, level.unit, signed=False),
-        "wear": _parameter(rate.value, rate.sd, quantile, "s^-1", signed=True),
+        "Fs0/m": as_parameter(level.value * first.value, error, quantile, level.unit, signed=False),
+        "wear": as_parameter(rate.value, rate.sd, quantile, "s^-1", signed=True),
     }
 
 
-def _parameter(value: float, error: float, quantile: float, unit: str, *, signed: bool) -> Parameter:
+def as_parameter(value: float, error: float, quantile: float, unit: str, *, signed: bool) -> Parameter:
+    """Return a quantity with its interval, which ends at 0 unless the quantity may be negative."""
     lo, hi = value - quantile * error, value + quantile * error
     return Parameter(value, error, lo if signed else max(lo, 0.0), hi, unit)

@@ -15,10 +15,9 @@ import numpy as np
 
 from daq.base.compute.arrays import Array, Integers, Mask
 from daq.base.compute.compile import compiled
-from fitting.estimation.covariance import scaled_inverse
-from fitting.estimation.fit import Fit
-from fitting.estimation.objective import fit_objective
+from fitting.driver.fit import TaskFit
 from fitting.least_squares import elimination
+from fitting.least_squares.normal_equations import scaled_inverse
 
 UNSEEN = 1e-6  # of its weight: what is left to a cycle that does not count, so that its own unknowns stay determined
 
@@ -92,20 +91,18 @@ class LinearisedFit:
     local_gradient: Array
 
     @classmethod
-    def at(cls, fit: Fit) -> "LinearisedFit | None":
-        """Linearise a fit; None where the flow cannot be followed beside its solution."""
-        task = fit_objective(fit)
-        u = fit.u[list(fit.active)]
-        found = task.evaluate(u, fit.local, True)
-        if found is None:
+    def at(cls, fit: TaskFit) -> "LinearisedFit | None":
+        """Linearise a fit; None where the motion cannot be followed there."""
+        jacobian, task = fit.jacobian, fit.problem
+        if jacobian is None:
             return None
-        residual, jacobian = found
-        p = u.size
+        u = fit.q
+        residual, p = fit.residual, u.size
         return cls(
             shared=np.ascontiguousarray(jacobian[:, :p]),
             local=np.ascontiguousarray(jacobian[:, p:]),
             residual=residual,
-            rows=fit.rows,
+            rows=fit.windows.rows,
             weights=task.weights,
             prior_precision=np.diag(task.precision),
             prior_gradient=task.precision * (u - task.prior),

@@ -12,7 +12,8 @@ class Parameter:
     """A value with its standard error and confidence interval, in the unit named.
 
     ``trusted`` is False where the law does not describe the record: what the law's interval leaves out is then larger
-    than what it contains, and error and interval are withheld from documents and tables.
+    than what it contains, and error and interval are withheld from documents and tables.  ``fixed`` is whether the
+    value was given and not fitted.
     """
 
     value: float
@@ -21,6 +22,7 @@ class Parameter:
     hi: float
     unit: str
     trusted: bool = True
+    fixed: bool = False
 
     @property
     def decimals(self) -> int:
@@ -28,6 +30,8 @@ class Parameter:
         return min(max(0, 1 - math.floor(math.log10(self.stderr))), 12) if self.stderr > 0 else 6
 
     def __str__(self) -> str:
+        if self.fixed:
+            return f"{self.value:.6g} {self.unit} (fixed)".replace("  ", " ")
         if not self.trusted:
             return f"{self.value:.4g} {self.unit} (interval withheld)".replace("  ", " ")
         digits = self.decimals
@@ -36,7 +40,7 @@ class Parameter:
     def as_json(self) -> dict[str, Any]:
         """Return the document's form; null for what is withheld."""
         error = {"stderr": self.stderr, "lo": self.lo, "hi": self.hi} if self.trusted else _WITHHELD
-        return {"value": self.value, **error, "unit": self.unit}
+        return {"value": self.value, **error, "unit": self.unit} | ({"fixed": True} if self.fixed else {})
 
 
 _WITHHELD = dict.fromkeys(("stderr", "lo", "hi"))

@@ -12,7 +12,7 @@ that bends more), their own unknowns are fitted anew beside the shared ones that
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,7 +121,7 @@ def minimise(
         Of the weighted rms residual: a step that changes it by more is not one to stop at, however little it gains.
         Where the noise is taken to be large, the cost is small and nearly all priors.
     """
-    u = np.clip(u, problem.lower, problem.upper)
+    u, local = np.clip(u, problem.lower, problem.upper), np.minimum(local, problem.local_upper)
     at = _point(problem, u, local)
     if at is None:
         return None
@@ -153,6 +153,23 @@ def minimise(
             outcome = "converged"
             break
     return Solution(at.u, at.local, at.cost, at.residual, at.blocks, outcome, steps)
+
+
+def last_step(problem: LeastSquaresProblem, near: Solution) -> Solution | None:
+    """Return where one step of these curvatures leads from the end of a search for a similar problem.
+
+    None where the end cannot be followed; without a step where the cost does not fall.
+    """
+    at = _point(problem, near.u, near.local)
+    if at is None:
+        return None
+    trial = _trial(problem, at, LEAST_DAMPING)
+    if trial is None or trial.cost >= at.cost:
+        return replace(near, cost=at.cost, residual=at.residual, blocks=at.blocks)
+    found = problem.evaluate(trial.u, trial.local, False)
+    blocks = at.blocks.moved(trial.u - at.u, trial.local - at.local)
+    residual = at.residual if found is None else found[0]
+    return replace(near, u=trial.u, local=trial.local, cost=trial.cost, residual=residual, blocks=blocks)
 
 
 def _rms(problem: LeastSquaresProblem, at: Point) -> float:

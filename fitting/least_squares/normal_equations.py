@@ -1,7 +1,7 @@
 """The normal equations of a least-squares problem, and the same with the cycles' own unknowns eliminated."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from fitting.least_squares import elimination
 from fitting.least_squares.problem import LeastSquaresProblem
 
 HOLD = 1e12  # times its curvature: an unknown that does not move
+ROUNDING = 1e-14  # of a curvature: as little left of it after elimination is rounding; sums of 1e4 terms err by less
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,16 @@ class NormalEquations:
     cross: Array
     cycle_g: Array  # (c, p): each cycle's share of g, without the priors of u
     cycle_curvature: Array  # (c, p, p): each cycle's share of H, likewise
+
+    def moved(self, step: Array, own: Array) -> "NormalEquations":
+        """Return the same after steps of the shared (p,) and the cycles' own unknowns (c, q): curvatures stay."""
+        by_own = np.einsum("cpq,cq->cp", self.cross, own)
+        return replace(
+            self,
+            g=self.g + np.einsum("ij,j->i", self.H, step) + by_own.sum(axis=0),
+            gl=self.gl + np.einsum("cij,cj->ci", self.Hl, own) + np.einsum("cpq,p->cq", self.cross, step),
+            cycle_g=self.cycle_g + np.einsum("cij,j->ci", self.cycle_curvature, step) + by_own,
+        )
 
 
 def normal_equations(
@@ -99,6 +110,19 @@ def eigen(matrix: Array) -> tuple[Array, Array]:
     turned, vectors = matrix.copy(), np.empty(matrix.shape)  # one layout: compiled once
     kernel(elimination.eigen)(turned, vectors)
     return np.diag(turned).copy(), vectors
+
+
+def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
+    """Return units (p,) of the parameters and the inverse (p, p) of reduced curvatures in these units.
+
+    In units of the curvatures nothing overflows where a record shows next to nothing of an unknown.  A weak direction
+    must neither make the inverse fail nor pass for a known one: one that only rounding holds gets the variance of a
+    guess that is all there is to it.  ``raw`` (p,) are the curvatures before elimination.
+    """
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * raw, 1e-100)))
+    size, axes = eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
+    half = axes / np.sqrt(np.maximum(size, 1e-15))
+    return scale, np.asarray(np.einsum("ik,jk->ij", half, half))
 
 
 def kernel(function: Callable[..., None]) -> Callable[..., None]:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,15 +83,6 @@ class LeastSquaresProblem:
     def owner(self) -> NDArray[np.int64]:
         """Which cycle each residual belongs to."""
         return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave ``evaluate`` and ``some`` out: closures over kernels and buffers, which no other process can use."""
-        return vars(self) | {"evaluate": _not_carried, "some": None}
-
-
-def _not_carried(u: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
-    """Stand for ``evaluate`` in a problem that came from another process."""
-    raise RuntimeError("a problem that came from another process cannot be evaluated")
 
 
 def cost(problem: LeastSquaresProblem, u: Array, local: Array, residual: Array) -> float:

@@ -1,6 +1,6 @@
 """Kernels: how much of a cycle's friction level is left, where the contact wears within its slips.
 
-The level of a run falls along a line of time, as `fitting.estimation.wear` reads it from the cycles' levels.  Each
+The level of a run falls along a line of time, as `fitting.model.wear` reads it from the cycles' levels.  Each
 cycle lies on a line of its own with the same zero: what it loses per second, as a fraction of its own level, grows
 over the run.  A constant fraction left 2 um of a 16 s run that lost a tenth of its level.
 """

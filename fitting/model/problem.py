@@ -1,8 +1,9 @@
-"""What stays the same while one law is fitted: starting values, scales, bounds, and the calibrations as priors."""
+"""What stays the same while one law is fitted: starting values, bounds, and the calibrations as priors."""
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,10 @@ from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
+from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import LAWS
 
+COARSE = 62.5  # samples a slip: residuals are correlated over many samples, and the search runs on a thinned record
 DEFAULT_DAMPING_SD = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
 LEAST_LINEAR_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
 RIPPLE_AMPLITUDE_SD = 0.2  # of its amplitude: how well the sticks show it
@@ -30,13 +33,29 @@ FIRST_RAMP = 1e-4  # of the belt's speed: where a ramp law starts from its jump 
 NARROWEST_RAMP = 1e-6  # of the belt's speed: no fit makes a ramp narrower
 
 
+EXACT = 1e-6  # of an unknown's size: standard deviation of one that is held
+
+
+class GivenUnknown(NamedTuple):
+    """What the user gives of a shared unknown, in its units: bounds, equal where it is held, and a first value."""
+
+    slot: Global
+    low: float
+    high: float
+    start: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any."""
+    """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any.
+
+    ``given`` is what the user gives of the shared unknowns of each law.
+    """
 
     motion: MeasuredMotion
     cut: CycleSegmentation
     ripple: Ripple | None = None
+    given: Mapping[int | str, tuple[GivenUnknown, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,18 +66,17 @@ class EstimationProblem:
     runs: tuple[Run, ...]
     active: tuple[int, ...]
     start: Array
-    scale: Array
     lower: Array
     upper: Array
     prior: Array
     precision: Array
-    local_scale: Array  # (6,)
 
     @classmethod
-    def build(cls, law: int, runs: Sequence[Run]) -> "EstimationProblem":
+    def build(cls, law: int, runs: Sequence[Run], name: int | str | None = None) -> "EstimationProblem":
         """Regress the start and turn the calibrations into priors.
 
-        Several runs start from the median of what their regressions say of the contact.
+        Several runs start from the median of what their regressions say of the contact.  What the user gives is that of
+        the law, or of another one of that ``name`` on its contact.
         """
         kind = LAWS[law]
         motions = tuple(run.motion for run in runs)
@@ -67,11 +85,10 @@ class EstimationProblem:
         omega = math.sqrt(K)
         damping = damping_calibration(motions[0], K)
         speed = min(motion.belt_speed for motion in motions)
-        travel = max(motion.travel for motion in motions)
-        shape, steepest = max(abs(first_shape), 1e-3 / speed), np.inf
+        steepest = np.inf
         if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
             steepest = LEAST_LINEAR_FRICTION / max(float(np.max(m.belt_speed - m.velocity)) for m in motions)
-        start, scale, lower, upper, prior, precision = np.zeros((6, len(runs), PER_RUN))
+        start, lower, upper, prior, precision = np.zeros((5, len(runs), PER_RUN))
         lower[:], upper[:] = -np.inf, np.inf
         upper[:, Global.SHAPE] = steepest
         for r, (run, own) in enumerate(zip(runs, first, strict=True)):
@@ -100,13 +117,11 @@ class EstimationProblem:
             for slot, (value, weight) in known.items():
                 prior[r, slot], precision[r, slot] = value, weight
             start[r] = parameters.to_array(begin)
-            scale[r] = K, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel, v, v, begin.omega, 1.0
             lowest = start[r, Global.LOG_F] - LARGEST_LOG_DROP
             lower[r, : Global.DATUM] = 1e-6 * K, lowest, 0.05 * v, 0, NARROWEST_RAMP * speed
             lower[r, [Global.DAMPING, Global.OMEGA]] = 0.0
             lower[r, Global.STATIC], upper[r, Global.STATIC] = 1.0, LARGEST_STATIC
             lower[r, Global.COMPLIANCE] = NARROWEST_RAMP * v / motion.travel
-        fastest = max(motion.belt_speed for motion in motions)
         return cls(
             law=law,
             runs=tuple(runs),
@@ -114,13 +129,35 @@ class EstimationProblem:
                 law, [motion.compliance is not None for motion in motions], [run.ripple is not None for run in runs]
             ),
             start=start.ravel(),
-            scale=scale.ravel(),
             lower=lower.ravel(),
             upper=upper.ravel(),
             prior=prior.ravel(),
             precision=precision.ravel(),
-            local_scale=np.array([travel, fastest, 1.0, 1.0, travel, fastest]),
+        ).with_given(law if name is None else name)
+
+    def with_given(self, name: int | str) -> "EstimationProblem":
+        """Return the problem with what the user gives of a law's shared unknowns."""
+        if not any(run.given.get(name) for run in self.runs):
+            return self
+        start, lower, upper, prior, precision = (
+            own.copy() for own in (self.start, self.lower, self.upper, self.prior, self.precision)
         )
+        for run, own in enumerate(self.runs):
+            sizes = _sizes(own.motion, float(self.start[PER_RUN * run + Global.K]))
+            for given in own.given.get(name, ()):
+                at = PER_RUN * run + given.slot
+                lower[at], upper[at] = max(lower[at], given.low), min(upper[at], given.high)
+                first = start[at] if given.start is None else given.start
+                if given.low == given.high:
+                    lower[at] = upper[at] = first = prior[at] = given.low
+                    precision[at] = (EXACT * sizes[given.slot]) ** -2.0
+                start[at] = min(max(first, lower[at]), upper[at])
+        return replace(self, start=start, lower=lower, upper=upper, prior=prior, precision=precision)
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Which unknowns of all runs have one value."""
+        return np.asarray(self.lower == self.upper)
 
     def with_overtaking(self, overtaking: NDArray[np.bool_]) -> "EstimationProblem":
         """Return the problem with these cycles (cycles,) as ones in which the mass overtakes the belt after landing."""
@@ -158,7 +195,16 @@ class EstimationProblem:
             p = parameters.values(u[:PER_RUN])
             F, shape = starts.matched_curve(own.curve_code, near.curve_code, p.F, p.shape, fastest)
             start[Global.LOG_F :: PER_RUN], start[Global.SHAPE :: PER_RUN] = math.log(F), shape
-        return start
+        return np.where(self.held, self.start, start)
+
+    def windows(self, *, thinned: bool) -> ShootingWindows:
+        """Return the windows of all runs, of every sample or thinned to `COARSE` a slip."""
+        return ShootingWindows.join(
+            [
+                ShootingWindows.from_cycles(run.motion, run.cut.used, coarse_stride(run.motion) if thinned else 1)
+                for run in self.runs
+            ]
+        )
 
     @property
     def curve(self) -> int:
@@ -202,6 +248,11 @@ def _regressed(
     return [own._replace(**contact) for own, _ in found], float(np.median([size for _, size in found]))
 
 
+def coarse_stride(motion: MeasuredMotion) -> int:
+    """Return every how many samples one is left of a record thinned to `COARSE` a slip."""
+    return max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE))
+
+
 def level_prior(motions: Sequence[MeasuredMotion]) -> float:
     """Return `EstimationProblem.level_prior` where the datum is fitted with a curve that is not constant."""
     return LOOSE_LEVELS if any(motion.datum_prior is None for motion in motions) else 1.0
@@ -225,6 +276,13 @@ def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:
     if known is None or mass is None:
         return Measured(0.0, DEFAULT_DAMPING_SD * 2 * math.sqrt(K))
     return Measured(known.value / mass, known.sd / mass)
+
+
+def _sizes(motion: MeasuredMotion, K: float) -> dict[Global, float]:
+    """Return the natural size of each unknown that may be given."""
+    v, omega = motion.belt_speed, math.sqrt(K)
+    sizes = {Global.K: K, Global.LOG_F: 1.0, Global.V_DR: v, Global.SHAPE: 1 / v, Global.D: v, Global.STATIC: 1.0}
+    return sizes | {Global.DATUM: motion.travel, Global.DAMPING: omega}
 
 
 def _precision(sd: float, exact: float) -> float:

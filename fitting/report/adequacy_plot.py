@@ -10,8 +10,8 @@ from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
 from fitting.data.cycles import Cycle
 from fitting.drawing import curves
-from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
-from fitting.report.chart import SMALL, Axes, picture, text_width
+from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE, law_colours
+from fitting.report.chart import SMALL, Axes, legend_rows, picture, text_width
 from fitting.report.scale import AxisScale
 from fitting.report.symbols import pretty
 from fitting.selection.result import LawResult, Ranking
@@ -19,6 +19,16 @@ from fitting.selection.result import LawResult, Ranking
 HALF, BESIDE = 560.0, 18.0  # px: of the picture of orbits, and for the name of its ordinate
 MM = 1e3  # positions are drawn in mm, speeds in m/s
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
+
+
+def by_law(ranking: Ranking) -> list[LawResult]:
+    """Return the rows in the order of their laws: the six by number, then formulas, best first."""
+    return sorted(ranking.rows, key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
+
+
+def colours_of(ranking: Ranking) -> dict[int | str, str]:
+    """Return the colour of each law, the same in every picture."""
+    return law_colours(row.law for row in ranking.rows)
 
 
 def measured_curve(ranking: Ranking) -> str:
@@ -29,28 +39,29 @@ def measured_curve(ranking: Ranking) -> str:
     found = ranking.adequacy.curve
     if found is None:
         raise ValueError("no curve was measured")
-    height, drawn = 320.0, []
+    height, drawn, colours = 320.0, [], colours_of(ranking)
     lo, hi, band = found.lo, found.hi, f"{100 * found.confidence:g} % band"
     label = "measured, without a law"
     if not found.level_known:  # the band of every level would hide the shape
         lo, hi, band = found.friction - found.shape_half, found.friction + found.shape_half, f"{band} of the shape"
         label += ", level not determined"
+    rows = max(2, legend_rows([*(row.label for row in ranking.rows), band, label], WIDE / 2))
     for place, reach in enumerate((float(found.speed[-1]), ZOOM * float(found.speed[-1]))):
         seen = found.speed <= 1.02 * reach
         own = seen if seen.sum() > 2 else np.ones_like(seen)
         low, high = float(lo[own].min()), float(hi[own].max())
         tall = AxisScale(low - 0.25 * (high - low), high + 0.35 * (high - low))
-        axes = Axes(place * WIDE / 2, 0, WIDE / 2, height, AxisScale(0.0, 1.02 * reach), tall, rows=2)
+        axes = Axes(place * WIDE / 2, 0, WIDE / 2, height, AxisScale(0.0, 1.02 * reach), tall, rows=rows)
         axes.title = "low speeds" if place else "all speeds"
         axes.xlabel, axes.ylabel = "relative speed (m/s)", f"friction ({ranking.adequacy.unit})"
         grid = np.linspace(0.0, 1.02 * reach, 400)
-        for row in sorted(ranking.rows, key=lambda row: row.law):
+        for row in by_law(ranking):
             force = np.abs(curves.curve(row.fit, ranking.motion, -grid))
             if not found.level_known:
                 at = np.abs(curves.curve(row.fit, ranking.motion, -found.speed))
                 force = force + np.mean(found.friction - at)
             style = "" if row.in_set else DASH
-            axes.line(grid, force, COLOURS[row.law], width=1.0, dash=style, label=f"law {row.law}")
+            axes.line(grid, force, colours[row.law], width=1.0, dash=style, label=row.label)
         axes.band(found.speed, lo, hi, INK, opacity=0.22, label=band)
         axes.line(found.speed, found.friction, INK, width=1.8, label=label)
         drawn.append(axes)
@@ -58,11 +69,11 @@ def measured_curve(ranking: Ranking) -> str:
 
 
 def orbits(ranking: Ranking) -> str:
-    """Draw the phase portrait six times: one cycle of each run as measured, and over it each law, with its error.
+    """Draw the phase portrait once a law: one cycle of each run as measured, and over it the law, with its error.
 
     It is the cycle in the middle of all by the best law's error.
     """
-    rows = sorted(ranking.rows, key=lambda row: row.law)
+    rows, colours = by_law(ranking), colours_of(ranking)
     columns = min(len(rows), 3)
     lines = math.ceil(len(rows) / columns)
     typical = [_typical_cycle(side.best) for side in ranking.sides]
@@ -82,12 +93,12 @@ def orbits(ranking: Ranking) -> str:
         line, column = divmod(place, columns)
         left, first = column * width + (BESIDE if column else 0.0), column == 0
         axes = Axes(left, line * height, width + (BESIDE if first else 0.0), height, *both, rows=0)
-        axes.title = f"law {row.law}{' *' if row.in_set else ''}: {pretty(format_length(row.rms_m))}"
+        axes.title = f"{row.label}{' *' if row.in_set else ''}: {pretty(format_length(row.rms_m))}"
         axes.margin += 0.0 if first else -BESIDE
         axes.xlabel = "position (mm)" if place + columns >= len(rows) else ""
         axes.ylabel = "velocity (m/s)" if first else ""
         axes.trace(measured, MEASURED, width=4.0, opacity=0.6)
-        axes.trace(fitted[place], COLOURS[row.law], width=1.2)
+        axes.trace(fitted[place], colours[row.law], width=1.2)
         drawn.append(axes)
     return picture("orbits", HALF, lines * height, drawn)
 

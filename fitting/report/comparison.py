@@ -13,7 +13,7 @@ from daq.base.errors import InputError
 from daq.base.output import atomic
 from daq.base.text import storable
 from daq.base.version import VERSION
-from fitting.drawing.palette import COLOURS, WIDE
+from fitting.drawing.palette import INK, WIDE, law_colours
 from fitting.estimation.result import Parameter
 from fitting.report import page, symbols
 from fitting.report.chart import Axes, picture
@@ -22,7 +22,9 @@ from fitting.report.scale import AxisScale
 SUFFIX = ".each.html"
 MARK = '<meta name="generator" content="stickslip fit-friction --each'
 SHOWN = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d", "x0", "c/m")  # per unit mass: every run has these
+NOT_SHOWN = ("k", "c", "m", "wear", "droop", "ripple", "ripple_hz")  # beside the parameters of a formula
 COLUMNS = 2
+Colours = Mapping[int | str, str]
 HEAD, PER_RUN = 76.0, 22.0  # px of a panel: its title and labels, and each run
 
 
@@ -35,23 +37,33 @@ class ComparedRun:
     problem: str = ""
 
     @property
-    def law(self) -> int | None:
-        """The best of the six; None where no law came near, or the fit failed."""
+    def law(self) -> int | str | None:
+        """The best law that was asked for; None where no law came near, or the fit failed."""
         return None if self._best is None else self._best["law"]
 
     @property
     def _best(self) -> Mapping[str, Any] | None:
-        return next((row for row in self.document.get("ranking", ()) if isinstance(row["law"], int)), None)
+        asked = [row for row in self.document.get("ranking", ()) if row.get("asked", True)]
+        return next((row for row in asked if isinstance(row["law"], int) and row["in_set"]), next(iter(asked), None))
+
+    @property
+    def members(self) -> tuple[int | str, ...]:
+        """The laws in the set."""
+        return (*self.document.get("set", ()), *self.document.get("rivals", ()))
 
     @property
     def decided(self) -> bool:
         """Whether one law is left that describes the record."""
         found = (self.parameter(name) for name in SHOWN)
-        return (
-            self.law is not None
-            and len(self.document["set"]) + len(self.document.get("rivals", ())) == 1
-            and all(p is None or p.trusted for p in found)
-        )
+        return self.members == (self.law,) and all(p is None or p.trusted for p in found)
+
+    @property
+    def names(self) -> list[str]:
+        """The parameters of the best law that are shown, per unit mass."""
+        best = self._best or {}
+        own = best.get("parameters", {})
+        others = (name for name in own if name not in (*NOT_SHOWN, *SHOWN) and f"{name}/m" not in own)
+        return [name for name in SHOWN if name in own] + (list(others) if "formula" in best else [])
 
     def parameter(self, name: str) -> Parameter | None:
         """Return a parameter of the best law; None where it has none of this name."""
@@ -110,13 +122,15 @@ def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
     """Return the page as HTML."""
     from markupsafe import Markup
 
-    names = [name for name in SHOWN if any(run.parameter(name) for run in runs)]
+    known = dict.fromkeys(name for run in runs for name in run.names)
+    names = [name for name in SHOWN if name in known] + [name for name in known if name not in SHOWN]
     units = {name: next(found.unit for run in runs if (found := run.parameter(name))) for name in names}
+    colours = law_colours(dict.fromkeys(run.law for run in runs if run.law is not None))
     return page.template("comparison.html").render(
         mark=Markup(_mark([run.file for run in runs])),
-        rows=[_row(number, run, names) for number, run in enumerate(runs, start=1)],
+        rows=[_row(number, run, names, colours) for number, run in enumerate(runs, start=1)],
         names=[f"{name} ({symbols.pretty(units[name])})" for name in names],
-        picture=Markup(draw(runs, names, units)) if names else "",
+        picture=Markup(draw(runs, names, units, colours)) if names else "",
         symbols=symbols.symbols(names),
         summary=summary,
         confidence=f"{100 * (1 - alpha):g} %",
@@ -125,13 +139,13 @@ def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
     )
 
 
-def _row(number: int, run: ComparedRun, names: Sequence[str]) -> dict[str, Any]:
+def _row(number: int, run: ComparedRun, names: Sequence[str], colours: Colours) -> dict[str, Any]:
     return {
         "number": number,
         "file": run.file.name,
-        "laws": ", ".join(map(str, run.document.get("set", ()))) or "–",
+        "laws": ", ".join(map(str, run.members)) or "–",
         "verdict": symbols.pretty(run.document["verdict"]) if run.document else f"error: {run.problem}",
-        "colour": COLOURS[run.law] if run.law is not None else "",
+        "colour": colours[run.law] if run.law is not None else "",
         "parameters": [_value(run.parameter(name)) for name in names] if run.law is not None else [],
     }
 
@@ -143,7 +157,7 @@ def _value(item: Parameter | None) -> tuple[str, str]:
     return value, interval
 
 
-def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, str]) -> str:
+def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, str], colours: Colours) -> str:
     """Draw a panel for each parameter: a line of each run, with its value and interval."""
     rows = tuple(f"run {number}" for number in range(len(runs), 0, -1))
     down = AxisScale(-0.6, len(runs) - 0.4, names=rows)
@@ -157,7 +171,7 @@ def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, 
         axes.title = name
         axes.xlabel = f"{name} ({symbols.pretty(units[name])})"
         for y, run, item in shown:
-            colour = COLOURS[run.law or 1]
+            colour = colours[run.law] if run.law is not None else INK
             axes.line(np.array([item.lo, item.hi]), np.full(2, float(y)), colour, width=2.2)
             sign = "o" if run.decided else "c"
             axes.marks(np.array([item.value]), np.array([float(y)]), colour, sign=sign, size=3.6)

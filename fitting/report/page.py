@@ -3,7 +3,7 @@
 import html
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +15,10 @@ from daq.base.text import storable
 from daq.base.version import VERSION
 from daq.runfile import store
 from fitting.adequacy.result import Adequacy
-from fitting.drawing.palette import COLOURS, run_colour
+from fitting.drawing.palette import law_colours, run_colour
 from fitting.estimation.result import Parameter
-from fitting.report import symbols
-from fitting.selection.result import Ranking
+from fitting.report import mathml, symbols
+from fitting.selection.result import LawResult, Ranking
 from fitting.selection.verdict import format_probability
 from processing.record.kinematics import Kinematics
 from processing.statistics import StickSlipStatistics, pooled
@@ -150,7 +150,7 @@ def render(
 
     from fitting.report import plot
 
-    first = motions[0].recording
+    first, colours = motions[0].recording, law_colours(row.law for row in ranking.rows)
     title = first.title or first.source.name
     if ranking.runs:
         title = ", ".join(motion.recording.source.name for motion in motions)
@@ -166,15 +166,14 @@ def render(
         version=VERSION,
         said=ranking.verdict,
         verdict=symbols.pretty(ranking.verdict),
-        alone=len(ranking.laws_in_set) == 1 and not ranking.adequacy.rejected,
-        rows=[_row(row, ranking) for row in ranking.rows],
+        alone=len(ranking.members) == 1 and not ranking.adequacy.rejected,
+        rows=[_row(row, colours) for row in ranking.rows],
         best=ranking.best if ranking.rows else None,
-        parameters=[
-            (name, *format_interval(item)) for row in ranking.rows[:1] for name, item in row.parameters.items()
-        ],
+        parameters=[(name, *format_interval(item)) for name, item in _best(ranking).items()],
+        rivals=[_rival(row) for row in ranking.rivals if row.in_set and row is not ranking.best],
         correlations=_correlations(ranking),
         motion=symbols.MOTION,
-        formulas=[(row.law, row.name, symbols.formula(row.law)) for row in ranking.rows],
+        formulas=[_formula(row) for row in ranking.rows],
         symbols=symbols.symbols({name for side in ranking.sides for row in side.rows for name in row.parameters}),
         confidence=f"{100 * (1 - alpha):g} %",
         warnings=[symbols.pretty(warning) for warning in ranking.warnings],
@@ -185,6 +184,25 @@ def render(
         pictures={name: Markup(text) for name, text in plot.draw(ranking, statistics).items()},
         cpu=f"{ranking.cpu_s:.2f} s for {len(ranking.rows)} laws",
     )
+
+
+def _best(ranking: Ranking) -> dict[str, Parameter]:
+    """Return the parameters of the best law; none where no law came near."""
+    return ranking.best.parameters if ranking.rows else {}
+
+
+def _formula(row: LawResult) -> tuple[str, str, Any, str]:
+    """Return number or name of a law, its name in words, its curve typeset, and its contact."""
+    from markupsafe import Markup
+
+    curve, contact = symbols.typeset(row)
+    return str(row.law), row.name if row.formula is None else "", Markup(curve), contact
+
+
+def _rival(row: LawResult) -> dict[str, Any]:
+    """Return name and parameters of a formula of the set that is not the best law asked for."""
+    shown = [(name, *format_interval(item)) for name, item in row.parameters.items()]
+    return {"label": row.label, "asked": row.asked, "parameters": shown}
 
 
 def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
@@ -296,11 +314,14 @@ def _shade(value: float) -> str:
     return f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})"
 
 
-def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
+def _row(row: LawResult, colours: Mapping[int | str, str]) -> dict[str, Any]:
+    from markupsafe import Markup
+
     mean, error = row.behind
     return {
         "law": row.law,
-        "name": row.name,
+        "name": row.name if row.formula is None else Markup(mathml.typeset(row.formula)),
+        "asked": row.asked,
         "in_set": row.in_set,
         "rms": symbols.pretty(format_length(row.rms_m)),
         "score": f"{row.score:.1f}",
@@ -308,7 +329,7 @@ def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
         "behind": "best" if row.score == 0 else f"{mean:.2f} ± {error:.2f}",
         "orbit": f"{100 * row.orbit:.2g} %",
         "cpu": f"{row.cpu_s:.2f} s",
-        "colour": COLOURS[row.law],
+        "colour": colours[row.law],
     }
 
 
@@ -324,6 +345,8 @@ def format_interval(item: Parameter) -> tuple[str, str, str, str]:
 
     Of a law that does not describe the record error and interval are withheld, and the value has four digits.
     """
+    if item.fixed:
+        return f"{item.value:.6g}", "fixed", "–", symbols.pretty(item.unit)
     if not item.trusted:
         return f"{item.value:.4g}", "–", "withheld", symbols.pretty(item.unit)
     digits = item.decimals

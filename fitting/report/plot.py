@@ -12,7 +12,8 @@ from daq.base.output.lengths import shown_length
 from fitting.drawing import curves
 from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE, run_colour
 from fitting.report import adequacy_plot
-from fitting.report.chart import Axes, legend_rows, picture
+from fitting.report.adequacy_plot import by_law, colours_of
+from fitting.report.chart import LEFT, SMALL, Axes, legend_rows, picture, text_width
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, Ranking
 from processing.statistics import StickSlipStatistics, pooled
@@ -30,7 +31,8 @@ def portrait(ranking: Ranking) -> str:
     """Draw velocity against position: the whole record, or all, and the best law's motion in every window."""
     runs = [adequacy_plot.measured_orbit(side) for side in ranking.sides]
     x, v = (np.concatenate(own) for own in zip(*runs, strict=True))
-    legend, fitted = _legend(ranking, MEASURED, "measured"), [f"law {row.law}, fitted" for row in ranking.rows[:1]]
+    legend = _legend(ranking, MEASURED, "measured")
+    fitted = [f"{ranking.best.label}, fitted"] if ranking.rows else []
     rows = legend_rows([label for _, label in legend] + (fitted and [*fitted, "belt speed"]), NARROW)
     axes = Axes(0, 0, NARROW, 350, AxisScale.around(x), AxisScale.around(v), rows=rows)
     axes.xlabel, axes.ylabel = "position (mm)", "velocity (m/s)"
@@ -40,7 +42,7 @@ def portrait(ranking: Ranking) -> str:
     if ranking.rows:
         best = ranking.best
         parts = [part for side in ranking.sides for part in adequacy_plot.fitted_orbits(side.best, side.motion.sign)]
-        colour, width = (INK, 0.7) if ranking.runs else (COLOURS[best.law], 1.0)
+        colour, width = (INK, 0.7) if ranking.runs else (colours_of(ranking)[best.law], 1.0)
         axes.trace(parts, colour, width=width, label=fitted[0])
         named = "belt speed"
         for side, (colour, _) in zip(ranking.sides, _legend(ranking, INK, ""), strict=True):
@@ -81,16 +83,17 @@ def friction(ranking: Ranking) -> str:
     top = max(float(np.nanmax(np.abs(drawn[ranking.best.law]))), float(np.percentile(np.abs(force), SPREAD)))
     legend = _legend(ranking, MEASURED, "measured")
     label = f"friction ({curves.unit(motion)})"
-    rows = legend_rows([f"law {row.law}" for row in ranking.rows] + [named for _, named in legend], NARROW)
+    rows = legend_rows([row.label for row in ranking.rows] + [named for _, named in legend], NARROW)
+    colours = colours_of(ranking)
     axes = Axes(0, 0, NARROW, 350, AxisScale.around(grid), AxisScale(-1.3 * top, 1.3 * top), rows=rows)
     axes.xlabel, axes.ylabel = "relative velocity: mass minus belt (m/s)", label
     axes.level(0, INK)
     axes.level(0, INK, upright=True)
-    for row in sorted(ranking.rows, key=lambda row: (row is ranking.best, row.law)):
+    for row in sorted(by_law(ranking), key=lambda row: row is ranking.best):
         values = np.where(grid == 0, np.nan, drawn[row.law])
         heavy = row is ranking.best
         width, dash = (2.2, "") if heavy else (1.0, "" if row.in_set else DASH)
-        axes.line(grid, values, COLOURS[row.law], width=width, dash=dash, label=f"law {row.law}")
+        axes.line(grid, values, colours[row.law], width=width, dash=dash, label=row.label)
     for (w, own), (colour, label) in zip(clouds, legend, strict=True):
         thin = slice(None, None, max(1, w.size // most))
         axes.cloud(w[thin], own[thin], colour, opacity=0.35, label=label)
@@ -103,7 +106,8 @@ def residuals(ranking: Ranking) -> str:
     Of several runs the times follow one another.
     """
     best = ranking.best
-    rival = next((row for row in ranking.rows[1:] if not row.in_set and row.rms_m > 1.2 * best.rms_m), None)
+    others = (row for row in ranking.rows if row is not best and not row.in_set)
+    rival, colours = next((row for row in others if row.rms_m > 1.2 * best.rms_m), None), colours_of(ranking)
     panels = [(best, True), (best, False)] + ([(rival, False)] if rival is not None else [])
     parts = np.array([1.25, *[1.0] * (len(panels) - 1)])
     widths = WIDE * parts / parts.sum()
@@ -121,10 +125,10 @@ def residuals(ranking: Ranking) -> str:
         reach = 1.4 * max(1e6 * float(np.percentile(np.abs(row.fit.residual), SPREAD)), noise)
         across = AxisScale.around(np.concatenate(times))
         axes = Axes(float(left), 0, float(width), 265, across, AxisScale(-reach, reach), rows=rows)
-        axes.title = f"law {row.law}, {_whole(ranking) if whole else 'all cycles'}"
+        axes.title = f"{row.label}, {_whole(ranking) if whole else 'all cycles'}"
         axes.xlabel = _time_label(ranking) if whole else "time since break-away (s)"
         axes.ylabel = "residual (µm)"
-        for one, time, (colour, label) in zip(own, times, _legend(ranking, COLOURS[row.law], RESIDUAL), strict=True):
+        for one, time, (colour, label) in zip(own, times, _legend(ranking, colours[row.law], RESIDUAL), strict=True):
             axes.cloud(time, 1e6 * one.fit.residual, colour, label=label)
         ends, level = np.array([axes.x.low, axes.x.high]), np.full(2, noise)
         axes.band(ends, -level, level, INK, opacity=0.16, label=NOISE)
@@ -140,14 +144,17 @@ def evidence(ranking: Ranking) -> str:
     """Draw each cycle's error under each law: what the ranking is made of."""
     rows = list(reversed(ranking.rows))
     errors = [1e6 * row.fit.cycle_rms for row in rows]
-    names = tuple(f"law {row.law}{' *' if row.in_set else ''}" for row in rows)
+    names = tuple(f"{row.label}{' *' if row.in_set else ''}" for row in rows)
+    colours = colours_of(ranking)
     height = 60.0 + 30 * len(rows)
     places = AxisScale(-0.6, len(rows) - 0.4, names=names)
     axes = Axes(0, 0, NARROW, height, AxisScale.around(np.concatenate(errors), log=True), places, rows=0)
+    if ranking.rivals:
+        axes.margin = max(LEFT, 14.0 + max(text_width(name, SMALL) for name in names))
     axes.xlabel = "error of each cycle (µm rms); dot: their geometric mean"
     for place, (row, own) in enumerate(zip(rows, errors, strict=True)):
-        axes.marks(own, np.full(own.size, place), COLOURS[row.law], sign="|", size=8)
-        axes.marks(np.exp([np.mean(np.log(own))]), np.array([place]), COLOURS[row.law], size=4)
+        axes.marks(own, np.full(own.size, place), colours[row.law], sign="|", size=8)
+        axes.marks(np.exp([np.mean(np.log(own))]), np.array([place]), colours[row.law], size=4)
     return picture("evidence", NARROW, height, [axes])
 
 
@@ -159,15 +166,16 @@ def cost(ranking: Ranking) -> str:
     axes.xlabel, axes.ylabel = "CPU time of the fit (s)", "error (µm rms)"
     places = np.stack([axes.x.place(time), axes.y.place(error)], axis=1)
     named: list[list[int]] = []
+    colours, numbered = colours_of(ranking), [row.law for row in by_law(ranking)]
     for k, row in enumerate(ranking.rows):
-        axes.marks(time[k : k + 1], error[k : k + 1], COLOURS[row.law], size=4.0 if row.in_set else 3.0)
+        axes.marks(time[k : k + 1], error[k : k + 1], colours[row.law], size=4.0 if row.in_set else 3.0)
         near = next((own for own in named if np.max(np.abs(places[own[0]] - places[k])) < ALIKE), None)
         if near is None:
             named.append([k])
         else:
             near.append(k)
     for own in named:
-        laws = ", ".join(str(ranking.rows[k].law) for k in sorted(own, key=lambda k: ranking.rows[k].law))
+        laws = ", ".join(str(law) for law in sorted((ranking.rows[k].law for k in own), key=numbered.index))
         axes.text(float(time[own].max()), float(error[own].max()), laws, (7.0, -4.0))
     return picture("cost", NARROW, 230, [axes])
 

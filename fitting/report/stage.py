@@ -1,4 +1,4 @@
-"""The fitted stage: /entry/fit and /entry/fit_law1 ... fit_law6, of one run in its file, of several in their own.
+"""The fitted stage: /entry/fit and /entry/fit_law1 ... fit_law_NAME, of one run in its file, of several in their own.
 
 In a run file the raw data beside them stay untouched.  In the file of a joint fit (`daq.runfile.joint`) the cycles and
 what differs between the runs stand once for each: cycles_run1 ..., parameters_run1 ...; runs has what each run shows.
@@ -9,9 +9,11 @@ what differs between the runs stand once for each: cycles_run1 ..., parameters_r
       parameters      NXparameters  verdict, adequacy, warnings, cpu_time; begin and end of what was fitted; part: in
                                     words, where it is not the whole run, all laws and all cycles;
                                     sha256_smooth: of the velocity in the smoothed stage beside it
-      ranking         NXdata      one row a law: score, weight, in_set, rms, cycles, orbit_distance; law_name beside it
+      ranking         NXdata      one row a law of the six: score, weight, in_set, rms, cycles, orbit_distance; law_name
+                                  beside it
+      formulas        NXdata      the same of laws given as formulas; law_name, formula and asked beside it
       cycles          NXdata      one row a break-away: t, static_level, kinetic_scale
-    fit_law1 ...      NXprocess   @default=friction_curve
+    fit_law1 ...      NXprocess   @default=friction_curve; of a law given as a formula fit_law_NAME, with _ for -
       parameters      NXparameters  law_name, formula; value, value_errors and units of each parameter; errors are
                                     NaN where no law describes the record
       friction_curve  NXdata      friction against relative velocity
@@ -22,13 +24,14 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from numpy.typing import ArrayLike
 
 from daq.base.errors import InputError
 from daq.runfile import joint, nexus, store
 from fitting.drawing.curves import curve, speeds_of_all, unit
 from fitting.estimation.derived import RUNS_OWN
 from fitting.estimation.result import Parameter
-from fitting.report.symbols import formula
+from fitting.report.symbols import formula_of
 from fitting.selection.result import LawResult, Ranking
 from processing import stage as smoothed_stage
 
@@ -53,7 +56,6 @@ def save(ranking: Ranking, path: Path, record: str, smoothed: str, part: str = "
     InputError
         For a file that is no run, or one that was recorded or smoothed anew meanwhile.
     """
-    names = ["fit", *(f"fit_law{law}" for law in range(1, 7))]
 
     def write(entry: h5py.Group) -> None:
         raw = nexus.read_text(entry, "provenance/sha256_raw", path) if "provenance/sha256_raw" in entry else ""
@@ -62,11 +64,13 @@ def save(ranking: Ranking, path: Path, record: str, smoothed: str, part: str = "
             if now != before:
                 what = f"it was {done} anew while it was fitted; the fit was not stored"
                 raise InputError(what, str(path), f"run: fit-friction {path.name}")
+        for name in [name for name in entry if name.startswith("fit_law")]:
+            del entry[name]
         _write(entry, ranking, part)
         if smoothed:
             nexus.field(entry["fit/parameters"], "sha256_smooth", smoothed)
 
-    store.extend(path, names, write, default="fit")
+    store.extend(path, "fit", write, default="fit")
 
 
 def save_joint(
@@ -88,7 +92,10 @@ def save_joint(
 
 
 def _write(entry: h5py.Group, ranking: Ranking, part: str) -> None:
-    fit = nexus.process(entry, "fit", "fit-friction", 2, "ranking" if ranking.rows else "parameters")
+    six = sorted((row for row in ranking.rows if isinstance(row.law, int)), key=_number)
+    formulas = ranking.rivals
+    shown = "ranking" if six else "formulas" if formulas else "parameters"
+    fit = nexus.process(entry, "fit", "fit-friction", 2, shown)
     about = nexus.group(fit, "parameters", "NXparameters")
     nexus.field(about, "verdict", ranking.verdict)
     nexus.field(about, "adequacy", ranking.adequacy.said)
@@ -102,24 +109,14 @@ def _write(entry: h5py.Group, ranking: Ranking, part: str) -> None:
         nexus.field(about, "warnings", list(ranking.warnings))
     if not ranking.rows:
         return
-    rows = sorted(ranking.rows, key=lambda row: row.law)
-    table = nexus.table(
-        fit,
-        "ranking",
-        {
-            "law": (np.array([row.law for row in rows], np.uint8), ""),
-            "score": (np.array([row.score for row in rows]), ""),
-            "weight": (np.array([row.weight for row in rows]), ""),
-            "in_set": (np.array([row.in_set for row in rows], np.uint8), ""),
-            "rms": (np.array([row.rms_m for row in rows]), "m"),
-            "cycles": (np.array([row.cycles for row in rows], np.uint32), ""),
-            "orbit_distance": (np.array([row.orbit for row in rows]), ""),
-        },
-        axis="law",
-        signal="score",
-        title="log error of each law above the best one's, penalised",
-    )
-    nexus.field(table, "law_name", [row.name for row in rows])
+    if six:
+        laws: dict[str, tuple[ArrayLike, str]] = {"law": (np.array([row.law for row in six], np.uint8), "")}
+        _ranked(fit, "ranking", laws, six)
+    if formulas:
+        places: dict[str, tuple[ArrayLike, str]] = {"row": (np.arange(1, len(formulas) + 1, dtype=np.uint8), "")}
+        table = _ranked(fit, "formulas", places, formulas)
+        nexus.field(table, "formula", [row.formula or "" for row in formulas])
+        nexus.field(table, "asked", np.array([row.asked for row in formulas], np.uint8), "")
     for number, side in enumerate(ranking.sides, start=1):
         nexus.table(
             fit,
@@ -135,15 +132,38 @@ def _write(entry: h5py.Group, ranking: Ranking, part: str) -> None:
             auxiliary=("kinetic_scale",),
             title="levels of each break-away over Fs",
         )
-    for row in rows:
+    for row in (*six, *formulas):
         _law(entry, row, ranking)
 
 
+def _number(row: LawResult) -> int:
+    return row.law if isinstance(row.law, int) else 0
+
+
+def _ranked(
+    fit: h5py.Group, name: str, axis: dict[str, tuple[ArrayLike, str]], rows: Sequence[LawResult]
+) -> h5py.Group:
+    """Write one table of the ranking; ``axis`` is its first column."""
+    columns = {
+        "score": (np.array([row.score for row in rows]), ""),
+        "weight": (np.array([row.weight for row in rows]), ""),
+        "in_set": (np.array([row.in_set for row in rows], np.uint8), ""),
+        "rms": (np.array([row.rms_m for row in rows]), "m"),
+        "cycles": (np.array([row.cycles for row in rows], np.uint32), ""),
+        "orbit_distance": (np.array([row.orbit for row in rows]), ""),
+    }
+    title = "log error of each law above the best one's, penalised"
+    table = nexus.table(fit, name, {**axis, **columns}, axis=next(iter(axis)), signal="score", title=title)
+    nexus.field(table, "law_name", [row.name if row.formula is None else str(row.law) for row in rows])
+    return table
+
+
 def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
-    group = nexus.process(entry, f"fit_law{row.law}", "fit-friction", 2, "friction_curve")
+    name = f"fit_law{row.law}" if isinstance(row.law, int) else f"fit_law_{row.law.replace('-', '_')}"
+    group = nexus.process(entry, name, "fit-friction", 2, "friction_curve")
     parameters = nexus.group(group, "parameters", "NXparameters")
-    nexus.field(parameters, "law_name", row.name)
-    nexus.field(parameters, "formula", formula(row.law))
+    nexus.field(parameters, "law_name", row.name if row.formula is None else str(row.law))
+    nexus.field(parameters, "formula", formula_of(row))
     found = ranking.sides[0].row(row.law).parameters
     own = RUNS_OWN if ranking.runs else ()
     _parameters(parameters, {name: item for name, item in found.items() if name not in own})
@@ -158,7 +178,7 @@ def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
         {"relative_velocity": (w, "m/s"), "friction": (curve(row.fit, ranking.motion, w), unit(ranking.motion))},
         axis="relative_velocity",
         signal="friction",
-        title=f"law {row.law}: {row.name}",
+        title=row.title if row.formula is not None else f"law {row.law}: {row.name}",
     )
 
 

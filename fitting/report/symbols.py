@@ -2,6 +2,9 @@
 
 from collections.abc import Iterable
 
+from fitting.competitors import FORMULAS
+from fitting.report import mathml
+from fitting.selection.result import LawResult
 from rig_sim.friction.law import LAWS
 
 MOTION = "m dv/dt = F(w) - k (x - x0) - c v, with w = v - v_dr"
@@ -40,11 +43,31 @@ ALWAYS = ("x", "v", "w", "s", "F", "m")
 
 
 def formula(law: int) -> str:
-    """Return the friction law as a formula in plain text."""
+    """Return one of the six friction laws as a formula in plain text."""
     kind = LAWS[law]
-    if kind.ramp:
-        return f"F = -Fs w/d for |w| <= d, else -sign(w) ({CURVES[kind.curve]}) with s = |w| - d"
-    return f"F = -sign(w) ({CURVES[kind.curve]}) with s = |w|"
+    return _with_contact(CURVES[kind.curve], "Fs", ramp=bool(kind.ramp))
+
+
+def formula_of(row: LawResult) -> str:
+    """Return a law of the ranking as a formula in plain text."""
+    if isinstance(row.law, int):
+        return formula(row.law)
+    return _with_contact(row.formula or "", "F(0)", ramp=row.fit.problem.ramp)
+
+
+def typeset(row: LawResult) -> tuple[str, str]:
+    """Return the curve of a law of the ranking as MathML, and the contact around it in words."""
+    curve = FORMULAS[LAWS[row.law].curve] if isinstance(row.law, int) else row.formula or ""
+    level = "Fs" if isinstance(row.law, int) else "f(0)"
+    if row.fit.problem.ramp:
+        return mathml.typeset(curve), f"F = -{level} w/d for |w| <= d, else -sign(w) f(s) with s = |w| - d"
+    return mathml.typeset(curve), "F = -sign(w) f(s) with s = |w|"
+
+
+def _with_contact(curve: str, level: str, *, ramp: bool) -> str:
+    if ramp:
+        return f"F = -{level} w/d for |w| <= d, else -sign(w) ({curve}) with s = |w| - d"
+    return f"F = -sign(w) ({curve}) with s = |w|"
 
 
 def symbols(parameters: Iterable[str]) -> list[tuple[str, str]]:

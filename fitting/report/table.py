@@ -5,9 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from daq.base.errors import InputError
 from daq.base.output import atomic
 from fitting.curve.result import MeasuredCurve
+from fitting.drawing import curves
+from fitting.selection.result import Ranking
 
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
 
@@ -29,35 +33,39 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
             raise InputError(what, str(path), "give another name (--csv), or --force to replace it")
 
 
-def write_curve(path: Path, curve: MeasuredCurve, unit: str) -> None:
+def write_curve(path: Path, ranking: Ranking, curve: MeasuredCurve) -> None:
     """Write friction against relative speed with its band, a row for each speed; an older table is replaced.
+
+    Laws given as formulas have a column each.
 
     Parameters
     ----------
     path : Path
+    ranking : Ranking
     curve : MeasuredCurve
-    unit : str
-        Of its friction.
+        Its own.
     """
+    unit, formulas = ranking.adequacy.unit, ranking.rivals
+    drawn = [np.abs(curves.curve(row.fit, ranking.motion, -curve.speed)) for row in formulas]
+    columns = (curve.speed, curve.friction, curve.lo, curve.hi, *drawn)
     with atomic.replacing(path, force=True) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
-        out.writerow(["speed (m/s)", *(f"{name} ({unit})" for name in ("friction", "lo", "hi"))])
-        out.writerows(
-            zip(*(column.tolist() for column in (curve.speed, curve.friction, curve.lo, curve.hi)), strict=True)
-        )
+        names = ("friction", "lo", "hi", *(row.label for row in formulas))
+        out.writerow(["speed (m/s)", *(f"{name} ({unit})" for name in names)])
+        out.writerows(zip(*(column.tolist() for column in columns), strict=True))
 
 
-def write(path: Path, documents: Sequence[tuple[Path, dict[str, Any]]]) -> None:
+def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]]) -> None:
     """Write the rankings of runs.
 
     Parameters
     ----------
     path : Path
         Table to write; an older one is replaced.
-    documents : sequence of (Path, dict)
-        Run file and its JSON document; a run without a ranking has no rows.
+    rankings : sequence of (Path, sequence of dict)
+        Run file and the rows of its ranking, as in its JSON document.
     """
-    rows = [(file, row) for file, document in documents for row in document.get("ranking", ())]
+    rows = [(file, row) for file, ranking in rankings for row in ranking]
     names = dict.fromkeys(name for _, row in rows for name in row["parameters"])
     with (
         atomic.replacing(path, force=True) as temporary,
@@ -65,7 +73,9 @@ def write(path: Path, documents: Sequence[tuple[Path, dict[str, Any]]]) -> None:
     ):
         out = csv.writer(file)
         columns = [f"{name}{part}" for name in names for part in ("", " stderr")]
-        out.writerow(["file", *EVIDENCE, *columns])
+        more = ("formula", "asked") if any("formula" in row for _, row in rows) else ()
+        out.writerow(["file", *EVIDENCE, *more, *columns])
         for run, row in rows:
             found = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]
-            out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *found])
+            beside = [int(row.get(key, True)) if key == "asked" else row.get(key, "") for key in more]
+            out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *beside, *found])

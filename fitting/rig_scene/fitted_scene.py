@@ -14,8 +14,8 @@ predictions are for a steady belt.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,11 +24,13 @@ from daq.base.compute.arrays import Array
 from daq.base.errors import DataError
 from daq.base.measured import Measured
 from fitting.curve.band import covariances
+from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.result import MeasuredCurve
 from fitting.curve.spline_fit import SplineFit
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.covariance import covariance
+from fitting.estimation.covariance import covariance, upper_bound
 from fitting.estimation.fit import Fit
+from fitting.law import Law
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
@@ -43,6 +45,8 @@ STATIC_ERRORS, LEAST_STATIC = 4.0, 0.005
 FEWEST_LEVELS = 4  # a line through fewer leaves next to nothing of their scatter
 BLUR = 0.5  # of the smoothing's half-window: how far it moves a break-away found without a law
 LEAST_FRICTION = 0.1  # of a curve's fall: it must not reach 0, and how far it stays above changes no motion
+# Keys of a scene's section of friction that no parameter of a formula can have (`rig_sim.scenes.checks`).
+OWN_KEYS = ("law", "curve", "formula", "contact", "static", "d", "G_stick")
 LEAST_SCATTER = 2.0  # times what the noise makes of the levels, below which the scene has no scatter
 
 
@@ -71,7 +75,8 @@ class FittedScene:
     """What the file holds: keys ``section.key`` in order with their values (n,) and covariance (n, n), and the rest.
 
     ``points`` are the slip speeds (m/s) of a measured curve, whose frictions are the last keys; ``ramp`` whether its
-    contact is one; ``scatter`` the standard deviation of the levels, of Fs; ``cycles`` how many were fitted.
+    contact is one; ``scatter`` the standard deviation of the levels, of Fs; ``cycles`` how many were fitted.  Of a law
+    given as a formula ``formula`` is its text, and ``fixed`` the parameters that were not fitted.
     """
 
     law: int
@@ -82,6 +87,8 @@ class FittedScene:
     points: Array
     ramp: bool
     scatter: float
+    formula: str = ""
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
 
 def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene:
@@ -96,7 +103,8 @@ def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene
     """
     adequacy = ranking.adequacy
     if not adequacy.rejected and ranking.rows:
-        return of_law(ranking)
+        fit = ranking.best.fit
+        return of_formula(ranking, fit) if isinstance(fit, FormulaFit) else of_law(ranking, fit)
     if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
         raise DataError(
             f"no scene: {adequacy.verdict}, and no friction curve describes the record",
@@ -106,9 +114,9 @@ def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene
     return of_curve(ranking, adequacy.curve, statistics)
 
 
-def of_law(ranking: Ranking) -> FittedScene:
-    """Return the scene of the best law."""
-    fit, motion = ranking.best.fit, ranking.motion
+def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
+    """Return the scene of the best law, one of the six."""
+    motion = ranking.motion
     law = LAWS[fit.law]
     slots = columns(fit.active, fit.runs)[0]
     known = slots >= 0
@@ -141,6 +149,67 @@ def of_law(ranking: Ranking) -> FittedScene:
     return _built(ranking, fit.law, found, static, np.empty(0), ramp=False)
 
 
+def of_formula(ranking: Ranking, fit: FormulaFit) -> FittedScene:
+    """Return the scene of the best law, given as a formula.
+
+    Raises
+    ------
+    DataError
+        Its belt slows under load, which a scene does not have beside a formula.
+    """
+    motion, law, at = ranking.motion, fit.asked_for, fit.at
+    places = [place % PER_RUN for place in fit.places if place < PER_RUN]
+    if Global.COMPLIANCE in places:
+        what = "no scene: a belt that slows under load is not modelled beside a formula"
+        raise DataError(what, "--save-scene", "leave it out")
+    index = [*(k for k, place in enumerate(fit.places) if place < PER_RUN), *range(len(fit.places), at.q.size)]
+    spread = upper_bound(*fit.spreads)[np.ix_(index, index)]
+    if motion.datum_prior is None and fit.level_held:
+        spread = _held(spread, places.index(Global.DATUM))
+    taken = _scene_names(law)
+    sized = bool(law.dimensions) or ranking.motion.per_mass
+    static = None if fit.problem.ramp else _static(ranking)
+    names = ["spring.k", "spring.x0", "belt.speed", "damper.c"]
+    names += [f"friction.{taken[name]}" for name in fit.curve.law.free]
+    names += ["friction.d"] if fit.problem.ramp else []
+    names += ["friction.static"] if static else []
+
+    def scene_of(unknowns: Array, calibration: Calibration, factor: float, length: float) -> dict[str, float]:
+        u = fit.u[:PER_RUN].copy()
+        u[places] = unknowns[: len(places)]
+        p = values(u)
+        m = calibration.mass_for(p.K, factor)
+        found = _rig_of(p, m, motion.sign, length)
+        found |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
+        for name, value in fit.curve.values(unknowns[len(places) :]).items():
+            force, speed = law.dimensions.get(name, (0, 0))
+            found[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
+        return found
+
+    found = _propagated(scene_of, at.q[index], spread, motion, names)
+    calibration = Calibration(motion.mass, motion.stiffness, motion.length_error)
+    at_fit = scene_of(at.q[index], calibration, 1.0, 1.0)
+    keys = [f"friction.{taken[name]}" for name in law.curve.parameters if name not in fit.curve.law.free]
+    text = law.curve.renamed({name: key for name, key in taken.items() if name != key}).text
+    built = _built(ranking, 0, found, static, np.empty(0), ramp=fit.problem.ramp)
+    return replace(
+        built,
+        formula=text if sized else f"{calibration.mass_for(fit.values.K, 1.0)!r}*({text})",
+        fixed={key.removeprefix("friction."): at_fit[key] for key in keys},
+    )
+
+
+def _scene_names(law: Law) -> dict[str, str]:
+    """Return the key of each parameter of a formula in a scene, whose section of friction has keys of its own."""
+    found: dict[str, str] = {}
+    for name in law.curve.parameters:
+        key = name
+        while key in OWN_KEYS or (key != name and key in law.curve.parameters):
+            key += "_"
+        found[name] = key
+    return found
+
+
 def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
     """Return the scene of the measured curve.
 
@@ -159,7 +228,7 @@ def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatis
     if motion.datum_prior is None:
         default = datum_calibration(motion) if spline_fit.rest is None else spline_fit.rest
         unknowns[datums] += _other_rest(spline_fit, unknowns, datums[0], default.value)
-    slots = columns(tuple(places), ranking.best.fit.runs)[0]
+    slots = columns(tuple(places), len(ranking.sides))[0]
 
     def values_at(unknowns: Array) -> Values:
         u = spline_fit.u[:PER_RUN].copy()
@@ -330,7 +399,7 @@ def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion
     return Measured(float(np.median(seen)) + rest, math.hypot(error, BLUR * motion.half_window * motion.belt_speed))
 
 
-def _scatter(fit: Fit) -> float:
+def _scatter(fit: Fit | FormulaFit) -> float:
     """Return the standard deviation of the cycles' levels about their trend, of Fs, less what noise makes of it.
 
     0 where no more than noise is seen.
@@ -344,5 +413,6 @@ def _scatter(fit: Fit) -> float:
     centred = time - time.mean()
     left = level - level.mean() - centred * float(np.sum(centred * level) / np.sum(centred**2))
     square = float(np.sum(left**2)) / (level.size - 2)
-    noise = float(np.median(np.linalg.inv(fit.solution.blocks.Hl)[:, PerCycle.LEVEL, PerCycle.LEVEL]))
+    blocks = fit.solution.blocks if isinstance(fit, Fit) else fit.at.solution.blocks
+    noise = float(np.median(np.linalg.inv(blocks.Hl)[:, PerCycle.LEVEL, PerCycle.LEVEL]))
     return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0

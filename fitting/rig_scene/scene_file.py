@@ -18,9 +18,8 @@ def text(found: FittedScene, ranking: Ranking, run: Path) -> str:
         lines.append(
             "# No mass or stiffness is known: mass 1 kg is assumed, so that N here are N per kg of the rig's mass."
         )
-    lines += [
-        f"title = {_quoted('fitted to ' + run.name + ': ' + (f'law {found.law}' if found.law else 'measured curve'))}"
-    ]
+    kind = f"law {found.law}" if found.law else ranking.best.label if found.formula else "measured curve"
+    lines += [f"title = {_quoted(f'fitted to {run.name}: {kind}')}"]
     lines += [
         "",
         "[mass]",
@@ -38,11 +37,13 @@ def text(found: FittedScene, ranking: Ranking, run: Path) -> str:
         "[damper]",
         f"c = {max(number['damper.c'], 0.0)!r}",
     ]
-    lines += ["", "[start]", f"x = {number['spring.x0']!r}", "", "[friction]", f"law = {found.law}"]
+    lines += ["", "[start]", f"x = {number['spring.x0']!r}", "", "[friction]"]
+    lines += [f"formula = {_quoted(found.formula)}" if found.formula else f"law = {found.law}"]
+    lines += [f"{key} = {value!r}" for key, value in found.fixed.items()]
     lines += [
-        f"{key} = {number[name]!r}"
-        for key in ("Fs", "gamma", "G_slip", "d", "static")
-        if (name := f"friction.{key}") in number
+        f"{name.removeprefix('friction.')} = {value!r}"
+        for name, value in number.items()
+        if name.startswith("friction.") and not name.startswith("friction.curve.")
     ]
     if curve:
         lines += ['contact = "ramp"'] if found.ramp else []

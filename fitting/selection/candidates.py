@@ -2,13 +2,16 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
+from typing import Any, NamedTuple
 
 from daq.base.errors import DataError, InputError
 from fitting.adequacy.assess import describes
 from fitting.data import cycles, ripple
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation import search
+from fitting.driver import driver
+from fitting.estimation.covariance import without_level_errors
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from fitting.selection import evidence, screening
@@ -18,6 +21,7 @@ from processing.record.kinematics import Kinematics
 # Times the error that a rippling belt leaves in the start-up drag: a steady belt that leaves more was none.  On belts
 # with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.
 SWINGING = 1.3
+CONSTANT = (1, 2)  # laws of constant friction, which alone make a mass graze the belt
 MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each costs another fit of all laws
 
 
@@ -27,6 +31,19 @@ class NoLawError(Exception):
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason = reason
+
+
+class FittedSix(NamedTuple):
+    """The fits of the six, and what they were fitted to.
+
+    ``sustained`` is whether the mass sticks often; ``doubt`` why the record would be refused, if no other law comes
+    near it.
+    """
+
+    fits: list[Fit]
+    runs: list[Run]
+    sustained: bool
+    doubt: str
 
 
 def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
@@ -48,7 +65,7 @@ def _with_ripple(run: Run) -> Run:
 
 def _rippled(run: Run, found: ripple.Ripple) -> Run:
     """Return a run with a ripple, cut as the mass would move on a steady belt."""
-    return Run(run.motion, cycles.segment_cycles(found.removed(run.motion), _excluded(run)), found)
+    return replace(run, cut=cycles.segment_cycles(found.removed(run.motion), _excluded(run)), ripple=found)
 
 
 def _excluded(run: Run) -> frozenset[int]:
@@ -62,12 +79,19 @@ def fit_runs(
     jobs: int,
     progress: Callable[[float], None] | None,
     scheduler: str | None,
-) -> tuple[list[Fit], list[Run], bool]:
-    """Fit the laws to what may be described by them; also return what was fitted and whether the mass sticks often."""
+    *,
+    formulas: bool = False,
+) -> FittedSix:
+    """Fit the laws to what may be described by them.
+
+    Where ``formulas`` are fitted too, a record that none of the six comes near is not refused yet: one of these may.
+    """
     sustained = _check(runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
-    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
-    fit_to = partial(search.fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
+    doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
+    if not formulas or doubt == screening.SINE_ALONE:
+        refuse(doubt, records)
+    fit_to = partial(_fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:
         fits = fit_to(laws, runs)
         if len(runs) == 1 and runs[0].ripple is not None and fits and not _is_described(fits, runs):
@@ -82,17 +106,25 @@ def fit_runs(
             "add --laws 1,2",
         )
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
-    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
-    screening.refuse_missing_frames(fits, records)
+    doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
+    if not formulas or not fits or doubt == screening.SINE_ALONE:
+        refuse(doubt, records)
+    if not doubt:
+        screening.refuse_missing_frames(fits, records)
     if not seen and not any(record.sticks for record in records) and not _is_described(fits, runs):
-        _refuse(screening.NOT_DESCRIBED, records)
+        refuse(screening.NOT_DESCRIBED, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
-        _refuse(screening.SINE_ALONE, records)
-    return fits, list(runs), sustained
+        refuse(screening.SINE_ALONE, records)
+    return FittedSix(fits, list(runs), sustained, doubt)
+
+
+def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = driver.SIX, **how: Any) -> list[Fit]:
+    """Fit laws by the driver; what all of them know is without the errors of the levels."""
+    return [without_level_errors(Fit.of(one)) for one in driver.fit_laws(laws, runs, among, **how)]
 
 
 def _fit_other_ripples(
-    laws: Sequence[int], run: Run, fits: list[Fit], fit_to: Callable[[Sequence[int], Sequence[Run]], list[Fit]]
+    laws: Sequence[int], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run]]:
     """Fit the laws with the other ripples that the sticks may show, until one is described; return the best fits."""
     best = fits, run
@@ -119,7 +151,7 @@ def _other_ripples(run: Run) -> list[Run]:
 
 
 def _fit_grazing(
-    laws: Sequence[int], steady: Sequence[Run], fit_to: Callable[[Sequence[int], Sequence[Run]], list[Fit]]
+    laws: Sequence[int], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run], bool]:
     """Fit the laws to a mass that merely grazes the belt; also return what was fitted and whether it sticks often.
 
@@ -127,10 +159,10 @@ def _fit_grazing(
     ripple of the belt comes first only where the start-up drag asks for it.  Laws with sticks are tried where constant
     friction leaves more than the noise does.
     """
-    tried = [(fit_to((1, 2), steady), steady)]
+    tried = [(fit_to(CONSTANT, steady, CONSTANT), steady)]
     rippled = [_with_ripple(run) for run in steady]
     if any(run.ripple is not None for run in rippled):
-        tried.append((fit_to((1, 2), rippled), rippled))
+        tried.append((fit_to(CONSTANT, rippled, CONSTANT), rippled))
         still, swinging = (evidence.drag_error(*one) for one in tried)
         if still > SWINGING * swinging:
             tried.reverse()
@@ -164,7 +196,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
     for run, kind, record in zip(runs, kinds, records, strict=True):
-        _refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
+        refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
     sources = [str(record.recording.source) for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
@@ -174,7 +206,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
-            _refuse(screening.swings_alone(count), records)
+            refuse(screening.swings_alone(count), records)
         left = sum(len(run.cut.cycles) for run in runs) - count
         out = f", {left} more left out" if left else ""
         raise DataError(
@@ -188,7 +220,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     return sustained
 
 
-def _refuse(why: str, records: Sequence[Kinematics]) -> None:
+def refuse(why: str, records: Sequence[Kinematics]) -> None:
     """Raise where ``why`` says why the laws cannot be ranked: `NoLawError` for stick-slip, else DataError."""
     if not why:
         return

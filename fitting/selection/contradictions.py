@@ -28,13 +28,16 @@ UNITS = {"belt-speed": "m/s", "datum": "m", "x0": "m", "damping": "N s/m", "stif
 
 
 def find_contradictions(
-    fit: Fit, motions: Sequence[MeasuredMotion], rows: Sequence[LawResult], records: Sequence[Kinematics]
+    fit: Fit | FormulaFit,
+    motions: Sequence[MeasuredMotion],
+    rows: Sequence[LawResult],
+    records: Sequence[Kinematics],
 ) -> list[list[Finding]]:
     """Return what of each run's calibration its record contradicts by more than `SURE` standard deviations.
 
     Parameters
     ----------
-    fit : Fit
+    fit : Fit or FormulaFit
         Of the best law, all runs together.
     motions : sequence of MeasuredMotion
         Of each run.
@@ -55,7 +58,7 @@ def find_contradictions(
 
 
 def _of_run(
-    fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
+    fit: Fit | FormulaFit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
 ) -> list[Finding]:
     found = []
     for code, value, expected, used in _compared(fit, motion, parameters, recorded, run):
@@ -93,10 +96,10 @@ def _agrees(fit: FormulaFit, code: str, run: int) -> bool:
     seen = fit.without_prior(slot, run)
     if seen is None:
         return True
-    place = PER_RUN * run + slot
-    index = fit.host.places.index(place if place in fit.host.places else slot)
-    spread = math.hypot(seen.sd, 1 / math.sqrt(float(fit.task.precision[index])))
-    return abs(seen.value - float(fit.task.prior[index])) <= SURE * spread
+    place, places, task = PER_RUN * run + slot, fit.places, fit.at.problem
+    index = places.index(place if place in places else slot)
+    spread = math.hypot(seen.sd, 1 / math.sqrt(float(task.precision[index])))
+    return abs(seen.value - float(task.prior[index])) <= SURE * spread
 
 
 def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:
@@ -110,28 +113,29 @@ def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]])
 
 
 def _compared(
-    fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
+    fit: Fit | FormulaFit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
 ) -> Iterator[tuple[str, Measured, Measured, str]]:
     """Yield code, what the record shows, what was stated, and which of both the fit used."""
-    if motion.stated_speed is not None:
-        seen = _seen(fit, Global.V_DR, run)
+    speed = None if motion.stated_speed is None else _seen(fit, Global.V_DR, run)
+    if motion.stated_speed is not None and speed is not None:
         # Without sticks the belt's speed depends on the datum, which constant friction does not show.
-        spread = parameters["v_dr"].stderr if LAWS[fit.law].curve == "constant" else 0.0
-        seen = Measured(motion.sign * seen.value, math.hypot(max(seen.sd, spread), motion.length_error * seen.value))
+        spread = parameters["v_dr"].stderr if _is_constant(fit) else 0.0
+        error = math.hypot(max(speed.sd, spread), motion.length_error * speed.value)
         used = "the belt's counts" if motion.belt_measured else _used(motion.belt_prior)
-        yield "belt-speed", seen, with_error(motion.stated_speed), used
-    if motion.datum_prior is not None and LAWS[fit.law].curve != "constant":  # which shows datum + Fs/k alone
-        seen, stated = _seen(fit, Global.DATUM, run), motion.datum_prior
-        seen, stated = (Measured(motion.sign * rest.value, rest.sd) for rest in (seen, stated))
+        yield "belt-speed", Measured(motion.sign * speed.value, error), with_error(motion.stated_speed), used
+    rest = None if motion.datum_prior is None or _is_constant(fit) else _seen(fit, Global.DATUM, run)
+    if motion.datum_prior is not None and rest is not None:  # constant friction shows datum + Fs/k alone
+        seen, stated = (Measured(motion.sign * one.value, one.sd) for one in (rest, motion.datum_prior))
         if motion.rest_stated_as == "datum":
             # Count zero's position, not the rest's.
-            seen, stated = (Measured(recorded.offset - rest.value, rest.sd) for rest in (seen, stated))
+            seen, stated = (Measured(recorded.offset - one.value, one.sd) for one in (seen, stated))
         yield motion.rest_stated_as, seen, stated, "both" if stated.sd > 0 else "the stated one"
     mass = motion.mass.value if motion.mass else motion.stiffness.value / fit.values.K if motion.stiffness else None
-    if motion.damping_prior is not None and mass is not None:
-        seen, stated = _seen(fit, Global.DAMPING, run), motion.damping_prior
+    damping = None if motion.damping_prior is None or mass is None else _seen(fit, Global.DAMPING, run)
+    if motion.damping_prior is not None and mass is not None and damping is not None:
+        stated = motion.damping_prior
         used = "both" if stated.sd > 0 else "the stated one"
-        yield "damping", Measured(mass * seen.value, mass * seen.sd), stated, used
+        yield "damping", Measured(mass * damping.value, mass * damping.sd), stated, used
     if motion.mass is not None and motion.stiffness is not None:
         known, ratio = with_error(motion.mass), parameters["k/m"]
         value = ratio.value * known.value
@@ -145,7 +149,21 @@ def _used(prior: Measured | None) -> str:
     return "both" if prior is not None and prior.sd > 0 else "the record's"
 
 
-def _seen(fit: Fit, slot: Global, run: int) -> Measured:
-    """Return what the record alone shows of a parameter of a run; of those that runs share there is one."""
+def _seen(fit: Fit | FormulaFit, slot: Global, run: int) -> Measured | None:
+    """Return what the record alone shows of a parameter of a run, of those that runs share there is one.
+
+    None where a value was given, and where the record shows nothing of it.
+    """
     place = PER_RUN * run + slot
-    return without_prior(fit, fit.active.index(place if place in fit.active else slot))
+    if isinstance(fit, FormulaFit):
+        return fit.without_prior(slot, run)
+    return (
+        None
+        if fit.problem.held[place]
+        else without_prior(fit, fit.active.index(place if place in fit.active else slot))
+    )
+
+
+def _is_constant(fit: Fit | FormulaFit) -> bool:
+    """Return whether friction does not depend on speed."""
+    return isinstance(fit, Fit) and LAWS[fit.law].curve == "constant"

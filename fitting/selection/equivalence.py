@@ -15,12 +15,13 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.measured import Measured
-from fitting.estimation import derived, trajectory
+from fitting.driver.driver import fit_from
+from fitting.driver.task import FitStart, law_task
+from fitting.estimation import derived
 from fitting.estimation.covariance import without_level_errors
 from fitting.estimation.fit import Fit
-from fitting.estimation.objective import fit_objective
 from fitting.model.parameters import PER_RUN, Global
-from fitting.model.problem import EstimationProblem, Run
+from fitting.model.problem import Run
 from fitting.selection.evidence import ModelSet
 from rig_sim.friction.law import LAWS
 
@@ -66,20 +67,18 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     if near.values.d > WIDEST * min(run.motion.belt_speed for run in runs):
         return None
     compliance = near.values.d * near.values.K / near.values.F
-    start = near.u.copy()
-    start[Global.COMPLIANCE :: PER_RUN] = compliance
+    u = near.u.copy()
+    u[Global.COMPLIANCE :: PER_RUN] = compliance
     compliant = [replace(run, motion=replace(run.motion, compliance=Measured(compliance, compliance))) for run in runs]
-    fit = trajectory.fit_from(EstimationProblem.build(ramp - 1, compliant), replace(near, u=start))
-    if fit is None:
-        return None
-    final = trajectory.final_fit(fit)
-    return without_level_errors(final, fit_objective(final))
+    task = law_task(ramp - 1, compliant)
+    fit = fit_from(task, FitStart(u[list(task.places)], near.local), near.at.noise.without_fade)
+    return None if fit is None else without_level_errors(Fit.of(fit))
 
 
 def closed_ramps(fits: Sequence[Fit]) -> list[tuple[int, int]]:
     """Return (jump law, ramp law) wherever the ramp is as narrow as it may be: both are then the same model.
 
-    What the ramp law errs less is then due to where the two minimisers ended, and belongs to the jump law as well.
+    What the ramp law errs less is then due to where the two minimisers ended: it is no evidence for a ramp.
     """
     laws = {fit.law for fit in fits}
     return [

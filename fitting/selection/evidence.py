@@ -25,12 +25,12 @@ from daq.base.compute.arrays import Array, autocorrelation_time
 from daq.base.compute.distributions import student_quantile
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
+from fitting.driver.curves import NESTED
 from fitting.estimation.fit import Fit
 from fitting.law import LIMITS
 from fitting.model.problem import Run
 from fitting.model.windows import ShootingWindows
 
-NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
 FEWEST_CYCLES = 4
 DRAG_PIECES = 8
 RELATED_FACTOR = 2.0  # times the best law's error: a limit of it that is further off is no near relative

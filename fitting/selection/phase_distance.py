@@ -12,7 +12,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.compute.compile import compiled
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.fit import Fit
+from fitting.estimation.fitted_law import FittedLaw
 
 MOST_POINTS = 4000
 
@@ -40,12 +40,12 @@ class MeasuredOrbit:
         order = np.argsort(motion.position, kind="stable")
         return cls(size, motion.position[order] / size[0], motion.velocity[order] / size[1])
 
-    def distance(self, fit: Fit) -> float:
+    def distance(self, fit: FittedLaw) -> float:
         """Return the rms distance of a law's orbit to the nearest points of the measured one.
 
         Parameters
         ----------
-        fit : Fit
+        fit : FittedLaw
             Of this one run (`Fit.for_run`).
 
         Returns
@@ -61,7 +61,7 @@ class MeasuredOrbit:
         return math.sqrt(float(np.mean(found**2)))
 
 
-def model(fit: Fit) -> Array:
+def model(fit: FittedLaw) -> Array:
     """Return position and velocity of a law in every window, one after the other; shape (samples, 2)."""
     x = fit.windows.position + fit.residual
     parts = []

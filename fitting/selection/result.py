@@ -5,13 +5,15 @@ from typing import TYPE_CHECKING, Any
 
 from daq.base.errors import DataError
 from fitting.adequacy.result import Adequacy
+from fitting.curve.formula_fit import FormulaFit
+from fitting.curve.formula_parameters import formula_correlations
 from fitting.curve.result import BandExit
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.derived import RUNS_OWN, correlations
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import BreakAway, Correlations, Parameter
-from fitting.selection.rivals import RivalResult
+from fitting.law import TITLES
 from processing.record.finding import Finding
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
     from daq.base.output.plot import PngFigure
 
+MOST_ERROR = 0.5  # of a parameter: with a larger standard error its value is not stated in words
 CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
 
@@ -28,8 +31,10 @@ class LawResult:
 
     Attributes
     ----------
-    law : int
+    law : int or str
+        One of the six by its number, a law given as a formula by its name.
     name : str
+        In words.
     score : float
         Penalised log error of the record (smaller is better), minus the best law's.
     weight : float
@@ -47,13 +52,17 @@ class LawResult:
         Mean paired difference of log error to the best law, penalty included, and its standard error.
     orbit : float
         Distance of the law's orbit to the measured one, of the orbit's size (`fitting.selection.phase_distance`).
-    fit : Fit
+    fit : Fit or FormulaFit
         The fit itself, for pictures.
     outside_band : BandExit or None
         Where its curve leaves the band of the measured one the furthest.
+    formula : str or None
+        Of a law given as one.
+    asked : bool
+        Whether it was asked for; else the measured curve prefers it.
     """
 
-    law: int
+    law: int | str
     name: str
     score: float
     weight: float
@@ -64,14 +73,50 @@ class LawResult:
     cpu_s: float
     behind: tuple[float, float]
     orbit: float
-    fit: Fit = field(repr=False, compare=False)
+    fit: Fit | FormulaFit = field(repr=False, compare=False)
     outside_band: BandExit | None = None
+    formula: str | None = None
+    asked: bool = True
+
+    @property
+    def title(self) -> str:
+        """The law in a table: its number and name, or its name and formula."""
+        return f"{self.law} {self.name}" if self.formula is None else f"{self.law}: {self.formula}"
+
+    @property
+    def label(self) -> str:
+        """The law in a picture: its number, or its name."""
+        return f"law {self.law}"
+
+    @property
+    def called(self) -> str:
+        """The law in a sentence: what it is called, and its number or name; of a formula of one's own the formula."""
+        if self.formula is None:
+            return f"law {self.law} ({self.name})"
+        title = TITLES.get(str(self.law))
+        return f"law {self.law} ({self.formula})" if title is None else f"{title} (law {self.law})"
+
+    @property
+    def shown(self) -> str:
+        """Its parameters in words, without those of the rig: per unit mass, what is determined alone."""
+        return ", ".join(
+            f"{name} = {item.value:.3g} {item.unit}".rstrip()
+            for name, item in self.parameters.items()
+            if self.is_own(name) and (item.stderr < MOST_ERROR * abs(item.value) or not item.trusted)
+        )
+
+    def is_own(self, name: str) -> bool:
+        """Return whether a parameter is the curve's, and not the same one in other units."""
+        if not isinstance(self.fit, FormulaFit):
+            return name in CURVE and name not in ("k/m", "v_dr")
+        own = name.removesuffix("/m")
+        return name.startswith("(") or (own in self.fit.asked_for.free and f"{name}/m" not in self.parameters)
 
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""
-        document: dict[str, Any] = {
-            name: getattr(self, name) for name in ("law", "name", "score", "weight", "in_set", "rms_m", "cycles")
-        }
+        of_formula = () if self.formula is None else ("formula", "asked")
+        names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "cycles")
+        document: dict[str, Any] = {name: getattr(self, name) for name in names}
         document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
         document["outside_band"] = None if self.outside_band is None else vars(self.outside_band)
         return document | {"orbit_distance": self.orbit, "cpu_s": self.cpu_s}
@@ -84,8 +129,8 @@ class Ranking:
     Attributes
     ----------
     verdict : str
-        A sentence; the laws it names are `laws_in_set`, unless it says that none describes the record.
-    laws_in_set : tuple of int
+        A sentence; the laws it names are `members`, unless it says that none describes the record.
+    members : tuple of int or str
         Model confidence set: laws that the record cannot distinguish, best first.  It compares the laws with each
         other; whether any of them describes the record is said by ``adequacy``.
     rows : tuple of LawResult
@@ -100,14 +145,12 @@ class Ranking:
     adequacy : Adequacy
         Of all runs together.
     cpu_s : float
-    rivals : tuple of RivalResult
-        Curves besides the six that were fitted, best first (`fitting.selection.rivals`).
     runs : tuple of Ranking
         Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
     """
 
     verdict: str
-    laws_in_set: tuple[int, ...]
+    members: tuple[int | str, ...]
     rows: tuple[LawResult, ...]
     events: tuple[BreakAway, ...]
     warnings: tuple[str, ...]
@@ -117,32 +160,37 @@ class Ranking:
     cpu_s: float = 0.0
     findings: tuple[Finding, ...] = ()
     runs: "tuple[Ranking, ...]" = ()
-    rivals: tuple[RivalResult, ...] = ()
+
+    @property
+    def laws_in_set(self) -> tuple[int, ...]:
+        """The members of the set that are of the six."""
+        return tuple(law for law in self.members if isinstance(law, int))
 
     @property
     def best(self) -> LawResult:
-        """The best row of the six; there is none where no law came near the record."""
-        return self.rows[0]
+        """The best row of those that were asked for: of the six where some are in the set, which the verdict names.
+
+        There is none where no law came near the record.
+        """
+        asked = [row for row in self.rows if row.asked]
+        return next((row for row in asked if isinstance(row.law, int) and row.in_set), asked[0])
+
+    @property
+    def rivals(self) -> tuple[LawResult, ...]:
+        """The rows of laws given as formulas, best first."""
+        return tuple(row for row in self.rows if isinstance(row.law, str))
 
     @property
     def sides(self) -> "tuple[Ranking, ...]":
         """Each run's own side; of a single run the ranking itself."""
         return self.runs or (self,)
 
-    def row(self, law: int) -> LawResult:
-        """Return the row of one law; KeyError when it was not fitted."""
+    def row(self, law: int | str) -> LawResult:
+        """Return the row of one law, by its number or name; KeyError when it was not fitted."""
         for row in self.rows:
             if row.law == law:
                 return row
         raise KeyError(law)
-
-    @property
-    def candidates(self) -> "list[LawResult | RivalResult]":
-        """The rows of the six and of their rivals, best first: members of the set before all others."""
-        six = iter(self.rows)  # a law that is a limit of the best one may stand before it
-        found: list[LawResult | RivalResult] = [*self.rows, *self.rivals]
-        found.sort(key=lambda row: (not row.in_set, row.score))
-        return [row if isinstance(row, RivalResult) else next(six) for row in found]
 
     def as_json(self) -> dict[str, Any]:
         """Return the command's JSON document."""
@@ -150,7 +198,7 @@ class Ranking:
             "verdict": self.verdict,
             "set": list(self.laws_in_set),
             "rivals": [row.law for row in self.rivals if row.in_set],
-            "ranking": [row.as_json() for row in self.candidates],
+            "ranking": [row.as_json() for row in self.rows],
             "cycles": [event.as_json() for event in self.events],
             "warnings": list(self.warnings),
             "findings": [vars(finding) for finding in self.findings],
@@ -186,7 +234,8 @@ class Ranking:
         """
         if not self.rows or not all(item.trusted for item in self.best.parameters.values()):
             return None
-        found = correlations(self.best.fit, self.sides[0].motion)
+        fit, motion = self.best.fit, self.sides[0].motion
+        found = formula_correlations(fit, motion) if isinstance(fit, FormulaFit) else correlations(fit, motion)
         if not self.runs:
             return found
         return replace(found, names=tuple(f"{name} (1)" if name in RUNS_OWN else name for name in found.names))
@@ -201,7 +250,7 @@ class Ranking:
         import pandas as pd
 
         table, units = [], {}
-        for row in self.candidates:
+        for row in self.rows:
             flat = row.as_json()
             del flat["outside_band"]
             for name, item in flat.pop("parameters").items():
@@ -232,15 +281,17 @@ class Ranking:
             raise DataError("no law came near this record", "ranking", "plot the kinematics instead")
         from fitting.drawing import plot
 
-        fits = [row.fit for row in self.rows if row.in_set] or [self.best.fit]
-        return plot.friction(fits, self.motion, self.adequacy.curve, self.verdict)
+        rows = [row for row in self.rows if row.in_set] or [self.best]
+        shown = [(row.fit, row.called) for row in rows]
+        return plot.friction(shown, self.motion, self.adequacy.curve, self.verdict)
 
     def __repr__(self) -> str:
         if not self.rows:
             return f"<Ranking: {self.verdict}>"
         best = self.best
-        shown = (f"{name} = {item}" for name, item in best.parameters.items() if name.split(" (")[0] in CURVE)
-        return f"<Ranking: {self.verdict}\n law {best.law}: {', '.join(shown)}>"
+        kept = (name for name in best.parameters if name.split(" (")[0] in CURVE or best.is_own(name))
+        shown = (f"{name} = {best.parameters[name]}" for name in kept)
+        return f"<Ranking: {self.verdict}\n {best.label}: {', '.join(shown)}>"
 
     def _repr_html_(self) -> str:
         from daq.base.output import notebook
@@ -250,10 +301,16 @@ class Ranking:
         if self.rows:
             header = ("law", "", "rms (um)", "weight", "in the set")
             laws = (
-                (str(row.law), row.name, f"{1e6 * row.rms_m:.4g}", f"{row.weight:.2f}", "yes" if row.in_set else "no")
+                (
+                    str(row.law),
+                    row.formula or row.name,
+                    f"{1e6 * row.rms_m:.4g}",
+                    f"{row.weight:.2f}",
+                    "yes" if row.in_set else "no",
+                )
                 for row in self.rows
             )
             parts.append(notebook.table("Laws, best first", laws, header))
             values = ((name, str(item)) for name, item in self.best.parameters.items())
-            parts.append(notebook.table(f"Parameters of law {self.best.law}", values))
+            parts.append(notebook.table(f"Parameters of {self.best.label}", values))
         return "\n".join(parts)

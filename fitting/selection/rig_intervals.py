@@ -51,7 +51,7 @@ def law_dependent(rows: Sequence[LawResult]) -> tuple[str, ...]:
     return tuple(warned)
 
 
-def _determined(name: str, members: Sequence[LawResult]) -> dict[int, Parameter]:
+def _determined(name: str, members: Sequence[LawResult]) -> dict[int | str, Parameter]:
     """Return a parameter by each law that determines it."""
     known = {row.law: row.parameters[name] for row in members if name in row.parameters}
     if name.startswith("v_dr"):

@@ -1,236 +1,246 @@
-"""Rivals of the six: published forms that the measured curve prefers, fitted to the record and judged beside them.
+"""Laws given as formulas beside the six: those that were named, and published ones that the measured curve prefers.
 
-A rival is fitted where the information criterion of its form on the measured curve is below that of every form of the
-six.  What is evidence and who is in the set is decided as between the six (`fitting.selection.evidence`).
+A published form that was not named is fitted where its information criterion on the measured curve is below that of
+every form of the six.  What is evidence and who is in the set is decided as between the six
+(`fitting.selection.evidence`).
 """
 
+import logging
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fitting.competitors import Competitors
+from fitting.curve.band import seen_speeds
 from fitting.curve.formula_fit import FormulaFit, fit_formula
 from fitting.curve.result import FormFit, MeasuredCurve
-from fitting.data.frame import MeasuredMotion
+from fitting.curve.spline_fit import SplineFit
+from fitting.driver.formula import Target, find_starts
 from fitting.estimation.fit import Fit
-from fitting.estimation.result import Parameter
 from fitting.law import PUBLISHED, Law
 from fitting.model.problem import Run
 from fitting.selection import evidence
 from fitting.selection.evidence import OPEN, Candidate, Evidence, ModelSet
+from fitting.selection.given import formula_given
+from fitting.undetermined import natural_size, undetermined
 
+logger = logging.getLogger(__name__)
+# Of the friction: curves that differ by less are one.  Half or twice decides the same for formulas written in another
+# way, which agree to rounding, and for other families, which are off by more than a hundredth.
+SAME_CURVE = 1e-3
 OF_THE_SIX = ("constant", "linear", "hyperbolic")
-# Of each law: its form of the measured curve, and the form's names of its parameters.
-FORM = {
-    "stribeck": ("stribeck-exponential", {"v_s": "vs"}),
-    "stribeck-viscous": ("stribeck-exponential-viscous", {"v_s": "vs"}),
-    "stribeck-gaussian": ("stribeck-gaussian", {"v_s": "vs"}),
-    "stribeck-gaussian-viscous": ("stribeck-gaussian-viscous", {"v_s": "vs"}),
-    "logarithmic": ("logarithmic", {"v_0": "v0"}),
-    "power": ("power", {}),
+FORM = {  # of the measured curve, of each published law
+    "stribeck": "stribeck-exponential",
+    "stribeck-viscous": "stribeck-exponential-viscous",
+    "stribeck-gaussian": "stribeck-gaussian",
+    "stribeck-gaussian-viscous": "stribeck-gaussian-viscous",
+    "logarithmic": "logarithmic",
+    "power": "power",
 }
 
 
 @dataclass(frozen=True, eq=False)
-class RivalResult:
-    """A row of the ranking for a law given as a formula.
+class Formulas:
+    """The formulas that were fitted, and what is said of those that were named and could not be, or not in all."""
 
-    Attributes
-    ----------
-    law : str
-        Its name.
-    formula : str
-    asked : bool
-        Whether it was asked for; else the measured curve prefers it.
-    score, weight, in_set, rms_m, cycles, parameters, cpu_s, behind
-        As `fitting.selection.result.LawResult`.
-    fit : FormulaFit
-    """
-
-    law: str
-    formula: str
-    asked: bool
-    score: float
-    weight: float
-    in_set: bool
-    rms_m: float
-    cycles: int
-    parameters: dict[str, Parameter]
-    cpu_s: float
-    behind: tuple[float, float]
-    fit: FormulaFit = field(repr=False)
-
-    @property
-    def name(self) -> str:
-        """The law's name in words."""
-        return self.law.replace("-", " ")
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the document's form."""
-        shown = ("law", "name", "formula", "asked", "score", "weight", "in_set", "rms_m", "cycles")
-        document: dict[str, Any] = {name: getattr(self, name) for name in shown}
-        fixed = self.fit.formula.fix or {}
-        document["parameters"] = {
-            name: item.as_json() | ({"fixed": True} if name in fixed else {}) for name, item in self.parameters.items()
-        }
-        return document | {"outside_band": None, "orbit_distance": None, "cpu_s": self.cpu_s}
+    fits: tuple[FormulaFit, ...]
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Competition:
-    """The six and their rivals together.
+    """All laws together: the six, those that were named, and rivals that were not.
 
     Attributes
     ----------
-    chosen : ModelSet
-        Of the six: members are those of the combined set, scores and weights those beside the rivals.
-    rivals : tuple of RivalResult
-        Best first.
+    order : tuple of int or str
+        Best first, members of the set before all others; the six between themselves as they were judged alone.
+    members : tuple of int or str
+        The combined set, best first.
+    score, weight, behind : dict
+        Of each law, as `fitting.selection.evidence.ModelSet`.
+    asked : frozenset of int or str
+        Which were asked for.
     """
 
-    chosen: ModelSet
-    rivals: tuple[RivalResult, ...]
+    order: tuple[int | str, ...]
+    members: tuple[int | str, ...]
+    score: dict[int | str, float]
+    weight: dict[int | str, float]
+    behind: dict[int | str, tuple[float, float]]
+    asked: frozenset[int | str]
+
+    @classmethod
+    def of_six(cls, chosen: ModelSet) -> "Competition":
+        """Return the six alone."""
+        return cls(chosen.order, chosen.members, chosen.score, chosen.weight, chosen.behind, frozenset(chosen.order))
+
+    @property
+    def best(self) -> int | str:
+        """The best law that was asked for: of the six where some are in the set, which the verdict names first."""
+        asked = [law for law in self.order if law in self.asked]
+        return next((law for law in asked if isinstance(law, int) and law in self.members), asked[0])
 
     @property
     def beaten(self) -> bool:
-        """Whether rivals leave none of the six in the set."""
-        return not self.chosen.members
+        """Whether rivals that were not asked for leave no other law in the set."""
+        return not any(law in self.asked for law in self.members)
 
-    @property
-    def lead(self) -> float:
-        """By how much the best rival leads the best of the six, in log evidence; negative where it does not."""
-        return 0.5 * (min(self.chosen.score.values()) - min(rival.score for rival in self.rivals))
-
-    def inside_band(self, curve: MeasuredCurve | None) -> list[FormulaFit]:
-        """Return the rivals of the set whose forms lie inside the band of the measured curve: they describe it."""
-        inside = {form.name for form in curve.forms if form.inside_band} if curve is not None else set()
-        return [row.fit for row in self.rivals if row.in_set and FORM[row.law][0] in inside]
+    def lead(self, law: int | str, other: int | str) -> float:
+        """By how much a law leads another one, in log evidence."""
+        return 0.5 * (self.score[other] - self.score[law])
 
 
-def preferred_forms(forms: Sequence[FormFit]) -> list[tuple[Law, FormFit]]:
+def preferred_forms(forms: Sequence[FormFit]) -> list[Law]:
     """Return the published laws whose forms the measured curve prefers to those of the six, best first.
 
     Those that it hardly distinguishes from the best of them are among them.
     """
     by_name = {form.name: form for form in forms}
     limit = min(by_name[name].bic for name in OF_THE_SIX)
-    found = [(PUBLISHED[name], by_name[form]) for name, (form, _) in FORM.items() if by_name[form].bic < limit]
+    found = [(PUBLISHED[name], by_name[form]) for name, form in FORM.items() if by_name[form].bic < limit]
     least = min((form.bic for _, form in found), default=0.0)
-    return sorted(((law, form) for law, form in found if form.bic < least + OPEN), key=lambda one: one[1].bic)
+    return [law for law, form in sorted(found, key=lambda one: one[1].bic) if form.bic < least + OPEN]
 
 
-def fit_rivals(curve: MeasuredCurve) -> list[FormulaFit]:
-    """Fit the laws whose forms the measured curve prefers; those whose motion cannot be followed are missing."""
+def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rivals: bool) -> Formulas:
+    """Fit the laws that were named and, where ``rivals``, those whose forms the measured curve prefers.
+
+    Parameters
+    ----------
+    competitors : Competitors
+    curve : MeasuredCurve or None
+        From which each fit starts.
+    rivals : bool
+
+    Raises
+    ------
+    InputError
+        For a law that was named and is no friction curve with any values of its parameters.
+    """
+    if curve is None:
+        lost = "the motion cannot be followed with a curve of its own"
+        return Formulas((), tuple(f"law {law.name} was not fitted: {lost}" for law in competitors.formulas))
     host = curve.spline_fit
-    # The curve may be in newtons; the fit is per unit mass.
-    mass = float(np.median(curve.friction / host.spline(curve.speed - curve.ramp)))
-    fits = (fit_formula(law, host, _start(law, form, mass)) for law, form in preferred_forms(curve.forms))
-    return [fit for fit in fits if fit is not None]
+    found: list[FormulaFit] = []
+    warned: list[str] = []
+    for law, number in _named(competitors, host):
+        one = _fitted(law, host, number)
+        if one is None:
+            lost = "its motion cannot be followed; it was not fitted"
+            warned.append(f"law {law.name if number is None else number}: {lost}")
+            continue
+        found.append(one)
+        warned += [_said(law, str(group), group.names) for group in one.together]
+    named = [fit.asked_for for fit in found if fit.number is None]
+    for law in preferred_forms(curve.forms) if rivals else ():
+        if law.name in {own.name for own in competitors.formulas}:
+            continue  # it was named, perhaps with parameters given
+        one = _fitted(replace(law, ramp=bool(host.path.curve.ramp)), host)
+        found += [] if one is None or any(_draws(own, one, host) for own in named) else [one]
+    for fit in found:
+        logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
+    return Formulas(tuple(found), tuple(warned))
 
 
-def _start(law: Law, form: FormFit, mass: float) -> dict[str, float]:
-    """Return the parameters of a form, per unit mass."""
-    names = FORM[law.name][1]
-    found = {}
-    for name in law.free:
-        value = form.parameters[names.get(name, name)].value
-        found[name] = value / mass ** law.dimensions[name][0]
-    if law.name == "power":  # of which the form's fall is that at the largest speed, and the law's that at 1 m/s
-        fastest = float(form.formula.split("s/")[1].split()[0])
-        found["b"] /= fastest ** found["p"]
-    return found
+def _named(competitors: Competitors, host: SplineFit) -> Iterator[tuple[Law, int | None]]:
+    """Yield the formulas that were named, with what is given of them, and the six that are fitted as formulas."""
+    motion = host.fit.problem.motions[0]
+    for law in competitors.formulas:
+        yield formula_given(law, competitors.of_law(law), motion), None
+    for number, law in competitors.restated.items():
+        yield formula_given(law, competitors.of_law(number), motion), number
+
+
+def _fitted(law: Law, host: SplineFit, number: int | None = None) -> FormulaFit | None:
+    """Fit one formula; of parameters that it has only together all but as many as it needs are held."""
+    friction, fastest = float(np.median(host.spline.coefficients)), float(host.spline.knots[-1])
+    together = undetermined(law, friction, fastest)
+    held = [name for group in together for name in group.names[len(group.names) - group.free :]]
+    start = law.start or {}
+    free = law.given(fix={name: start.get(name, natural_size(law, name, friction, fastest)) for name in held})
+    return fit_formula(free, host, asked_for=law, number=number, together=together)
+
+
+def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:
+    """Return whether a law that was named can be the curve of another one, which is then no rival of it."""
+    if law.ramp != rival.problem.ramp:
+        return False
+    speeds = seen_speeds(host)
+    friction = rival.curve.at_speeds(rival.theta, speeds)
+    size = float(np.max(friction))
+    nearest = find_starts(law, Target(speeds, np.eye(speeds.size) / size, friction / size, size))[0]
+    return nearest.misfit < SAME_CURVE**2 * speeds.size
+
+
+def _said(law: Law, how: str, names: Sequence[str]) -> str:
+    if len(names) == 1:
+        return f"law {law.name}: {how}; leave it out"
+    return (
+        f"law {law.name}: {how}: the record cannot determine them apart, and their errors are withheld (fix all but "
+        f"one, as in --fix {law.name}.{names[-1]}=1, or write one parameter for them)"
+    )
 
 
 def compete(
     fits: Sequence[Fit],
-    chosen: ModelSet,
-    rivals: Sequence[FormulaFit],
+    chosen: ModelSet | None,
+    formulas: Sequence[FormulaFit],
     runs: Sequence[Run],
-    motion: MeasuredMotion,
     alpha: float,
+    asked: frozenset[int | str],
     *,
-    asked: Mapping[str, Law] | None = None,
+    sustained: bool,
 ) -> Competition:
-    """Judge the six and their rivals by the same evidence and set rule.
+    """Judge the six and the formulas by the same evidence and set rule.
 
     Parameters
     ----------
     fits : sequence of Fit
-        Of the six.
-    chosen : ModelSet
-        Of the six alone: between themselves they are judged without rivals, which beat all of its set or none.
-    rivals : sequence of FormulaFit
+        Of the six that compete.
+    chosen : ModelSet or None
+        Of these alone: between themselves they are judged without others, which beat all of their set or none.
+    formulas : sequence of FormulaFit
     runs : sequence of Run
-    motion : MeasuredMotion
-        Of the first run: its mass or stiffness turns parameters into newtons.
     alpha : float
-    asked : mapping of str to Law, optional
-        The rivals that were asked for.
+    asked : frozenset of int or str
+        The laws that were asked for.
+    sustained : bool
+        Whether the mass sticks in the long run; else the start-up drags alone are evidence.
     """
-    every: list[Candidate] = [*fits, *rivals]
-    units = evidence.common_units(every, runs, sustained=True)
+    every: list[Candidate] = [*fits, *formulas]
+    units = evidence.common_units(every, runs, sustained=sustained)
     errors = np.array([evidence.penalised(fit, evidence.unit_errors(fit, runs, units), units) for fit in every])
     together = evidence.model_confidence_set(Evidence(tuple(fit.law for fit in every), errors, units.samples), alpha)
-    led_by_rival = isinstance(min(together.score, key=together.score.__getitem__), str)
-    left = not led_by_rival or any(law in together.members for law in chosen.members)
-    members = chosen.members if left else ()
+    if chosen is None:
+        return Competition(together.order, together.members, together.score, together.weight, together.behind, asked)
+    beside = {fit.law for fit in formulas}
+    led_by_other = min(together.score, key=together.score.__getitem__) in beside
+    left = not led_by_other or any(law in together.members for law in chosen.members)
+    six = chosen.members if left else ()
     lag = min(together.score[fit.law] for fit in fits)
-    score = {law: own + lag for law, own in chosen.score.items()} | {fit.law: together.score[fit.law] for fit in rivals}
+    score = {law: own + lag for law, own in chosen.score.items()} | {law: together.score[law] for law in beside}
     total = sum(math.exp(-own / 2) for own in score.values())
-    weight = {law: math.exp(-own / 2) / total for law, own in score.items()}
-    six = ModelSet(
-        order=(*members, *(law for law in chosen.order if law not in members)),
-        members=members,
-        score={law: score[law] for law in chosen.score},
-        weight={law: weight[law] for law in chosen.weight},
-        behind={law: together.behind[law] if led_by_rival else own for law, own in chosen.behind.items()},
+    behind = {law: together.behind[law] if led_by_other else own for law, own in chosen.behind.items()}
+    members = {*six, *(law for law in together.members if law in beside)}
+    ordered = [*six, *(law for law in chosen.order if law not in six)]
+    order = _merged(ordered, sorted(beside, key=score.__getitem__), members, score)
+    return Competition(
+        order=order,
+        members=tuple(law for law in order if law in members),
+        score=score,
+        weight={law: math.exp(-own / 2) / total for law, own in score.items()},
+        behind=behind | {law: together.behind[law] for law in beside},
+        asked=asked,
     )
-    rows = [
-        RivalResult(
-            law=fit.law,
-            formula=fit.formula.formula,
-            asked=fit.law in (asked or {}),
-            score=score[fit.law],
-            weight=weight[fit.law],
-            in_set=fit.law in together.members,
-            rms_m=fit.rms,
-            cycles=len(fit.rows),
-            parameters=_in_newtons(fit, motion, fit.parameters(alpha)),
-            cpu_s=fit.cpu_s,
-            behind=together.behind[fit.law],
-            fit=fit,
-        )
-        for fit in rivals
-    ]
-    return Competition(six, tuple(sorted(rows, key=lambda row: row.score)))
 
 
-def _in_newtons(fit: FormulaFit, motion: MeasuredMotion, found: Mapping[str, Parameter]) -> dict[str, Parameter]:
-    """Return the parameters by name; those with a friction in their unit also per unit mass, as ``NAME/m``.
-
-    With a mass or a stiffness the first are in newtons.
-    """
-    K = found["k/m"].value
-    mass = motion.mass.value if motion.mass else motion.stiffness.value / K if motion.stiffness else None
-    known = motion.mass or motion.stiffness
-    out: dict[str, Parameter] = {}
-    for name, item in found.items():
-        force, _ = fit.formula.dimensions.get(name, (0, 0))
-        sign = motion.sign if name == "v_dr" else 1.0
-        if name in ("k/m", "v_dr") or not force:
-            lo, hi = sorted((sign * item.lo, sign * item.hi))
-            out[name] = Parameter(sign * item.value, item.stderr, lo, hi, item.unit)
-            continue
-        out[f"{name}/m"] = item
-        if mass is None or known is None:
-            out[name] = item
-            continue
-        factor = mass**force
-        spread = math.hypot(item.stderr * factor, force * item.value * factor * known.sd / known.value)
-        wider = spread / (item.stderr * factor) if item.stderr > 0 else 1.0
-        value = item.value * factor
-        lo, hi = (value + wider * factor * (end - item.value) for end in (item.lo, item.hi))
-        out[name] = Parameter(value, spread, lo, hi, fit.formula.unit(name, newtons=True))
-    return out
+def _merged(
+    six: Sequence[int | str], others: Sequence[int | str], members: set[int | str], score: dict[int | str, float]
+) -> tuple[int | str, ...]:
+    """Return all laws in order, members of the set first; a law that is a limit of the best one may stand before it."""
+    found = sorted([*six, *others], key=lambda law: (law not in members, score[law]))
+    own = iter(six)
+    return tuple(law if law in others else next(own) for law in found)

@@ -17,9 +17,11 @@ from daq.base.errors import DataError, InputError
 from daq.runfile.rest_position import impossible
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion
-from fitting.estimation import trajectory
+from fitting.driver.passes import first_pass, regressed_start
+from fitting.driver.task import law_task
 from fitting.estimation.fit import Fit
-from fitting.model.problem import EstimationProblem, Run
+from fitting.estimation.fitted_law import FittedLaw
+from fitting.model.problem import Run
 from fitting.selection import lost_frames
 from fitting.selection.evidence import constant_friction_limit
 from processing.record.finding import Finding
@@ -45,11 +47,11 @@ LONG_STICK = 20  # samples
 DIES_AWAY = 0.7  # of the speed at first: a last third slower than that
 WORST_FIT = 0.02  # of a slip's length: a best law that usually errs by more describes something else
 LEAST_FRICTION = 1e-3  # of the spring's pull over a slip: with less, nothing holds the mass
-# Rough fits before the six laws: eight cycles and 30 steps cost 0.02 to 0.2 CPU s a law.  The first law tried leaves
+# Rough fits before the six laws: eight cycles cost 0.02 to 0.2 CPU s a law.  The first law tried leaves
 # at most 0.004 of a slip on five sample runs and a rippled one; noise, drives and hands left 0.04 to 0.4 by the best
 # law, a triangular wave 0.007.  Half the bound would still pass those runs; at twice more noise reaches the full fits.
 SCREENED_MISFIT = 0.03
-SCREENED_CYCLES, SCREENING_STEPS = 8, 30
+SCREENED_CYCLES = 8
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
 WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
 NONE_NEAR = "no law comes near it"
@@ -248,7 +250,8 @@ def reject_by_coarse_fits(laws: Sequence[int], runs: Sequence[Run], *, sustained
     longest = max(_slip_length(run.motion, run.cut) for run in few)
     for law in SCREENING_ORDER:
         if law in laws or (law in (1, 2) and not sustained):
-            fit = trajectory.coarse_fit(EstimationProblem.build(law, few), max_steps=SCREENING_STEPS)
+            task = law_task(law, few)
+            fit = first_pass(task, regressed_start(task))
             if fit is not None and fit.misfit < SCREENED_MISFIT * longest:
                 return ""
     return _sine_or(NONE_NEAR, runs, sustained=sustained)
@@ -269,6 +272,12 @@ def _sine_or(what: str, runs: Sequence[Run], *, sustained: bool) -> str:
 def swings_alone(swings: int) -> str:
     """Return what a record of a few swings is that shows neither a start-up nor a stick."""
     return f"{swings} whole swing{'' if swings == 1 else 's'} in it, and no stick"
+
+
+def comes_near(fits: Sequence[FittedLaw], runs: Sequence[Run]) -> bool:
+    """Return whether one of some laws comes near the runs."""
+    longest = max(_slip_length(run.motion, run.cut) for run in runs)
+    return any(fit.misfit < WORST_FIT * longest for fit in fits)
 
 
 def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:

@@ -90,7 +90,7 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
     slips, friction, slope = path.slips, path.friction, path.friction_slope
     ramp = ~slips & ~(path.mode == STICK)
     width = np.maximum(d + q * at_rest, 1e-300)
-    n = np.abs(friction) / (path.level * F)
+    n = np.abs(friction) / np.maximum(path.level * F, 1e-300)  # a search may come to no friction at all
     # by the ramp's half-width d and by q, the speed lost under the load F, at a given relative speed
     by_d = np.where(slips, -path.side * slope, 0.0)
     by_d[ramp] = -friction[ramp] / np.broadcast_to(width, ramp.shape)[ramp]

@@ -1,10 +1,18 @@
 """Kernels: the motion along the windows of a fit by the classical Runge-Kutta method, stored where tangents need it.
 
-The windows, their unknowns and the rules at a landing are those of `fitting.model.shooting.integrate_window`.  There
-the flow is exact and knows the six laws; here it is stepped, for any curve and any small force besides.  A step ends at
-every sample and every change of mode.  It is short enough for the fastest rate of the motion.  A ramp is followed with
-next to no inertia (`CREEP`), in steps as long as those of a stick, once its transient has died out, or where that moves
-the mass by less than `NO_TRANSIENT` of the spring's stretch.
+A window is followed from its own start; friction is the cycle's level times the curve, less what the level has faded
+by.  A touch of the belt before ``earliest`` is no landing: the mass slips on as soon as the load exceeds its level, so
+the motion depends continuously on where the window starts.  From the landing on the next level holds, and there and in
+a window of stick the contact holds whatever the load: the next break-away lies in no window.  So a ramp contains its
+jump.  Where the mass was seen to overtake the belt it slips on forwards under the new level, until that stops it.
+
+A slip window that starts within a ramp contains the break-away: there the ramp ends at the break-away level, static
+times that of slip, at the half-width d.
+
+The motion is stepped, for any curve and any small force besides.  A step ends at every sample and every change of mode.
+It is short enough for the fastest rate of the motion.  A ramp is followed with next to no inertia (`CREEP`), in steps
+as long as those of a stick, once its transient has died out, or where that moves the mass by less than `NO_TRANSIENT`
+of the spring's stretch.
 
 Every function runs as written or compiled (`daq.base.compute.compile`).
 """

@@ -7,6 +7,7 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.compile import compiled
+from fitting.least_squares.normal_equations import scaled_inverse
 from rig_sim.friction.spline import piece_of
 
 DEGREE = 3
@@ -59,6 +60,13 @@ class FrictionSpline:
         fill = compiled(fill_basis, ("rig_sim.friction.spline", __name__), _nrt=False)
         fill(self.knots, self.basis_pieces, np.ascontiguousarray(s), np.broadcast_to(factor, s.shape).copy(), found)
         return found
+
+    def projection(self, s: Array) -> Array:
+        """Return the matrix (n + 3, k) from values at speeds s (k,) to the coefficients of the nearest spline."""
+        basis = self.basis(s)
+        square = np.einsum("ki,kj->ij", basis, basis)
+        scale, inverse = scaled_inverse(square, np.diag(square))
+        return np.asarray(np.einsum("ij,kj->ik", inverse * scale[:, None] * scale, basis))
 
     def __call__(self, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s."""

@@ -1,13 +1,8 @@
-"""A figure of the atlas as values: what is drawn, and the table beside it.  Nothing here draws.
+"""A figure of the atlas as values: what is drawn, and the table beside it.  Nothing here draws."""
 
-A statement of the thesis agrees when the number computed lies within ``within`` of it: by default one unit of the last
-digit printed, since most of its numbers were read off a plot.
-"""
-
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from daq.base.compute.arrays import Array
 
@@ -74,6 +69,24 @@ class StatementCheck:
 
 
 @dataclass(frozen=True)
+class Computed:
+    """What a chapter computes of a figure; `rig_sim.atlas.statements` joins it with the words.
+
+    Attributes
+    ----------
+    panels : tuple of Panel
+        Filled into rows of ``columns`` panels.
+    numbers : mapping
+        Numbers, words and verdicts, by the names that the words use.
+    columns : int
+    """
+
+    panels: tuple[Panel, ...]
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    columns: int = 1
+
+
+@dataclass(frozen=True)
 class Drawing:
     """What `rig-sim atlas` makes of a figure.
 
@@ -103,33 +116,3 @@ class Entry:
     number: str
     title: str
     draw: Callable[[], Drawing]
-
-
-def compare(
-    quantity: str, printed: str, value: float, why: str = "", *, within: float | None = None, of: float | None = None
-) -> StatementCheck:
-    """Return the comparison of a printed number with a computed one.
-
-    Parameters
-    ----------
-    quantity : str
-        What the number is.
-    printed : str
-        As the thesis prints it; ``of`` gives its value where it is no plain number ('2 pi').
-    value : float
-        Computed.
-    why : str
-        Why they differ; shown only where they do.
-    within : float, optional
-        How far apart they may lie; default one unit of the last digit printed.
-    """
-    number = float(printed) if of is None else of
-    unit = 10.0 ** -len(printed.partition(".")[2]) if of is None else 0.0
-    allowed = (unit if within is None else within) * (1.0 + 1e-9)
-    agrees = math.isfinite(value) and abs(value - number) <= allowed
-    return StatementCheck(quantity, printed, f"{value:.8g}", agrees, "" if agrees else why, value)
-
-
-def state(quantity: str, thesis: str, computed: str, agrees: bool, why: str = "") -> StatementCheck:
-    """Return the comparison of a statement in words; ``agrees`` is decided by what was computed."""
-    return StatementCheck(quantity, thesis, computed, agrees, "" if agrees else why)

@@ -1,18 +1,15 @@
 """``rig-sim``: the simulated rig on the command line: scenes, periodic orbit, events, exact motion into a file."""
 
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import Annotated, Literal, NoReturn
 
 from cyclopts import Parameter
 
 from daq.base.console import application, flags
 from daq.base.console.application import Answer, Json, SetChanges
-from rig_sim.cli import continuation, control, forced, maps, sweep
+from rig_sim.cli import control, maps, over
+from rig_sim.cli.answer import SceneName, answered, changed
 from rig_sim.cli.atlas import atlas
-
-if TYPE_CHECKING:
-    from rig_sim.scenes.model import Scene
 
 Until = Annotated[
     float,
@@ -43,44 +40,30 @@ def scenes(*, json: Json = False) -> Answer:
 
 
 @app.command
-def cycle(scene: str, /, *, set_: SetChanges = None, json: Json = False) -> Answer:
+def cycle(scene: SceneName, /, *, set_: SetChanges = None, json: Json = False) -> Answer:
     """Find the periodic orbit reached from the slip point; start, belt.start and the random sections are ignored.
 
     Example: rig-sim cycle base --set friction.law=6 --set friction.G_stick=-5e6
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.dynamics.limit_cycle import cycle as find
+    import rig_sim
 
-    data = asdict(find(_scene(scene, set_)))
-    return Answer(data, _lines(data))
+    return answered(rig_sim.cycle(changed(scene, set_)))
 
 
 @app.command(name="fixed-point")
-def fixed_point(scene: str, /, *, set_: SetChanges = None, json: Json = False) -> Answer:
+def fixed_point(scene: SceneName, /, *, set_: SetChanges = None, json: Json = False) -> Answer:
     """Find the fixed point, where friction and spring balance at rest, with its eigenvalues; start is ignored.
 
     Example: rig-sim fixed-point damped --set damper.c=0.38
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.dynamics.fixed_point import fixed_point as find
-    from rig_sim.dynamics.fixed_point import two_mass_fixed_point
+    import rig_sim
 
-    found = _scene(scene, set_)
-    data = asdict(find(found.flow()) if found.coupling is None else two_mass_fixed_point(found.two_mass_flow()))
-    return Answer(data, _lines(data))
+    return answered(rig_sim.fixed_point(changed(scene, set_)))
 
 
 @app.command
 def floquet(
-    scene: str,
+    scene: SceneName,
     /,
     *,
     orbit: Annotated[
@@ -95,21 +78,15 @@ def floquet(
     Example: rig-sim floquet damped --orbit unstable
 
     The first multiplier is 1, along the orbit; the second is 0 for an orbit that sticks, above 1 for an unstable one.
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.dynamics.floquet import floquet as find
+    import rig_sim
 
-    data = asdict(find(_scene(scene, set_).flow(), orbit))
-    return Answer(data, _lines(data))
+    return answered(rig_sim.floquet(changed(scene, set_), orbit))
 
 
 @app.command
 def events(
-    scene: str,
+    scene: SceneName,
     /,
     *,
     until: Until,
@@ -126,29 +103,15 @@ def events(
     --since to list a later part.
 
     Example: rig-sim events base --until 60 --set drive.u0=0.2 --set drive.omega=0.3
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
     """
-    played = _scene(scene, set_)
-    if played.coupling is not None:
-        return _two_mass_events(played, until, since, max_steps)
-    from rig_sim.motion.play import events as play
+    import rig_sim
 
-    found = play(played, until, since=since, max_steps=max_steps)
-    rows = [{"t": event.t, "x": event.x, "kind": event.kind} for event in found.events]
-    lines = [f"{'t':>22} {'x':>24}  kind"]
-    lines += [f"{event.t:22.15g} {event.x:24.16g}  {event.kind}" for event in found.events]
-    lines.append(f"{len(rows)} events, {found.steps} steps, outcome: {_outcome(found.outcome, found.advice)}")
-    data = {"events": rows, "outcome": found.outcome, "advice": found.advice, "steps": found.steps}
-    return Answer(data, "\n".join(lines))
+    return answered(rig_sim.events(changed(scene, set_), until, since=since, max_steps=max_steps))
 
 
 @app.command
 def run(
-    scene: str,
+    scene: SceneName,
     /,
     *,
     until: Until,
@@ -173,105 +136,52 @@ def run(
     """Write time t, position x, velocity v and friction force F at a constant rate to a file.
 
     Example: rig-sim run rig --until 20 --rate 1000 -o motion.h5
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.comparison.methods import phases_by
-    from rig_sim.motion.file import write
+    import rig_sim
 
-    played = _scene(scene, set_)
-    phases, setting = phases_by(method, played, step=step, rtol=rtol)
-    used = f"{method} {setting}".strip()
-    found = write(played, output, until=until, rate=rate, phases=phases, method=used, max_steps=max_steps, force=force)
-    data = {
-        "file": output,
-        "samples": found.samples,
-        "method": method,
-        "outcome": found.outcome,
-        "advice": found.advice,
-        "steps": found.steps,
-    }
-    ended = _outcome(found.outcome, found.advice)
-    return Answer(data, f"{output}: {found.samples} samples of t, x, v, F; outcome: {ended}")
+    found = rig_sim.run(
+        changed(scene, set_),
+        until,
+        rate,
+        output=output,
+        method=method,
+        step=step,
+        rtol=rtol,
+        max_steps=max_steps,
+        force=force,
+    )
+    return answered(found)
 
 
 @app.command
-def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json = False) -> Answer:
+def compare(scene: SceneName, /, *, until: Until, set_: SetChanges = None, json: Json = False) -> Answer:
     """Compare the integration methods: largest error of an event time, CPU time, and CPU time per cycle.
 
     Example: rig-sim compare base --until 100 --set friction.law=6
 
     The exact method steps through every cycle, interpreted and compiled; compilation time is reported separately.
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.comparison.error_vs_time import compare as measure
+    import rig_sim
 
     with application.progress("measuring", 100, "%") as show:
-        found = measure(_scene(scene, set_), until, progress=show)
-    data = asdict(found)
+        found = rig_sim.compare(changed(scene, set_), until, progress=show.stage)
     table = application.table("", ["method", "setting", "error", "CPU s", "us/cycle"], left=2)
-    for row in found.rows:
+    for row in found.results:
         error = row.note if row.error is None else f"{row.error:.1e}"
         per_cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
         table.add_row(row.method, row.setting, error, f"{row.cpu_s:.2g}", per_cycle)
-    what = f"error: largest error of an event time, against {found.reference}; {found.cycles} cycles"
-    return Answer(
-        data, [table, what, f"compiling or loading compiled code: {found.compile_s:.1f} s of CPU, not counted"]
-    )
+    return Answer(found.as_json(), [table, *found.remarks()])
 
 
-app.command(continuation.continue_, name="continue")
+app.command(over.continue_, name="continue")
 app.command(maps.map_, name="map")
-app.command(sweep.sweep)
+app.command(over.sweep)
 app.command(maps.basins)
 app.command(maps.lyapunov)
-app.command(forced.quench)
+app.command(control.quench)
 app.command(control.shaker)
 app.command(atlas)
 app.command(control.lock)
-
-
-def _two_mass_events(scene: "Scene", until: float, since: float, max_steps: int) -> Answer:
-    from rig_sim.motion.two_masses import two_mass_events
-
-    found = two_mass_events(scene, until, since=since, max_steps=max_steps)
-    rows = [asdict(event) for event in found.events]
-    lines = [f"{'t':>22} {'x1':>24} {'x2':>24}  kind"]
-    lines += [f"{event.t:22.15g} {event.x1:24.16g} {event.x2:24.16g}  {event.kind}" for event in found.events]
-    lines.append(f"{len(rows)} events, {found.steps} steps, outcome: {_outcome(found.outcome, found.advice)}")
-    data = {"events": rows, "outcome": found.outcome, "advice": found.advice, "steps": found.steps}
-    return Answer(data, "\n".join(lines))
-
-
-def _scene(name: str, changes: list[str] | None) -> "Scene":
-    from rig_sim.scenes.scene import parse_changes
-    from rig_sim.scenes.scene import scene as read
-
-    return read(name, **parse_changes(changes))
-
-
-def _outcome(name: str, advice: str) -> str:
-    return f"{name} ({advice})" if advice else name
-
-
-def _lines(data: dict[str, Any]) -> str:
-    """Return a line for every entry that is there."""
-    return "\n".join(f"{key:11} {_shown(value)}" for key, value in data.items() if value not in (None, "", ()))
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, tuple):
-        return ", ".join(_shown(item) for item in value)
-    if isinstance(value, complex):
-        return f"{value.real:.15g} {'-' if value.imag < 0 else '+'} {abs(value.imag):.15g}i"
-    return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 
 def main() -> NoReturn:

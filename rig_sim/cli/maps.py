@@ -1,7 +1,6 @@
-"""The commands of ``rig-sim`` about maps of two masses: map, basins, lyapunov; and what continue answers for them."""
+"""The commands of ``rig-sim`` about maps of two masses, and Lyapunov exponents: map, basins, lyapunov."""
 
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -9,25 +8,11 @@ from daq.base.console import application
 from daq.base.console.application import Answer, Json, SetChanges
 from daq.base.console.flags import Force, Plot, check_plot
 from daq.base.errors import InputError
-from rig_sim.cli import forced
-from rig_sim.cli.numbers import with_error
-
-if TYPE_CHECKING:
-    from rig_sim.cli.parameter_range import ParameterRange
-    from rig_sim.dynamics.maps.stick_map import StickEvent, StickMap
-    from rig_sim.dynamics.step_budget import StepBudget
-    from rig_sim.flow.two_mass import TwoMassFlow
-    from rig_sim.scenes.swept import SweptScene
-
-MOST_CELLS = 1_000_000
-MOST_EVENTS = 10_000_000
-STEPS_PER_EVENT = 1000  # of basins and of lyapunov, whose slopes take four events more; the thesis's take 30 each
-STEPS_PER_VALUE = 1_000_000  # of continue; those of the thesis take 300 000
-MANY_EVENTS = 500  # interpreted some seconds; above, compiled code is faster with its compilation
+from rig_sim.cli.answer import SceneName, answered, changed
 
 
 def map_(
-    scene: str,
+    scene: SceneName,
     /,
     *,
     d: Annotated[
@@ -53,93 +38,20 @@ def map_(
     spaces. Start and the belt's start are ignored.
 
     Example: rig-sim map two-mass --d 0.05,0.1,0.15 --iterate 2
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
     """
+    import rig_sim
+
     if iterate < 1:
         raise InputError(f"is {iterate}", "--iterate", "give 1 or more")
     if d is None and not periodic and plot is None:
         raise InputError("nothing to do", "--d", "give --d, --periodic or --plot")
-    found = stick_map(scene, set_)
-    data: dict[str, Any] = {}
-    lines = []
-    if d is not None:
-        stretches, several = _numbers(d)
-        many = len(stretches) * iterate > MANY_EVENTS
-        chains = [_chain(found, stretch, iterate, compiled=many) for stretch in stretches]
-        data = {
-            "d": stretches,
-            "f": [chain[-1].d for chain in chains],
-            "word": [" ".join(event.word for event in chain) for chain in chains],
-            "duration": [sum(event.duration for event in chain) for chain in chains],
-            "outcome": [chain[-1].outcome for chain in chains],
-            "advice": [chain[-1].advice for chain in chains],
-        }
-        lines = [f"{'d':>22} {'f(d)':>22}  word"]
-        for row in zip(*(data[key] for key in ("d", "f", "word", "outcome", "advice")), strict=True):
-            ended = "" if row[3] == "completed" else f"  {row[3]} ({row[4]})"
-            lines.append(f"{row[0]:22.15g} {application.shown(row[1], '.15g'):>22}  {row[2]}{ended}")
-        if not several:
-            data = {key: values[0] for key, values in data.items()}
-    if periodic:
-        from rig_sim.dynamics.maps.periodic_points import periodic_points
-
-        orbits = periodic_points(found, iterate)
-        data["periodic"] = [{**asdict(orbit), "period": orbit.period, "stable": orbit.stable} for orbit in orbits]
-        lines += [
-            f"period {orbit.period}, {'stable' if orbit.stable else 'unstable'}, slope {orbit.slope:.12g}: "
-            + ", ".join(f"{point:.15g}" for point in orbit.points)
-            for orbit in orbits
-        ] or [f"no orbit of period {iterate}"]
-    if plot is not None:
-        from daq.base.output.plot import save
-        from rig_sim.dynamics.maps.plot import map_figure
-
-        save(map_figure(found, iterate), plot, force=force)
-        data["file"] = plot
-        lines.append(str(plot))
-    return Answer(data, "\n".join(lines))
-
-
-def continue_map(flow_at: "SweptScene", name: str, span: "ParameterRange") -> Answer:
-    """Return the answer of ``rig-sim continue`` for two masses."""
-    from rig_sim.dynamics.maps.map_continuation import map_continuation
-    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL
-    from rig_sim.dynamics.step_budget import StepBudget
-
-    budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_VALUE * span.number))
-    with application.progress("following", span.number) as show:
-        branches, points = map_continuation(
-            lambda value: checked(flow_at(value), name, budget), span.values().tolist(), progress=show
-        )
-    data = {
-        "parameter": span.key,
-        "branches": [
-            {
-                "kind": f"period {branch.period}",
-                "stable": branch.stable,
-                "rows": [
-                    {"value": value, "points": orbit.points, "slope": orbit.slope} for value, orbit in branch.rows
-                ],
-            }
-            for branch in branches
-        ],
-        "points": [{"kind": point.kind, "parameter": span.key, "value": point.value} for point in points],
-    }
-    lines = [
-        f"{'stable' if branch.stable else 'unstable':8} period {branch.period} {span.key} from {branch.rows[0][0]:.6g} "
-        f"to {branch.rows[-1][0]:.6g}, {len(branch.rows)} values"
-        for branch in branches
-    ]
-    lines += [f"{point.kind}: {span.key} = {point.value:.12g}" for point in points] or ["no special point"]
-    return Answer(data, "\n".join(lines))
+    found = changed(scene, set_)
+    places = None if d is None else _numbers(d)
+    return answered(rig_sim.map(found, places, iterate=iterate, periodic=periodic), plot, force)
 
 
 def basins(
-    scene: str,
+    scene: SceneName,
     /,
     *,
     cells: Annotated[int, Parameter(help="Cells that the interval of d is divided into.")] = 4000,
@@ -153,49 +65,22 @@ def basins(
     Start and the belt's start are ignored.
 
     Example: rig-sim basins two-mass --cells 4000
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.dynamics.maps.basins import basins as find
+    import rig_sim
 
-    if not 2 <= cells <= MOST_CELLS:
-        raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
     check_plot(plot, force)
-    f = stick_map(scene, set_, cells)
     with application.progress("mapping cells", cells) as show:
-        found = find(f, cells, show.stage)
-    data: dict[str, Any] = {
-        "range": [f.lo, f.hi],
-        "shares": [attractor.share for attractor in found.attractors],
-        "attractors": [asdict(attractor) for attractor in found.attractors],
-        "nowhere": found.nowhere,
-        "cells": cells,
-        "cycles": found.cycles,
-    }
-    lines = []
-    for number, attractor in enumerate(found.attractors, 1):
-        kind = f"period {attractor.period}" if attractor.period else "not periodic"
-        few = ", ".join(f"{point:.12g}" for point in attractor.points[:4]) + (
-            " ..." if len(attractor.points) > 4 else ""
-        )
-        lines.append(f"attractor {number}: {100.0 * attractor.share:.3f} %, {kind}: {few}")
-    if found.nowhere or not found.attractors:
-        lines.append(f"no global stick: {100.0 * found.nowhere:.3f} %")
-    if plot is not None:
-        from daq.base.output.plot import save
-        from rig_sim.dynamics.maps.plot import basins_figure
-
-        save(basins_figure(found), plot, force=force)
-        data["file"] = plot
-        lines.append(str(plot))
-    return Answer(data, "\n".join(lines))
+        found = rig_sim.basins(changed(scene, set_), cells, progress=show.stage)
+    return answered(found, plot, force)
 
 
 def lyapunov(
-    scene: str,
+    scene: Annotated[
+        str,
+        Parameter(
+            help="A built-in name (see rig-sim scenes) or a TOML file; of two masses with start.d or start.attractor."
+        ),
+    ],
     /,
     *,
     events: Annotated[
@@ -212,83 +97,18 @@ def lyapunov(
     Example: rig-sim lyapunov two-mass --events 20000 --set belt.speed=0.08075
 
     Example: rig-sim lyapunov forced --set drive.omega=1.1
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file; of two masses with start.d or start.attractor.
     """
-    from rig_sim.dynamics.maps.lyapunov import BLOCKS
-    from rig_sim.dynamics.maps.lyapunov import lyapunov as find
-    from rig_sim.motion.two_masses import stretch
-    from rig_sim.scenes.scene import parse_changes
-    from rig_sim.scenes.scene import scene as read
+    import rig_sim
 
-    if not BLOCKS <= events <= MOST_EVENTS:
-        raise InputError(f"is {events}", "--events", f"give {BLOCKS} to {MOST_EVENTS}")
-    changes = parse_changes(set_)
-    if read(scene, **changes).coupling is None:
-        return forced.driven_lyapunov(scene, changes, events)
-    f = stick_map(scene, set_, events)
-    start = stretch(read(scene, **changes))
-    if not abs(start) <= f.hi:
-        raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
     with application.progress("following the motion", events) as show:
-        found = find(f, start, events, show.stage)
-    data = {**asdict(found), "per": "event"}
-    if found.outcome != "completed":
-        return Answer(data, f"{found.outcome}: the motion stops sticking; list its events instead")
-    orbit = f"period {found.period}, exact" if found.period else f"over {found.events} events"
-    return Answer(data, f"{with_error(found.exponent, found.stderr)} per event ({orbit})")
+        return answered(rig_sim.lyapunov(changed(scene, set_), events, progress=show.stage))
 
 
-def stick_map(name: str, changes: list[str] | None, events: int = 0) -> "StickMap":
-    """Return the map of a scene of two masses, with integrator steps for an analysis or, if more, for ``events``.
-
-    Raises
-    ------
-    InputError
-        One mass, or a belt at rest.
-    """
-    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL
-    from rig_sim.dynamics.step_budget import StepBudget
-    from rig_sim.scenes.scene import parse_changes, scene
-
-    budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events))
-    return checked(scene(name, **parse_changes(changes)).two_mass_flow(), name, budget)
-
-
-def checked(flow: "TwoMassFlow", name: str, budget: "StepBudget | None" = None) -> "StickMap":
-    """Return the map of two masses, with integrator steps of its own or from a ``budget`` that maps share.
-
-    Raises
-    ------
-    InputError
-        They are not physical, or their belt is at rest.
-    """
-    from rig_sim.dynamics.maps.stick_map import StickMap
-
-    try:
-        return StickMap(flow, budget=budget)
-    except ValueError as error:
-        raise InputError(str(error), f"scene {name}", "change that value with --set") from None
-
-
-def _chain(found: "StickMap", d: float, times: int, *, compiled: bool) -> "list[StickEvent]":
-    """Return the events that follow a global stick, up to ``times``."""
-    chain: list[StickEvent] = []
-    for _ in range(times):
-        chain.append(found.event(d, compiled=compiled))
-        if chain[-1].outcome != "completed":
-            break
-        d = chain[-1].d
-    return chain
-
-
-def _numbers(given: list[str]) -> tuple[list[float], bool]:
-    """Return the numbers of ``--d``, and whether it is a list."""
+def _numbers(given: list[str]) -> float | list[float]:
+    """Return the number of ``--d``, or the numbers where it is a list."""
     parts = [part for text in given for part in text.strip("[] ").split(",")]
     try:
-        return [float(part) for part in parts], len(parts) > 1 or "[" in given[0]
+        numbers = [float(part) for part in parts]
     except ValueError:
         raise InputError(f"{','.join(given)!r} holds something that is no number", "--d", "write 0.1,0.2") from None
+    return numbers if len(parts) > 1 or "[" in given[0] else numbers[0]

@@ -84,7 +84,7 @@ def compare(
         raise InputError(f"is {until:g}", "--until", "give a positive number")
     for method in methods:
         if method not in METHODS:
-            raise InputError(f"unknown method {method!r}", "--methods", f"take some of {', '.join(METHODS)}")
+            raise InputError(f"unknown method {method!r}", "methods", f"take some of {', '.join(METHODS)}")
     swing = 2.0 * math.pi * math.sqrt(scene.mass.m / scene.spring.k)
     if until > LONGEST * swing:
         what = f"is {until:g}, {until / swing:.3g} periods of the mass: every method would step through all of them"
@@ -103,10 +103,11 @@ def compare(
         raise InputError("no event", "--until", "give a longer time")
     rows = []
     cycles = 0
+    peers = {} if expected else {method: tightest(lists, method, until) for method in dict.fromkeys(methods)}
     if not expected:
-        described += doubted(lists, until)
+        described += compared_with(peers) + doubted(lists, until)
     for method, setting, found, cpu_s in measured:
-        against = expected or tightest(lists, method, until)
+        against = expected or _events(lists[peers[method]])
         cycles = sum(kind[:2] == "S>" for _, kind in against)
         error, note = difference(found, against, until)
         rows.append(MethodResult(method, setting, error, cpu_s, 1e6 * cpu_s / cycles if cycles else None, note))
@@ -172,16 +173,24 @@ Lists = dict[tuple[str, str], EventList]  # by method and setting
 BY_TIGHTNESS = ("exact", "dop853", "lsoda", "radau", "rk4-henon")
 
 
-def tightest(lists: Lists, method: str, until: float) -> list[tuple[Any, str]]:
-    """Return the list of the tightest method that is not ``method``, of those that most other lists agree with.
+def tightest(lists: Lists, method: str, until: float) -> tuple[str, str]:
+    """Return the tightest method that is not ``method``, with its setting, of those that most other lists agree with.
 
     A list of other events than all the rest is no reference, however tight: a solver may find a landing twice.
     """
     others = [key for key in _by_tightness(lists) if key[0] != method]
     if not others:
-        raise InputError("nothing to compare with", "--methods", "name two methods")
-    found = lists[max(others, key=lambda key: len(_agreeing(lists, key, until)))]  # of equals the first
-    return _events(found)
+        raise InputError("nothing to compare with", "methods", "name two methods")
+    return max(others, key=lambda key: len(_agreeing(lists, key, until)))  # of equals the first
+
+
+def compared_with(peers: dict[str, tuple[str, str]]) -> str:
+    """Return in words what each method was compared with."""
+    words = []
+    for peer in dict.fromkeys(peers.values()):
+        methods = ", ".join(method for method, own in peers.items() if own == peer)
+        words.append(f"{methods} with {' '.join(peer)}")
+    return f"; compared: {'; '.join(words)}"
 
 
 def doubted(lists: Lists, until: float) -> str:

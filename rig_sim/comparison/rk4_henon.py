@@ -20,8 +20,7 @@ from functools import partial
 from rig_sim.comparison.stepping import PhaseResult, PhaseSolver, Slopes, right_hand_side
 from rig_sim.flow import modes
 from rig_sim.flow.frame import Frame, mode_bounds
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import Buffer
+from rig_sim.integrate.work import Work
 
 HALVINGS = 60  # of a step whose end is outside while w' at its start points inwards
 
@@ -74,7 +73,7 @@ def slide(
 
 
 def solve_phase(
-    step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Buffer
+    step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Work
 ) -> PhaseResult:
     """Go through a slip or ramp by steps of ``step`` (s)."""
     slopes = right_hand_side(fr, mode)
@@ -90,12 +89,12 @@ def solve_phase(
         h = t_max - t
         last = h <= step
         side, t, p, w = slide(slopes, lo, hi, t, p, w, h if last else step)
-        work[buffer.STEPS] += 1.0
+        work.steps += 1.0
         if side == 0 and last and t >= t_max * (1.0 - 1e-15):
             t = t_max
         if side != 0 or t >= t_max or not math.isfinite(t + p + w):
             return PhaseResult(modes.COMPLETED, side, t, p, w, at)
-        if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
+        if work.steps >= work.steps_allowed:
             return PhaseResult(modes.STEP_LIMIT, 0, t, p, w, at)
         grid.append(t)
         states.append((p, w))

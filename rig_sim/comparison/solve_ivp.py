@@ -14,8 +14,7 @@ from scipy.integrate import solve_ivp
 from rig_sim.comparison.stepping import PhaseResult, PhaseSolver, right_hand_side
 from rig_sim.flow import modes
 from rig_sim.flow.frame import Frame, mode_bounds
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import Buffer
+from rig_sim.integrate.work import Work
 
 SOLVERS = {"dop853": "DOP853", "radau": "Radau", "lsoda": "LSODA"}
 
@@ -34,15 +33,15 @@ def solve_phase(
     p: float,
     w: float,
     t_max: float,
-    work: Buffer,
+    work: Work,
 ) -> PhaseResult:
     """Go through a slip or ramp: one call of the solver; STEPS counts evaluations."""
     slopes = right_hand_side(fr, mode)
 
     def rates(tau: float, y: Any) -> tuple[float, float]:
-        if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
+        if work.steps >= work.steps_allowed:
             raise _TooManyEvaluations
-        work[buffer.STEPS] += 1.0
+        work.steps += 1.0
         return slopes(t + tau, float(y[0]), float(y[1]))
 
     def distance(edge: float, direction: float) -> Any:

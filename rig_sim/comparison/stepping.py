@@ -12,12 +12,11 @@ from typing import NamedTuple
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import transition
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirrored, position
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import Buffer
+from rig_sim.flow.frame import Frame, curve_deficit, drive, frame, linear_terms, mirrored, position
 from rig_sim.integrate.driven import driven_stick_exit
 from rig_sim.integrate.linear import stick_exit
-from rig_sim.integrate.phases import RAPID_ALLOWED, RAPID_TIME, unmirrored_kind
+from rig_sim.integrate.phases import RAPID_ALLOWED, RAPID_TIME, Samples, State, in_frame, outside, unmirrored_kind
+from rig_sim.integrate.work import Work
 
 Slopes = Callable[[float, float, float], tuple[float, float]]
 
@@ -37,7 +36,7 @@ class PhaseResult(NamedTuple):
     at: Callable[[float], tuple[float, float]]
 
 
-PhaseSolver = Callable[[Frame, int, float, float, float, float, Buffer], PhaseResult]
+PhaseSolver = Callable[[Frame, int, float, float, float, float, Work], PhaseResult]
 """Called with frame, mode, t, p, w, t_max, work."""
 
 
@@ -51,9 +50,9 @@ def right_hand_side(fr: Frame, mode: int) -> Slopes:
     return slopes
 
 
-def solve_stick(fr: Frame, t: float, p: float, t_max: float, work: Buffer) -> PhaseResult:
+def solve_stick(fr: Frame, t: float, p: float, t_max: float, work: Work) -> PhaseResult:
     """Return a stick phase: closed form, as for the exact method."""
-    work[buffer.STEPS] += 1.0
+    work.steps += 1.0
     rest = t_max - t
     side, tau = driven_stick_exit(fr, p, t, rest) if fr.u0 != 0.0 else stick_exit(fr, p, rest)
     t_end = t_max if side == 0 and tau >= rest else t + tau
@@ -61,7 +60,7 @@ def solve_stick(fr: Frame, t: float, p: float, t_max: float, work: Buffer) -> Ph
 
 
 def solve_part(
-    solver: PhaseSolver, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Buffer
+    solver: PhaseSolver, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Work
 ) -> PhaseResult:
     """Return the phase from (t, p, w) to its end, to t_max or to where the solver stops."""
     here = PhaseResult(modes.COMPLETED, 0, t, p, w, lambda _: (p, w))
@@ -69,52 +68,39 @@ def solve_part(
         return here._replace(end=modes.NOT_FINITE)
     if t >= t_max:
         return here
-    if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
+    if work.steps >= work.steps_allowed:
         return here._replace(end=modes.STEP_LIMIT)
     found = solve_stick(fr, t, p, t_max, work) if mode == modes.STICK else solver(fr, mode, t, p, w, t_max, work)
     return found if math.isfinite(found.t + found.p + found.w) else here._replace(end=modes.NOT_FINITE)
 
 
 def sample_phase(
-    solver: PhaseSolver,
-    flow: Flow,
-    mode: int,
-    x: float,
-    w: float,
-    t: float,
-    times: Buffer,
-    i: int,
-    n: int,
-    t_max: float,
-    out_x: Buffer,
-    out_v: Buffer,
-    out_mode: Buffer,
-    work: Buffer,
-) -> tuple[int, int, float, float, float, int]:
-    """Go to the next event, or to t_max, storing the motion at times[i:n]: as `rig_sim.integrate.phases.sample_phase`.
+    solver: PhaseSolver, flow: Flow, at: State, t_max: float, samples: Samples, i: int, work: Work
+) -> tuple[int, State, int]:
+    """Go to the next event, or to t_max, storing the motion: as `rig_sim.integrate.phases.sample_phase`.
 
     Parameters
     ----------
     solver : PhaseSolver
         The method.
-    flow, mode, x, w, t, times, i, n, t_max, out_x, out_v, out_mode, work
+    flow, at, t_max, samples, i, work
         As there; ``work`` counts the method's steps, or its evaluations of the right-hand side.
 
     Returns
     -------
-    (kind, mode, x, w, t, i)
+    (kind, at, i)
         As there.
     """
     fr = frame(flow)
-    own, p, w = mirrored(fr, mode), displacement(fr, x), fr.mirror * w
+    own, p, w, t, _ = in_frame(fr, at)
     begun, kind = t, -1
     while kind < 0:
         part = solve_part(solver, fr, own, t, p, w, t_max, work)
-        while part.end != modes.NOT_FINITE and i < n and times[i] <= part.t:
-            p_at, w_at = (p, w) if times[i] <= t else part.at(times[i])
-            out_x[i] = position(fr, p_at)
-            out_v[i] = fr.mirror * (w_at + fr.v)
-            out_mode[i] = float(mirrored(fr, own))
+        while part.end != modes.NOT_FINITE and i < samples.n and samples.t[i] <= part.t:
+            p_at, w_at = (p, w) if samples.t[i] <= t else part.at(samples.t[i])
+            samples.x[i] = position(fr, p_at)
+            samples.v[i] = fr.mirror * (w_at + fr.v)
+            samples.mode[i] = float(mirrored(fr, own))
             i += 1
         p, w, t = part.p, part.w, part.t
         if part.end != modes.COMPLETED:
@@ -125,10 +111,10 @@ def sample_phase(
                 kind = entered
             else:
                 rapid = (t - begun) * fr.omega0 <= RAPID_TIME
-                work[buffer.RAPID] = work[buffer.RAPID] + 1.0 if rapid else 0.0
-                kind = modes.EVENT_RATE if work[buffer.RAPID] > RAPID_ALLOWED else 4 * own + entered
+                work.rapid = work.rapid + 1.0 if rapid else 0.0
+                kind = modes.EVENT_RATE if work.rapid > RAPID_ALLOWED else 4 * own + entered
                 own = entered
         elif t >= t_max:
-            work[buffer.RAPID] = 0.0
+            work.rapid = 0.0
             kind = modes.COMPLETED
-    return unmirrored_kind(fr, kind), mirrored(fr, own), position(fr, p), fr.mirror * w, t, i
+    return unmirrored_kind(fr, kind), outside(fr, State(own, p, w, t)), i

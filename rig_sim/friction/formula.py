@@ -99,6 +99,19 @@ class Formula:
         names = dict.fromkeys(step.name for step in steps if step.do == "name" and step.name != SPEED)
         return cls(text, tuple(names), tuple(steps))
 
+    @property
+    def steps(self) -> tuple[Operation, ...]:
+        """What is done to evaluate the formula, in order: each step takes from a stack what earlier ones put there."""
+        return self._steps
+
+    def renamed(self, names: Mapping[str, str]) -> "Formula":
+        """Return the formula with other names for some of its parameters."""
+        text = self.text
+        for step in sorted(self._steps, key=lambda step: -step.column):
+            if step.do == "name" and step.name in names:
+                text = text[: step.column] + names[step.name] + text[step.column + len(step.name) :]
+        return Formula.parse(text)
+
     def value(self, s: "Array | float", parameters: Mapping[str, float]) -> "Array":
         """Return the curve at slip speeds.
 

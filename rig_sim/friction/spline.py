@@ -51,18 +51,28 @@ def about(table: Table, pieces: int, i: int, s: float) -> tuple[float, float, fl
 
 def steepest_fall_between(table: Table, pieces: int, low: float, high: float) -> float:
     """Return the largest fall of the curve per speed (s/m, over the friction at rest) from slip speed low to high."""
-    most = -math.inf
-    for i in range(piece_of(table, pieces, low), piece_of(table, pieces, high) + 1):
-        end = table[i + 1] if i + 1 < pieces else high
-        places = [max(low, table[i]), min(high, end)]
-        c2, c3 = table[pieces + 4 * i + 2], table[pieces + 4 * i + 3]
-        if c3 != 0.0:
-            turn = table[i] - c2 / (3.0 * c3)
-            if places[0] < turn < places[1]:
-                places.append(turn)
-        for s in places:
-            most = max(most, -about(table, pieces, i, s)[1])
-    return most
+    first, last = piece_of(table, pieces, low), piece_of(table, pieces, high)
+    # an orbit asks thousands of times, and a formula has hundreds of pieces: those between are looked at once
+    between = _steepest_falls(table, pieces)[first + 1 : last]
+    return max(*(_steepest_fall(table, pieces, i, low, high) for i in (first, last)), *between)
+
+
+@lru_cache(maxsize=16)
+def _steepest_falls(table: Table, pieces: int) -> tuple[float, ...]:
+    """Return the largest fall per speed of each piece but the last, over all of it."""
+    return tuple(_steepest_fall(table, pieces, i, table[i], table[i + 1]) for i in range(pieces - 1))
+
+
+def _steepest_fall(table: Table, pieces: int, i: int, low: float, high: float) -> float:
+    """Return the largest fall per speed of piece i from slip speed low to high, as far as they lie in it."""
+    end = table[i + 1] if i + 1 < pieces else high
+    places = [max(low, table[i]), min(high, end)]
+    c2, c3 = table[pieces + 4 * i + 2], table[pieces + 4 * i + 3]
+    if c3 != 0.0:
+        turn = table[i] - c2 / (3.0 * c3)
+        if places[0] < turn < places[1]:
+            places.append(turn)
+    return max(-about(table, pieces, i, s)[1] for s in places)
 
 
 @lru_cache(maxsize=64)

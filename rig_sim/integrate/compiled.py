@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from daq.base.compute import compile as kernels
@@ -16,7 +17,7 @@ KERNEL_MODULES = (
     "rig_sim.flow.modes",
     "rig_sim.flow.flow",
     "rig_sim.flow.frame",
-    "rig_sim.integrate.buffer",
+    "rig_sim.integrate.work",
     "rig_sim.flow.contact_state",
     "rig_sim.integrate.linear",
     "rig_sim.integrate.polynomial",
@@ -37,8 +38,22 @@ def compiled(function: Callable[..., Any], *modules: str, inline: bool = True) -
     Kernels written into their callers (``inline``) list events 1.15 to 1.3 times as fast; without, they compile in
     three quarters of the time, and a fit, which spends its time within kernels, is as fast.
     """
+    unbox_records()
     options = {**JIT_OPTIONS, "forceinline": True} if inline else JIT_OPTIONS
     return kernels.compiled(function, (*KERNEL_MODULES, *modules), **options)
+
+
+@cache
+def unbox_records() -> None:
+    """Let compiled code call `rig_sim.integrate.work.unboxed`."""
+    from numba.core import types
+    from numba.extending import overload
+
+    from rig_sim.integrate.work import unboxed
+
+    @overload(unboxed)
+    def record_of(record):  # type: ignore[no-untyped-def]
+        return (lambda record: record[()]) if isinstance(record, types.Array) else (lambda record: record)
 
 
 def for_kernels(flow: Flow) -> Flow:

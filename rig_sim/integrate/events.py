@@ -11,9 +11,8 @@ from typing import Any
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow, validate
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.phases import run
+from rig_sim.integrate.phases import Lists, Samples, State, run
+from rig_sim.integrate.work import Buffer, new_work, zeros
 
 EVENTS_PER_CALL = 1024  # of the kernel; not swept
 
@@ -79,7 +78,7 @@ def list_events(
     validate(flow)
     if not all(math.isfinite(number) for number in (x, v, t, t_max)):
         raise ValueError(f"x, v, t, t_max are {x}, {v}, {t}, {t_max}; need finite numbers")
-    mode = initial_mode(flow, x, v, t)
+    at = State(initial_mode(flow, x, v, t), x, v - flow.v_belt, t)
     step: Callable[..., Any] = run
     if compiled:
         from rig_sim.integrate.compiled import compiled as compile_kernel
@@ -88,25 +87,24 @@ def list_events(
         step = compile_kernel(run)
         flow = for_kernels(flow)
     work = new_work(max_steps, compiled=compiled)
-    buffers = new_lists(EVENTS_PER_CALL, 4, compiled=compiled)
-    w = v - flow.v_belt
+    lists = new_lists(EVENTS_PER_CALL, compiled=compiled)
     times: list[float] = []
     places: list[float] = []
     kinds: list[str] = []
     outcome = modes.LIST_FULL
     while outcome == modes.LIST_FULL:
-        outcome, count, first, mode, x, w, t = step(
-            flow, mode, x, w, t, t_max, EVENTS_PER_CALL, *buffers, 0 if every_cycle else 1, work
-        )
-        at, where, names = listed(buffers[0], count), listed(buffers[2], count), named(buffers[3], count)
-        skipped = bisect_left(at, since)
-        times += at[skipped:]
+        outcome, count, first, at = step(flow, at, t_max, lists, 0 if every_cycle else 1, work)
+        whole, where, names = listed(lists.t, count), listed(lists.x, count), named(lists.kind, count)
+        skipped = bisect_left(whole, since)
+        times += whole[skipped:]
         places += where[skipped:]
         kinds += names[skipped:]
         if outcome == modes.RECURRED:
             outcome = modes.COMPLETED
-            rest = listed(buffers[1], count)
-            for again, x_again, name in repeated(at[first:], rest[first:], where[first:], names[first:], since, t_max):
+            rest = listed(lists.carry, count)
+            for again, x_again, name in repeated(
+                whole[first:], rest[first:], where[first:], names[first:], since, t_max
+            ):
                 times.append(again)
                 places.append(x_again)
                 kinds.append(name)
@@ -116,7 +114,7 @@ def list_events(
             outcome = modes.EVENT_LIMIT
             del times[max_events:], places[max_events:], kinds[max_events:]
     name, advice = modes.OUTCOMES[outcome]
-    return EventList(tuple(times), tuple(places), tuple(kinds), name, advice, int(work[buffer.STEPS]))
+    return EventList(tuple(times), tuple(places), tuple(kinds), name, advice, int(work.steps))
 
 
 def repeated(
@@ -166,10 +164,14 @@ def kind_names() -> Any:
     return numpy.array([modes.KINDS.get(code, "") for code in range(max(modes.KINDS) + 1)], dtype=object)
 
 
-def new_lists(length: int, number: int, *, compiled: bool) -> list[list[float]]:
-    """Return ``number`` buffers of zeros: lists, or float64 arrays for compiled kernels."""
-    if not compiled:
-        return [[0.0] * length for _ in range(number)]
-    import numpy
+def new_lists(capacity: int, *, compiled: bool) -> Lists:
+    """Return where `run` lists so many events, interpreted or compiled."""
+    t, carry, x, kind = (zeros(capacity, compiled=compiled) for _ in range(4))
+    return Lists(t, carry, x, kind, capacity)
 
-    return [numpy.zeros(length) for _ in range(number)]  # type: ignore[misc]
+
+def new_samples(times: Buffer, *, compiled: bool) -> Samples:
+    """Return where `sample_phase` stores the motion at ``times`` (s), interpreted or compiled."""
+    n = len(times)
+    x, v, mode = (zeros(n, compiled=compiled) for _ in range(3))
+    return Samples(times, x, v, mode, n)

@@ -15,9 +15,8 @@ import math
 from typing import NamedTuple
 
 from rig_sim.flow.frame import Frame
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.newton import EPS, newton_step
+from rig_sim.integrate.work import Work
 
 LARGEST_EXPONENT = 700.0  # below 709, so that exp stays finite; growth by e^700 is beyond every edge
 INVERSE = (0.0, *(1.0 / j for j in range(1, 16)))
@@ -101,7 +100,7 @@ def shifted(S: float, E: float, zeta: float, omega2: float, step: float) -> tupl
     return later, E + omega2 * step * (S + 0.5 * step * slope)
 
 
-def root(free: FreeMotion, level: float, side: int, inside: float, outside: float, guess: float, work: Buffer) -> float:
+def root(free: FreeMotion, level: float, side: int, inside: float, outside: float, guess: float, work: Work) -> float:
     """Return where w crosses ``level`` in [inside, outside], on which it is monotone: bracketed Halley from ``guess``.
 
     The closed form there is left in ``work``: what comes after the exit needs it again.
@@ -116,7 +115,7 @@ def root(free: FreeMotion, level: float, side: int, inside: float, outside: floa
         moved = a * S - u * E
         error = (w - level) + moved
         if error == 0.0:
-            work[buffer.EXIT], work[buffer.EXIT_S], work[buffer.EXIT_E] = tau, S, E
+            work.exit, work.exit_s, work.exit_e = tau, S, E
             return tau
         if side * error > 0.0:
             outside = tau
@@ -135,9 +134,9 @@ def root(free: FreeMotion, level: float, side: int, inside: float, outside: floa
                 following = tau - step
                 left = (0.25 * bend * bend + (2.0 * abs(zeta * bend) + omega2) / 6.0) * abs(step * step * step)
                 if inside < following < outside and left <= 0.5 * EPS * following:
-                    work[buffer.EXIT] = following
-                    work[buffer.LATE] = (tau - following) - step
-                    work[buffer.EXIT_S], work[buffer.EXIT_E] = shifted(S, E, zeta, omega2, -step)
+                    work.exit = following
+                    work.late = (tau - following) - step
+                    work.exit_s, work.exit_e = shifted(S, E, zeta, omega2, -step)
                     return following
                 slope *= shrink
         if math.isinf(outside) and tau - error / slope > 4.0 * tau:
@@ -149,15 +148,13 @@ def root(free: FreeMotion, level: float, side: int, inside: float, outside: floa
     return tau
 
 
-def linear_exit(
-    free: FreeMotion, lo: float, hi: float, tau_max: float, touch: float, work: Buffer
-) -> tuple[int, float]:
+def linear_exit(free: FreeMotion, lo: float, hi: float, tau_max: float, touch: float, work: Work) -> tuple[int, float]:
     """Return (side, tau): the first exit of w from [lo, hi], side -1 or +1; (0, tau_max) when it stays inside.
 
     An extreme within ``touch`` x abs(u) (relative) of an edge counts as reaching it: grazing.
     """
     w, a, u = free.w, free.a, free.u
-    work[buffer.EXIT] = -1.0
+    work.exit = -1.0
     if w >= hi and (a > 0.0 or (a == 0.0 and u < 0.0)):
         return 1, 0.0
     if w <= lo and (a < 0.0 or (a == 0.0 and u > 0.0)):
@@ -188,7 +185,7 @@ def first_extreme(a: float, u: float, zeta: float, omega2: float, disc: float) -
 
 
 def oscillating_exit(
-    free: FreeMotion, lo: float, hi: float, tau_max: float, touch: float, work: Buffer
+    free: FreeMotion, lo: float, hi: float, tau_max: float, touch: float, work: Work
 ) -> tuple[int, float]:
     """Return (side, tau) of `linear_exit` for complex roots: walk from extreme to extreme.
 
@@ -253,7 +250,7 @@ def oscillating_exit(
     return 0, tau_max
 
 
-def creeping_exit(free: FreeMotion, lo: float, hi: float, tau_max: float, work: Buffer) -> tuple[int, float]:
+def creeping_exit(free: FreeMotion, lo: float, hi: float, tau_max: float, work: Work) -> tuple[int, float]:
     """Return (side, tau) of `linear_exit` for real roots: one extreme at most, then monotone for ever."""
     w, a, u, zeta, omega2, disc = free
     v = u - w

@@ -5,27 +5,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from daq.base.compute.arrays import Array
-from daq.base.compute.compile import pointer
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import COMPLETED, LIST_FULL, OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow, validate_two_masses
-from rig_sim.integrate.buffer import ORDER, Buffer
-from rig_sim.integrate.two_mass import (
-    CROSSING,
-    MODE1,
-    MODE2,
-    SECTION,
-    STEPS,
-    STEPS_ALLOWED,
-    TIME,
-    W1,
-    W2,
-    Y1,
-    Y2,
-    new_pair,
-    pair_event,
-    place,
-)
+from rig_sim.integrate.two_mass import CROSSING, Pair, new_pair, pair_event, place
+from rig_sim.integrate.work import ORDER, Buffer, for_compiled, unboxed
 
 EVENTS, SAMPLES, CROSSINGS = 0, 1, 2  # what is listed
 WIDTH = 9  # of a row: t, y1, w1, mode 1, y2, w2, mode 2, and both modes before
@@ -35,16 +19,16 @@ ROUNDING = 2.0**-53  # tolerance of the series
 
 
 def list_motion(
-    fr: Frame, a: float, b: float, times: Buffer, n: int, wanted: int, capacity: int, rows: Buffer, work: Buffer
+    fr: Frame, a: float, b: float, times: Buffer, n: int, wanted: int, capacity: int, rows: Buffer, work: Pair
 ) -> tuple[int, int, int]:
     """Go on through n times (s), or until ``rows`` is full; return (outcome, rows stored, times served)."""
+    work = unboxed(work)
     count = 0
     served = 0
-    work = pointer(work)
     while served < n:
         if count == capacity:
             return LIST_FULL, count, served
-        before1, before2 = work[MODE1], work[MODE2]
+        before1, before2 = work.mode1, work.mode2
         event, outcome = pair_event(fr, a, b, times[served], ORDER, ROUNDING, work)
         if outcome != 0:
             return outcome, count, served
@@ -56,8 +40,8 @@ def list_motion(
             or (wanted == CROSSINGS and event == CROSSING)
         ):
             at = WIDTH * count
-            rows[at], rows[at + 1], rows[at + 2], rows[at + 3] = work[TIME], work[Y1], work[W1], work[MODE1]
-            rows[at + 4], rows[at + 5], rows[at + 6] = work[Y2], work[W2], work[MODE2]
+            rows[at], rows[at + 1], rows[at + 2], rows[at + 3] = work.time, work.y1[0], work.w1[0], work.mode1
+            rows[at + 4], rows[at + 5], rows[at + 6] = work.y2[0], work.w2[0], work.mode2
             rows[at + 7], rows[at + 8] = before1, before2
             count += 1
     return 0, count, served
@@ -108,14 +92,14 @@ class PairMotion:
     @property
     def steps(self) -> int:
         """Integrator steps taken so far."""
-        return int(self._work[STEPS])
+        return int(self._work.steps)
 
     def rows(self, times: "list[float] | Array", wanted: int, *, most: float = math.inf) -> Iterator[list[float]]:
         """Yield a row for each event, time or crossing up to the last of ``times`` (s, increasing), or to the end.
 
         No more than ``most`` rows.
         """
-        self._work[SECTION] = 1.0 if wanted == CROSSINGS else 0.0
+        self._work.section = 1.0 if wanted == CROSSINGS else 0.0
         served = 0
         outcome = LIST_FULL
         while outcome == LIST_FULL and most > 0:
@@ -138,8 +122,8 @@ class PairMotion:
             kernel = compiled(list_motion, "rig_sim.integrate.two_mass", __name__)
             times, rows = np.asarray(times, dtype=np.float64), np.zeros(WIDTH * ROWS)
             if not self._compiled:
-                self._compiled, self._work = True, np.array(self._work)
-                self._work[STEPS_ALLOWED] = float(self._max_steps)
+                self._compiled, self._work = True, for_compiled(self._work)
+                self._work.steps_allowed = float(self._max_steps)
         outcome, count, served = kernel(
             self.frame, self.flow.a, self.flow.b, times, len(times), wanted, most, rows, self._work
         )

@@ -1,22 +1,23 @@
 """The loop over phases: the next event, the motion at given times on the way there, and lists of events.
 
-All kernels take and return the state as (mode, x, w, t): x in m, w = x' - v_belt in m/s, t in s.  They run as they
-stand, with ``work = new_work()``, or compiled (`rig_sim.integrate.compiled`) with ``new_work(compiled=True)``; arrays
-of times and results are then float64 (modes too), one-dimensional and contiguous.
+A motion is a `State`: mode, x in m, w = x' - v_belt in m/s, t in s.  Kernels run as they stand, with ``work =
+new_work()``, or compiled (`rig_sim.integrate.compiled`) with ``new_work(compiled=True)``; arrays of times and results
+are then float64 (modes too), one-dimensional and contiguous.
 
 A driver that changes the Flow between events (belt start, wear, scatter, kicks) asks for one phase at a time with
 `next_event` or `sample_phase`, and classifies anew with `initial_mode` only when it moved the state or the load:
 
-    mode = initial_mode(flow, x, v, t)
-    while t < t_max:
-        kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, t_max, out_x, out_v, out_mode, work)
+    at = State(initial_mode(flow, x, v, t), x, v - flow.v_belt, t)
+    while at.t < t_max:
+        kind, at, i = sample_phase(flow, at, t_max, samples, i, work)
         if kind >= FORCE_REVERSAL: ...          # ended: OUTCOMES[kind] has name and advice
-        if mode == STICK: flow = flow._replace(factor=...)
+        if at.mode == STICK: flow = flow._replace(factor=...)
 
 `kind` is COMPLETED (0) when t_max was reached first, a transition (4 old + new mode, named in KINDS), or an outcome.
 """
 
 import math
+from typing import NamedTuple
 
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import transition
@@ -32,15 +33,50 @@ from rig_sim.flow.frame import (
     mode_bounds,
     position,
 )
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.driven import driven_ramp, driven_stick_exit, is_steep, ramp_exit, ramp_state
 from rig_sim.integrate.linear import FreeMotion, change, fundamental, linear_exit, stick_exit, stick_lateness
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.taylor import changes, series_exit
+from rig_sim.integrate.work import Buffer, Work, unboxed
 
 RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit; not swept
 RAPID_TIME = 1e-12  # x sqrt(m/k)
+
+
+class State(NamedTuple):
+    """A motion: mode, position, relative velocity, time, and what t cannot hold of it (m, m/s, s).
+
+    Within the frame ``x`` is the displacement p, and w and the mode are mirrored.
+    """
+
+    mode: int
+    x: float
+    w: float
+    t: float
+    carry: float = 0.0
+
+
+class Samples(NamedTuple):
+    """``n`` sorted times (s) at which a motion is stored, and where: x (m), velocity over ground (m/s), mode.
+
+    Times earlier than the motion get its first state.
+    """
+
+    t: Buffer
+    x: Buffer
+    v: Buffer
+    mode: Buffer
+    n: int
+
+
+class Lists(NamedTuple):
+    """Where events are listed: time (s), what that cannot hold of it, position (m), kind; ``capacity`` of them."""
+
+    t: Buffer
+    carry: Buffer
+    x: Buffer
+    kind: Buffer
+    capacity: int
 
 
 def is_series(fr: Frame, mode: int) -> bool:
@@ -53,19 +89,19 @@ def is_series(fr: Frame, mode: int) -> bool:
 
 
 def phase_exit(
-    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Buffer
+    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Work
 ) -> tuple[int, float]:
     """Return (side, tau): w leaves [lo, hi] after tau at its lower (-1) or upper (+1) end, or (0, tau) passed inside.
 
     Without an exit, tau is ``tau_max`` but in phases stepped by series, where it may be less: call again from there.
     """
-    work[buffer.LATE] = 0.0
+    work.late = 0.0
     if mode == modes.STICK:
         if fr.u0 != 0.0:
             return driven_stick_exit(fr, p, t, tau_max)
         side, tau = stick_exit(fr, p, tau_max)
         if side > 0 and tau > 0.0:
-            work[buffer.LATE] = stick_lateness(fr, p, work[buffer.P_REST], tau)
+            work.late = stick_lateness(fr, p, work.p_rest, tau)
         return side, tau
     if is_series(fr, mode):
         return series_exit(fr, mode, p, w, t, lo, hi, tau_max, work)
@@ -75,27 +111,27 @@ def phase_exit(
     zeta = 0.5 * C / fr.m
     disc = (zeta - fr.omega0) * (zeta + fr.omega0)
     a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e) / fr.m)
-    work[buffer.ZETA] = zeta
-    work[buffer.START] = a
+    work.zeta = zeta
+    work.start = a
     touch = 0.0 if fr.d > 0.0 else 4.0 * EPS
     return linear_exit(FreeMotion(w, a, w + fr.v, zeta, fr.omega2, disc), lo, hi, tau_max, touch, work)
 
 
-def increments(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Buffer) -> tuple[float, float]:
+def increments(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Work) -> tuple[float, float]:
     """Return the changes of (p, w) within tau of the phase; its own `phase_exit` must have filled ``work`` last."""
     if mode == modes.STICK:
         return fr.v * tau, 0.0
     if is_series(fr, mode):
-        return changes(work, tau / work[buffer.TIME_SCALE])
+        return changes(work, tau / work.time_scale)
     if fr.u0 != 0.0:
         p_end, w_end, _ = ramp_state(driven_ramp(fr, p, w, t), tau)
         return p_end - p, w_end - w
-    zeta = work[buffer.ZETA]
-    if tau == work[buffer.EXIT]:
-        S, E = work[buffer.EXIT_S], work[buffer.EXIT_E]
+    zeta = work.zeta
+    if tau == work.exit:
+        S, E = work.exit_s, work.exit_e
     else:
         S, E, _ = fundamental(zeta, fr.omega2, (zeta - fr.omega0) * (zeta + fr.omega0), tau)
-    return change(work[buffer.START], w + fr.v, zeta, fr.omega2, S, E)
+    return change(work.start, w + fr.v, zeta, fr.omega2, S, E)
 
 
 def sum_of(value: float, rest: float, increase: float) -> tuple[float, float]:
@@ -105,87 +141,77 @@ def sum_of(value: float, rest: float, increase: float) -> tuple[float, float]:
     return total, (value - total) + increase if abs(value) >= abs(increase) else (increase - total) + value
 
 
-def phase(
-    fr: Frame,
-    mode: int,
-    p: float,
-    w: float,
-    t: float,
-    carry: float,
-    t_max: float,
-    times: Buffer,
-    i: int,
-    n: int,
-    out_x: Buffer,
-    out_v: Buffer,
-    out_mode: Buffer,
-    work: Buffer,
-) -> tuple[int, int, float, float, float, float, int]:
-    """Go to the next event or to t_max within the frame; return (kind, mode, p, w, t, carry, i).
+def phase(fr: Frame, at: State, t_max: float, samples: Samples, i: int, work: Work) -> tuple[int, State, int]:
+    """Go to the next event or to t_max within the frame, storing samples from the i-th on; return (kind, state, i).
 
-    Results are stored for times[i], times[i + 1] ... up to there.  Time is t + carry, summed by Neumaier's rule, as are
-    p and w with what ``work`` holds: many steps then lose no more than one.
+    p, w and t are summed by Neumaier's rule with what ``work`` and ``carry`` hold: many steps lose no more than one.
     """
+    mode, p, w, t, carry = at
     lo, hi = mode_bounds(fr, mode)
-    begun = t
     if not math.isfinite(p + w + (t_max - t)):
-        return modes.NOT_FINITE, mode, p, w, t, carry, i
+        return modes.NOT_FINITE, at, i
     while True:
         rest = (t_max - t) - carry
         side = 0
         tau = 0.0
         if rest > 0.0:
-            if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
-                return modes.STEP_LIMIT, mode, p, w, t, carry, i
-            work[buffer.STEPS] += 1.0
+            if work.steps >= work.steps_allowed:
+                return modes.STEP_LIMIT, State(mode, p, w, t, carry), i
+            work.steps += 1.0
             side, tau = phase_exit(fr, mode, p, w, t, lo, hi, rest, work)
         if not math.isfinite(rest + tau):
-            return modes.NOT_FINITE, mode, p, w, t, carry, i
-        while i < n:
-            dt = (times[i] - t) - carry
-            if dt > tau:
-                break
-            dp, dw = (0.0, 0.0) if dt <= 0.0 else increments(fr, mode, p, w, t, dt, work)
-            out_x[i] = position(fr, p + dp)
-            out_v[i] = fr.mirror * (w + dw + fr.v)
-            out_mode[i] = float(mirrored(fr, mode))
-            i += 1
+            return modes.NOT_FINITE, State(mode, p, w, t, carry), i
+        if i < samples.n:
+            i = stored(fr, State(mode, p, w, t, carry), tau, samples, i, work)
         if tau > 0.0:
             dp, dw = increments(fr, mode, p, w, t, tau, work)
-            p, work[buffer.P_REST] = sum_of(p, work[buffer.P_REST], dp)
-            w, work[buffer.W_REST] = sum_of(w, work[buffer.W_REST], dw)
+            p, work.p_rest = sum_of(p, work.p_rest, dp)
+            w, work.w_rest = sum_of(w, work.w_rest, dw)
             if not math.isfinite(p + w):
-                return modes.NOT_FINITE, mode, p, w, t, carry, i
+                return modes.NOT_FINITE, State(mode, p, w, t, carry), i
         if side == 0 and tau >= rest:
-            work[buffer.RAPID] = 0.0
-            return modes.COMPLETED, mode, p, w, t_max, 0.0, i
+            work.rapid = 0.0
+            return modes.COMPLETED, State(mode, p, w, t_max, 0.0), i
         total = t + tau
         carry += (t - total) + tau if abs(t) >= abs(tau) else (tau - total) + t
         t = total
-        if side == 0:
-            continue
-        carry += work[buffer.LATE]
-        if mode == modes.STICK:
-            w = 0.0
-            if side > 0 and fr.u0 == 0.0 and tau > 0.0:
+        if side != 0:
+            carry += work.late
+            if mode == modes.STICK and side > 0 and fr.u0 == 0.0 and tau > 0.0:
                 p = 0.0
-        else:
-            w = hi if side > 0 else lo
-        work[buffer.W_REST] = 0.0
-        if (
-            mode == modes.STICK or mode == modes.RAMP
-        ):  # so that slip begins in p alone, and a recurrence can be recognised
-            work[buffer.P_REST] = 0.0
-        entered = transition(fr, mode, side, p, t)
-        if entered >= modes.FORCE_REVERSAL:
-            return entered, mode, p, w, t, carry, i
-        if (t - begun) * fr.omega0 <= RAPID_TIME:
-            work[buffer.RAPID] += 1.0
-            if work[buffer.RAPID] > RAPID_ALLOWED:
-                return modes.EVENT_RATE, entered, p, w, t, carry, i
-        else:
-            work[buffer.RAPID] = 0.0
-        return 4 * mode + entered, entered, p, w, t, carry, i
+            w = 0.0 if mode == modes.STICK else (hi if side > 0 else lo)
+            kind, entered = passed(fr, mode, side, p, t, at.t, work)
+            return kind, State(entered, p, w, t, carry), i
+
+
+def stored(fr: Frame, at: State, tau: float, samples: Samples, i: int, work: Work) -> int:
+    """Store the samples within ``tau`` of a step, from the i-th on; return the first one beyond."""
+    mode, p, w, t, carry = at
+    while i < samples.n:
+        dt = (samples.t[i] - t) - carry
+        if dt > tau:
+            break
+        dp, dw = (0.0, 0.0) if dt <= 0.0 else increments(fr, mode, p, w, t, dt, work)
+        samples.x[i] = position(fr, p + dp)
+        samples.v[i] = fr.mirror * (w + dw + fr.v)
+        samples.mode[i] = float(mirrored(fr, mode))
+        i += 1
+    return i
+
+
+def passed(fr: Frame, mode: int, side: int, p: float, t: float, begun: float, work: Work) -> tuple[int, int]:
+    """Return the kind of the event by which ``mode`` is left, and the mode entered; an outcome where motion ends."""
+    work.w_rest = 0.0
+    if mode == modes.STICK or mode == modes.RAMP:  # so that slip begins in p alone, and a recurrence can be recognised
+        work.p_rest = 0.0
+    entered = transition(fr, mode, side, p, t)
+    if entered >= modes.FORCE_REVERSAL:
+        return entered, mode
+    if (t - begun) * fr.omega0 > RAPID_TIME:
+        work.rapid = 0.0
+        return 4 * mode + entered, entered
+    work.rapid += 1.0
+    return (modes.EVENT_RATE if work.rapid > RAPID_ALLOWED else 4 * mode + entered), entered
 
 
 def unmirrored_kind(fr: Frame, kind: int) -> int:
@@ -195,92 +221,68 @@ def unmirrored_kind(fr: Frame, kind: int) -> int:
     return 4 * mirrored(fr, kind // 4) + mirrored(fr, kind % 4)
 
 
-def sample_phase(
-    flow: Flow,
-    mode: int,
-    x: float,
-    w: float,
-    t: float,
-    times: Buffer,
-    i: int,
-    n: int,
-    t_max: float,
-    out_x: Buffer,
-    out_v: Buffer,
-    out_mode: Buffer,
-    work: Buffer,
-) -> tuple[int, int, float, float, float, int]:
-    """Go to the next event, or to t_max, storing the motion at times[i:n] on the way.
+def in_frame(fr: Frame, at: State) -> State:
+    """Return a state as it is within the frame."""
+    return State(mirrored(fr, at.mode), displacement(fr, at.x), fr.mirror * at.w, at.t, at.carry)
+
+
+def outside(fr: Frame, at: State) -> State:
+    """Return a state of the frame as it is outside."""
+    return State(mirrored(fr, at.mode), position(fr, at.x), fr.mirror * at.w, at.t, at.carry)
+
+
+def sample_phase(flow: Flow, at: State, t_max: float, samples: Samples, i: int, work: Work) -> tuple[int, State, int]:
+    """Go to the next event, or to t_max, storing the motion on the way.
 
     Parameters
     ----------
-    flow, mode, x, w, t
-        The flow and the state to start from (s, m, m/s).
-    times, i, n
-        Sorted times (s); times[i:n] are still to be served; earlier ones than t get the state at t.
+    flow, at
+        The flow and the state to start from; its ``carry`` counts as 0.
     t_max : float
         Where to stop when no event comes first, s; finite.
-    out_x, out_v, out_mode
-        Buffers of at least n: x (m), absolute velocity (m/s), mode.
-    work : list or array
+    samples : Samples
+        Those from the i-th on are still to be served.
+    work : Work
         From `new_work`.
 
     Returns
     -------
-    (kind, mode, x, w, t, i)
-        ``mode`` is the one entered; ``i`` the first time not yet served (those at the event itself are).
+    (kind, at, i)
+        ``at`` is the state entered, with ``carry`` 0; ``i`` the first sample not yet served (those at the event itself
+        are).
     """
     fr = frame(flow)
-    work[buffer.P_REST] = 0.0
-    work[buffer.W_REST] = 0.0
-    own, p, w = mirrored(fr, mode), displacement(fr, x), fr.mirror * w
-    kind, own, p, w, t, carry, i = phase(fr, own, p, w, t, 0.0, t_max, times, i, n, out_x, out_v, out_mode, work)
-    return unmirrored_kind(fr, kind), mirrored(fr, own), position(fr, p), fr.mirror * w, t + carry, i
+    work.p_rest = 0.0
+    work.w_rest = 0.0
+    kind, end, i = phase(fr, in_frame(fr, State(at.mode, at.x, at.w, at.t, 0.0)), t_max, samples, i, work)
+    mode, x, w, t, carry = outside(fr, end)
+    return unmirrored_kind(fr, kind), State(mode, x, w, t + carry, 0.0), i
 
 
-def next_event(
-    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Buffer
-) -> tuple[int, int, float, float, float]:
-    """Return (kind, mode, x, w, t) at the next event, or at t_max with kind COMPLETED."""
-    idle = work
-    kind, mode, x, w, t, _ = sample_phase(flow, mode, x, w, t, idle, 0, 0, t_max, idle, idle, idle, work)
-    return kind, mode, x, w, t
+def next_event(flow: Flow, at: State, t_max: float, work: Work) -> tuple[int, State]:
+    """Return the kind and the state of the next event, or of t_max with the kind COMPLETED."""
+    none = work.w
+    kind, at, _ = sample_phase(flow, at, t_max, Samples(none, none, none, none, 0), 0, work)
+    return kind, at
 
 
-def run(
-    flow: Flow,
-    mode: int,
-    x: float,
-    w: float,
-    t: float,
-    t_max: float,
-    capacity: int,
-    out_t: Buffer,
-    out_carry: Buffer,
-    out_x: Buffer,
-    out_kind: Buffer,
-    recur: int,
-    work: Buffer,
-) -> tuple[int, int, int, int, float, float, float]:
-    """List the events up to t_max; return (outcome, count, first, mode, x, w, t).
+def run(flow: Flow, at: State, t_max: float, lists: Lists, recur: int, work: Work) -> tuple[int, int, int, State]:
+    """List the events up to t_max; return (outcome, count, first, at).
 
     Parameters
     ----------
-    flow, mode, x, w, t
+    flow, at
         The flow and the state to start from.
     t_max : float
         Where to stop, s.
-    capacity : int
-        Entries that the four lists hold: ``out_t`` is the time of an event, ``out_carry`` what that cannot hold of it;
-        then its position and its kind.
     recur : int
         1 to stop, with the outcome RECURRED, as soon as the motion is known to repeat; 0 to step every cycle.
-    work : list or array
-        From `new_work`; its last buffer carries from call to call what t itself cannot hold.
+    work : Work
+        From `new_work`.
 
     Returns
     -------
-    outcome, count, first, mode, x, w, t
+    outcome, count, first, at
         LIST_FULL: store the ``count`` events and call again with the returned state.  RECURRED: the events after
         ``first`` up to the last are one cycle, and follow again and again with the time between these two added.
 
@@ -291,35 +293,36 @@ def run(
     law's return map contracts until rounding closes it, perhaps over several turns, hence Brent's search for the
     period: the state to compare with is renewed after 1, 2, 4 ... beginnings of slip.
     """
+    work = unboxed(work)
     fr = frame(flow)
-    own = mirrored(fr, mode)
-    p = displacement(fr, x)
-    w = fr.mirror * w
-    carry = float(work[buffer.CARRY])
-    work[buffer.P_REST] = 0.0
-    work[buffer.W_REST] = 0.0
-    idle = work
+    at = in_frame(fr, at)
+    work.p_rest = 0.0
+    work.w_rest = 0.0
+    none = work.w
+    unsampled = Samples(none, none, none, none, 0)
     count = 0
     first = -1
     p_first = 0.0
     turns = 0
     patience = 1
     outcome = modes.LIST_FULL
+    times, carries, places, kinds, capacity = lists
     while count < capacity:
-        kind, own, p, w, t, carry, _ = phase(fr, own, p, w, t, carry, t_max, idle, 0, 0, idle, idle, idle, work)
+        kind, at, _ = phase(fr, at, t_max, unsampled, 0, work)
         if kind == modes.COMPLETED or kind >= modes.FORCE_REVERSAL:
             outcome = kind
             break
+        _, p, _, t, carry = at
         total = t + carry
-        out_t[count] = total
-        out_carry[count] = (t - total) + carry
-        out_x[count] = position(fr, p)
-        out_kind[count] = float(unmirrored_kind(fr, kind))
+        times[count] = total
+        carries[count] = (t - total) + carry
+        places[count] = position(fr, p)
+        kinds[count] = float(unmirrored_kind(fr, kind))
         count += 1
         if recur == 0 or fr.u0 != 0.0 or (kind != modes.STICK_TO_NEGATIVE and kind != modes.RAMP_TO_NEGATIVE):
             continue
         # w is the edge of stick or ramp, exactly: p alone is the state
-        if first >= 0 and p == p_first and (total - out_t[first]) * fr.omega0 > RAPID_ALLOWED * RAPID_TIME:
+        if first >= 0 and p == p_first and (total - times[first]) * fr.omega0 > RAPID_ALLOWED * RAPID_TIME:
             outcome = modes.RECURRED
             break
         turns += 1
@@ -328,5 +331,4 @@ def run(
             p_first = p
             turns = 0
             patience *= 2
-    work[buffer.CARRY] = carry
-    return outcome, count, first, mirrored(fr, own), position(fr, p), fr.mirror * w, t
+    return outcome, count, first, outside(fr, at)

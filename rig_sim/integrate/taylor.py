@@ -19,9 +19,9 @@ from rig_sim.flow.frame import Frame, curve_deficit, drive, is_curved, kept_insi
 from rig_sim.flow.modes import NEGATIVE
 from rig_sim.friction.curve import MEASURED
 from rig_sim.friction.spline import about, piece_of
-from rig_sim.integrate.buffer import DEGREE, ORDER, PIECE, TIME_SCALE, Buffer, D, P, Q, U, W
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.polynomial import first_root
+from rig_sim.integrate.work import ORDER, Work
 
 INVERSE = (0.0, *(1.0 / j for j in range(1, ORDER + 1)))
 SETTLED = 64.0 * EPS  # speed and force, relative, at which a stable fixed point counts as reached
@@ -38,10 +38,10 @@ NO_SIZE = -1e6  # stands for log2 of 0
 SMALLEST = 2.0**-1022  # the smallest number of full precision
 
 
-def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> float:
+def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> float:
     """Fill ``work`` with the series of (p, w) from time t and return the step in scaled time (inf: the state rests).
 
-    The scale (s) is left in ``work[TIME_SCALE]``; coefficients are those of xi = tau/scale.
+    The scale (s) is left in ``work.time_scale``; coefficients are those of xi = tau/scale.
     """
     C, e = linear_terms(fr, mode)
     fall = curve_deficit(fr, mode, w)
@@ -60,7 +60,7 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
         s = -sign * w - fr.d
         i = piece_entered(fr, s, -sign * a, sign * fr.k * u)
         cubic = about(fr.table, fr.pieces, i, s)
-        work[PIECE] = float(i)
+        work.piece = float(i)
         slope = -fr.A * cubic[1]
         pace = fr.A / fr.m
         bend = abs(pace * cubic[2])
@@ -77,32 +77,32 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
     elif C >= slope and abs(u) <= SETTLED * fr.v and fr.m * abs(a) <= SETTLED * (fr.B + fr.k * abs(p)):
         # a stable fixed point, to rounding: stay
         for j in range(1, ORDER + 1):
-            work[W + j] = 0.0
-            work[P + j] = 0.0
-        work[W] = w
-        work[P] = p
-        work[TIME_SCALE] = 1.0
+            work.w[j] = 0.0
+            work.p[j] = 0.0
+        work.w[0] = w
+        work.p[0] = p
+        work.time_scale = 1.0
         return math.inf
     T = 1.0 / rate
     inertia = T / fr.m
     damping = C * inertia
     stiffness = fr.k * inertia
-    work[TIME_SCALE] = T
-    work[W] = w
-    work[P] = p
-    work[W + 1] = a * T
-    work[P + 1] = u * T
+    work.time_scale = T
+    work.w[0] = w
+    work.p[0] = p
+    work.w[1] = a * T
+    work.p[1] = u * T
     if driven:
         turn = fr.omega * T
-        work[U] = inertia * push
-        work[U + 1] = -inertia * fr.u0 * math.sin(fr.omega * t + fr.phase) * turn
+        work.u[0] = inertia * push
+        work.u[1] = -inertia * fr.u0 * math.sin(fr.omega * t + fr.phase) * turn
         for j in range(2, ORDER):
-            work[U + j] = -turn * turn * work[U + j - 2] * (INVERSE[j] * INVERSE[j - 1])
+            work.u[j] = -turn * turn * work.u[j - 2] * (INVERSE[j] * INVERSE[j - 1])
     if measured:
-        work[Q + 1] = 0.0
+        work.q[1] = 0.0
         force = inertia * fr.A
         square, cube, damping = sign * force * cubic[2], -force * cubic[3], damping - inertia * slope
-        i = int(work[PIECE])
+        i = int(work.piece)
         room = math.inf
         if sign * a > 0.0:
             room = s - fr.table[i]
@@ -111,56 +111,56 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
         expand_measured(1, FEW_TERMS, square, cube, damping, stiffness, T, driven, work)
         step = reach(work, w, a * T, FEW_TERMS)
         degree = FEW_TERMS
-        if abs(step * (work[W + 1] + step * work[W + 2])) < room:
+        if abs(step * (work.w[1] + step * work.w[2])) < room:
             expand_measured(FEW_TERMS, MANY_TERMS, square, cube, damping, stiffness, T, driven, work)
             step = reach(work, w, a * T, MANY_TERMS)
             degree = MANY_TERMS
-        work[DEGREE] = float(degree)
+        work.degree = float(degree)
         for j in range(degree + 1, ORDER + 1):
-            work[P + j] = 0.0
-            work[W + j] = 0.0
+            work.p[j] = 0.0
+            work.w[j] = 0.0
         return step
     if curved and fr.lag != 0.0:
         expand_drooping(fr, mode, w, q0, damping, stiffness, inertia, T, driven, work)
     elif curved:
         # Q: q_j/q0 for j > 0; D: D_j as an acceleration; only Q[n] -> D[n] -> Q[n + 1] is one long chain
         bend = -sign * fr.gamma / q0
-        work[D] = inertia * fall
+        work.d[0] = inertia * fall
         level = sign * inertia * fr.A + inertia * fall
         w_n = a * T
         p_n = u * T
         q_n = bend * w_n
-        work[Q + 1] = q_n
+        work.q[1] = q_n
         for n in range(1, ORDER):
             # four terms a turn, then the rest: less loop, shorter chains of sums
             total = 0.0
-            i = D + n - 1
+            i = n - 1
             more = (n - 1) % 4
-            whole = Q + n - more
-            for j in range(Q + 1, whole, 4):
-                total += (work[j] * work[i] + work[j + 1] * work[i - 1]) + (
-                    work[j + 2] * work[i - 2] + work[j + 3] * work[i - 3]
+            whole = n - more
+            for j in range(1, whole, 4):
+                total += (work.q[j] * work.d[i] + work.q[j + 1] * work.d[i - 1]) + (
+                    work.q[j + 2] * work.d[i - 2] + work.q[j + 3] * work.d[i - 3]
                 )
                 i -= 4
             if more > 0:
-                total += work[whole] * work[i]
+                total += work.q[whole] * work.d[i]
                 if more > 1:
-                    total += work[whole + 1] * work[i - 1]
+                    total += work.q[whole + 1] * work.d[i - 1]
                     if more > 2:
-                        total += work[whole + 2] * work[i - 2]
+                        total += work.q[whole + 2] * work.d[i - 2]
             following = n + 1
             share = INVERSE[following]
             pull = -(total + q_n * level)
-            work[D + n] = pull
+            work.d[n] = pull
             rest = pull - damping * w_n - stiffness * p_n
             if driven:
-                rest += work[U + n]
+                rest += work.u[n]
             p_n = T * w_n * share
             w_n = rest * share
             q_n = bend * w_n
-            work[P + following] = p_n
-            work[W + following] = w_n
-            work[Q + following] = q_n
+            work.p[following] = p_n
+            work.w[following] = w_n
+            work.q[following] = q_n
     else:
         w_n = a * T
         p_n = u * T
@@ -168,11 +168,11 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
             share = INVERSE[n]
             rest = -damping * w_n - stiffness * p_n
             if driven:
-                rest += work[U + n - 1]
+                rest += work.u[n - 1]
             p_n = T * w_n * share
             w_n = rest * share
-            work[P + n] = p_n
-            work[W + n] = w_n
+            work.p[n] = p_n
+            work.w[n] = w_n
     return reach(work, w, a * T, ORDER)
 
 
@@ -186,36 +186,36 @@ def expand_drooping(
     inertia: float,
     T: float,
     driven: bool,
-    work: Buffer,
+    work: Work,
 ) -> None:
     """Fill in the coefficients of hyperbolic slip from the second on, for a belt that droops."""
     sign = 1.0 if mode == NEGATIVE else -1.0
     bend = -sign * fr.gamma / q0
-    work[D] = inertia * curve_deficit(fr, mode, w)
-    level = sign * inertia * fr.A + work[D]
+    work.d[0] = inertia * curve_deficit(fr, mode, w)
+    level = sign * inertia * fr.A + work.d[0]
     hold = fr.lag / (q0 * sign * inertia * fr.A)
     gain = 1.0 / (1.0 - hold * level)
     for n in range(1, ORDER):
-        straight = bend * work[W + n]
+        straight = bend * work.w[n]
         total = straight * level
-        i = D + n - 1
-        whole = Q + n - (n - 1) % 4
-        for j in range(Q + 1, whole, 4):  # as in `expand`
-            total += (work[j] * work[i] + work[j + 1] * work[i - 1]) + (
-                work[j + 2] * work[i - 2] + work[j + 3] * work[i - 3]
+        i = n - 1
+        whole = n - (n - 1) % 4
+        for j in range(1, whole, 4):  # as in `expand`
+            total += (work.q[j] * work.d[i] + work.q[j + 1] * work.d[i - 1]) + (
+                work.q[j + 2] * work.d[i - 2] + work.q[j + 3] * work.d[i - 3]
             )
             i -= 4
-        for j in range(whole, Q + n):
-            total += work[j] * work[i]
+        for j in range(whole, n):
+            total += work.q[j] * work.d[i]
             i -= 1
         pull = -total * gain
-        work[D + n] = pull
-        work[Q + n] = straight - hold * pull
-        rest = -damping * work[W + n] - stiffness * work[P + n] + pull
+        work.d[n] = pull
+        work.q[n] = straight - hold * pull
+        rest = -damping * work.w[n] - stiffness * work.p[n] + pull
         if driven:
-            rest += work[U + n]
-        work[W + n + 1] = rest * INVERSE[n + 1]
-        work[P + n + 1] = T * work[W + n] * INVERSE[n + 1]
+            rest += work.u[n]
+        work.w[n + 1] = rest * INVERSE[n + 1]
+        work.p[n + 1] = T * work.w[n] * INVERSE[n + 1]
 
 
 def piece_entered(fr: Frame, s: float, rate: float, turn: float) -> int:
@@ -242,15 +242,15 @@ def expand_measured(
     stiffness: float,
     T: float,
     driven: bool,
-    work: Buffer,
+    work: Work,
 ) -> None:
     """Fill in the coefficients of slip on one piece of a measured curve, after those that are ``done``.
 
     w' (in scaled time) is ``square`` and ``cube`` times the second and third power of w - w(0), less ``damping`` times
     it and ``stiffness`` times p.  The square's coefficients are kept in Q.
     """
-    w_n = work[W + done]
-    p_n = work[P + done]
+    w_n = work.w[done]
+    p_n = work.p[done]
     for n in range(done, degree):
         rest = -damping * w_n - stiffness * p_n
         if n > 1:
@@ -258,36 +258,36 @@ def expand_measured(
             twice = 0.0
             half = (n - 1) // 2
             for j in range(1, half + 1):
-                twice += work[W + j] * work[W + n - j]
+                twice += work.w[j] * work.w[n - j]
             twice += twice
             if n % 2 == 0:
-                twice += work[W + n // 2] * work[W + n // 2]
-            work[Q + n] = twice
+                twice += work.w[n // 2] * work.w[n // 2]
+            work.q[n] = twice
             rest += square * twice
             if cube != 0.0:
                 total = 0.0
                 for j in range(2, n):
-                    total += work[Q + j] * work[W + n - j]
+                    total += work.q[j] * work.w[n - j]
                 rest += cube * total
         if driven:
-            rest += work[U + n]
+            rest += work.u[n]
         share = INVERSE[n + 1]
         p_n = T * w_n * share
         w_n = rest * share
-        work[P + n + 1] = p_n
-        work[W + n + 1] = w_n
+        work.p[n + 1] = p_n
+        work.w[n + 1] = w_n
 
 
-def reach(work: Buffer, c0: float, c1: float, degree: int) -> float:
+def reach(work: Work, c0: float, c1: float, degree: int) -> float:
     """Return the scaled step at which the last two terms of w fall below rounding of the largest of its first three."""
-    c2 = work[W + 2]
+    c2 = work.w[2]
     unit = max(abs(c0), abs(c1), abs(c2), SMALLEST)  # of the sizes, which then are the same at any scale of w
     size0 = math.log2(abs(c0) / unit) if c0 != 0.0 else NO_SIZE
     size1 = math.log2(abs(c1) / unit) if c1 != 0.0 else NO_SIZE
     size2 = math.log2(abs(c2) / unit) if c2 != 0.0 else NO_SIZE
     shortest = LARGEST_STEP_SIZE
     for j in range(degree - 1, degree + 1):
-        last = abs(work[W + j]) / unit
+        last = abs(work.w[j]) / unit
         if last > 0.0:
             edge = math.log2(last) - ROUNDING_SIZE
             longest = max((size0 - edge) * INVERSE[j], (size1 - edge) * INVERSE[j - 1], (size2 - edge) * INVERSE[j - 2])
@@ -295,22 +295,22 @@ def reach(work: Buffer, c0: float, c1: float, degree: int) -> float:
     return math.exp(LOG_2 * shortest)
 
 
-def changes(work: Buffer, xi: float) -> tuple[float, float]:
+def changes(work: Work, xi: float) -> tuple[float, float]:
     """Return by how much (p, w) have changed at scaled time ``xi``: two chains that do not wait for each other."""
-    w = work[W + ORDER]
-    p = work[P + ORDER]
+    w = work.w[ORDER]
+    p = work.p[ORDER]
     for j in range(ORDER - 1, 0, -1):
-        w = w * xi + work[W + j]
-        p = p * xi + work[P + j]
+        w = w * xi + work.w[j]
+        p = p * xi + work.p[j]
     return p * xi, w * xi
 
 
 def series_exit(
-    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Buffer
+    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Work
 ) -> tuple[int, float]:
     """Return (side, tau) of one Taylor step: the first exit of w from [lo, hi] on it, or (0, its length)."""
     step = expand(fr, mode, p, w, t, work)
-    scale = float(work[TIME_SCALE])
+    scale = float(work.time_scale)
     if not scale > 0.0:  # the rate overflowed: `phase` calls that not finite
         return 0, math.inf
     whole = tau_max / scale
@@ -320,9 +320,9 @@ def series_exit(
     degree = ORDER
     above, below = 1, -1
     if fr.curve == MEASURED and is_curved(fr, mode):
-        degree = int(work[DEGREE])
+        degree = int(work.degree)
         sign = 1.0 if mode == NEGATIVE else -1.0
-        i = int(work[PIECE])
+        i = int(work.piece)
         for knot in (i, i + 1):
             if 0 < knot < fr.pieces:
                 level = -sign * (fr.table[knot] + fr.d)
@@ -337,12 +337,12 @@ def series_exit(
     side = 0
     end = xi_end
     if not math.isinf(hi):
-        xi = first_root(work, W, degree, hi, 1, end)
+        xi = first_root(work.w, degree, hi, 1, end)
         if xi >= 0.0:
             side = above
             end = xi
     if not math.isinf(lo):
-        xi = first_root(work, W, degree, lo, -1, end)
+        xi = first_root(work.w, degree, lo, -1, end)
         if xi >= 0.0:
             side = below
             end = xi

@@ -6,30 +6,22 @@ terms, over a step at whose end the last terms fall below ``tolerance`` of the f
 relative velocity reaches 0, and breaks away where its load reaches the break-away level: the first root of a polynomial
 in either case.
 
-State and series stand in one flat buffer (`new_pair`): mirrored so that the belt moves forwards, y = x - x0.
+State and series stand in one record, a `Pair`: mirrored so that the belt moves forwards, y = x - x0.
 """
 
 import math
-from typing import Any
+from dataclasses import dataclass
 
 from rig_sim.flow.frame import Frame
 from rig_sim.flow.modes import EVENT_RATE, FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, STEP_LIMIT, STICK
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR
-from rig_sim.integrate.buffer import ORDER, Buffer
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.phases import RAPID_ALLOWED, RAPID_TIME
 from rig_sim.integrate.polynomial import first_root, spread
 from rig_sim.integrate.taylor import INVERSE
+from rig_sim.integrate.work import COEFFICIENTS, Series, new_record
 
-SERIES = ORDER + 2
-# Series of the relative velocities (m/s), the positions (m), the friction over the mass (m/s in a unit of the series'
-# time; coefficient n stands n places before the first one) and the load on the contact of the mass that sticks (N); the
-# first coefficients of W1 ... Y2 are the state
-W1, W2, Y1, Y2, LOAD, F1, F2 = (*range(0, 5 * SERIES, SERIES), 6 * SERIES - 1, 7 * SERIES - 1)
-# Single numbers: the modes, the time, steps taken and allowed, events in a row without time passing, the unit of time
-# of the last step, where the section's crossings are wanted 1, and steps that a caller may still take in all
-MODE1, MODE2, TIME, STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, SECTION, STEPS_LEFT = range(7 * SERIES, 7 * SERIES + 9)
-PAIR = 7 * SERIES + 9
+LAST = COEFFICIENTS - 1  # place of the friction's first coefficient
 
 # Events besides the end of the time allowed: which mass, times the side its velocity or load leaves by
 FIRST, SECOND, CROSSING = 1, 2, 3  # CROSSING: the first mass's velocity over ground passes 0
@@ -41,15 +33,52 @@ LONGEST = 4.0  # of a step in units of TIME_SCALE, as in `rig_sim.integrate.tayl
 LONGEST_SCALE = 1e9
 
 
-def new_pair(max_steps: int, *, compiled: bool = False) -> Buffer:
-    """Return the kernels' working buffer: a list for interpreted calls, a float64 array for compiled ones."""
-    work: Any = [0.0] * PAIR
-    if compiled:
-        import numpy
+@dataclass(slots=True)
+class Pair:
+    """The record of two masses.
 
-        work = numpy.zeros(PAIR)
-    work[STEPS_ALLOWED] = float(max_steps)
-    return work
+    Attributes
+    ----------
+    w1, w2, y1, y2 : Series
+        Relative velocities (m/s) and positions (m); their first coefficients are the state.
+    load : Series
+        Load on the contact of the mass that sticks, N.
+    f1, f2 : Series
+        Friction over the mass, m/s in a unit of the series' time; coefficient n stands n places before the last one.
+    mode1, mode2, time : float
+        Modes, and time (s).
+    steps, steps_allowed : float
+        Steps taken and allowed.
+    rapid : float
+        Events in a row without time passing.
+    time_scale : float
+        Unit of time of the last step, s.
+    section : float
+        1 where the section's crossings are wanted.
+    """
+
+    w1: Series
+    w2: Series
+    y1: Series
+    y2: Series
+    load: Series
+    f1: Series
+    f2: Series
+    mode1: float
+    mode2: float
+    time: float
+    steps: float
+    steps_allowed: float
+    rapid: float
+    time_scale: float
+    section: float
+
+
+def new_pair(max_steps: int, *, compiled: bool = False) -> Pair:
+    """Return the record of two masses, for interpreted or for compiled calls, which may take ``max_steps``."""
+    pair = new_record(Pair, compiled=compiled)
+    pair.steps_allowed = float(max_steps)
+    return pair
 
 
 def load(fr: Frame, a: float, y: float, other: float) -> float:
@@ -71,17 +100,17 @@ def contact_mode(fr: Frame, ratio: float, a: float, y: float, other: float, w: f
     return POSITIVE if L < -level - rounding else STICK
 
 
-def place(fr: Frame, a: float, b: float, y1: float, w1: float, y2: float, w2: float, t: float, work: Buffer) -> None:
+def place(fr: Frame, a: float, b: float, y1: float, w1: float, y2: float, w2: float, t: float, work: Pair) -> None:
     """Put both masses into a state (m and m/s, mirrored) at time t (s)."""
-    work[Y1], work[W1], work[Y2], work[W2], work[TIME] = y1, w1, y2, w2, t
-    work[MODE1] = float(contact_mode(fr, 1.0, a, y1, y2, w1))
-    work[MODE2] = float(contact_mode(fr, b, a, y2, y1, w2))
-    work[RAPID] = 0.0
-    work[TIME_SCALE] = 0.5 / (fr.omega0 * math.sqrt(1.0 + 2.0 * a))
+    work.y1[0], work.w1[0], work.y2[0], work.w2[0], work.time = y1, w1, y2, w2, t
+    work.mode1 = float(contact_mode(fr, 1.0, a, y1, y2, w1))
+    work.mode2 = float(contact_mode(fr, b, a, y2, y1, w2))
+    work.rapid = 0.0
+    work.time_scale = 0.5 / (fr.omega0 * math.sqrt(1.0 + 2.0 * a))
 
 
 def begin_slip(
-    fr: Frame, ratio: float, a: float, mode: int, W: int, Y: int, F: int, other: int, inertia: float, work: Buffer
+    fr: Frame, ratio: float, a: float, mode: int, w_s: Series, y_s: Series, f_s: Series, other: Series, inertia: float
 ) -> float:
     """Store a slipping mass's friction and first coefficients at the start of a step; return its friction's bend (s/m).
 
@@ -89,7 +118,7 @@ def begin_slip(
     nor does rounding make one.
     """
     sign = 1.0 if mode == NEGATIVE else -1.0
-    w = work[W]
+    w = w_s[0]
     force = sign * ratio * fr.A
     damping = fr.c
     bend = 0.0
@@ -99,61 +128,61 @@ def begin_slip(
         bend = -sign * fr.gamma * steepness
     elif fr.curve == LINEAR:
         damping -= ratio * fr.G
-    held = fr.k * (1.0 + a) * work[Y]
-    pulled = fr.k * a * work[other]
+    held = fr.k * (1.0 + a) * y_s[0]
+    pulled = fr.k * a * other[0]
     balance = force - fr.c * fr.v - damping * w - held + pulled
     if w == 0.0 and (sign * balance > 0.0 or abs(balance) <= ROUNDING * (abs(force) + abs(held) + abs(pulled))):
         balance = 0.0
-    work[F] = force * inertia
-    work[W + 1] = balance * inertia
+    f_s[LAST] = force * inertia
+    w_s[1] = balance * inertia
     return bend
 
 
-def inner_terms(W: int, F: int, n: int, work: Buffer) -> float:
+def inner_terms(w: Series, f: Series, n: int) -> float:
     """Return the sum of w_j F_(n - j) over j from 2 to n - 1, for n of 2 and more.
 
     The terms w_1 F_(n - 1) and w_n F_0 are left to the caller: their newest factors are known last, and no longer sum
     has to wait for them.
     """
     even = odd = 0.0
-    i = F - n + 2
-    whole = W + n - n % 2
-    for j in range(W + 2, whole, 2):
-        even += work[j] * work[i]
-        odd += work[j + 1] * work[i + 1]
+    i = LAST - n + 2
+    whole = n - n % 2
+    for j in range(2, whole, 2):
+        even += w[j] * f[i]
+        odd += w[j + 1] * f[i + 1]
         i += 2
     if n % 2 == 1:
-        even += work[W + n - 1] * work[F - 1]
+        even += w[n - 1] * f[LAST - 1]
     return even + odd
 
 
-def expand(fr: Frame, a: float, b: float, degree: int, tolerance: float, work: Buffer) -> float:
+def expand(fr: Frame, a: float, b: float, degree: int, tolerance: float, work: Pair) -> float:
     """Fill in the series of a step in which one mass slips, or both; return its length in units of TIME_SCALE.
 
     That unit is the length of the step before, so that no coefficient overflows.  The friction over the mass obeys
     F_n = -bend (w_1 F_(n - 1) + ... + w_n F_0), and w_(n + 1) = (F_n + forces of springs and damper) / (n + 1).
     """
-    mode1, mode2 = int(work[MODE1]), int(work[MODE2])
-    T = work[TIME_SCALE]
+    mode1, mode2 = int(work.mode1), int(work.mode2)
+    T = work.time_scale
     inertia = T / fr.m
-    work[W1 + 1] = work[W2 + 1] = 0.0
-    work[Y1 + 1] = work[Y2 + 1] = fr.v * T
+    work.w1[1] = work.w2[1] = 0.0
+    work.y1[1] = work.y2[1] = fr.v * T
     bend1 = bend2 = 0.0
     if mode1 != STICK:
-        bend1 = begin_slip(fr, 1.0, a, mode1, W1, Y1, F1, Y2, inertia, work)
-        work[Y1 + 1] = (work[W1] + fr.v) * T
+        bend1 = begin_slip(fr, 1.0, a, mode1, work.w1, work.y1, work.f1, work.y2, inertia)
+        work.y1[1] = (work.w1[0] + fr.v) * T
     if mode2 != STICK:
-        bend2 = begin_slip(fr, b, a, mode2, W2, Y2, F2, Y1, inertia, work)
-        work[Y2 + 1] = (work[W2] + fr.v) * T
-    w1, y1, w2, y2 = work[W1 + 1], work[Y1 + 1], work[W2 + 1], work[Y2 + 1]
+        bend2 = begin_slip(fr, b, a, mode2, work.w2, work.y2, work.f2, work.y1, inertia)
+        work.y2[1] = (work.w2[0] + fr.v) * T
+    w1, y1, w2, y2 = work.w1[1], work.y1[1], work.w2[1], work.y2[1]
     lead1 = -bend1 * w1
-    scaled1 = -bend1 * work[F1]
+    scaled1 = -bend1 * work.f1[LAST]
     f1 = scaled1 * w1
-    work[F1 - 1] = f1
+    work.f1[LAST - 1] = f1
     lead2 = -bend2 * w2
-    scaled2 = -bend2 * work[F2]
+    scaled2 = -bend2 * work.f2[LAST]
     f2 = scaled2 * w2
-    work[F2 - 1] = f2
+    work.f2[LAST - 1] = f2
     curved = fr.curve == HYPERBOLIC
     damping1 = (fr.c - fr.G if fr.curve == LINEAR else fr.c) * inertia
     damping2 = (fr.c - b * fr.G if fr.curve == LINEAR else fr.c) * inertia
@@ -168,88 +197,88 @@ def expand(fr: Frame, a: float, b: float, degree: int, tolerance: float, work: B
             y1 = T * w1 * share
             sum1 += f1
             w1 = sum1 * share
-            work[W1 + n + 1] = w1
+            work.w1[n + 1] = w1
             if curved:
-                f1 = lead1 * f1 - bend1 * inner_terms(W1, F1, n + 1, work) + scaled1 * share * sum1
-                work[F1 - n - 1] = f1
+                f1 = lead1 * f1 - bend1 * inner_terms(work.w1, work.f1, n + 1) + scaled1 * share * sum1
+                work.f1[LAST - n - 1] = f1
         if mode2 != STICK:
             y2 = T * w2 * share
             sum2 += f2
             w2 = sum2 * share
-            work[W2 + n + 1] = w2
+            work.w2[n + 1] = w2
             if curved:
-                f2 = lead2 * f2 - bend2 * inner_terms(W2, F2, n + 1, work) + scaled2 * share * sum2
-                work[F2 - n - 1] = f2
-        work[Y1 + n + 1] = y1
-        work[Y2 + n + 1] = y2
+                f2 = lead2 * f2 - bend2 * inner_terms(work.w2, work.f2, n + 1) + scaled2 * share * sum2
+                work.f2[LAST - n - 1] = f2
+        work.y1[n + 1] = y1
+        work.y2[n + 1] = y2
     growth = math.inf
     if mode1 != STICK:
-        growth = allowance(fr, W1, degree, tolerance, work)
+        growth = allowance(fr, work.w1, degree, tolerance)
     if mode2 != STICK:
-        growth = min(growth, allowance(fr, W2, degree, tolerance, work))
+        growth = min(growth, allowance(fr, work.w2, degree, tolerance))
     if not growth > 0.0:  # the last terms have overflown
         return 0.0
     return min(math.exp2(math.log2(growth) * INVERSE[degree]), LONGEST)
 
 
-def allowance(fr: Frame, W: int, degree: int, tolerance: float, work: Buffer) -> float:
+def allowance(fr: Frame, w: Series, degree: int, tolerance: float) -> float:
     """Return by how much the terms of highest degree may grow until ``tolerance`` of the first ones is reached.
 
     The larger of the last two coefficients is compared with the belt's speed or the largest of the first three.
     """
-    last = max(abs(work[W + degree]), abs(work[W + degree - 1]))
-    first = max(abs(work[W]), abs(work[W + 1]), abs(work[W + 2]), fr.v)
+    last = max(abs(w[degree]), abs(w[degree - 1]))
+    first = max(abs(w[0]), abs(w[1]), abs(w[2]), fr.v)
     return tolerance * first / last if last > 0.0 else math.inf
 
 
-def fill_load(fr: Frame, a: float, ratio: float, own: int, other: int, degree: int, work: Buffer) -> None:
+def fill_load(fr: Frame, a: float, ratio: float, own: Series, other: Series, degree: int, work: Pair) -> None:
     """Fill in the series of the load on the mass that sticks; within rounding of a level it is on it."""
     stiff = fr.k * (1.0 + a)
     coupling = fr.k * a
     for j in range(degree + 1):
-        work[LOAD + j] = stiff * work[own + j] - coupling * work[other + j]
-    work[LOAD] += fr.c * fr.v
+        work.load[j] = stiff * own[j] - coupling * other[j]
+    work.load[0] += fr.c * fr.v
     level = ratio * fr.B
-    rounding = ROUNDING * (level + stiff * abs(work[own]) + coupling * abs(work[other]))
-    if abs(work[LOAD] - level) <= rounding:
-        work[LOAD] = level
-    elif abs(work[LOAD] + level) <= rounding:
-        work[LOAD] = -level
+    rounding = ROUNDING * (level + stiff * abs(own[0]) + coupling * abs(other[0]))
+    if abs(work.load[0] - level) <= rounding:
+        work.load[0] = level
+    elif abs(work.load[0] + level) <= rounding:
+        work.load[0] = -level
 
 
-def first_event(fr: Frame, a: float, b: float, degree: int, end: float, work: Buffer) -> tuple[int, float]:
+def first_event(fr: Frame, a: float, b: float, degree: int, end: float, work: Pair) -> tuple[int, float]:
     """Return the first event of a step of length ``end`` and where it is; (0, end) without one."""
-    mode1, mode2 = int(work[MODE1]), int(work[MODE2])
+    mode1, mode2 = int(work.mode1), int(work.mode2)
     level = math.inf
     if mode1 == STICK:
-        fill_load(fr, a, 1.0, Y1, Y2, degree, work)
+        fill_load(fr, a, 1.0, work.y1, work.y2, degree, work)
         level = fr.B
     elif mode2 == STICK:
-        fill_load(fr, a, b, Y2, Y1, degree, work)
+        fill_load(fr, a, b, work.y2, work.y1, degree, work)
         level = b * fr.B
-    if level < math.inf and abs(work[LOAD]) + spread(work, LOAD, degree, end) < level:
+    if level < math.inf and abs(work.load[0]) + spread(work.load, degree, end) < level:
         level = math.inf
     event = 0
     for candidate in range(7):
-        at, side, which, edge = W1, 0, 0, 0.0
+        series, side, which, edge = work.w1, 0, 0, 0.0
         if candidate < 2:
             if mode1 != STICK and (candidate == 0 or not math.isinf(fr.s_max)):
                 which, side = FIRST, slip_side(mode1, candidate)
                 edge = 0.0 if candidate == 0 else side * fr.s_max
         elif candidate < 4:
             if mode2 != STICK and (candidate == 2 or not math.isinf(fr.s_max)):
-                at, which, side = W2, SECOND, slip_side(mode2, candidate - 2)
+                series, which, side = work.w2, SECOND, slip_side(mode2, candidate - 2)
                 edge = 0.0 if candidate == 2 else side * fr.s_max
         elif candidate < 6:
             if not math.isinf(level):
-                at, which, side = LOAD, (FIRST if mode1 == STICK else SECOND), 9 - 2 * candidate
+                series, which, side = work.load, (FIRST if mode1 == STICK else SECOND), 9 - 2 * candidate
                 edge = side * level
-        elif work[SECTION] == 1.0 and mode1 == NEGATIVE:
+        elif work.section == 1.0 and mode1 == NEGATIVE:
             edge = -fr.v
-            which, side = CROSSING, -1 if work[W1] > edge or (work[W1] == edge and work[W1 + 1] > 0.0) else 1
+            which, side = CROSSING, -1 if work.w1[0] > edge or (work.w1[0] == edge and work.w1[1] > 0.0) else 1
         if side == 0:
             continue
-        xi = first_root(work, at, degree, edge, side, end)
+        xi = first_root(series, degree, edge, side, end)
         if xi >= 0.0:
             event, end = side * which, xi
     return event, end
@@ -260,20 +289,20 @@ def slip_side(mode: int, far: int) -> int:
     return 1 if (mode == NEGATIVE) != (far == 1) else -1
 
 
-def move(degree: int, xi: float, work: Buffer) -> None:
+def move(degree: int, xi: float, work: Pair) -> None:
     """Move the state to ``xi`` (in units of TIME_SCALE) within the step."""
-    y1, y2, w1, w2 = work[Y1 + degree], work[Y2 + degree], work[W1 + degree], work[W2 + degree]
-    slips1, slips2 = work[MODE1] != STICK, work[MODE2] != STICK
+    y1, y2, w1, w2 = work.y1[degree], work.y2[degree], work.w1[degree], work.w2[degree]
+    slips1, slips2 = work.mode1 != STICK, work.mode2 != STICK
     for j in range(degree - 1, -1, -1):
-        y1 = y1 * xi + work[Y1 + j]
-        y2 = y2 * xi + work[Y2 + j]
-        w1 = w1 * xi + work[W1 + j]
-        w2 = w2 * xi + work[W2 + j]
-    work[Y1], work[Y2] = y1, y2
+        y1 = y1 * xi + work.y1[j]
+        y2 = y2 * xi + work.y2[j]
+        w1 = w1 * xi + work.w1[j]
+        w2 = w2 * xi + work.w2[j]
+    work.y1[0], work.y2[0] = y1, y2
     if slips1:
-        work[W1] = arrived(int(work[MODE1]), w1, xi)
+        work.w1[0] = arrived(int(work.mode1), w1, xi)
     if slips2:
-        work[W2] = arrived(int(work[MODE2]), w2, xi)
+        work.w2[0] = arrived(int(work.mode2), w2, xi)
 
 
 def arrived(mode: int, w: float, xi: float) -> float:
@@ -283,9 +312,9 @@ def arrived(mode: int, w: float, xi: float) -> float:
     return BEYOND if mode == NEGATIVE else -BEYOND
 
 
-def global_stick(fr: Frame, a: float, b: float, tau_max: float, work: Buffer) -> tuple[int, float]:
+def global_stick(fr: Frame, a: float, b: float, tau_max: float, work: Pair) -> tuple[int, float]:
     """Go on in global stick to its end or by tau_max (s); return the event and the time it took."""
-    y1, y2 = work[Y1], work[Y2]
+    y1, y2 = work.y1[0], work.y2[0]
     L1, L2 = load(fr, a, y1, y2), load(fr, a, y2, y1)
     rounding = ROUNDING * fr.k * (1.0 + a) * (abs(y1) + abs(y2))
     if L1 < -fr.B - rounding:
@@ -299,75 +328,75 @@ def global_stick(fr: Frame, a: float, b: float, tau_max: float, work: Buffer) ->
     tau = max(0.0, margin / (fr.k * fr.v)) if margin > 0.0 else 0.0
     if tau > tau_max:
         which, tau = 0, tau_max
-    work[Y1] = y1 + fr.v * tau
-    work[Y2] = y2 + fr.v * tau
+    work.y1[0] = y1 + fr.v * tau
+    work.y2[0] = y2 + fr.v * tau
     return which, tau
 
 
-def enter(fr: Frame, a: float, b: float, event: int, work: Buffer) -> int:
+def enter(fr: Frame, a: float, b: float, event: int, work: Pair) -> int:
     """Let an event change the mode of its mass; return 0, or the outcome FORCE_REVERSAL."""
     which = abs(event)
     side = 1 if event > 0 else -1
     if which == CROSSING:
-        work[W1] = -fr.v
+        work.w1[0] = -fr.v
         return 0
-    mode = int(work[MODE1] if which == FIRST else work[MODE2])
+    mode = int(work.mode1 if which == FIRST else work.mode2)
     entered = NEGATIVE if side > 0 else POSITIVE
     if mode != STICK:
         if (mode == NEGATIVE) != (side > 0):
             return FORCE_REVERSAL
         if which == FIRST:
-            entered = contact_mode(fr, 1.0, a, work[Y1], work[Y2], 0.0)
+            entered = contact_mode(fr, 1.0, a, work.y1[0], work.y2[0], 0.0)
         else:
-            entered = contact_mode(fr, b, a, work[Y2], work[Y1], 0.0)
+            entered = contact_mode(fr, b, a, work.y2[0], work.y1[0], 0.0)
         if entered == mode:
             entered = STICK
     if which == FIRST:
-        work[W1] = 0.0
-        work[MODE1] = float(entered)
+        work.w1[0] = 0.0
+        work.mode1 = float(entered)
     else:
-        work[W2] = 0.0
-        work[MODE2] = float(entered)
+        work.w2[0] = 0.0
+        work.mode2 = float(entered)
     return 0
 
 
 def pair_event(
-    fr: Frame, a: float, b: float, t_max: float, degree: int, tolerance: float, work: Buffer
+    fr: Frame, a: float, b: float, t_max: float, degree: int, tolerance: float, work: Pair
 ) -> tuple[int, int]:
     """Go on to the next event, or to t_max (s); return (event, outcome): (0, 0) when t_max was reached first."""
-    begun = work[TIME]
+    begun = work.time
     while True:
-        rest = t_max - work[TIME]
+        rest = t_max - work.time
         if rest <= 0.0:
             return 0, 0
-        if work[STEPS] >= work[STEPS_ALLOWED]:
+        if work.steps >= work.steps_allowed:
             return 0, STEP_LIMIT
-        work[STEPS] += 1.0
-        if work[MODE1] == STICK and work[MODE2] == STICK:
-            work[TIME_SCALE] = 0.5 / (fr.omega0 * math.sqrt(1.0 + 2.0 * a))
+        work.steps += 1.0
+        if work.mode1 == STICK and work.mode2 == STICK:
+            work.time_scale = 0.5 / (fr.omega0 * math.sqrt(1.0 + 2.0 * a))
             event, tau = global_stick(fr, a, b, rest, work)
         else:
             step = expand(fr, a, b, degree, tolerance, work)
-            scale = work[TIME_SCALE]
+            scale = work.time_scale
             if not scale * step > 0.0:
                 return 0, NOT_FINITE
-            work[TIME_SCALE] = min(scale * step, LONGEST_SCALE / fr.omega0)
+            work.time_scale = min(scale * step, LONGEST_SCALE / fr.omega0)
             event, xi = first_event(fr, a, b, degree, min(step, rest / scale), work)
             move(degree, xi, work)
             tau = xi * scale
-        if not math.isfinite(work[Y1] + work[Y2] + work[W1] + work[W2]):
+        if not math.isfinite(work.y1[0] + work.y2[0] + work.w1[0] + work.w2[0]):
             return 0, NOT_FINITE
         if event == 0 and tau >= rest:
-            work[TIME] = t_max
+            work.time = t_max
             return 0, 0
-        work[TIME] += tau
+        work.time += tau
         if event == 0:
             continue
         outcome = enter(fr, a, b, event, work)
-        if (work[TIME] - begun) * fr.omega0 > RAPID_TIME:
-            work[RAPID] = 0.0
+        if (work.time - begun) * fr.omega0 > RAPID_TIME:
+            work.rapid = 0.0
         else:
-            work[RAPID] += 1.0
-            if work[RAPID] > RAPID_ALLOWED:
+            work.rapid += 1.0
+            if work.rapid > RAPID_ALLOWED:
                 outcome = EVENT_RATE
         return event, outcome

@@ -9,7 +9,7 @@ Units are written as SI; those of a dimensionless scene are its own.  This is no
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -86,22 +86,54 @@ def write(
     RefusedError
         The disk refuses.
     """
-    form = suffix.chosen(path, FORMS)
+    form = suffix.chosen(path, FORMS, "--output")
     atomic.refuse_existing(path, force)
-    for name, value in (("--until", until), ("--rate", rate)):
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"is {value:g}", name, "give a positive number")
-    if until * rate > MOST_SAMPLES:
-        what = f"{until * rate:.3g} samples, more than the {MOST_SAMPLES} a file may hold"
-        raise InputError(what, "--rate", "lower --rate or --until")
+    samples = _number(until, rate)
     player = _player(scene, phases, max_steps)
-    samples = math.floor(until * rate * (1 + 1e-15)) + 1
     with atomic.replacing(path, force) as temporary:
         if form == "csv":
             written = _write_csv(player, temporary, samples, rate)
         else:
             written = _write_h5(player, temporary, samples, rate, method)
     return WrittenMotion(written, player.outcome.name, player.outcome.advice, player.steps)
+
+
+def sampled(
+    scene: Scene, *, until: float, rate: float, phases: SamplePhase = sample_phase, max_steps: int = DEFAULT_MAX_STEPS
+) -> tuple[tuple[NDArray[np.float64], ...], WrittenMotion]:
+    """Play a scene and return its columns, (n,) each, in memory; parameters and errors as those of `write`."""
+    samples = _number(until, rate)
+    player = _player(scene, phases, max_steps)
+    parts = list(zip(*_stretches(player, samples, rate), strict=True))
+    columns = tuple(np.concatenate(part) for part in parts)
+    return columns, WrittenMotion(len(columns[0]), player.outcome.name, player.outcome.advice, player.steps)
+
+
+def names(scene: Scene) -> tuple[str, ...]:
+    """Return the names of a scene's columns."""
+    return tuple(_columns(scene))
+
+
+def read(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the columns of a file that `write` has written."""
+    if suffix.chosen(path, FORMS) == "csv":
+        rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+        return {name: rows[:, place] for place, name in enumerate(names)}
+    import h5py
+
+    with h5py.File(path) as file:
+        return {name: file[f"entry/motion/{name}"][:] for name in names}
+
+
+def _number(until: float, rate: float) -> int:
+    """Return how many samples there are up to a time, checked."""
+    for name, value in (("--until", until), ("--rate", rate)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"is {value:g}", name, "give a positive number")
+    if until * rate > MOST_SAMPLES:
+        what = f"{until * rate:.3g} samples, more than the {MOST_SAMPLES} a file may hold"
+        raise InputError(what, "--rate", "lower --rate or --until")
+    return math.floor(until * rate * (1 + 1e-15)) + 1
 
 
 class _Player(Protocol):

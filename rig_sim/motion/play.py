@@ -28,10 +28,9 @@ from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, steepest_fall
 from rig_sim.friction.curve import MEASURED
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.events import EventList, list_events
-from rig_sim.integrate.phases import sample_phase
+from rig_sim.integrate.phases import Samples, State, sample_phase
+from rig_sim.integrate.work import new_work
 from rig_sim.scenes.model import Scene
 
 if TYPE_CHECKING:
@@ -118,7 +117,7 @@ class ScenePlayer:
 
             self._scatter = ScatteredLevel(scene.scatter.Fs, scene.seed)
         self._landings_matter = scene.wear is not None or scene.scatter is not None
-        self._work = new_work(max_steps)  # type: ignore[arg-type]  # infinity is no int
+        self._work = new_work(max_steps)
         self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
 
     @property
@@ -146,7 +145,7 @@ class ScenePlayer:
     @property
     def steps(self) -> int:
         """Integrator steps taken so far."""
-        return int(self._work[buffer.STEPS])
+        return int(self._work.steps)
 
     def advance(self, until: float) -> bool:
         """Play up to a time (s) and return whether the motion continues there."""
@@ -202,14 +201,14 @@ class ScenePlayer:
         Each event adds (how many times are before it, t, x, v) to ``corners``; a kick adds two.
         """
         n = len(times)
-        x, v, out_mode, F = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
-        served = 0
+        x, v, F = [0.0] * n, [0.0] * n, [0.0] * n
+        samples, served = Samples(times, x, v, [0.0] * n, n), 0
         while self.outcome.name == modes.OUTCOMES[modes.COMPLETED].name:
             end = min(times[-1], self._next_change())
             first, was = served, self._mode
-            kind, self._mode, self._xi, self._w, self.t, served = self._phases(
-                self.flow, was, self._xi, self._w, self.t, times, served, n, end, x, v, out_mode, self._work
-            )
+            at = State(was, self._xi, self._w, self.t)
+            kind, at, served = self._phases(self.flow, at, end, samples, served, self._work)
+            self._mode, self._xi, self._w, self.t, _ = at
             if forces:
                 for i in range(first, served):
                     F[i] = force(self.flow, was, x[i], v[i] - self.flow.v_belt, times[i])

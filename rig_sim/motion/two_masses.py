@@ -83,9 +83,9 @@ def stretch(scene: Scene) -> float:
         return begin.d
     if begin.attractor is None:
         raise InputError("does not begin in a global stick", f"scene {scene.name}", "set start.d or start.attractor")
-    from rig_sim.dynamics.maps.basins import basins
-    from rig_sim.dynamics.maps.stick_map import StickMap
-    from rig_sim.dynamics.maps.sweep import CELLS
+    from rig_sim.dynamics.analyses.basins import basins
+    from rig_sim.dynamics.rig.section import CELLS
+    from rig_sim.dynamics.rig.stick import StickMap
 
     flow = scene.two_mass_flow()
     found = basins(StickMap(flow), CELLS).attractors if flow.mass.v_belt else ()

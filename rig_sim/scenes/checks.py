@@ -45,7 +45,8 @@ def check_together(found: Scene, where: str) -> None:
             _check_formula(friction, where)
         elif friction.law is None:
             do = "give it, or --set friction.law=..., or friction.formula"
-            raise InputError("friction.law is missing", where, do)
+            python = "write rig_sim.scene(..., **{'friction.law': 5}), or give friction.formula"
+            raise InputError("friction.law is missing", where, do, python=python)
         else:
             _check_curve(friction, where)
         for key in friction.own_law().parameters if friction.formula is None else ():

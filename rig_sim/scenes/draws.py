@@ -19,6 +19,8 @@ CURVE = "friction.curve."
 def drawn_changes(found: Scene, number: int, where: str) -> list[dict[str, object]]:
     """Return ``number`` sets of changes, the same for the same seed of the scene.
 
+    A key whose value is no longer the fitted one was changed by hand, and is not drawn.
+
     The errors are normal over the root of a chi square of ``cycles - 1`` degrees of freedom, as those of Student's t:
     with few cycles the covariance itself is uncertain.
 
@@ -38,9 +40,9 @@ def drawn_changes(found: Scene, number: int, where: str) -> list[dict[str, objec
 
     fit = found.fit
     if fit is None:
-        raise InputError(
-            "has no section fit, which --draws needs", where, "write the scene with fit-friction --save-scene"
-        )
+        do = "write the scene with fit-friction --save-scene"
+        python = "write the scene with fitting.rank(run).save_scene(path)"
+        raise InputError("has no section fit, which --draws needs", where, do, python=python)
     names, centre, spread = fit.parameters, np.array(fit.values), _matrix(fit, where)
     points = len(found.friction.curve or ()) if found.friction is not None else 0
     curve = {f"{CURVE}{i}" for i in range(points)}
@@ -57,7 +59,28 @@ def drawn_changes(found: Scene, number: int, where: str) -> list[dict[str, objec
     normal = rng.standard_normal((number, len(names)))
     wider = np.sqrt((fit.cycles - 1) / rng.chisquare(fit.cycles - 1, number))
     drawn = centre + wider[:, None] * np.einsum("nk,pk->np", normal, root)
-    return [_changes(found, names, row.tolist()) for row in drawn]
+    kept = _as_fitted(found, fit)
+    return [{key: value for key, value in _changes(found, names, row.tolist()).items() if key in kept} for row in drawn]
+
+
+def _as_fitted(found: Scene, fit: FitSection) -> set[str]:
+    """Return the keys whose values in the scene are those of the fit."""
+    keys = {name: _limited(name, value) for name, value in zip(fit.parameters, fit.values, strict=True)}
+    curve = {name: value for name, value in keys.items() if name.startswith(CURVE)}
+    kept = {name for name, value in keys.items() if name not in curve and _value(found, name) == value}
+    points = (found.friction.curve or ()) if found.friction is not None else ()
+    if curve and all(points[int(name[len(CURVE) :])][1] == value for name, value in curve.items()):
+        kept.add("friction.curve")
+    return kept
+
+
+def _value(found: Scene, name: str) -> object:
+    section, _, key = name.partition(".")
+    return getattr(getattr(found, section, None), key, None)
+
+
+def _limited(name: str, number: float) -> float:
+    return max(number, LOWEST.get(name, -float("inf")))
 
 
 def _matrix(fit: FitSection, where: str) -> "Array":
@@ -79,9 +102,7 @@ def _matrix(fit: FitSection, where: str) -> "Array":
 def _changes(found: Scene, names: list[str], numbers: list[float]) -> dict[str, object]:
     """Return one draw as changes: dotted keys, and the curve as a whole."""
     changes: dict[str, object] = {
-        name: max(number, LOWEST.get(name, -float("inf")))
-        for name, number in zip(names, numbers, strict=True)
-        if not name.startswith(CURVE)
+        name: _limited(name, number) for name, number in zip(names, numbers, strict=True) if not name.startswith(CURVE)
     }
     friction = found.friction
     if friction is not None and friction.curve is not None:

@@ -68,7 +68,8 @@ class Scene(Section):
         """
         if self.coupling:
             do = "drop the section coupling, or use events, run, fixed-point, map, sweep, basins or lyapunov"
-            raise InputError("has two masses, and this is for one", f"scene {self.name}", do)
+            python = "use rig_sim.events, run, fixed_point, continue_, map, sweep, basins or lyapunov"
+            raise InputError("has two masses, and this is for one", f"scene {self.name}", do, python=python)
         return self._flow_of_one(belt_running=belt_running, factor=factor)
 
     def two_mass_flow(self) -> TwoMassFlow:
@@ -81,7 +82,8 @@ class Scene(Section):
         """
         if self.coupling is None:
             do = "set coupling.a and coupling.b, or take the scene two-mass"
-            raise InputError("has one mass, and this is for two", f"scene {self.name}", do)
+            python = f"write rig_sim.scene({self.name!r}, coupling={{'a': 1.2, 'b': 1.3}}), or take 'two-mass'"
+            raise InputError("has one mass, and this is for two", f"scene {self.name}", do, python=python)
         return TwoMassFlow(self._flow_of_one(), float(self.coupling.a), float(self.coupling.b))
 
     def _fastest(self) -> float:

@@ -59,6 +59,8 @@ from rig_sim.scenes.sections import Section
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 FRICTION_IS = ("friction.law", "friction.formula")
 OLD_NAMES = {"tell": "output"}  # of sections, still accepted
+FORM = "write section.key=value"
+IN_PYTHON = "write rig_sim.scene('rig', **{'section.key': value})"
 LARGEST_FILE = 1 << 20  # bytes of a scene; what is longer is something else, and may have no end
 
 
@@ -79,12 +81,23 @@ def scene(source: "str | Path | Scene", **changes: object) -> Scene:
         ``scene("rig", friction={"law": 3}, seed=7)``.  A section that is absent is created; naming ``G_stick`` removes
         ``d`` and the other way round.
 
+    Returns
+    -------
+    Scene
+
     Raises
     ------
     InputError
         No such scene, a file that is no TOML, an unknown section or key (with its nearest neighbour), a value that is
         no finite number or out of its range (of any number: 0, or from 1e-100 to 1e100 in size): each names the
         file and the key.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> mine = rig_sim.scene("rig", **{"friction.law": 3, "belt.speed": 0.1}, seed=7)
+    >>> mine.friction.law, mine.belt.speed, mine.terms()[:3]
+    (3, 0.1, ['mass', 'spring', 'belt'])
     """
     if isinstance(source, Scene):
         where, content = f"scene {source.name}", source.model_dump(exclude_unset=True)
@@ -102,6 +115,12 @@ def scene(source: "str | Path | Scene", **changes: object) -> Scene:
     return _checked(content, where)
 
 
+def change_in_python(name: str, key: str, value: str) -> str:
+    """Return the Python call that changes a key of a scene, as messages write it; ``name`` of a built-in one or not."""
+    given = repr(name) if name in builtin_names() else "scene"
+    return f"rig_sim.scene({given}, **{{{key!r}: {value}}})"
+
+
 def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
     """Return ``["friction.law=3", ...]``, as ``--set`` takes them, as changes for `scene`.
 
@@ -116,7 +135,7 @@ def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
     for setting in settings or ():
         key, equals, value = setting.partition("=")
         if not equals or not key.strip() or not value.strip() or "\n" in value.strip():
-            raise InputError(f"{setting!r} is no change of a scene", "--set", "write section.key=value")
+            raise InputError(f"{setting!r} is no change of a scene", "--set", FORM, python=IN_PYTHON)
         changes[key.strip()] = _value(value.strip())
     return changes
 
@@ -130,7 +149,7 @@ def _value(text: str) -> object:
         found = tomllib.loads(f"value = {text}")["value"]
         return float(text) if toml.has_wide_number(found) else found
     except RecursionError:
-        raise InputError(f"{text[:20]}... is nested too deeply", "--set", "write section.key=value") from None
+        raise InputError(f"{text[:20]}... is nested too deeply", "--set", FORM, python=IN_PYTHON) from None
     except ValueError:  # not TOML, or a number of thousands of digits
         pass
     try:
@@ -210,16 +229,20 @@ def _replace_law(friction: dict[str, Any], key: str) -> None:
 
 def _checked(content: dict[str, Any], where: str) -> Scene:
     _refuse_unknown(content, where)
+    name = str(content.get("name", ""))
     try:
         found = Scene.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "missing":
-            raise InputError(f"{key} is missing", where, f"give it, or --set {_first_key(key)}=...") from None
+            do, python = f"give it, or --set {_first_key(key)}=...", change_in_python(name, _first_key(key), "VALUE")
+            raise InputError(f"{key} is missing", where, do, python=f"write {python}") from None
         if first["type"] == "model_type":
             do = f"write --set {key}.KEY=VALUE, or a table [{key}]"
-            raise InputError(f"{key} is {first['input']!r:.60}, but it is a section", where, do) from None
+            python = change_in_python(name, f"{key}.KEY", "VALUE")
+            what = f"{key} is {first['input']!r:.60}, but it is a section"
+            raise InputError(what, where, do, python=f"write {python}") from None
         reason = (first["msg"][0].lower() + first["msg"][1:]).replace("input should", "it should")
         raise InputError(
             f"{key} is {first['input']!r:.60}", where, reason.replace("input should", "it should")

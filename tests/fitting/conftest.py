@@ -29,6 +29,7 @@ def _beside(name):
 synthetic_rig = _beside("synthetic")
 stranger_records = _beside("strangers")
 other_contacts = _beside("contacts")
+_beside("exact_flow")
 
 
 @pytest.fixture(scope="session")

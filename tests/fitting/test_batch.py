@@ -20,6 +20,8 @@ from fitting import batch, cli, job
 from fitting.batch import BatchRow, Failure
 from processing.smoothing import smooth
 
+from . import command
+
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
 
 
@@ -59,7 +61,7 @@ def without_times(document):
 def alone(originals, tmp_path_factory):
     """Give each run's document from the command for it alone."""
     folder = Path(shutil.copytree(originals, tmp_path_factory.mktemp("alone") / "runs"))
-    return {name: application.plain(cli.fit(folder / f"{name}.h5", laws="3,5").data) for name in ("five", "three")}
+    return {name: application.plain(command.fit(folder / f"{name}.h5", laws="3,5").data) for name in ("five", "three")}
 
 
 @pytest.mark.parametrize("how", [(), pytest.param(("--jobs", "2"), marks=pytest.mark.slow)])
@@ -134,7 +136,7 @@ def test_a_bug_in_one_run_is_told_as_one_and_stops_no_other(folder, capsys, monk
 
 def test_no_job_is_refused(folder):
     with pytest.raises(InputError, match="jobs is 0"):
-        cli.fit(folder / "five.h5", each=True, jobs=0)
+        command.fit(folder / "five.h5", each=True, jobs=0)
 
 
 def killed(_):
@@ -190,14 +192,14 @@ def test_whatever_ends_the_command_ends_its_processes(folder, sent, code):
 def test_without_dask_the_extra_is_named(folder, monkeypatch):
     monkeypatch.setattr(cluster, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"not installed; pip install 'stickslip\[cluster\]'"):
-        cli.fit(folder / "five.h5", scheduler="tcp://127.0.0.1:8786")
+        command.fit(folder / "five.h5", scheduler="tcp://127.0.0.1:8786")
 
 
 @pytest.mark.usefixtures("dask")
 @pytest.mark.parametrize("address", ["nonsense", "foo://1:2", "tcp://host:port", "tcp://:8786"])
 def test_what_is_no_address_is_refused(folder, address):
     with pytest.raises(InputError, match="is not an address"):
-        cli.fit(folder / "five.h5", scheduler=address)
+        command.fit(folder / "five.h5", scheduler=address)
 
 
 @pytest.mark.usefixtures("dask")
@@ -205,7 +207,7 @@ def test_an_address_where_nothing_listens_is_refused_at_once(folder):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     with pytest.raises(InputError, match="no dask scheduler answers"):
-        cli.fit(folder / "five.h5", each=True, scheduler=f"127.0.0.1:{port}")
+        command.fit(folder / "five.h5", each=True, scheduler=f"127.0.0.1:{port}")
 
 
 @pytest.mark.slow

@@ -16,9 +16,12 @@ from daq.base.measured import Measured
 from daq.runfile import listing, store
 from daq.runfile.recording import Recording
 from fitting import cli, job
+from fitting.competitors import Competitors, numbers
 from fitting.report import table
 from processing import stage
 from processing.smoothing import smooth
+
+from . import command
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
 
@@ -33,19 +36,19 @@ def run(tmp_path_factory, synthetic):
 def fitted(run):
     path = run.with_name("fitted.h5")
     shutil.copy(run, path)
-    answer = cli.fit(path, laws="3,5")
+    answer = command.fit(path, laws="3,5")
     return path, answer
 
 
 def test_numbers_and_ranges_are_read():
-    assert cli.numbers("1-3,6", "--laws") == [1, 2, 3, 6]
-    assert cli.numbers("", "--exclude-cycles") == []
+    assert numbers("1-3,6", "--laws") == [1, 2, 3, 6]
+    assert numbers("", "--exclude-cycles") == []
 
 
 @pytest.mark.parametrize("text", ["a", "3-1", "0", "1-", "-3"])
 def test_what_is_no_range_is_refused(text):
     with pytest.raises(InputError):
-        cli.numbers(text, "--laws")
+        numbers(text, "--laws")
 
 
 def test_the_document_has_the_promised_keys(fitted):
@@ -105,7 +108,9 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp
     # A fit used to stand beside a smoothed motion, or even a recording, that it was not made from.
     path = tmp_path / "run.h5"
     shutil.copy(run, path)
-    done = job.fit_runs([job.load_run(path, job.FitOptions())], job.FitOptions(laws=(5,), report=False))
+    done = job.fit_runs(
+        [job.load_run(path, job.FitOptions())], job.FitOptions(competitors=Competitors((5,)), report=False)
+    )
     done.save(None)
     if meanwhile == "smoothed":
         stage.save(smooth(store.load(path), method="sg"), path)
@@ -116,7 +121,7 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp
         done.save(None)
     assert path.read_bytes() == before
     if meanwhile == "smoothed":
-        cli.fit(path, laws="5", no_report=True)
+        command.fit(path, laws="5", no_report=True)
         with h5py.File(path) as file:
             assert file["entry/fit/parameters/sha256_smooth"].asstr()[()] == stage.digest(file["entry"])
 
@@ -127,7 +132,7 @@ def test_the_list_says_which_part_of_a_run_was_fitted(run, tmp_path):
     shutil.copy(run, path)
     parts = []
     for options in ({"end": "9 s"}, {"laws": "1-6"}):
-        cli.fit(path, **{"laws": "5"} | options, no_report=True)
+        command.fit(path, **{"laws": "5"} | options, no_report=True)
         parts += [row.part for row in listing.runs([tmp_path])]
     assert parts == ["0 to 9 s; law 5", None]
 
@@ -154,7 +159,7 @@ def test_damping_without_a_mass_is_refused(run, tmp_path):
         ),
     )
     with pytest.raises(InputError, match="without a mass"):
-        cli.fit(path, damping=Measured(0.01))
+        command.fit(path, damping=Measured(0.01))
 
 
 @pytest.mark.parametrize(
@@ -163,14 +168,14 @@ def test_damping_without_a_mass_is_refused(run, tmp_path):
 )
 def test_impossible_calibrations_are_refused(run, flags, what):
     with pytest.raises(InputError, match=what):
-        cli.fit(run, **flags)
+        command.fit(run, **flags)
 
 
 def test_a_foreign_report_is_refused_before_anything_is_fitted(run):
     page = run.with_name("mine.html")
     page.write_text("mine")
     with pytest.raises(InputError, match="no report"):
-        cli.fit(run, report=page)
+        command.fit(run, report=page)
     assert page.read_text() == "mine"
 
 
@@ -203,7 +208,7 @@ def test_a_part_of_a_run_is_fitted_without_a_report_or_anything_that_draws_one(r
 )
 def test_parts_and_reports_that_cannot_be_are_refused(run, flags, what):
     with pytest.raises(InputError) as refused:
-        cli.fit(run, **flags)
+        command.fit(run, **flags)
     assert what in f"{refused.value.what} {refused.value.where}"
 
 
@@ -223,14 +228,14 @@ def test_help_loads_nothing_numerical():
 def test_the_ranking_can_be_had_as_a_table(run, tmp_path):
     path, out = tmp_path / "run.h5", tmp_path / "ranking.csv"
     shutil.copy(run, path)
-    document = application.plain(cli.fit(path, laws="3,5", csv=out).data)
+    document = application.plain(command.fit(path, laws="3,5", csv=out).data)
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["law"]) for row in rows] == [row["law"] for row in document["ranking"]]
     assert float(rows[0]["k/m"]) == document["ranking"][0]["parameters"]["k/m"]["value"]
     assert float(rows[0]["gamma stderr"]) == document["ranking"][0]["parameters"]["gamma"]["stderr"]
     assert rows[1]["gamma"] == ""
-    cli.fit(path, laws="5", csv=out)
+    command.fit(path, laws="5", csv=out)
     assert len(out.read_text().splitlines()) == 2
 
 
@@ -240,14 +245,14 @@ def test_a_strangers_table_and_the_run_itself_are_not_replaced(run, tmp_path):
     shutil.copy(run, own)
     for path in (mine, own):
         with pytest.raises(InputError, match=r"no ranking|own source"):
-            cli.fit(own, csv=path)
+            command.fit(own, csv=path)
     assert mine.read_text() == "mine"
 
 
 def test_the_ranking_of_another_run_is_replaced_by_force_alone(tmp_path):
     """It used to be replaced by any run's."""
     out = tmp_path / "ranking.csv"
-    table.write(out, [(tmp_path / "one.h5", {"ranking": [dict.fromkeys(table.EVIDENCE, 1) | {"parameters": {}}]})])
+    table.write(out, [(tmp_path / "one.h5", [dict.fromkeys(table.EVIDENCE, 1) | {"parameters": {}}])])
     table.refuse_foreign_file(out, [tmp_path / "one.h5", tmp_path / "two.h5"])
     with pytest.raises(InputError, match=r"another run, one\.h5"):
         table.refuse_foreign_file(out, [tmp_path / "two.h5"])
@@ -256,7 +261,7 @@ def test_the_ranking_of_another_run_is_replaced_by_force_alone(tmp_path):
 
 def test_the_measured_curve_is_a_table(run, tmp_path):
     out = tmp_path / "curve.csv"
-    answer = cli.fit(run, laws="5", curve_csv=out, report=tmp_path / "curve.html")
+    answer = command.fit(run, laws="5", curve_csv=out, report=tmp_path / "curve.html")
     curve = application.plain(answer.data)["adequacy"]["curve"]
     with out.open() as file:
         header, *rows = csv.reader(file)
@@ -271,7 +276,7 @@ def test_a_foreign_file_is_not_replaced_by_the_curve(run, tmp_path):
     for text in ("my own table\n", "speed (m/s),friction (N),lo (N),hi (N)\n"):
         mine.write_text(text)
         with pytest.raises(InputError, match="mine"):
-            cli.fit(run, laws="5", curve_csv=mine)
+            command.fit(run, laws="5", curve_csv=mine)
         assert mine.read_text() == text
 
 

@@ -187,9 +187,11 @@ def _server(size: Size, folder: Path) -> Result:
                 case 2:
                     path = str(chance.choice(PATHS)).format(**words)
                 case 3:
-                    method, path = str(chance.choice(METHODS)), url.path + str(chance.choice(["", "marker", "events"]))
+                    method = str(chance.choice(METHODS))
+                    path += str(chance.choice(["", "marker", "events", "stop"]))
                 case 4:
-                    method, path, body = "POST", url.path + "marker", bytes(int(chance.integers(1025, 1 << 20)))
+                    method, body = "POST", bytes(int(chance.integers(1025, 1 << 20)))
+                    path += str(chance.choice(["marker", "stop"]))
             status, found, answer = _asked(url, method, path, headers, body)
             where = f"request {k} of seed {size.seed}, {method} {path} {headers}, {len(body)} bytes"
             if status is not None and status < 400:

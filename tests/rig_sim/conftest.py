@@ -15,8 +15,9 @@ from rig_sim.comparison import reference
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
-from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.phases import sample_phase
+from rig_sim.integrate.events import new_samples
+from rig_sim.integrate.phases import State, sample_phase
+from rig_sim.integrate.work import new_work
 
 
 @pytest.fixture(scope="session")
@@ -27,13 +28,12 @@ def sampled() -> Callable[..., tuple[Any, Any, Any]]:
 
 def _sampled(flow: Flow, x: float, v: float, times: Sequence[float]) -> tuple[Any, Any, Any]:
     """Return x (m), v (m/s) and mode, (n,) each, at increasing times (s); the motion starts at the first of them."""
-    n, i, t, w = len(times), 0, times[0], v - flow.v_belt
-    out: list[list[float]] = [[0.0] * n for _ in range(3)]
-    mode, work = initial_mode(flow, x, v, t), new_work()
-    while i < n:
-        kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, list(times), i, n, times[-1], *out, work)
+    samples, i, work = new_samples(list(times), compiled=False), 0, new_work()
+    at = State(initial_mode(flow, x, v, times[0]), x, v - flow.v_belt, times[0])
+    while i < samples.n:
+        kind, at, i = sample_phase(flow, at, times[-1], samples, i, work)
         assert kind < modes.FORCE_REVERSAL
-    return tuple(np.array(column) for column in out)  # type: ignore[return-value]
+    return np.array(samples.x), np.array(samples.v), np.array(samples.mode)
 
 
 STORED_EVENTS = Path(__file__).parents[1] / "reference" / "events.json"

@@ -48,19 +48,10 @@ def compiled(function: Callable[..., Any], modules: tuple[str, ...], **options: 
         NaN, as numpy's: to check every divisor takes about a tenth more time to compile.
     """
     options = {"error_model": "numpy", **options}
-    _give_pointers()
+    _give_stacks()
     for name in modules:
         register(name, **options)
     return build(function, cache_folder((*modules, function.__module__), repr(sorted(options.items()))), **options)
-
-
-def pointer(array: Any) -> Any:
-    """Return a one-dimensional contiguous array for a kernel that never counts from its end.
-
-    Compiled code takes an index as it is, where for an array it looks first whether the index is below 0; interpreted
-    code gets the array, or the list, itself.
-    """
-    return array
 
 
 def stack(order: tuple[float, ...]) -> Any:
@@ -77,22 +68,11 @@ def stack_square(order: tuple[float, ...]) -> Any:
 
 
 @cache
-def _give_pointers() -> None:
-    """Let compiled code call `pointer`, `stack` and `stack_square`."""
+def _give_stacks() -> None:
+    """Let compiled code call `stack` and `stack_square`."""
     from llvmlite import ir  # type: ignore[import-untyped]
     from numba.core import types
     from numba.extending import intrinsic, overload
-
-    @intrinsic
-    def data(typing_context: Any, array: Any) -> Any:
-        def read(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return context.make_array(signature.args[0])(context, builder, arguments[0]).data
-
-        return types.CPointer(array.dtype)(array), read  # type: ignore[no-untyped-call]
-
-    @overload(pointer)
-    def address(array):  # type: ignore[no-untyped-def]
-        return lambda array: data(array)  # type: ignore[call-arg]  # numba hands the first one on
 
     def reserve(power: int) -> Any:
         @intrinsic

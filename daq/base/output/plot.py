@@ -45,8 +45,9 @@ def lines_over_time(
     ylabel: str,
     markers: Iterable[tuple[float, str]],
     title: str,
-) -> PngFigure:
-    """Return a quantity over time, in parts between gaps, with markers.
+    axes: "Axes | None" = None,
+) -> Figure:
+    """Return the figure of a quantity over time, in parts between gaps, with markers.
 
     Parameters
     ----------
@@ -55,17 +56,19 @@ def lines_over_time(
     ylabel, title : str
     markers : iterable of (float, str)
         Time, s, and words.
+    axes : Axes, optional
+        Where to draw; by default in a new figure.
     """
     with mpl.rc_context(fname=STYLE):
-        drawn = figure(9.5, 3.6)
-        axes = drawn.add_subplot()
+        if axes is None:
+            axes = figure(9.5, 3.6).add_subplot()
         for time, values in parts:
             axes.plot(time, values, "." if len(time) == 1 else "-", color="C0", ms=3)
         draw_markers(axes, markers)
         axes.set(xlabel="time (s)", ylabel=ylabel)
         axes.set_title(printable(title), parse_math=False)
         axes.margins(x=0.01)
-    return drawn
+    return axes.figure.figure  # of axes in a part of a figure: the whole
 
 
 def draw_markers(axes: "Axes", markers: Iterable[tuple[float, str]]) -> None:

@@ -11,13 +11,11 @@ import math
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from fitting.departures.definition.departure import Departure, Forcing, harmonic
-from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.data.ripple import strongest_frequencies
+from fitting.forces.departure import Departure, Forcing, harmonic
+from fitting.forces.fitted_motion import FittedMotion
 
-# Periods in a slip (`MeasuredMotion.slip_s`): slower, it may be wear or a drift; faster, smoothing has taken it away.
-SLOWEST, FASTEST = 0.1, 12.5
-GRID = 50.0  # averages of the residuals a slip
-FINER = 4  # times the transform's own grid of frequencies
+SLOWEST = 0.1  # periods in a slip: slower, it may be wear or a drift
 FEWEST = 4  # sticks
 PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
 
@@ -30,26 +28,17 @@ def forcing(trajectory: FittedMotion, hertz: float) -> Forcing:
 def frequencies(trajectory: FittedMotion) -> Array:
     """Return the strongest frequencies of the residuals in stick, Hz, each between its neighbours."""
     window, time = trajectory.window[trajectory.samples], trajectory.time[trajectory.samples]
-    slip_s = trajectory.slip_s
-    bins, left = [], []
+    times, left = [], []
     for own in np.flatnonzero(trajectory.sticks):
         part = window == own
-        bins.append(((time[part] - time[0]) * (GRID / slip_s)).astype(np.int64))
+        times.append(time[part])
         left.append(trajectory.residual[part] - trajectory.residual[part].mean())
-    if len(bins) < FEWEST:
+    if len(times) < FEWEST:
         return np.empty(0)
-    grid = np.bincount(np.concatenate(bins), weights=np.concatenate(left))
-    size = grid.size
-    hertz = np.fft.rfftfreq(FINER * size, slip_s / GRID)
-    power = np.abs(np.fft.rfft(grid, FINER * size)) ** 2
-    power[(hertz < SLOWEST / slip_s) | (hertz > FASTEST / slip_s)] = 0.0
-    found: list[int] = []
-    while len(found) < PEAKS and power.any():
-        top = int(np.argmax(power))
-        found.append(top)
-        power[max(top - FINER, 0) : top + FINER + 1] = 0.0
-    beside = np.unique(np.add.outer(np.array(found, np.int64), (-1, 0, 1)))
-    return np.asarray(hertz[beside[(beside > 0) & (beside < hertz.size)]])
+    slip_s = trajectory.slip_s
+    found, apart = strongest_frequencies(np.concatenate(times), np.concatenate(left), slip_s, SLOWEST / slip_s, PEAKS)
+    beside = np.unique(np.add.outer(found, apart * np.arange(-1, 2)).ravel())
+    return np.asarray(beside[beside > 0])
 
 
 DEPARTURE = Departure(

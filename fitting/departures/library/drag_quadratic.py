@@ -8,7 +8,7 @@ another form, show it.  Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from fitting.departures.definition.departure import Departure, by_velocity
+from fitting.forces.departure import Departure, by_velocity
 
 
 def drag(velocity: Array, _: float) -> Array:

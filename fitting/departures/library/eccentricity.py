@@ -9,8 +9,8 @@ else it is scanned.  Source: encoder makers' notes on eccentricity error; the fi
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from fitting.departures.definition.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
-from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.forces.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
+from fitting.forces.fitted_motion import FittedMotion
 
 SMALLEST = 0.04  # of the travel: a smaller wheel would turn 25 times in a slip
 

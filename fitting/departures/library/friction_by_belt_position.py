@@ -5,8 +5,8 @@ What changes from one slip to the next only is a scatter of the friction level; 
 """
 
 from daq.base.compute.arrays import Array
-from fitting.departures.definition.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
-from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.forces.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
+from fitting.forces.fitted_motion import FittedMotion
 
 SHORTEST = 0.7  # of the way between mass and belt in a cycle: a shorter belt turns more than once in a cycle
 LONGEST = 0.7  # of the way in the whole record: a place that does not come back is wear

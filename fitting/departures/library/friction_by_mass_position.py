@@ -5,8 +5,8 @@ tracks, as in E. Rabinowicz, Friction and Wear of Materials, 1995, ch. 4.
 """
 
 from daq.base.compute.arrays import Array
-from fitting.departures.definition.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
-from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.forces.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
+from fitting.forces.fitted_motion import FittedMotion
 
 SMALLEST = 0.08  # of the travel: what repeats more often in a slip averages out
 

@@ -15,9 +15,9 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.compute.compile import compiled
 from fitting.data.frame import MeasuredMotion
-from fitting.departures.definition import oscillator
-from fitting.departures.definition.departure import Departure, Forcing
-from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.forces import oscillator
+from fitting.forces.departure import Departure, Forcing
+from fitting.forces.fitted_motion import FittedMotion
 
 DAMPING = 0.01  # of the critical one
 SLOWEST, FASTEST = 1.5, 15.0  # times the main spring's frequency: slower is a second spring, faster moves with the mass

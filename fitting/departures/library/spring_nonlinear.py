@@ -6,8 +6,8 @@ it pushes has none.  Source: A. H. Nayfeh, D. T. Mook, Nonlinear Oscillations, 1
 
 import numpy as np
 
-from fitting.departures.definition.departure import Departure, Forcing
-from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.forces.departure import Departure, Forcing
+from fitting.forces.fitted_motion import FittedMotion
 
 
 def forcing(trajectory: FittedMotion, _: float) -> Forcing:

@@ -5,8 +5,8 @@ a in 1/s, relative to the stiffness in the middle of the record.  Each run of a 
 
 import numpy as np
 
-from fitting.departures.definition.departure import Departure, Forcing
-from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.forces.departure import Departure, Forcing
+from fitting.forces.fitted_motion import FittedMotion
 
 
 def forcing(trajectory: FittedMotion, _: float) -> Forcing:

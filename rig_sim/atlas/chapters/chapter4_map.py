@@ -6,14 +6,16 @@ from functools import cache, partial
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state
-from rig_sim.dynamics.maps.basins import TRANSIENT, Attractor, basins
-from rig_sim.dynamics.maps.interval_map import slope
-from rig_sim.dynamics.maps.lyapunov import lyapunov
-from rig_sim.dynamics.maps.map_continuation import map_continuation
-from rig_sim.dynamics.maps.periodic_points import periodic_points
-from rig_sim.dynamics.maps.stick_map import StickMap
-from rig_sim.dynamics.maps.sweep import CELLS, AttractorAt, attractors_at, sweep
+from rig_sim.atlas.figure import Computed, Panel, Trace
+from rig_sim.atlas.statements import entries
+from rig_sim.dynamics.analyses.basins import TRANSIENT, Attractor, basins
+from rig_sim.dynamics.analyses.exponent import exponent
+from rig_sim.dynamics.analyses.map_branches import map_continuation
+from rig_sim.dynamics.analyses.periodic_points import periodic_points
+from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
+from rig_sim.dynamics.rig.section import CELLS, attractors_at
+from rig_sim.dynamics.rig.stick import StickMap
+from rig_sim.dynamics.system.interface import slope
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene
 
@@ -22,10 +24,12 @@ NEAR_CRISIS = np.linspace(0.0802, 0.0846, 56)  # of figure 4.19, 0.1 s of CPU ea
 BELT, SECTION = "belt velocity Vdr (Fs1/sqrt(km))", "X1p: X1 where V1 = 0, rising (Fs1/k)"
 D, NEXT = "stretch d_n = X2 - X1 (Fs1/k)", "d_n+1 (Fs1/k)"
 CRISIS_SPEEDS = (0.0820196, 0.0813048, 0.08090, 0.08059)
-DOUBLING_SPEEDS, FOLD_SPEEDS = (0.0838, 0.0842), (0.165, 0.175)
+CRISIS, DOUBLING, FOLD = (0.0802, 0.0810), (0.0830, 0.0850), (0.165, 0.175)  # belt velocities on either side of each
 EXPONENT_SPEEDS, ITERATIONS = (0.08075, 0.083, 0.1), 700
 LONG = 20_000  # events of a Lyapunov exponent that is compared
 PLACES = 1500  # drawn of a map
+
+Span = tuple[float, float]
 
 
 def flow_at(speed: float) -> TwoMassFlow:
@@ -54,7 +58,7 @@ def diagram() -> tuple[AttractorAt, ...]:
 @cache
 def special(kind: str, low: float, high: float) -> float:
     """Return the belt velocity of a special point of the map between two others."""
-    _, points = map_continuation(map_at, np.linspace(low, high, 5).tolist())
+    points = map_continuation(map_at, np.linspace(low, high, 5).tolist()).points
     (found,) = [point.value for point in points if point.kind == kind]
     return found
 
@@ -75,55 +79,36 @@ def points_of(rows: Iterable[AttractorAt], label: str, colour: int) -> Trace:
     return Trace(x, y, label, "points", colour)
 
 
-def both_attractors() -> Drawing:
-    """Figure 4.18."""
+def both_attractors() -> Computed:
+    """Return the attractors over the belt velocity."""
     numbers = sorted({row.attractor for row in diagram()})
     traces = tuple(
         points_of((row for row in diagram() if row.attractor == number), f"attractor {number}", number - 1)
         for number in numbers
     )
     third = [row.value for row in diagram() if row.attractor == 3]
-    beyond = [len(attractors(speed)) for speed in (0.21, 0.25)]
-    return Drawing(
-        "X1 at each crossing of the Poincare section against the belt velocity: the attractors of the two masses.",
-        (Panel(BELT, SECTION, traces),),
-        (
-            state(
-                "number of attractors",
-                "2",
-                f"{len(numbers)}" + f"; the third from V = {min(third):.5g} to {max(third):.5g}" * bool(third),
-                len(numbers) == 2,
-                "a third one exists in a narrow window beside the other two; the thesis's grid of starts missed it",
-            ),
-            state(
-                "global stick only below V = 0.20 (section 4.7)",
-                "yes",
-                f"attractors with global stick at V = 0.21 and 0.25: {beyond[0]} and {beyond[1]}",
-                beyond == [0, 0],
-                "both masses still stick together there, on an attractor",
-            ),
-        ),
-        choices="the range of velocities",
-    )
+    at_021, at_025 = (len(attractors(speed)) for speed in (0.21, 0.25))
+    found = {
+        "attractors": len(numbers),
+        "third": f"; the third from V = {min(third):.5g} to {max(third):.5g}" if third else "",
+        "two": len(numbers) == 2,
+        "at_021": at_021,
+        "at_025": at_025,
+        "none_beyond": at_021 == at_025 == 0,
+    }
+    return Computed((Panel(BELT, SECTION, traces),), found)
 
 
-def second_attractor() -> Drawing:
-    """Figure 4.19."""
-    begins, ends = special("crisis", 0.0802, 0.0810), special("fold", 0.165, 0.175)
-    return Drawing(
-        "Attractor 2 in detail: from the crisis, where it appears as chaos, to the fold where its period 2 ends.",
-        (Panel(BELT, SECTION, (points_of(detail(), "", 1),), x_range=(0.079, 0.172)),),
-        (
-            compare("smallest velocity of attractor 2", "0.0806", begins),
-            compare("largest velocity of attractor 2", "0.170", ends),
-        ),
-    )
+def second_attractor() -> Computed:
+    """Return attractor 2 over the belt velocity."""
+    panel = Panel(BELT, SECTION, (points_of(detail(), "", 1),), x_range=(0.079, 0.172))
+    return Computed((panel,), {"crisis": special("crisis", *CRISIS), "fold": special("fold", *FOLD)})
 
 
 def graph(f: StickMap, times: int, low: float, high: float) -> list[Trace]:
     """Return the diagonal and the ``times``-th iterate of a map between two stretches, with gaps where it jumps."""
     x = np.linspace(low, high, PLACES)
-    y = f(x, times)
+    y = f.images(x, times)
     y[np.flatnonzero(np.abs(np.diff(y)) > 0.1 * (high - low))] = np.nan
     ends = np.array([low, high])
     return [Trace(ends, ends, "", "thin", None), Trace(x, y, "", "line", 0)]
@@ -142,45 +127,24 @@ def orbits(f: StickMap, period: int, low: float, high: float) -> list[Trace]:
     return traces
 
 
-def crisis() -> Drawing:
-    """Figure 4.20."""
+def collision() -> Computed:
+    """Return the map with attractor 2 within the square of the orbit that bounds its basin, towards the crisis."""
     low, high = 0.02, 0.2
     panels = []
     for letter, speed in zip("abcd", CRISIS_SPEEDS, strict=True):
         f = map_at(speed)
         visited = np.array(attractors(speed)[1].points)
-        bound = bounding_orbit(f)
-        corners = np.array([bound[0], bound[0], bound[1], bound[1], bound[0]])
-        sides = np.array([bound[0], bound[1], bound[1], bound[0], bound[0]])
-        panels.append(
-            Panel(
-                D,
-                NEXT,
-                (
-                    *graph(f, 1, low, high),
-                    Trace(corners, sides, "unstable period 2", "dashed", 2),
-                    Trace(visited, f(visited), "attractor 2", "points", 1),
-                ),
-                f"({letter}) V = {speed}",
-                (low, high),
-                (low, high),
-            )
+        left, right = bounding_orbit(f)
+        corners, sides = np.array([left, left, right, right, left]), np.array([left, right, right, left, left])
+        curves = (
+            *graph(f, 1, low, high),
+            Trace(corners, sides, "unstable period 2", "dashed", 2),
+            Trace(visited, f.images(visited), "attractor 2", "points", 1),
         )
-    return Drawing(
-        "The map from stick to stick with attractor 2 (points) inside the square of the unstable orbit of period 2 "
-        "that bounds its basin: at the crisis the attractor touches the square.",
-        tuple(panels),
-        (
-            compare("velocity of the crisis", "0.08059", special("crisis", 0.0802, 0.0810)),
-            state(
-                "the attractor collides with",
-                "its basin boundary",
-                f"{reach(CRISIS_SPEEDS[0]):.2g} inside the square at (a), {reach(CRISIS_SPEEDS[-1]):.2g} at (d)",
-                0.0 < reach(CRISIS_SPEEDS[-1]) < reach(CRISIS_SPEEDS[0]),
-            ),
-        ),
-        columns=2,
-    )
+        panels.append(Panel(D, NEXT, curves, f"({letter}) V = {speed}", (low, high), (low, high)))
+    first, last = reach(CRISIS_SPEEDS[0]), reach(CRISIS_SPEEDS[-1])
+    numbers = {"crisis": special("crisis", *CRISIS), "first": first, "last": last, "collides": 0.0 < last < first}
+    return Computed(tuple(panels), numbers, columns=2)
 
 
 def bounding_orbit(f: StickMap) -> tuple[float, ...]:
@@ -195,19 +159,23 @@ def reach(speed: float) -> float:
     return bounding_orbit(map_at(speed))[1] - max(attractors(speed)[1].points)
 
 
-def second_iterate(speeds: tuple[float, float], low: float, high: float) -> tuple[Panel, ...]:
-    """Return the panels of the second iterate at two velocities."""
-    return tuple(
+def second_iterate(kind: str, speeds: tuple[float, float], range_: Span, counted_in: Span, between: Span) -> Computed:
+    """Return the second iterate at two belt velocities on either side of a special point, with its fixed points."""
+    panels = tuple(
         Panel(
             "d_n (Fs1/k)",
             "d_n+2 (Fs1/k)",
-            (*graph(map_at(speed), 2, low, high), *orbits(map_at(speed), 2, low, high)),
+            (*graph(map_at(speed), 2, *range_), *orbits(map_at(speed), 2, *range_)),
             f"({letter}) V = {speed}",
-            (low, high),
-            (low, high),
+            range_,
+            range_,
         )
         for letter, speed in zip("ab", speeds, strict=True)
     )
+    before, after = (counted(speed, *counted_in) for speed in speeds)
+    value = special(kind, *between)
+    numbers = {"before": before, "after": after, "special": value, "between": 0.0820 < value < 0.0842}
+    return Computed(panels, numbers, columns=2)
 
 
 def counted(speed: float, low: float, high: float) -> str:
@@ -219,86 +187,21 @@ def counted(speed: float, low: float, high: float) -> str:
     return f"{sum(inside)} stable, {len(inside) - sum(inside)} unstable"
 
 
-def doubling() -> Drawing:
-    """Figure 4.21."""
-    low, high = 0.155, 0.185
-    before, after = (counted(speed, low, high) for speed in DOUBLING_SPEEDS)
-    value = special("period-doubling", 0.0830, 0.0850)
-    return Drawing(
-        "The second iterate of the map on either side of the reverse period doubling: two stable points about an "
-        "unstable one become one stable point.",
-        second_iterate(DOUBLING_SPEEDS, low, high),
-        (
-            *(
-                state(f"fixed points of the second iterate at V = {speed}", says, found, says == found)
-                for speed, says, found in zip(
-                    DOUBLING_SPEEDS, ("2 stable, 1 unstable", "1 stable, 0 unstable"), (before, after), strict=True
-                )
-            ),
-            state(
-                "the reverse period doubling lies between",
-                "0.0820 and 0.0842",
-                f"{value:.10g}",
-                0.0820 < value < 0.0842,
-            ),
-        ),
-        columns=2,
-    )
-
-
-def fold() -> Drawing:
-    """Figure 4.22."""
-    low, high = 0.0, 0.25
-    before, after = (counted(speed, 0.05, 0.18) for speed in FOLD_SPEEDS)
-    return Drawing(
-        "The second iterate of the map on either side of the fold in which the stable orbit of period 2 vanishes.",
-        second_iterate(FOLD_SPEEDS, low, high),
-        (
-            compare("velocity at which attractor 2 disappears", "0.170", special("fold", 0.165, 0.175)),
-            *(
-                state(f"fixed points of the second iterate at V = {speed}", says, found, says == found)
-                for speed, says, found in zip(
-                    FOLD_SPEEDS, ("2 stable, 1 unstable", "0 stable, 1 unstable"), (before, after), strict=True
-                )
-            ),
-        ),
-        columns=2,
-    )
-
-
-def secant() -> Drawing:
-    """Figure 4.23."""
+def secant() -> Computed:
+    """Return how the slope of the map is taken."""
     f, low, high = map_at(EXPONENT_SPEEDS[0]), 0.04, 0.2
     d, step = 0.08, 0.02
     x = np.array([d, d + step])
-    y = f(x)
-    tangent = float(slope(f, x[:1])[0])
-    return Drawing(
-        "The slope of the map at a point d_n of an orbit, from the images of d_n and d_n + delta; the Lyapunov "
-        "exponent is the mean of log abs(slope) on the orbit.",
-        (
-            Panel(
-                D,
-                NEXT,
-                (
-                    *graph(f, 1, low, high),
-                    Trace(x, y, "secant over delta", "line", 1),
-                    Trace(
-                        np.array([low, high]),
-                        y[0] + tangent * (np.array([low, high]) - d),
-                        "tangent at d_n",
-                        "dashed",
-                        2,
-                    ),
-                    Trace(x, y, "d_n and d_n + delta", "open", -1),
-                ),
-                x_range=(low, high),
-                y_range=(low, high),
-                equal=True,
-            ),
-        ),
-        choices=f"the belt velocity, {EXPONENT_SPEEDS[0]}, d_n = {d}, and delta = {step}, large enough to be seen",
+    y = f.images(x)
+    ends = np.array([low, high])
+    curves = (
+        *graph(f, 1, low, high),
+        Trace(x, y, "secant over delta", "line", 1),
+        Trace(ends, y[0] + float(slope(f, x[:1])[0]) * (ends - d), "tangent at d_n", "dashed", 2),
+        Trace(x, y, "d_n and d_n + delta", "open", -1),
     )
+    panel = Panel(D, NEXT, curves, x_range=(low, high), y_range=(low, high), equal=True)
+    return Computed((panel,), {"speed": EXPONENT_SPEEDS[0], "d": d, "step": step})
 
 
 def running(speed: float) -> Array:
@@ -309,61 +212,48 @@ def running(speed: float) -> Array:
     return means
 
 
-def exponents() -> Drawing:
-    """Figure 4.24."""
+def exponents() -> Computed:
+    """Return attractor 2 over the belt velocity, and running means of its exponent at three velocities."""
     count = np.arange(1.0, ITERATIONS + 1)
-    runs = {speed: running(speed) for speed in EXPONENT_SPEEDS}
-    rows: list[StatementCheck] = []
-    found_exponents = []
-    for speed, expected in zip(
-        EXPONENT_SPEEDS, ("chaotic: above 0", "periodic: below 0", "periodic: below 0"), strict=True
-    ):
-        found = lyapunov(map_at(speed), attractors(speed)[-1].points[0], LONG)
-        found_exponents.append(found.exponent)
-        rows.append(
-            state(
-                f"Lyapunov exponent at V = {speed}",
-                expected,
-                f"{found.exponent:.5f} +- {found.stderr:.1g} per event; {runs[speed][-1]:.3f} after {ITERATIONS}",
-                (found.exponent > 0.0) == expected.startswith("chaotic"),
-            )
-        )
+    means = [running(speed) for speed in EXPONENT_SPEEDS]
+    found = [
+        exponent(map_at(speed).motion(np.array(attractors(speed)[-1].points[:1])), LONG) for speed in EXPONENT_SPEEDS
+    ]
+    in_words = (
+        f"{one.exponent:.5f} +- {one.stderr:.1g} per event; {run[-1]:.3f} after {ITERATIONS}"
+        for one, run in zip(found, means, strict=True)
+    )
     extent = [point for row in detail() for point in row.points]
-    rows.append(
-        state(
-            "axis from -0.2 to -0.7 of (a)",
-            "Lyapunov exponent (text on 4.24)",
-            f"X1p of attractor 2 lies from {min(extent):.3g} to {max(extent):.3g}",
-            all(-0.7 <= exponent <= -0.2 for exponent in found_exponents),
-            "(a) shows attractor 2 and (b) the exponents, as the caption says; the text places the exponents in (a)",
-        )
+    traces = (
+        Trace(count, run, f"V = {speed}", "line", place)
+        for place, (speed, run) in enumerate(zip(EXPONENT_SPEEDS, means, strict=True))
     )
-    return Drawing(
-        "(a) Attractor 2 against the belt velocity; (b) the mean of log abs(slope) over the events so far, which tends "
-        "to the Lyapunov exponent, at three velocities.",
-        (
-            Panel(BELT, "X1p (Fs1/k)", (points_of(detail(), "", 1),), "(a)", (0.079, 0.172)),
-            Panel(
-                "number of iterations",
-                "exponent (1/event)",
-                tuple(
-                    Trace(count, run, f"V = {speed}", "line", place) for place, (speed, run) in enumerate(runs.items())
-                ),
-                "(b)",
-                y_range=(-0.8, 2.6),  # room for the legend
-            ),
-        ),
-        tuple(rows),
-        choices="two of the three velocities of (b), 0.083 and 0.1: one of them, 0.08075, can be read",
+    numbers = {
+        **dict(zip(("first", "second", "third"), in_words, strict=True)),
+        "first_chaotic": found[0].exponent > 0.0,
+        "second_periodic": found[1].exponent <= 0.0,
+        "third_periodic": found[2].exponent <= 0.0,
+        "least": min(extent),
+        "largest": max(extent),
+        "exponents_in_a": all(-0.7 <= one.exponent <= -0.2 for one in found),
+    }
+    room = (-0.8, 2.6)  # for the legend
+    panels = (
+        Panel(BELT, "X1p (Fs1/k)", (points_of(detail(), "", 1),), "(a)", (0.079, 0.172)),
+        Panel("number of iterations", "exponent (1/event)", tuple(traces), "(b)", y_range=room),
     )
+    return Computed(panels, numbers)
 
 
-FIGURES = (
-    Entry("4.18", "bifurcation diagram, X1p against belt velocity", both_attractors),
-    Entry("4.19", "bifurcation diagram of attractor 2", second_attractor),
-    Entry("4.20", "one-dimensional map, collision of the attractor with its basin boundary", crisis),
-    Entry("4.21", "second iterate of the map, reverse period doubling", doubling),
-    Entry("4.22", "second iterate of the map, fold", fold),
-    Entry("4.23", "Lyapunov exponent from the one-dimensional map", secant),
-    Entry("4.24", "attractor 2 and Lyapunov exponents at three velocities", exponents),
+FIGURES = entries(
+    "chapter4.toml",
+    {
+        "4.18": both_attractors,
+        "4.19": second_attractor,
+        "4.20": collision,
+        "4.21": partial(second_iterate, "period-doubling", (0.0838, 0.0842), (0.155, 0.185), (0.155, 0.185), DOUBLING),
+        "4.22": partial(second_iterate, "fold", FOLD, (0.0, 0.25), (0.05, 0.18), FOLD),
+        "4.23": secant,
+        "4.24": exponents,
+    },
 )

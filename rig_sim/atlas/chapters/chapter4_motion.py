@@ -1,15 +1,16 @@
 """Chapter 4, figures 4.2 to 4.17: the motion of two masses, limits of its parameters, its events and failure locus."""
 
-from dataclasses import dataclass
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from rig_sim.atlas.figure import Drawing, Entry, Label, Panel, StatementCheck, Trace, compare, state
-from rig_sim.dynamics.fixed_point import two_mass_fixed_point
-from rig_sim.dynamics.maps.lyapunov import Exponent, lyapunov
-from rig_sim.dynamics.maps.stick_map import StickMap
+from rig_sim.atlas.figure import Computed, Label, Panel, Trace
+from rig_sim.atlas.statements import entries
+from rig_sim.dynamics.analyses.exponent import Exponent, exponent
+from rig_sim.dynamics.orbits.fixed_point import two_mass_fixed_point
+from rig_sim.dynamics.rig.stick import StickMap
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.motion.two_masses import TwoMassEvent, TwoMassPlayer, stretch, two_mass_events
@@ -22,12 +23,6 @@ PRINTED = {"start.x1": 0.2, "start.v1": V, "start.x2": -1.10, "start.v2": V, "be
 FREE, HEAVY = {**PRINTED, "coupling.b": 0.0}, {**PRINTED, "coupling.b": 1e9}
 T = "dimensionless time"
 CHAOTIC = {"belt.speed": V, "start.attractor": 2}
-ON_ATTRACTOR = (
-    f"the belt velocity, {V} as for figures 4.2 and 4.3, and the start, on attractor 2, which is chaotic there"
-)
-# The fixed point (4.15) at V = 0.1, as printed: two real eigenvalues and the real and imaginary part of a pair.
-PRINTED_EIGENVALUES = ("0.483167789", "3.036888037", "0.281392203", "1.495980660")
-WRONG_H2 = "the thesis's H2 has b gamma/psi^4 where b gamma^2/psi^4 belongs, with psi = 1 + gamma V; still unstable"
 STARTS = 200  # stretches d from which events are searched
 
 
@@ -52,206 +47,76 @@ def phase_axes(mass: int) -> tuple[str, str]:
     return f"displacement X{mass} (Fs1/k)", f"velocity V{mass} (Fs1/sqrt(km))"
 
 
-def limit(
-    mass: int,
-    changes: dict[str, float],
-    sentence: str,
-    table: tuple[StatementCheck, ...],
-    y_range: tuple[float, float] | None = None,
-) -> Drawing:
+def limit(mass: int, changes: dict[str, float], y_range: tuple[float, float] | None = None) -> Computed:
     """Return the phase portrait of a mass where the second friction level is 0 or very large."""
     _, x1, v1, _, x2, v2, _ = moved(changes, 60.0)
     x, v = (x1, v1) if mass == 1 else (x2, v2)
-    across, up = phase_axes(mass)
+    run = scene("two-mass", **changes)
+    found, a = two_mass_events(run, 60.0).events, run.two_mass_flow().a
+    slips = contact(found, 1, "S>N")
+    off = max(abs(event.x1 - (1.0 + a * event.x2) / (1.0 + a)) for event in slips)
     start = Trace(x[:1], v[:1], "start", "filled", 1)
     belt = Trace(np.array([x.min(), x.max()]), np.full(2, V), "belt", "dashed", None)
-    return Drawing(sentence, (Panel(across, up, (belt, Trace(x, v), start), y_range=y_range),), table)
+    numbers = {
+        "v_max": v.max(),
+        "v_min": v.min(),
+        "x_max": x.max(),
+        "sticks2": sum(event.kind[4] == "S" != event.kind[1] for event in found),
+        "none_sticks2": not contact(found, 2, "N>S") and not contact(found, 2, "P>S"),
+        "slips1": len(slips),
+        "stick_slip1": len(slips) > 1,
+        "on_belt": bool(np.all(np.abs(v - V) < 1e-15)),
+        "shifts": bool(np.all(np.diff([event.x1 for event in slips]) > 0.0)),
+        "off": off,
+        "on_line": off < 1e-12,
+    }
+    return Computed((Panel(*phase_axes(mass), (belt, Trace(x, v), start), y_range=y_range),), numbers)
 
 
-def second_mass_free() -> Drawing:
-    """Figure 4.2."""
-    _, _, _, _, x2, v2, _ = moved(FREE, 60.0)
-    found = two_mass_events(scene("two-mass", **FREE), 60.0).events
-    return limit(
-        2,
-        FREE,
-        "Without friction (beta = 0) the second mass passes the belt's velocity both ways and never sticks; the first "
-        "one, which does, pulls at it through the coupling spring.",
-        (
-            compare("largest velocity", "1.7", float(v2.max())),
-            compare("largest displacement", "1.05", float(x2.max())),
-            state(
-                "sticks of the second mass",
-                "none",
-                str(sum(event.kind[4] == "S" != event.kind[1] for event in found)),
-                not contact(found, 2, "N>S") and not contact(found, 2, "P>S"),
-            ),
-        ),
-    )
-
-
-def first_mass_free() -> Drawing:
-    """Figure 4.3."""
-    found = contact(two_mass_events(scene("two-mass", **FREE), 60.0).events, 1, "S>N")
-    return limit(
-        1,
-        FREE,
-        "Beside a second mass without friction (beta = 0) the first one sticks and slips.",
-        (state("the first mass sticks and slips", "yes", f"{len(found)} break-aways in 60", len(found) > 1),),
-    )
-
-
-def second_mass_held() -> Drawing:
-    """Figure 4.4."""
-    v2 = moved(HEAVY, 60.0)[5]
-    return limit(
-        2,
-        HEAVY,
-        "With unlimited friction (beta = 1e9) the second mass rides on the belt without end.",
-        (
-            state(
-                "the second mass moves with the belt",
-                "yes",
-                f"velocity {v2.min():.8g} to {v2.max():.8g}",
-                bool(np.all(np.abs(v2 - V) < 1e-15)),
-            ),
-        ),
-        (-0.1, 0.25),
-    )
-
-
-def first_mass_pulled() -> Drawing:
-    """Figure 4.5."""
-    found = contact(two_mass_events(scene("two-mass", **HEAVY), 60.0).events, 1, "S>N")
-    a = scene("two-mass").two_mass_flow().a
-    off = max(abs(event.x1 - (1.0 + a * event.x2) / (1.0 + a)) for event in found)
-    rises = bool(np.all(np.diff([event.x1 for event in found]) > 0.0))
-    return limit(
-        1,
-        HEAVY,
-        "Beside a second mass that rides on the belt (beta = 1e9) each break-away and each landing of the first mass "
-        "lies further to the right: the coupling spring pulls it after the other one.",
-        (
-            state("positions of break-away shift to the right", "at each slip", f"in {len(found)} slips", rises),
-            state("break-away where X1 + a (X1 - X2) = 1", "(4.8)", f"within {off:.1g} at all of them", off < 1e-12),
-        ),
-    )
-
-
-def friction_curves() -> Drawing:
-    """Figure 4.6."""
+def friction_curves() -> Computed:
+    """Return friction over the slip speed."""
     w = np.linspace(1e-6, 2.5, 501)
-    gammas = (0.0, 1.0, 3.0, 10.0)
     curves = tuple(
         Trace(w, force(LAWS[5], -w, gamma=gamma), f"gamma = {gamma:g}", "thick" if gamma == 3.0 else "line", place)
-        for place, gamma in enumerate(gammas)
+        for place, gamma in enumerate((0.0, 1.0, 3.0, 10.0))
     )
-    return Drawing(
-        "Friction falls with the slip speed the faster, the larger gamma; the thesis uses 3.",
-        (Panel("slip speed V - V1 (Fs1/sqrt(km))", "friction force (Fs1)", curves, y_range=(0.0, 1.08)),),
-        (
-            compare(
-                "friction at V - V1 = 1 for gamma = 3: 1/(1 + gamma)", "0.25", float(force(LAWS[5], -1.0, gamma=3.0))
-            ),
-        ),
-        choices="the other values of gamma",
-    )
+    panel = Panel("slip speed V - V1 (Fs1/sqrt(km))", "friction force (Fs1)", curves, y_range=(0.0, 1.08))
+    return Computed((panel,), {"at_1": force(LAWS[5], -1.0, gamma=3.0)})
 
 
-def history(mass: int, of_velocity: bool) -> Drawing:
-    """Figures 4.7, 4.8, 4.10 and 4.11: velocity or displacement of a mass in time."""
+def history(mass: int, of_velocity: bool) -> Computed:
+    """Return velocity or displacement of a mass in time."""
     t, x1, v1, _, x2, v2, _ = moved(CHAOTIC, 150.0)
     shown = ((x1, v1), (x2, v2))[mass - 1][of_velocity]
-    what = "velocity" if of_velocity else "displacement"
     curves = [Trace(t, shown)]
     if of_velocity:
         curves.insert(0, Trace(t[[0, -1]], np.full(2, V), "belt", "dashed", None))
     found = chaotic_exponent()
-    return Drawing(
-        f"The {what} of mass {mass} in time: stick-slip whose slips differ from one to the next.",
-        (Panel(T, phase_axes(mass)[of_velocity], tuple(curves)),),
-        (
-            state(
-                f"the motion of mass {mass} is aperiodic",
-                "yes",
-                f"Lyapunov exponent {found.exponent:.2f} +- {found.stderr:.2f} per event",
-                found.exponent > 3.0 * found.stderr > 0.0,
-            ),
-        ),
-        choices=ON_ATTRACTOR,
-    )
+    numbers = {**vars(found), "mass": mass, "aperiodic": found.exponent > 3.0 * found.stderr > 0.0}
+    return Computed((Panel(T, phase_axes(mass)[of_velocity], tuple(curves)),), numbers)
 
 
 @cache
 def chaotic_exponent() -> Exponent:
     """Return the Lyapunov exponent on the attractor that figures 4.7 to 4.12 show."""
     run = scene("two-mass", **CHAOTIC)
-    return lyapunov(StickMap(run.two_mass_flow()), stretch(run), 4000)
+    return exponent(StickMap(run.two_mass_flow()).motion(np.array([stretch(run)])), 4000)
 
 
-def portrait(mass: int) -> Drawing:
-    """Figures 4.9 and 4.12: phase portrait of a mass."""
+def portrait(mass: int) -> Computed:
+    """Return the phase portrait of a mass."""
     _, x1, v1, _, x2, v2, _ = moved(CHAOTIC, 150.0)
     x, v = ((x1, v1), (x2, v2))[mass - 1]
-    across, up = phase_axes(mass)
-    table: tuple[StatementCheck, ...] = ()
-    if mass == 2:
-        table = fixed_point_table()
-    return Drawing(
-        f"Phase portrait of mass {mass}: slips of several sizes out of stick at the belt's velocity.",
-        (Panel(across, up, (Trace(x, v, style="thin"),)),),
-        table,
-        choices=ON_ATTRACTOR,
-    )
+    panel = Panel(*phase_axes(mass), (Trace(x, v, style="thin"),))
+    return Computed((panel,), {**eigenvalues(), "mass": mass})
 
 
-def fixed_point_table() -> tuple[StatementCheck, ...]:
-    """Return the comparisons of the fixed point's eigenvalues (4.15), at V = 0.1."""
+def eigenvalues() -> dict[str, Any]:
+    """Return the eigenvalues of the fixed point at V = 0.1, two real ones and a pair, and whether it is unstable."""
     found = two_mass_fixed_point(scene("two-mass").two_mass_flow())
-    real = sorted(root.real for root in found.eigenvalues if root.imag == 0.0)
+    first, second = sorted(root.real for root in found.eigenvalues if root.imag == 0.0)
     (pair,) = (root for root in found.eigenvalues if root.imag > 0.0)
-    values = (*real, pair.real, pair.imag)
-    names = ("first", "second", "real part of the third", "imaginary part of the third")
-    rows = (
-        compare(f"eigenvalue (4.15) of the fixed point at V = 0.1: {name}", printed, value, WRONG_H2)
-        for name, printed, value in zip(names, PRINTED_EIGENVALUES, values, strict=True)
-    )
-    return (*rows, state("the fixed point is unstable", "yes", "yes" if not found.stable else "no", not found.stable))
-
-
-@dataclass(frozen=True)
-class Search:
-    """An event figure: the belt velocity, the words of the events in order, and the thesis's own."""
-
-    speed: float
-    words: tuple[str, ...]
-    thesis: str
-    sentence: str
-
-
-EVENTS = {
-    "4.14": Search(
-        0.1,
-        ("21", "21"),
-        "",
-        "A global stick moves along a line of slope 1 until it meets the failure locus, where a mass slips.",
-    ),
-    "4.15": Search(
-        0.12,
-        ("2", "1"),
-        "mass 1, then mass 2",
-        "Two one-mass events: one mass slips and sticks again before the other one slips.",
-    ),
-    "4.16": Search(
-        0.1, ("21",), "mass 2, then mass 1", "A two-mass event: mass 1 begins to slip while mass 2 still slips."
-    ),
-    "4.17": Search(
-        0.1,
-        ("212",),
-        "mass 2, then mass 1, then mass 2",
-        "A multiple-mass event: three break-aways before both masses stick again.",
-    ),
-}
+    return {"first": first, "second": second, "real": pair.real, "imaginary": pair.imag, "unstable": not found.stable}
 
 
 @cache
@@ -270,21 +135,19 @@ def at_speed(speed: float, **start: float) -> Scene:
     return scene("two-mass", **{"belt.speed": speed, **{f"start.{key}": value for key, value in start.items()}})
 
 
-def locus(number: str) -> Drawing:
-    """Figures 4.14 to 4.17: the failure locus with the path of an event."""
-    search = EVENTS[number]
-    wanted = [d for d, first, then in followers(search.speed) if (first, then)[: len(search.words)] == search.words]
+def locus(speed: float, *words: str, named: bool = True) -> Computed:
+    """Return the failure locus with the path of the events that have these words, their break-aways named or not."""
+    wanted = [d for d, *found in followers(speed) if tuple(found[: len(words)]) == words]
     d = wanted[len(wanted) // 2]
-    run = at_speed(search.speed, d=d)
+    run = at_speed(speed, d=d)
     found = two_mass_events(run, 200.0).events
-    sticks = [event for event in found if event.kind.endswith(">SS")][: len(search.words)]
+    sticks = [event for event in found if event.kind.endswith(">SS")][: len(words)]
     until = sticks[-1].t
     end = next(event.t for event in found if event.t > until)  # of the global stick that follows
     _, x1, v1, _, x2, v2, _ = TwoMassPlayer(run).columns(np.arange(0.0, end, 0.005))
-    both = (v1 == search.speed) & (v2 == search.speed)
+    both = (v1 == speed) & (v2 == speed)
     before = np.array([-0.45, 0.0])
     marks = [event for event in found if event.t <= until and (broke(event) or event in sticks)]
-    words = [f"P{place}" for place in range(1, len(marks) + 1)]
     flow = run.two_mass_flow()
     path = (
         Trace(np.where(both, np.nan, x1), np.where(both, np.nan, x2), "slip of one mass or both", "line", 1),
@@ -292,44 +155,18 @@ def locus(number: str) -> Drawing:
         Trace(np.where(both, x1, np.nan), np.where(both, x2, np.nan), "", "thick", 0),
         Trace(np.array([x.x1 for x in marks]), np.array([x.x2 for x in marks]), "", "open", -1),
     )
-    labels = (
-        ()
-        if number == "4.14"
-        else tuple(Label(event.x1, event.x2, word) for event, word in zip(marks, words, strict=True))
+    labels = tuple(Label(event.x1, event.x2, f"P{place}") for place, event in enumerate(marks, 1)) if named else ()
+    panel = Panel(
+        "displacement X1 (Fs1/k)",
+        "displacement X2 (Fs1/k)",
+        (*failure_lines(flow.a, flow.b), *path),
+        x_range=(-1.25, 1.35),
+        y_range=(-1.35, 1.35),
+        equal=True,
+        texts=labels,
     )
-    order = ", then ".join(
-        f"mass {1 if event.kind[0] == 'S' != event.kind[3] else 2}" for event in marks if broke(event)
-    )
-    return Drawing(
-        search.sentence,
-        (
-            Panel(
-                "displacement X1 (Fs1/k)",
-                "displacement X2 (Fs1/k)",
-                (*failure_lines(flow.a, flow.b), *path),
-                x_range=(-1.25, 1.35),
-                y_range=(-1.35, 1.35),
-                equal=True,
-                texts=labels,
-            ),
-        ),
-        locus_table(number, order),
-        choices=f"the belt velocity, {search.speed}, and the start, d = X2 - X1 = {d:.4g}",
-    )
-
-
-def locus_table(number: str, order: str) -> tuple[StatementCheck, ...]:
-    """Return what the thesis says of the order in which masses break away."""
-    search = EVENTS[number]
-    if not search.thesis:
-        return ()
-    agrees = search.thesis == order
-    none = not any((first, then) == ("1", "2") for _, first, then in followers(search.speed))
-    why = (
-        f"of {STARTS} starts over the whole interval of d none leads to an event of mass 1 followed by one of mass 2; "
-        "the opposite order is part of attractor 1"
-    )
-    return (state("order of break-aways", search.thesis, order, agrees, why if none else "another start was drawn"),)
+    masses = [1 if event.kind[0] == "S" != event.kind[3] else 2 for event in marks if broke(event)]
+    return Computed((panel,), {"speed": speed, "d": d, "order": ", then ".join(f"mass {mass}" for mass in masses)})
 
 
 def broke(event: TwoMassEvent) -> bool:
@@ -349,20 +186,23 @@ def failure_lines(a: float, b: float) -> tuple[Trace, ...]:
     return tuple(lines)
 
 
-FIGURES = (
-    Entry("4.2", "phase portrait of the second mass, beta = 0", second_mass_free),
-    Entry("4.3", "phase portrait of the first mass, beta = 0", first_mass_free),
-    Entry("4.4", "the second mass as beta grows without bound", second_mass_held),
-    Entry("4.5", "the first mass as beta grows without bound", first_mass_pulled),
-    Entry("4.6", "dynamic friction curve, gamma = 3 and others", friction_curves),
-    Entry("4.7", "velocity of the first mass in time", partial(history, 1, True)),
-    Entry("4.8", "displacement of the first mass in time", partial(history, 1, False)),
-    Entry("4.9", "phase portrait of the first mass", partial(portrait, 1)),
-    Entry("4.10", "velocity of the second mass in time", partial(history, 2, True)),
-    Entry("4.11", "displacement of the second mass in time", partial(history, 2, False)),
-    Entry("4.12", "phase portrait of the second mass", partial(portrait, 2)),
-    Entry("4.14", "failure locus", partial(locus, "4.14")),
-    Entry("4.15", "failure locus with one-mass events", partial(locus, "4.15")),
-    Entry("4.16", "failure locus with a two-mass event", partial(locus, "4.16")),
-    Entry("4.17", "failure locus with a multiple-mass event", partial(locus, "4.17")),
+FIGURES = entries(
+    "chapter4.toml",
+    {
+        "4.2": partial(limit, 2, FREE),
+        "4.3": partial(limit, 1, FREE),
+        "4.4": partial(limit, 2, HEAVY, (-0.1, 0.25)),
+        "4.5": partial(limit, 1, HEAVY),
+        "4.6": friction_curves,
+        "4.7": partial(history, 1, True),
+        "4.8": partial(history, 1, False),
+        "4.9": partial(portrait, 1),
+        "4.10": partial(history, 2, True),
+        "4.11": partial(history, 2, False),
+        "4.12": partial(portrait, 2),
+        "4.14": partial(locus, 0.1, "21", "21", named=False),
+        "4.15": partial(locus, 0.12, "2", "1"),
+        "4.16": partial(locus, 0.1, "21"),
+        "4.17": partial(locus, 0.1, "212"),
+    },
 )

@@ -7,11 +7,12 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import V, X, motion
-from rig_sim.atlas.figure import Drawing, Entry, Panel, Trace, state
-from rig_sim.dynamics.continuation import continuation
-from rig_sim.dynamics.fixed_point import FixedPoint, fixed_point
-from rig_sim.dynamics.floquet import FloquetOrbit, floquet
-from rig_sim.dynamics.limit_cycle import Orbit, cycle
+from rig_sim.atlas.figure import Computed, Panel, Style, Trace
+from rig_sim.atlas.statements import entries
+from rig_sim.dynamics.orbits.branches import continuation
+from rig_sim.dynamics.orbits.fixed_point import FixedPoint, fixed_point
+from rig_sim.dynamics.orbits.floquet import FloquetOrbit, floquet
+from rig_sim.dynamics.orbits.limit_cycle import Orbit, cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 
@@ -25,7 +26,7 @@ PORTRAITS = {
     "e": (0.5, (0.2, -0.2, 1.6)),
     "f": (0.6, (-0.3, 1.6)),
 }  # damping, and where motions drawn begin (v = 0)
-WHERE_DRAWN = "the starts of the thin motions"
+FIXED_POINT: dict[bool, tuple[str, Style]] = {True: ("stable", "filled"), False: ("unstable", "open")}
 
 
 def flow_at(c: float) -> Flow:
@@ -87,14 +88,8 @@ def unstable_trace(c: float) -> list[Trace]:
 
 def rest_trace(c: float) -> Trace:
     """Return the fixed point: filled where it is stable."""
-    kind = ("unstable", "open") if not rest(c).stable else ("stable", "filled")
-    return Trace(
-        np.array([rest(c).x or math.nan]),
-        np.zeros(1),
-        f"{kind[0]} fixed point",
-        "filled" if rest(c).stable else "open",
-        -1,
-    )
+    kind, style = FIXED_POINT[rest(c).stable is True]
+    return Trace(np.array([rest(c).x or math.nan]), np.zeros(1), f"{kind} fixed point", style, -1)
 
 
 def portrait(c: float, starts: tuple[float, ...], until: float, title: str, with_unstable: bool) -> Panel:
@@ -104,56 +99,32 @@ def portrait(c: float, starts: tuple[float, ...], until: float, title: str, with
     return Panel(X, V, (*thin, *orbits, rest_trace(c)), title, (-1.35, 1.75), (-1.6, 0.75))
 
 
-def undamped() -> Drawing:
-    """Figure 5.3."""
+def undamped() -> Computed:
+    """Return the phase portrait without damping."""
     ends = [played(0.0, x, 0.0, 60.0) for x in (0.5, 1.6)]
     found = stick_slip(0.0)
     on_it = all(abs(float(x[-700:].min()) - (found.x_min or math.nan)) < 1e-3 for x, _ in ends)
-    return Drawing(
-        "Without damping motions from inside and outside end on the stick-slip orbit; the fixed point is unstable.",
-        (portrait(0.0, (0.5, 0.37, 1.6), 40.0, "", False),),
-        (
-            state("the fixed point is unstable", "yes", "no" if rest(0.0).stable else "yes", not rest(0.0).stable),
-            state("motions from inside and outside end on the limit cycle", "yes", "yes" if on_it else "no", on_it),
-        ),
-        choices=WHERE_DRAWN,
-    )
+    panel = portrait(0.0, (0.5, 0.37, 1.6), 40.0, "", False)
+    return Computed((panel,), {"unstable": not rest(0.0).stable, "on_it": on_it})
 
 
-def increasing() -> Drawing:
-    """Figure 5.4."""
+def increasing() -> Computed:
+    """Return phase portraits with growing damping."""
     panels = tuple(
         portrait(c, starts, 40.0, f"({letter}) c = {c:g}", False) for letter, (c, starts) in PORTRAITS.items()
     )
     sizes = [(orbit.x_max or 0.0) - (orbit.x_min or 0.0) for orbit in map(stick_slip, (0.0, 0.1, 0.2, 0.4, 0.5))]
     inner, outer = (settles(0.4, x) for x in PORTRAITS["d"][1][:2])
-    return Drawing(
-        "Phase portraits with growing damping: the stick-slip orbit shrinks, the fixed point becomes stable, and the "
-        "orbit vanishes.",
-        panels,
-        (
-            state(
-                "the limit cycle shrinks with damping",
-                "yes",
-                "widths " + ", ".join(f"{size:.4g}" for size in sizes),
-                sizes == sorted(sizes, reverse=True),
-            ),
-            state(
-                "at c = 0.4 nearby starts inside end on the fixed point or on the limit cycle",
-                "both",
-                f"from {PORTRAITS['d'][1][0]} to the {inner}, from {PORTRAITS['d'][1][1]} to the {outer}",
-                (inner, outer) == ("fixed point", "limit cycle"),
-            ),
-            state(
-                "at c = 0.6 only the fixed point is left",
-                "yes",
-                stick_slip(0.6).outcome,
-                stick_slip(0.6).outcome == "fixed point" and rest(0.6).stable is True,
-            ),
-        ),
-        columns=2,
-        choices=f"the damping of (b) and (c), and {WHERE_DRAWN}",
-    )
+    numbers = {
+        "widths": ", ".join(f"{size:.4g}" for size in sizes),
+        "shrinks": sizes == sorted(sizes, reverse=True),
+        "inner": inner,
+        "outer": outer,
+        "both": (inner, outer) == ("fixed point", "limit cycle"),
+        "at_06": stick_slip(0.6).outcome,
+        "only_rest": stick_slip(0.6).outcome == "fixed point" and rest(0.6).stable is True,
+    }
+    return Computed(panels, numbers, columns=2)
 
 
 def settles(c: float, x: float) -> str:
@@ -162,36 +133,13 @@ def settles(c: float, x: float) -> str:
     return "limit cycle" if float(v[-1000:].max()) == SPEED else "fixed point"
 
 
-def around_the_fold() -> Drawing:
-    """Figure 5.6."""
+def around_the_fold() -> Computed:
+    """Return stick-slip orbit, unstable orbit and fixed point around the fold."""
     dampings = {"a": 0.38, "b": 0.45, "c": 0.55, "d": 0.6}
     panels = tuple(portrait(c, (), 1.0, f"({letter}) c = {c:g}", True) for letter, c in dampings.items())
-    has = {c: unstable(c).period is not None for c in dampings.values()}
+    has = ("no" if unstable(c).period is None else "yes" for c in dampings.values())
     gap = (unstable(0.55).x_min or math.nan) - (stick_slip(0.55).x_min or math.nan)
-    return Drawing(
-        "Stick-slip orbit (thick), unstable orbit (dashed) and fixed point as the damping grows: the unstable orbit "
-        "appears at the fixed point, grows to meet the stick-slip orbit, and both are gone.",
-        panels,
-        (
-            state(
-                "an unstable orbit exists at c = 0.38, 0.45, 0.55, 0.6",
-                "no, yes, yes, no",
-                ", ".join("yes" if there else "no" for there in has.values()),
-                list(has.values()) == [False, True, True, False],
-            ),
-            state(
-                "at c = 0.55 it is very close to the limit cycle",
-                "yes",
-                f"{gap:.3g} apart at the left",
-                0.0 < gap < 0.1,
-            ),
-        ),
-        columns=2,
-    )
+    return Computed(panels, {"exists": ", ".join(has), "gap": gap, "close": 0.0 < gap < 0.1}, columns=2)
 
 
-FIGURES = (
-    Entry("5.3", "phase portrait without damping", undamped),
-    Entry("5.4", "phase portraits with increasing damping, Vdr = 0.6", increasing),
-    Entry("5.6", "phase portraits with the unstable orbit, Vdr = 0.6", around_the_fold),
-)
+FIGURES = entries("chapter5.toml", {"5.3": undamped, "5.4": increasing, "5.6": around_the_fold})

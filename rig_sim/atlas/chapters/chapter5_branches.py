@@ -21,12 +21,15 @@ from rig_sim.atlas.chapters.chapter5 import (
     unstable,
     unstable_trace,
 )
-from rig_sim.atlas.figure import Drawing, Entry, Label, Panel, StatementCheck, Style, Trace, compare, state
-from rig_sim.dynamics.continuation import Branch, Continuation, continuation
-from rig_sim.dynamics.floquet import FloquetOrbit
+from rig_sim.atlas.figure import Computed, Label, Panel, Style, Trace
+from rig_sim.atlas.statements import entries
+from rig_sim.dynamics.analyses.special_points import Branch, Continuation
+from rig_sim.dynamics.orbits.branches import continuation
+from rig_sim.dynamics.orbits.floquet import FloquetOrbit
 
 SPACE_FROM = 0.28  # the least damping of figure 5.7
 BESIDE = 1e-6  # of a special point: how close to it the branches are drawn and the fold's multiplier is taken
+LARGEST = "largest displacement (Fs/k)"
 MULTIPLIERS = {"a": "0.3827", "b": "0.3967", "c": "0.4837", "d": "0.5563"}
 EIGENVALUES = {"a": "0.04", "b": "0.16", "c": "0.3827", "d": "0.45"}
 
@@ -69,41 +72,15 @@ def heights(branch: Branch, ordinate: str) -> list[float]:
     return [unstable_peak(unstable(row.value), row.value) for row in branch.rows]
 
 
-def special_rows() -> tuple[StatementCheck, ...]:
-    """Return the comparisons of both special points."""
-    return (
-        compare("damping at H, the Hopf point", "0.3827", special("hopf")),
-        compare(
-            "damping at F, the fold",
-            "0.5563",
-            special("fold"),
-            "the unstable orbit touches the belt's velocity at 0.556168 already.  AUTO followed the smooth equations "
-            "without stick: at 0.5563 their orbit exceeds the belt's velocity, and is none of the stick-slip system",
-        ),
-    )
+def velocity_diagram() -> Computed:
+    """Return the largest velocity over the damping."""
+    labels = Label(special("hopf"), 0.0, "H"), Label(special("fold"), SPEED, "F")
+    panel = Panel(DAMPING, "largest velocity (Fs/sqrt(km))", branch_traces("v"), texts=labels, y_range=(-0.05, 0.75))
+    return Computed((panel,), points())
 
 
-def velocity_diagram() -> Drawing:
-    """Figure 5.5."""
-    H, F = special("hopf"), special("fold")
-    return Drawing(
-        "The largest velocity over the damping: stick-slip orbit, unstable orbit and fixed point.  Between H and F "
-        "both the orbit and the fixed point are stable.",
-        (
-            Panel(
-                DAMPING,
-                "largest velocity (Fs/sqrt(km))",
-                branch_traces("v"),
-                texts=(Label(H, 0.0, "H"), Label(F, SPEED, "F")),
-                y_range=(-0.05, 0.75),
-            ),
-        ),
-        special_rows(),
-    )
-
-
-def phase_space() -> Drawing:
-    """Figure 5.7."""
+def phase_space() -> Computed:
+    """Return orbits and fixed points in the phase space over the damping."""
     traces: list[Trace] = []
     for c in (0.3, 0.34, 0.38, 0.42, 0.46, 0.5, 0.54):
         for found in (*stable_trace(c), *unstable_trace(c)):
@@ -113,32 +90,20 @@ def phase_space() -> Drawing:
         if "fixed point" in found.label:
             shown = found.x >= SPACE_FROM
             traces.append(replace(found, x=found.x[shown], y=found.y[shown], z=np.zeros(int(shown.sum()))))
-    return Drawing(
-        "The phase space over the damping: the unstable orbit grows out of the fixed point at H (0.3827) and meets the "
-        "stick-slip orbit at F (0.5562).",
-        (Panel(DAMPING, X, tuple(traces), z=V),),
-        special_rows(),
-        choices="the values of the damping at which orbits are drawn",
-    )
+    return Computed((Panel(DAMPING, X, tuple(traces), z=V),), points())
 
 
-def unstable_branch() -> Drawing:
-    """Figure 5.8."""
-    H, F = special("hopf"), special("fold")
-    traces = tuple(trace for trace in branch_traces("x") if trace.label == "unstable orbit")
-    return Drawing(
-        "The unstable orbit over the damping, from its birth at H to the place where it meets the stick-slip orbit, F.",
-        (
-            Panel(
-                DAMPING,
-                "largest displacement (Fs/k)",
-                traces,
-                texts=(Label(H, float(traces[0].y[0]), "H"), Label(F, float(traces[0].y[-1]), "F")),
-            ),
-        ),
-        special_rows(),
-        choices="the ordinate, as the text does not name AUTO's",
-    )
+def displacements(*names: str) -> tuple[Trace, ...]:
+    """Return the branches with these words in their names, by their largest displacement."""
+    return tuple(trace for trace in branch_traces("x") if any(name in trace.label for name in names))
+
+
+def unstable_branch() -> Computed:
+    """Return the unstable orbit over the damping."""
+    (trace,) = displacements("unstable orbit")
+    first, last = float(trace.y[0]), float(trace.y[-1])
+    labels = Label(special("hopf"), first, "H"), Label(special("fold"), last, "F")
+    return Computed((Panel(DAMPING, LARGEST, (trace,), texts=labels),), points())
 
 
 def circle(label: str) -> Trace:
@@ -152,143 +117,80 @@ def complex_plane(traces: tuple[Trace, ...], title: str, x_range: tuple[float, f
     return Panel("real part (1)", "imaginary part (1)", traces, title, x_range, (-1.6, 1.6), equal=True)
 
 
-def multipliers() -> Drawing:
-    """Figure 5.9."""
-    panels, rows = [], []
+def multipliers() -> Computed:
+    """Return the Floquet multipliers of the unstable orbit at four dampings."""
     fold = special("fold")
-    at_fold = unstable(fold - BESIDE)
+    panels, across = [], {}
     for letter, printed in MULTIPLIERS.items():
-        c = float(printed) if float(printed) < fold else fold - BESIDE
-        across = unstable(c).multipliers[1]
+        c = min(float(printed), fold - BESIDE)
+        across[letter] = unstable(c).multipliers[1]
         where = f"c = {printed}" if c == float(printed) else f"c = {fold:.6f}, at the fold"
-        marks = Trace(np.array([1.0, across]), np.zeros(2), "multipliers", "cross", 1)
+        marks = Trace(np.array([1.0, across[letter]]), np.zeros(2), "multipliers", "cross", 1)
         panels.append(complex_plane((circle("unit circle"), marks), f"({letter}) {where}", (-1.6, 7.6)))
-        if letter in "abc":
-            says = {"a": "on the unit circle", "b": "one crossed it through +1", "c": "further away"}[letter]
-            holds = {"a": across - 1.0 < 1e-3, "b": 1.0 < across < 2.0, "c": across > 2.0}[letter]
-            rows.append(state(f"multipliers at c = {printed}", says, f"1 and {across:.9f}", holds))
-    rows.append(
-        state(
-            "orbit at c = 0.5563",
-            "one multiplier outside the circle",
-            f"no orbit: the fold is at {fold:.12g}",
-            unstable(0.5563).period is not None,
-            "AUTO followed the smooth equations past the belt's velocity, where stick would begin",
-        )
-    )
-    rows.append(
-        state(
-            "second multiplier at the fold",
-            "jumps from 0 to infinity",
-            f"jumps from 0 to {at_fold.multipliers[1]:.6g}",
-            math.isinf(at_fold.multipliers[1]),
-            "the unstable orbit touches the belt's velocity in one point and follows the smooth equations, whose "
-            "multiplier is finite there; it is 0 on the orbit that sticks",
-        )
-    )
-    return Drawing(
-        "The Floquet multipliers of the unstable orbit in the complex plane: 1 along the orbit, and one across it that "
-        "leaves the unit circle through +1 and stays finite up to the fold.",
-        tuple(panels),
-        tuple(rows),
-    )
+    numbers = {
+        **across,
+        "on_the_circle": across["a"] - 1.0 < 1e-3,
+        "crossed": 1.0 < across["b"] < 2.0,
+        "further": across["c"] > 2.0,
+        "fold": fold,
+        "exists": unstable(float(MULTIPLIERS["d"])).period is not None,
+        "infinite": math.isinf(across["d"]),
+    }
+    return Computed(tuple(panels), numbers)
 
 
-def fixed_branch() -> Drawing:
-    """Figure 5.10."""
-    traces = tuple(trace for trace in branch_traces("x") if "fixed point" in trace.label)
-    x = rest(0.45).x or math.nan
-    return Drawing(
-        "The fixed point over the damping: its place stays, its stability changes at H.",
-        (Panel(DAMPING, X, traces, texts=(Label(special("hopf"), x, "H"),), y_range=(0.0, 0.75)),),
-        (
-            special_rows()[0],
-            state(
-                "the fixed point is stable",
-                "for c above H",
-                f"stable at H + {BESIDE:g}, not at H - {BESIDE:g}",
-                (rest(special("hopf") + BESIDE).stable, rest(special("hopf") - BESIDE).stable) == (True, False),
-            ),
-        ),
-        choices="the ordinate, as the text does not name AUTO's",
-    )
+def fixed_branch() -> Computed:
+    """Return the fixed point over the damping."""
+    label = Label(special("hopf"), rest(0.45).x or math.nan, "H")
+    panel = Panel(DAMPING, X, displacements("fixed point"), texts=(label,), y_range=(0.0, 0.75))
+    above, below = (rest(special("hopf") + side * BESIDE).stable for side in (1.0, -1.0))
+    return Computed((panel,), {**points(), "beside": BESIDE, "changes": (above, below) == (True, False)})
 
 
-def eigenvalues() -> Drawing:
-    """Figure 5.11."""
-    panels, rows = [], []
+def eigenvalues() -> Computed:
+    """Return the eigenvalues of the fixed point at four dampings, and what AUTO plots of them."""
+    panels: list[Panel] = []
+    numbers: dict[str, object] = {}
     for letter, printed in EIGENVALUES.items():
         roots = rest(float(printed)).eigenvalues
         images = [cmath.exp(root) for root in roots]
         plain = Trace(np.array([r.real for r in roots]), np.array([r.imag for r in roots]), "lambda", "cross", 1)
         mapped = Trace(np.array([r.real for r in images]), np.array([r.imag for r in images]), "exp(lambda)", "open", 0)
         panels.append(complex_plane((circle("unit circle"), plain, mapped), f"({letter}) c = {printed}", (-1.6, 1.6)))
-        if letter in "ab":
-            rows.append(
-                state(
-                    f"eigenvalues at c = {printed}",
-                    "outside the unit circle",
-                    f"abs(lambda) = {abs(roots[0]):.6g}, abs(exp(lambda)) = {abs(images[0]):.6g}",
-                    abs(roots[0]) > 1.0 + 1e-9,
-                    "the eigenvalues of a fixed point are judged by their real part, here above 0; their size is "
-                    "sqrt(k/m) = 1 at every damping.  What AUTO plots around the circle is exp(lambda)",
-                )
-            )
-    strong = rest(STRONGEST).eigenvalues
-    real_from = special("hopf") + 2.0
-    rows.append(
-        state(
-            "eigenvalues for damping above H (5.13)",
-            "real and negative",
-            f"{strong[0].real:.4g} +- {abs(strong[0].imag):.4g} i at c = {STRONGEST}; real from c = {real_from:.6g}",
-            strong[0].imag == 0.0,
-            "stability needs a negative real part alone; the pair stays complex until c - gamma_lin = 2 sqrt(km)",
-        )
-    )
-    size = abs(cmath.exp(rest(special("hopf")).eigenvalues[0]))
-    rows.append(
-        state(
-            "both lie on the circle at the Hopf point",
-            "c = 0.3827",
-            f"abs(exp(lambda)) = {size:.12g} at c = {special('hopf'):.9g}",
-            abs(size - 1.0) < 1e-9,
-        )
-    )
-    return Drawing(
-        "The eigenvalues lambda of the fixed point (crosses) and exp(lambda) (circles): stable where the real part of "
-        "lambda is negative, and exp(lambda) within the unit circle.",
-        tuple(panels),
-        tuple(rows),
-        columns=2,
-        choices="the damping of (d)",
-    )
+        numbers |= {f"size_{letter}": abs(roots[0]), f"exp_size_{letter}": abs(images[0])}
+        numbers |= {f"outside_{letter}": abs(roots[0]) > 1.0 + 1e-9}
+    strong, hopf = rest(STRONGEST).eigenvalues[0], special("hopf")
+    size = abs(cmath.exp(rest(hopf).eigenvalues[0]))
+    numbers |= {
+        "strongest": STRONGEST,
+        "real_part": strong.real,
+        "imaginary_part": abs(strong.imag),
+        "real": strong.imag == 0.0,
+        "real_from": hopf + 2.0,
+        "hopf": hopf,
+        "exp_size": size,
+        "on_the_circle": abs(size - 1.0) < 1e-9,
+    }
+    return Computed(tuple(panels), numbers, columns=2)
 
 
-def both_branches() -> Drawing:
-    """Figure 5.12."""
-    traces = tuple(trace for trace in branch_traces("x") if trace.label != "stable orbit")
-    H, F = special("hopf"), special("fold")
-    return Drawing(
-        "Fixed point and unstable orbit over the damping: a subcritical Hopf bifurcation at H.",
-        (
-            Panel(
-                DAMPING,
-                "largest displacement (Fs/k)",
-                traces,
-                texts=(Label(H, rest(0.45).x or math.nan, "H"), Label(F, unstable(F - BESIDE).x_max or math.nan, "F")),
-            ),
-        ),
-        special_rows(),
-        choices="the ordinate, as the text does not name AUTO's",
-    )
+def both_branches() -> Computed:
+    """Return fixed point and unstable orbit over the damping."""
+    fold = special("fold")
+    at_h, at_f = rest(0.45).x or math.nan, unstable(fold - BESIDE).x_max or math.nan
+    labels = Label(special("hopf"), at_h, "H"), Label(fold, at_f, "F")
+    return Computed((Panel(DAMPING, LARGEST, displacements("fixed point", "unstable"), texts=labels),), points())
 
 
-FIGURES = (
-    Entry("5.5", "bifurcation diagram over the damping", velocity_diagram),
-    Entry("5.7", "phase space over the damping", phase_space),
-    Entry("5.8", "path of the unstable orbit", unstable_branch),
-    Entry("5.9", "Floquet multipliers around the unit circle", multipliers),
-    Entry("5.10", "path of the fixed point", fixed_branch),
-    Entry("5.11", "eigenvalues around the unit circle", eigenvalues),
-    Entry("5.12", "paths of the fixed point and the unstable orbit", both_branches),
+FIGURES = entries(
+    "chapter5.toml",
+    {
+        "5.5": velocity_diagram,
+        "5.7": phase_space,
+        "5.8": unstable_branch,
+        "5.9": multipliers,
+        "5.10": fixed_branch,
+        "5.11": eigenvalues,
+        "5.12": both_branches,
+    },
 )

@@ -6,11 +6,11 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, parts, silent
-from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
+from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, periodic_orbits
 from rig_sim.dynamics.control.ogy import REPORTED, Lock, lock
-from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit, periodic_orbits
-from rig_sim.dynamics.period import period_of
-from rig_sim.dynamics.step_budget import StepLimitError
+from rig_sim.dynamics.system.interface import Controlled, difference, orbit
+from rig_sim.dynamics.system.period import period_of
+from rig_sim.dynamics.system.step_budget import StepLimitError
 
 # Applications of the map that orbits are searched in, after as many as `TRANSIENT`.  The least unstable orbits of
 # periods 1 to 5 of the thesis's two motions come out of 1000 already.
@@ -53,7 +53,7 @@ class Locking:
 
 
 def find_and_lock(
-    f: ControlledMap, start: Array, period: int, budget: float, events: int, progress: Stages = silent
+    f: Controlled, start: Array, period: int, budget: float, events: int, progress: Stages = silent
 ) -> Locking:
     """Search a motion for orbits of a period and lock it onto the least unstable one.
 
@@ -89,7 +89,7 @@ def find_and_lock(
     return _locking(outcome, orbits, regular, found)
 
 
-def followed(f: ControlledMap, start: Array, progress: Stages) -> Array:
+def followed(f: Controlled, start: Array, progress: Stages) -> Array:
     """Return the `SEARCHED` states after the transient, (n, d); fewer where the map ends."""
     pieces = [start[None, :]]
     for begin, end in parts("following the motion", TRANSIENT + SEARCHED, progress, REPORTED):

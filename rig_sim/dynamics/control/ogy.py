@@ -17,8 +17,8 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, silent
-from rig_sim.dynamics.control.controlled_map import ControlledMap, difference
-from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit
+from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit
+from rig_sim.dynamics.system.interface import Controlled, difference
 
 # Of r_i, within which control begins: rounding and the map's curvature take the rest.  0.8 takes 1.5 times as long.
 CERTAIN = 0.95
@@ -61,7 +61,7 @@ class Lock:
 
 
 def lock(
-    f: ControlledMap, orbit: UnstableOrbit, start: Array, budget: float, events: int, progress: Stages = silent
+    f: Controlled, orbit: UnstableOrbit, start: Array, budget: float, events: int, progress: Stages = silent
 ) -> Lock:
     """Lock the motion from a state onto an orbit.
 
@@ -101,7 +101,7 @@ def lock(
         controlled = controlled + 1 if distances[i] < REACH and abs(y) <= reach[i] else 0
         if controlled and mode.response[i] != 0.0:
             change = min(max(-float(mode.factor[i] / mode.response[i]) * y, -budget), budget)
-        state = f(state, change * f.strength)
+        state = f.after(state, change * f.strength)
         if not np.all(np.isfinite(state)):
             return Lock("motion ended", None, np.array(states), np.array(changes))
         states.append(state)
@@ -151,14 +151,14 @@ def unstable_mode(orbit: UnstableOrbit) -> UnstableMode:
     return UnstableMode(left, factor, response)
 
 
-def _settle(f: ControlledMap, orbit: UnstableOrbit, start: Array, events: int) -> Lock:
+def _settle(f: Controlled, orbit: UnstableOrbit, start: Array, events: int) -> Lock:
     """Return how the uncontrolled motion comes to a stable orbit."""
     states = [start]
     near = 0
     while len(states) <= events and near < HELD:
         distance = np.min(np.linalg.norm(difference(f, states[-1], orbit.points), axis=1))
         near = near + 1 if distance < REACH else 0
-        state = f(states[-1])
+        state = f.after(states[-1])
         if not np.all(np.isfinite(state)):
             return Lock("motion ended", None, np.array(states), np.zeros(len(states) - 1))
         states.append(state)

@@ -12,8 +12,8 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, silent
-from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
-from rig_sim.dynamics.period import period_of
+from rig_sim.dynamics.system.interface import Controlled, difference, orbit
+from rig_sim.dynamics.system.period import period_of
 
 TRANSIENT = 400  # applications at every step before the section is judged; a window's edge may take longer
 JUDGED = 130  # applications that are judged: twice the longest period that is recognised
@@ -51,7 +51,7 @@ class SearchAndLock:
 
 
 def search_and_lock(
-    f: ControlledMap,
+    f: Controlled,
     start: Array,
     period: int,
     budget: float,
@@ -93,10 +93,10 @@ def search_and_lock(
     return SearchAndLock(None, events, steps, None, None)
 
 
-def _kept(f: ControlledMap, points: Array, state: Array, near: float) -> int:
+def _kept(f: Controlled, points: Array, state: Array, near: float) -> int:
     """Return for how many applications the motion stays close to the points that it has visited in turn."""
     for count in range(TRANSIENT):
-        state = f(state)
+        state = f.after(state)
         if not np.linalg.norm(difference(f, state, points[count % len(points)])) < near:
             return count
     return TRANSIENT

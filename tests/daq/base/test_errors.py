@@ -27,6 +27,7 @@ def test_a_terminal_reads_flags_and_python_reads_keywords() -> None:
         ("--window=20ms or --window=21", "window='20ms' or window=21"),
         ("--until=T", "until=T"),
         ("--rate 523 or less", "rate 523 or less"),
+        ("--mass '1 kg' or --x0='-1 mm +- 0.1 mm'", "mass='1 kg' or x0='-1 mm +- 0.1 mm'"),
         ("a-b, a--b, ---, -o and x--until", "a-b, a--b, ---, -o and x--until"),
     ],
 )

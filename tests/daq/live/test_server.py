@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -137,7 +138,14 @@ def test_markers_that_cannot_be_kept_are_refused(viewer: Viewer) -> None:
 
 
 def test_a_viewer_of_no_recording_says_so(tmp_path: Path) -> None:
-    for name, what in (("run.h5.part", "no such journal"), ("run.h5", "is not a journal")):
+    (tmp_path / "note.h5").write_text("a note")
+    (tmp_path / "note.h5.part").write_text("a note")
+    for name, what in (
+        ("run.h5.part", "no such journal"),
+        ("run.h5", "no such file"),
+        ("note.h5", "is not a"),
+        ("note.h5.part", "is not a journal"),
+    ):
         line = [sys.executable, "-m", "daq.cli.app", "watch", str(tmp_path / name), "--no-browser"]
         done = subprocess.run(line, capture_output=True, text=True, check=False)
         assert done.returncode == 2
@@ -184,3 +192,90 @@ def is_listening(port: int) -> bool:
     except ConnectionRefusedError:
         return False
     return True
+
+
+def test_an_address_that_is_no_views_says_so_in_a_page(viewer: Viewer) -> None:
+    for path in ("/" + "x" * 24 + "/", "/"):
+        status, answer = viewer.ask("GET", path)
+        assert status == 404
+        assert b"There is no live view at this address" in answer
+        assert viewer.address.path.strip("/").encode() not in answer
+
+
+def test_only_the_page_itself_may_stop_a_recording(viewer: Viewer) -> None:
+    path, own = viewer.address.path + "stop", f"http://{viewer.address.netloc}"
+    asked = journal.stop_path(viewer.part)
+    text = {"Content_Type": "text/plain"}
+    assert viewer.ask("POST", path, b"stop", **text)[0] == 403  # no page says where it is from
+    assert viewer.ask("POST", path, b"stop", Origin="http://example.org", **text)[0] == 403
+    assert viewer.ask("POST", path, b"stop", Origin="null", **text)[0] == 403
+    assert viewer.ask("POST", path, b"stop", Origin=own, Content_Type="application/x-www-form-urlencoded")[0] == 415
+    assert viewer.ask("POST", path, b"", Origin=own, **text)[0] == 409
+    assert viewer.ask("GET", path, Origin=own)[0] in (404, 405)
+    assert viewer.ask("POST", "/" + "x" * 24 + "/stop", b"stop", Origin=own, **text)[0] == 404
+    assert not asked.exists()
+    assert viewer.ask("POST", path, b"stop", Origin=own, **text) == (200, b"stored")
+    assert asked.exists()
+    viewer.grow()
+    viewer.process.communicate(timeout=20)
+
+
+def test_a_stretch_of_the_past_is_read_again_from_the_journal(viewer: Viewer) -> None:
+    viewer.grow(0.9)
+    viewer.events(0, 2)
+    status, answer = viewer.ask("GET", viewer.address.path + "stretch?from=1.0&to=1.5")
+    found = json.loads(answer)
+    run = store.load(viewer.part.with_name("run.h5"))
+    own = (run.time >= 1.0) & (run.time <= 1.5)
+    assert status == 200
+    np.testing.assert_allclose(found["t"], run.time[own], atol=1e-6)
+    np.testing.assert_allclose(found["x"], run.position[own], rtol=1e-6)
+    assert found["exact"]
+    for wrong in ("stretch", "stretch?from=1", "stretch?from=a&to=b", "stretch?from=nan&to=1"):
+        assert viewer.ask("GET", viewer.address.path + wrong)[0] == 400
+    empty = json.loads(viewer.ask("GET", viewer.address.path + "stretch?from=70&to=80")[1])
+    assert empty["t"] == []
+
+
+def test_a_journal_that_vanishes_or_is_replaced_ends_the_view_with_a_reason(viewer: Viewer) -> None:
+    viewer.grow(0.5)
+    viewer.part.rename(viewer.part.with_name("elsewhere.h5.part"))
+    (_, last) = viewer.events(0, 10_000)[-1]
+    assert "has been moved or removed" in last["ended"]
+    viewer.process.communicate(timeout=20)
+
+
+def test_a_finished_run_is_served_until_it_is_interrupted(keep_journal: Callable[..., Path]) -> None:
+    run = keep_journal(duration_s=12.0).with_suffix("")
+    line = [sys.executable, "-m", "daq.cli.app", "watch", str(run), "--no-browser", "--json"]
+    with subprocess.Popen(line[:-1], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = urlsplit(process.stdout.readline().strip())
+        viewer = Viewer.__new__(Viewer)
+        viewer.address, viewer.process = address, process
+        sent = viewer.events(0, 1)
+        loaded = store.load(run)
+        assert sent[-1][1]["progress"] == 1.0
+        assert sent[-1][1]["counts"]["samples"] == loaded.time.size
+        assert sent[-1][1]["summary"]["cycles"] >= 4
+        found = json.loads(viewer.ask("GET", address.path + "stretch?from=2&to=3")[1])
+        np.testing.assert_allclose(found["t"], loaded.time[(loaded.time >= 2) & (loaded.time <= 3)], atol=1e-6)
+        for path in ("marker", "stop"):
+            status, words = viewer.ask(
+                "POST", address.path + path, b"stop", Content_Type="text/plain", Origin=f"http://{address.netloc}"
+            )
+            assert status == 409
+            assert b"there is no recording" in words
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=20)
+    assert (process.returncode, errors) == (0, "")
+
+
+def test_a_run_that_is_still_recorded_is_followed_by_the_name_of_its_run_file(
+    keep_journal: Callable[..., Path],
+) -> None:
+    part = keep_journal()
+    part.with_suffix("").unlink()
+    line = [sys.executable, "-m", "daq.cli.app", "watch", str(part.with_suffix("")), "--no-browser", "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=60)
+    assert json.loads(done.stdout)["ended"] == "the recording has ended: complete"

@@ -298,6 +298,11 @@ def planned(line, wish):
         (lambda k: b"millis:%d up:%d down:3 temp:%d.5\n" % (2 * k, k, k), "ms,up,down"),
         (lambda k: b"t=%d,pos=%d,a=%d,b=1,illegal=0\n" % (2000 * k, k, k & 1), "t_us,count,a,b,illegal"),
         (lambda k: b"t=%d,pos=%d,a=%d,b=1\n" % (2000 * k, k, k), "t_us,count"),  # an acceleration, no level
+        (
+            lambda k: b"# columns seq,t_us,-,count\n" * (k % 500 == 7) + b"%d,%d,x,%d\n" % (k, 2000 * k, k),
+            "seq,t_us,-,count",
+        ),
+        (lambda k: b"# columns t_us,foo\n" * (k % 500 == 7) + b"t=%d,pos=%d,x=3\n" % (2000 * k, k), "t_us,count"),
     ],
 )
 def test_the_columns_of_labelled_lines_are_found_and_kept(line, found):

@@ -112,7 +112,9 @@ def test_1_khz_in_blocks_fits_115200_baud_and_is_8875_bytes_a_second():
 
 
 def test_1_khz_in_single_frames_does_not_fit_and_says_what_would():
-    with pytest.raises(InputError, match=r"22000 bytes/s, and 115200 baud can transfer 11520; give rate 523 or less"):
+    with pytest.raises(
+        InputError, match=r"22000 bytes/s, and 115200 baud can transfer 11520; give rate_hz=523 or less"
+    ):
         check(BOARD, RIG, 1000, 1, 115_200)
 
 

@@ -105,28 +105,15 @@ def test_a_run_smooths_to_the_same_motion(files: Path, name: str) -> None:
 def test_a_run_fits_with_the_same_parameters(files: Path, name: str) -> None:
     wanted: Any = NUMBERS[name]["fit"]
     found = fitting.rank(processing.smooth(daq.load(files / f"{name}.h5")), laws=wanted["laws"])
-    # Since then evidence counts effective samples, not cycles: the simulated run's law 5 stands alone.
+    # Evidence counts effective samples, where it counted cycles: a set can be smaller.
     assert found.laws_in_set[0] == wanted["set"][0]
     assert set(found.laws_in_set) <= set(wanted["set"])
     rows = {str(row.law): row for row in found.rows}
     for law, parameters in wanted["parameters"].items():
-        # An import without a calibration no longer reports a damping that the record says next to nothing of, and
-        # its friction level is known less well: the scatter of the levels no longer stands in for the datum.
-        left_out = {"c", "c/m"} if name == "imported" else set()
+        # Of the import, without a calibration, the record says next to nothing of a damping, and its friction level is
+        # known less well than its errors said: the scatter of the levels stood in for the datum.
+        left_out, widest = ({"c", "c/m"}, 3.0) if name == "imported" else (set(), 1.5)
         for key, (value, stderr) in ((key, parameters[key]) for key in parameters.keys() - left_out):
-            # Since then the level also wears within a slip: k/m of the simulated run moved by a third of its standard
-            # error, from 139.979 to 139.983, towards the scene's 140.
-            # In the last of its six cycles the mass overtakes the belt by 0.7 %, as its truth shows.  Before that was
-            # found the cycle was an outlier: v_dr moved by a sixth of its standard error and Fs by a tenth, and that of
-            # k/m fell by 15 %.
-            # Since then a record is thinned by samples a slip: the simulated run, of 49, not at all, where every second
-            # sample was left out and the noise level rms x sqrt(correlation time in samples), then of 3.5 um for 4.9,
-            # was that of half the record.  k/m moved on to 139.989, gamma from 9.638 to 9.602 across the scene's 9.618,
-            # and the errors of c/m, gamma and x0 grew by 15 to 16 %.  Over 24 seeds of the scene the errors are the
-            # same in the median, and the deviations from the scene's values are 0.5 to 1.2 of them rms, both ways.
-            moved = {"k/m": 0.75, "gamma": 0.25, "v_dr": 0.2, "Fs": 0.2, "Fs/m": 0.2, "Fs/k": 0.2}
-            near = stderr * (moved.get(key, 0.1) if name == "simulated" else 0.1)
-            assert rows[law].parameters[key].value == pytest.approx(value, abs=near), key
-            wider = 1.2 if key in ("c", "c/m", "gamma", "x0") else 1.1
-            least, most = (0.9, 3.0) if name == "imported" else (0.84, wider)
-            assert stderr * least < rows[law].parameters[key].stderr < stderr * most, key
+            assert rows[law].parameters[key].value == pytest.approx(value, abs=stderr), key
+            # Damping lies at its bound of zero: the error of half a normal distribution is 0.6 of the whole one's.
+            assert 0.6 * stderr < rows[law].parameters[key].stderr < stderr * widest, key

@@ -10,7 +10,7 @@ import pytest
 from fitting import job
 from fitting.adequacy.result import NOT_OF_SPEED
 from fitting.departures.result import FoundDeparture
-from fitting.selection import ranking
+from fitting.selection import answer
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -75,7 +75,7 @@ def test_a_spring_that_hardens_is_no_function_of_speed(foreign, tmp_path):
 def test_a_mass_that_grazes_the_belt_does_not_age(synthetic, monkeypatch):
     """Constant friction has no break-away from rest: all 9 records of laws 1 and 2 were said to age by 4 to 9 %."""
     aged = FoundDeparture("ageing", 9.0, "break-away level / Fs", 1.08, 0.01, "", "")
-    monkeypatch.setattr(ranking, "find_ageing", lambda *_: aged)
+    monkeypatch.setattr(answer, "find_ageing", lambda *_: aged)
     assert rank(smooth(synthetic.recording(law=2)), laws=(2,)).adequacy.departures == ()
     assert rank(smooth(synthetic.recording(law=5, duration=12.0)), laws=(5,)).adequacy.departures == (aged,)
 

@@ -15,7 +15,7 @@ from fitting.adequacy import visible
 from fitting.adequacy.goodness import REJECTED, GoodnessOfFit, RunSlips, limit, probability, tail
 from fitting.adequacy.result import Adequacy
 from fitting.adequacy.statistics import CycleSquares, SlipBins, cycle_squares
-from fitting.selection import verdict
+from fitting.selection import verdict_warnings
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -88,7 +88,7 @@ def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():
     assert adequacy.said == "not judged"
     assert job.exit_code({"adequacy": document, "set": [5]}) == 0
     assert job.exit_code({"adequacy": document, "set": [5, 6]}) == 5
-    assert len(verdict.not_judged(adequacy)) == 1
+    assert len(verdict_warnings.not_judged(adequacy)) == 1
 
 
 @pytest.mark.parametrize(("curve", "adequate"), [("hyperbolic", True), ("stribeck", False)])

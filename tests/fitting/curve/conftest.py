@@ -15,7 +15,8 @@ from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting.curve.measure import measure_curve
 from fitting.data import cycles, frame
-from fitting.estimation import search
+from fitting.driver.driver import fit_laws
+from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from processing.smoothing import smooth
 
@@ -63,7 +64,7 @@ def measured():
     @cache
     def of(*together, laws=(5,), bare=False):
         runs = [run_of(contact, bare) for contact in together]
-        fits = sorted(search.fit_laws(laws, runs), key=lambda fit: fit.geometric_mean_rms)
+        fits = sorted(map(Fit.of, fit_laws(laws, runs)), key=lambda fit: fit.geometric_mean_rms)
         noise = np.array([np.sqrt(COUNT**2 / 12 + JITTER**2 * np.mean(run.motion.velocity**2)) for run in runs])
         curve = measure_curve(fits, noise)
         contact = together[0]

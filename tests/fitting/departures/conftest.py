@@ -9,10 +9,11 @@ from daq.imports import track
 from daq.imports.options import ImportOptions
 from fitting.data import cycles, frame, ripple
 from fitting.departures.base import Base
+from fitting.driver.driver import fit
+from fitting.driver.task import law_task
+from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
-from fitting.estimation.trajectory import coarse_fit, final_fit, refine
-from fitting.model.problem import EstimationProblem, Run
-from fitting.sensitivity.path import follow, law_curve
+from fitting.model.problem import Run
 from processing.smoothing import smooth
 
 
@@ -32,8 +33,7 @@ def fitted(contacts, tmp_path_factory):
         found = ripple.find_ripple(motion, cut)
         if found is not None:
             cut = cycles.segment_cycles(found.removed(motion))
-        first = coarse_fit(EstimationProblem.build(law, [Run(motion, cut, found)]))
-        return final_fit(refine(first) or first)
+        return Fit.of(fit(law_task(law, [Run(motion, cut, found)])))
 
     return of
 
@@ -44,8 +44,7 @@ def base_of(fitted):
 
     @cache
     def of(**changes):
-        fit = fitted(**changes)
-        path = follow(fit.windows, law_curve(fit.problem.curve, fit.problem.ramp), fit.u, fit.local)
-        return Base.of(LinearisedFit.at(fit), path, fit.problem.motions)
+        found = fitted(**changes)
+        return Base.of(LinearisedFit.at(found.at), found.path(), found.problem.motions)
 
     return of

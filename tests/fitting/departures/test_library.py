@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fitting.departures import table
-from fitting.departures.definition.departure import spaced
+from fitting.forces.departure import spaced
 
 ROOT = Path(table.__file__).parents[2]
 

@@ -13,11 +13,11 @@ import pytest
 
 from fitting.data import frame
 from fitting.departures import strongest as strongest_module
-from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.departures.scan import best_scale, gains
 from fitting.departures.scores import Score, score, sigmas
 from fitting.departures.strongest import describe, misfit_beyond_noise, strongest
 from fitting.departures.table import departures
+from fitting.forces.fitted_motion import FittedMotion
 from fitting.model.parameters import Global
 from fitting.sensitivity.path import follow
 from processing.smoothing import smooth

@@ -3,23 +3,25 @@
 import numpy as np
 import pytest
 
+from fitting.data import frame
 from fitting.departures.library import eccentricity, guide_friction, spring_nonlinear
 from fitting.driver.driver import fit, fit_beside, fit_from, fit_laws
 from fitting.driver.model import Model
-from fitting.driver.passes import first_pass, regressed_start, restarted_windows
+from fitting.driver.passes import finish, first_pass, regressed_start, restarted_windows, settle
 from fitting.driver.task import curve_task, law_task
-from fitting.estimation.objective import fitted_windows
+from fitting.forces.force import Force
 from fitting.model.parameters import PER_CYCLE, Global
 from fitting.model.starts import cycle_starts
+from fitting.selection.candidates import cut_run
 from fitting.sensitivity.flow import LONGEST_STEP
+from processing.smoothing import smooth
 
 NEAR = 4.0  # standard errors
 TRUE = {Global.K: 35.184, Global.V_DR: 0.22}
 
 
 def deviation(found, slot, true):
-    place = found.task.places.index(slot)
-    return (found.q[place] - true) / np.sqrt(found.covariance[place, place])
+    return (found.u[slot] - true) / found.deviation(slot)
 
 
 @pytest.mark.parametrize("law", [2, 3, 4, 5, 6])
@@ -27,7 +29,7 @@ def test_a_true_law_leaves_the_noise_and_covers_what_made_the_record(runs_of, la
     runs = runs_of(law=law, seed=3)
     (found,) = fit_laws([law], runs)
     assert found.whole
-    assert found.rms < 1.15 * runs[0].motion.resolution
+    assert found.geometric_mean_rms < 1.15 * runs[0].motion.resolution
     for slot, true in TRUE.items():
         assert abs(deviation(found, slot, true)) < NEAR
 
@@ -40,21 +42,23 @@ def test_what_a_law_leaves_does_not_depend_on_which_laws_are_asked_for(runs_of):
     for asked in ([1, 5], [6]):
         for found in fit_laws(asked, runs):
             there = every[found.task.curve.law]
-            assert found.rms == pytest.approx(there.rms, rel=1e-6)
+            assert found.geometric_mean_rms == pytest.approx(there.geometric_mean_rms, rel=1e-6)
             assert found.q == pytest.approx(there.q, rel=1e-6)
 
 
 def test_noise_is_that_of_levels_that_fade(runs_of):
     """Within one long drag a tenth of the level wears away, and a fit to its noise without that had k/m 4 sd off."""
     (found,) = fit_laws([2], runs_of(law=2, seed=1, wear=0.15, duration=30.0))
-    assert found.rms < 1.15 * found.task.problem.motions[0].resolution
-    assert float(found.noise.sigma[0]) < 3 * found.rms
+    assert found.geometric_mean_rms < 1.15 * found.task.problem.motions[0].resolution
+    assert float(found.noise.sigma[0]) < 3 * found.geometric_mean_rms
     assert abs(deviation(found, Global.K, TRUE[Global.K])) < NEAR
 
 
 @pytest.mark.parametrize(("record", "ramp"), [(1, 2), (5, 2), (5, 6)])
 def test_a_ramp_errs_no_more_than_the_same_law_without_it(runs_of, record, ramp):
-    found = {one.task.curve.law: one.rms for one in fit_laws([ramp - 1, ramp], runs_of(law=record, seed=1))}
+    found = {
+        one.task.curve.law: one.geometric_mean_rms for one in fit_laws([ramp - 1, ramp], runs_of(law=record, seed=1))
+    }
     assert found[ramp] <= 1.001 * found[ramp - 1]
 
 
@@ -63,7 +67,7 @@ def test_a_free_curve_is_the_friction_that_made_the_record(runs_of, law):
     runs = runs_of(law=law, seed=1)
     (by_law,) = fit_laws([law], runs)
     found = fit_beside(curve_task(runs), [by_law])
-    assert found.rms < 1.01 * by_law.rms
+    assert found.geometric_mean_rms < 1.01 * by_law.geometric_mean_rms
     assert abs(deviation(found, Global.K, TRUE[Global.K])) < NEAR
     s = np.linspace(0.05, 0.9, 50) * found.task.curve.spline.knots[-1]
     F = 35.184 * 0.13068
@@ -73,8 +77,10 @@ def test_a_free_curve_is_the_friction_that_made_the_record(runs_of, law):
 
 def test_a_ramps_break_away_level_is_found_when_it_is_free(runs_of):
     runs = runs_of(law=6, seed=3, static=1.3)
-    held, free = fit(law_task(6, runs)), fit(law_task(6, runs, static=True))
-    assert held.rms > 1.3 * runs[0].motion.resolution > free.rms
+    task = law_task(6, runs)
+    held = finish(settle(first_pass(task, regressed_start(task))))
+    free = fit(task)
+    assert held.geometric_mean_rms > 1.3 * runs[0].motion.resolution > free.geometric_mean_rms
     assert abs(deviation(free, Global.STATIC, 1.3)) < NEAR
 
 
@@ -82,16 +88,16 @@ def test_a_fit_goes_on_from_where_it_ended(runs_of):
     runs = runs_of(law=5, seed=1)
     first = fit(law_task(5, runs))
     again = fit_from(first.task, first.start, first.noise)
-    assert again.rms == pytest.approx(first.rms, rel=1e-3)
+    assert again.geometric_mean_rms == pytest.approx(first.geometric_mean_rms, rel=1e-3)
     assert again.q[:3] == pytest.approx(first.q[:3], rel=1e-5)
 
 
 @pytest.mark.parametrize("free", [False, True])
 @pytest.mark.parametrize("force", [None, spring_nonlinear.DEPARTURE, guide_friction.DEPARTURE])
 def test_derivatives_are_differences_of_the_residuals(runs_of, free, force):
-    runs, forces = runs_of(law=5, seed=1), () if force is None else (force,)
+    runs, forces = runs_of(law=5, seed=1), () if force is None else (Force(force),)
     task = curve_task(runs, forces) if free else law_task(5, runs, forces)
-    windows = fitted_windows(task.problem, thinned=True).some(np.arange(3))
+    windows = task.problem.windows(thinned=True).some(np.arange(3))
     model = Model(task, windows, LONGEST_STEP)
     q, local = regressed_start(task)
     local = local[:3]
@@ -108,9 +114,9 @@ def test_derivatives_are_differences_of_the_residuals(runs_of, free, force):
         assert found[:, j] == pytest.approx((ends[0] - ends[1]) / (2 * step[j]), abs=3e-3 * size + 1e-5)
 
 
-def test_a_force_with_a_scanned_scale_is_refused(runs_of):
+def test_a_force_whose_scale_was_not_scanned_is_refused():
     with pytest.raises(ValueError, match="scan it"):
-        law_task(5, runs_of(law=5, seed=1), [eccentricity.DEPARTURE])
+        Force(eccentricity.DEPARTURE)
 
 
 def test_a_lost_law_starts_again_with_its_windows_at_the_smoothed_motion(runs_of):
@@ -122,3 +128,14 @@ def test_a_lost_law_starts_again_with_its_windows_at_the_smoothed_motion(runs_of
     assert np.array_equal(again.q, first.q)
     assert not np.array_equal(again.local, first.local)
     assert np.array_equal(again.local, cycle_starts(first.windows, problem.motions, problem.cycles, first.u))
+
+
+def test_a_law_whose_first_pass_is_far_off_starts_from_one_that_it_contains(contacts, synthetic, tmp_path):
+    """Of slips of 25 samples under Stribeck friction law 5 was given up at 4000 times the noise, law 1 ended at 29."""
+    time, position = contacts.recorded(contacts.Contact(curve="stribeck", duration=20.0), rate=50.0, count=0.0)
+    position += 5e-6 * np.random.default_rng(5).standard_normal(time.size)
+    smoothed = smooth(synthetic.imported(tmp_path / "track.csv", time, position, decimals=7))
+    motion = frame.from_kinematics(smoothed, smoothed.recording.rig, None)
+    found = {one.task.curve.law: one.geometric_mean_rms for one in fit_laws([1, 3, 5], [cut_run(motion, frozenset())])}
+    assert found[3] <= 1.001 * found[1]
+    assert found[5] < 10 * motion.resolution

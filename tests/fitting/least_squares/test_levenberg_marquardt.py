@@ -63,6 +63,31 @@ def test_a_linear_problem_is_solved_as_by_the_full_matrix(linear):
     assert found.local.ravel() == pytest.approx(expected[SHARED:], abs=1e-7)
 
 
+def test_own_unknowns_that_begin_beyond_their_bounds_are_brought_within(linear):
+    """The first step cut them back and raised the cost, was refused however short, and the search stopped there."""
+    evaluate, rows, _, _ = linear
+    task = problem(evaluate, rows, local_upper=np.full((CYCLES, LOCAL), 0.1))
+    begin = np.zeros(SHARED)
+    beyond = levenberg_marquardt.minimise(task, begin, np.full((CYCLES, LOCAL), 5.0), tolerance=1e-14)
+    within = levenberg_marquardt.minimise(task, begin, np.zeros((CYCLES, LOCAL)), tolerance=1e-14)
+    assert beyond.outcome == "converged"
+    assert beyond.local.max() <= 0.1
+    assert beyond.cost == pytest.approx(within.cost, rel=1e-6)
+
+
+def test_one_last_step_ends_a_linear_search_and_leaves_no_gradient(linear):
+    evaluate, rows, _, _ = linear
+    task = problem(evaluate, rows)
+    start = levenberg_marquardt.minimise(task, np.zeros(SHARED), np.zeros((CYCLES, LOCAL)), max_steps=1)
+    ended = levenberg_marquardt.minimise(task, np.zeros(SHARED), np.zeros((CYCLES, LOCAL)), tolerance=1e-14)
+    found = levenberg_marquardt.last_step(task, start)
+    assert found.u == pytest.approx(ended.u, abs=1e-6)
+    assert found.cost == pytest.approx(ended.cost, rel=1e-9)
+    exact = normal_equations(task, found.u, found.local, *evaluate(found.u, found.local, True))
+    assert found.blocks.cycle_g == pytest.approx(exact.cycle_g, abs=1e-6)
+    assert found.blocks.gl == pytest.approx(exact.gl, abs=1e-6)
+
+
 def test_the_reduced_hessian_is_the_inverse_of_the_marginal_covariance(linear):
     evaluate, rows, full, _ = linear
     u, local = np.zeros(SHARED), np.zeros((CYCLES, LOCAL))

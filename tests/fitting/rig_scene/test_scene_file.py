@@ -5,13 +5,14 @@ import shutil
 import numpy as np
 import pytest
 
+import rig_sim
 from daq.base.errors import InputError
 from daq.base.measured import Measured
-from fitting import cli
-from rig_sim.cli.continuation import continue_
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.orbits.limit_cycle import cycle
 from rig_sim.scenes.draws import drawn_changes
 from rig_sim.scenes.scene import scene
+
+from .. import command
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
 CALIBRATED = ("mass.m", "spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs", "friction.gamma")
@@ -22,7 +23,7 @@ def fitted(tmp_path_factory, synthetic):
     """Give the scene that the fit of a record of law 5 without scatter is saved as, and the fit's answer."""
     folder = tmp_path_factory.mktemp("saved")
     run = synthetic.written(folder / "run.h5", synthetic.recording(law=5, scatter=0.0, damping=1.0, duration=12.0))
-    answer = cli.fit(run, laws="5", mass=Measured(0.3), no_report=True, save_scene=folder / "rig.toml")
+    answer = command.fit(run, laws="5", mass=Measured(0.3), no_report=True, save_scene=folder / "rig.toml")
     return folder / "rig.toml", answer
 
 
@@ -48,10 +49,10 @@ def test_a_scene_that_exists_is_replaced_by_force_alone(fitted, tmp_path):
     other.write_text("# my notes\n")
     run = path.with_name("run.h5")
     with pytest.raises(InputError, match="exists"):
-        cli.fit(run, laws="5", no_report=True, save_scene=other)
+        command.fit(run, laws="5", no_report=True, save_scene=other)
     run = shutil.copy(run, tmp_path / "run")  # under its own suffix it would be refused for that
     with pytest.raises(InputError, match="source"):
-        cli.fit(run, laws="5", no_report=True, save_scene=run, force=True)
+        command.fit(run, laws="5", no_report=True, save_scene=run, force=True)
     assert other.read_text() == "# my notes\n"
 
 
@@ -70,7 +71,7 @@ def test_the_saved_scene_plays_back_with_period_and_extremes_of_the_true_rig(fit
 
 def test_draws_say_where_stick_slip_ends(fitted):
     path, _ = fitted
-    found = continue_(str(path), over="damper.c=0.3:3.3:4", draws=12).data
+    found = rig_sim.continue_(path, over="damper.c=0.3:3.3:4", draws=12).as_json()
     points = {point["kind"]: point for point in found["points"]}
     assert set(points) == {"hopf", "fold"}
     gamma, Fs, v = 9.618, 0.13068 * 35.184 * 0.3, 0.22
@@ -81,7 +82,7 @@ def test_draws_say_where_stick_slip_ends(fitted):
     assert found["refused"] == 0
     assert drawn_changes(scene(path), 3, "") == drawn_changes(scene(path), 3, "")  # the same seed
     # at a fixed damping above every end there is no stick-slip, and no point to draw
-    assert continue_(str(path), over="belt.speed=0.1:0.5:3", draws=5, set_=["damper.c=5"]).data["points"] == []
+    assert rig_sim.continue_(scene(path, **{"damper.c": 5.0}), over="belt.speed=0.1:0.5:3", draws=5).points == ()
 
 
 @pytest.mark.slow
@@ -92,7 +93,7 @@ def test_draws_that_put_the_point_beyond_the_values_are_counted(fitted, tmp_path
     spread = [[0.0] * 7 for _ in range(7)]
     spread[6][6] = 4.0**2  # gamma 9.6 +- 4
     wide.write_text(text[: text.index("covariance = [")] + f"covariance = {spread!r}\n")
-    found = continue_(str(wide), over="damper.c=1.2:2:3", draws=60).data
+    found = rig_sim.continue_(wide, over="damper.c=1.2:2:3", draws=60).as_json()
     hopf = next(point for point in found["points"] if point["kind"] == "hopf")
     assert hopf["draws"] + hopf["below"] + hopf["above"] + found["refused"] == 60
     assert hopf["below"] + hopf["above"] > 3
@@ -118,7 +119,9 @@ def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(co
     contact = contacts.Contact(curve="stribeck", Fc=0.6, v_s=0.15, power=2.0, Fv=0.15, c=0.02, duration=20.0)
     time, position = contacts.recorded(contact)
     run = synthetic.written(tmp_path / "run.h5", synthetic.imported(tmp_path / "run.csv", time, position, decimals=8))
-    answer = cli.fit(run, mass=Measured(0.3), x0=Measured(0.0, 1e-6), no_report=True, save_scene=tmp_path / "rig.toml")
+    answer = command.fit(
+        run, mass=Measured(0.3), x0=Measured(0.0, 1e-6), no_report=True, save_scene=tmp_path / "rig.toml"
+    )
     assert answer.exit_code == 6
     found = scene(tmp_path / "rig.toml")
     assert found.friction.law == 0
@@ -134,7 +137,7 @@ def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(co
     assert played.period == pytest.approx(truth.period, rel=5e-3)
     assert played.x_slip == pytest.approx(truth.x_slip, rel=5e-3)
     assert (played.x_min, played.x_max) == pytest.approx((truth.x_min, truth.x_max), abs=1e-3)
-    ended = continue_(str(tmp_path / "rig.toml"), over="belt.speed=0.1:0.6:6", draws=20).data["points"]
+    ended = rig_sim.continue_(tmp_path / "rig.toml", over="belt.speed=0.1:0.6:6", draws=20).as_json()["points"]
     assert any(point["kind"] == "hopf" and point["lo"] is not None for point in ended)
 
 
@@ -143,7 +146,7 @@ def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(co
 def test_a_linear_or_ramp_law_is_saved_too(synthetic, tmp_path, law):
     recording = synthetic.recording(law=law, duration=12.0)
     run = synthetic.written(tmp_path / "run.h5", recording)
-    cli.fit(run, laws=str(law), no_report=True, save_scene=tmp_path / "rig.toml")
+    command.fit(run, laws=str(law), no_report=True, save_scene=tmp_path / "rig.toml")
     found = scene(tmp_path / "rig.toml")
     assert found.friction.law == law
     assert found.mass.m == pytest.approx(0.3, rel=0.01)

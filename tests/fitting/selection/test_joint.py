@@ -12,11 +12,12 @@ import pytest
 
 from daq.base.errors import DataError, InputError
 from daq.runfile import joint, listing, store
-from fitting import cli
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+
+from .. import command
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
 SPEEDS = (0.1, 0.2, 0.3)
@@ -155,7 +156,7 @@ def files(tmp_path_factory, synthetic, runs_of):
 def fitted(files, undrawn_reports):
     """Give the answer of a joint fit, and what the files of the runs held before."""
     before = [path.read_bytes() for path in files]
-    return cli.fit(*files, laws="3,5"), before
+    return command.fit(*files, laws="3,5"), before
 
 
 def test_the_command_writes_the_fit_of_several_runs_into_one_file_beside_the_first(files, fitted):
@@ -209,11 +210,11 @@ def test_a_joint_fit_is_listed_and_is_no_run(files, fitted, tmp_path, capsys):
     with pytest.raises(InputError, match="joint fit, not of a run"):
         store.load(joint_file)
     copy = Path(shutil.copy(files[0], tmp_path))
-    answer = cli.fit(copy, joint_file, each=True, laws="5", no_report=True)  # a pattern named both
+    answer = command.fit(copy, joint_file, each=True, laws="5", no_report=True)  # a pattern named both
     assert [run["file"] for run in answer.data["runs"]] == [copy]
     assert f"{joint_file} is the file of a joint fit, left out" in capsys.readouterr().err
     with pytest.raises(InputError, match="no run among the files"):
-        cli.fit(joint_file, each=True)
+        command.fit(joint_file, each=True)
 
 
 @pytest.mark.parametrize("content", ["mine", "run", "joint fit"])
@@ -229,7 +230,7 @@ def test_a_foreign_file_is_refused_before_a_joint_fit_and_replaced_by_force(file
         joint.write(place, [named[0], named[2]], lambda entry: None)
     before = place.read_bytes()
     with pytest.raises(InputError, match="other runs" if content == "joint fit" else "no joint fit"):
-        cli.fit(*copies[:2], laws="5", no_report=True)
+        command.fit(*copies[:2], laws="5", no_report=True)
     assert place.read_bytes() == before
     joint.write(place, named[:2], lambda entry: None, force=True)
     joint.refuse_foreign_file(place, named[1::-1])
@@ -240,12 +241,12 @@ def test_no_joint_fit_replaces_one_of_its_runs(files, tmp_path):
     shutil.copy(files[0], first)
     shutil.copy(files[1], other)
     with pytest.raises(InputError, match="its own source"):
-        cli.fit(first, other, laws="5", no_report=True, force=True)
+        command.fit(first, other, laws="5", no_report=True, force=True)
 
 
 def test_outputs_of_one_name_are_refused(files):
     with pytest.raises(InputError, match="two outputs"):
-        cli.fit(*files, report=files[0].with_name("out"), curve_csv=files[0].with_name("out"))
+        command.fit(*files, report=files[0].with_name("out"), curve_csv=files[0].with_name("out"))
 
 
 def test_reports_of_a_batch_are_numbered(files, tmp_path):
@@ -275,7 +276,7 @@ def test_a_run_named_twice_is_refused(files, tmp_path):
     same = tmp_path / "same.h5"
     shutil.copy(files[0], same)
     with pytest.raises(InputError, match="named twice"):
-        cli.fit(same, same)
+        command.fit(same, same)
 
 
 @pytest.mark.slow

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.base.errors import InputError
 from daq.base.measured import Measured
 from fitting import job
 from fitting.curve.formula_fit import fit_formula
+from fitting.curve.formula_parameters import formula_parameters
 from fitting.law import Law
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
@@ -76,31 +78,30 @@ def test_law_5_as_a_formula_gives_what_law_5_gives(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
     p = row.fit.values
     law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
-    found = fit_formula(law, curve.spline_fit, {"Fs": 0.9 * p.F, "gamma": 1.2 * p.shape})
+    found = fit_formula(law, curve.spline_fit)
     assert found.rms == pytest.approx(row.rms_m, rel=1e-3)
-    stiffness = found.parameters(0.05)["k/m"]
+    stiffness = formula_parameters(found, ranked(law=5, duration=10.0).motion, 0.05)["k/m"]
     assert stiffness.value == pytest.approx(row.parameters["k/m"].value, abs=0.1 * row.parameters["k/m"].stderr)
-    assert found.values["gamma"] == pytest.approx(p.shape, rel=1e-3)
+    assert found.own_values["gamma"] == pytest.approx(p.shape, rel=1e-3)
 
 
 def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
-    p = ranked(law=5, duration=10.0).row(5).fit.values
     law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
-    found = fit_formula(law, curve.spline_fit, {"Fs": p.F, "gamma": p.shape})
+    found = fit_formula(law, curve.spline_fit)
     at, step = found.solution, 1e-5
     for place in (at.u.size - 2, at.u.size - 1):
         sides = []
         for sign in (-1.0, 1.0):
             q = at.u.copy()
             q[place] += sign * step * max(abs(q[place]), 1.0)
-            sides.append(found.task.evaluate(q, at.local, False)[0])
+            sides.append(found.at.problem.evaluate(q, at.local, False)[0])
         numeric = (sides[1] - sides[0]) / (2 * step * max(abs(at.u[place]), 1.0))
-        own = found.jacobian[:, place]
+        own = found.at.jacobian[:, place]
         assert np.max(np.abs(numeric - own)) < 2e-3 * np.max(np.abs(own))
 
 
 def test_a_curve_that_is_negative_is_not_fitted(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
-    law = Law("mine", "Fs - G*s")
-    assert fit_formula(law, curve.spline_fit, {"Fs": 1.0, "G": 1e3}) is None
+    with pytest.raises(InputError, match="friction is negative"):
+        fit_formula(Law("mine", "Fs - 1000*s"), curve.spline_fit)

@@ -48,6 +48,26 @@ def test_a_motion_faster_by_a_power_of_two_gives_the_same_numbers(track, faster)
         assert ours.stderr / faster**power == pytest.approx(theirs.stderr, rel=1e-5)
 
 
+@pytest.mark.parametrize("power", [-7, 5])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_lengths_scaled_by_a_power_of_two_or_mirrored_give_the_same_numbers(track, power, side):
+    smoothed = smooth(track(1.0))
+    factor = side * 2.0**power
+    record = replace(smoothed.recording, position=factor * smoothed.recording.position)
+    names = ("position", "velocity", "acceleration", "belt_speed", "plateau_speed")
+    errors = ("noise", "position_errors", "velocity_errors", "acceleration_errors")
+    changes = {name: factor * getattr(smoothed, name) for name in names}
+    changes |= {name: abs(factor) * getattr(smoothed, name) for name in errors}
+    expected, found = (
+        rank(smoothed, laws=(5,)).best,
+        rank(replace(smoothed, recording=record, **changes), laws=(5,)).best,
+    )
+    for name, unit in (("k/m", 1.0), ("v_dr", factor), ("gamma", 1 / abs(factor)), ("c/m", 1.0), ("Fs/m", abs(factor))):
+        if name in expected.parameters:
+            ours, theirs = found.parameters[name], expected.parameters[name]
+            assert ours.value / unit == pytest.approx(theirs.value, abs=1e-4 * theirs.stderr)
+
+
 def test_times_scaled_by_a_power_of_two_scale_the_slip_and_nothing_else(motion_of):
     motion = motion_of(law=5, duration=12.0)
     for power in (-12, 3, 12):

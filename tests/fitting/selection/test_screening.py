@@ -17,7 +17,7 @@ from daq.runfile.rig import Rig
 from fitting import cli
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import from_kinematics
-from fitting.estimation import search
+from fitting.driver import driver
 from fitting.selection import screening
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
@@ -123,7 +123,7 @@ def test_mass_that_moves_back_is_not_said_never_to(smoothed):
 @pytest.mark.parametrize("name", ["smooth_noise", "two_sines", "sine"])
 def test_what_no_law_comes_near_is_refused_before_six_laws_are_fitted(smoothed, name, monkeypatch):
     # Fitting six laws to noise took 20 to 40 CPU s, only to refuse it.
-    monkeypatch.setattr(search, "fit_laws", None)
+    monkeypatch.setattr(driver, "fit_laws", None)
     with pytest.raises(DataError, match=r"no belt stick-slip in this record: (no law comes near it|a sine)"):
         rank(smoothed(name, 12))
 

@@ -4,10 +4,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from fitting_exact_flow import evaluator
 from scipy.integrate import solve_ivp
 
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
-from fitting.model.shooting import evaluator
 from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
 from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
 from fitting.sensitivity.path import Curve, follow, spline_curve, with_coefficients

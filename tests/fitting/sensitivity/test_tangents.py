@@ -1,6 +1,6 @@
 """Tangents against central differences of positions that the code of the tangents has no part in.
 
-On steep ramps these are positions of the exact flow (`fitting.model.shooting`), which has them in closed form; on wide
+On steep ramps these are positions of the exact flow (`exact_flow.py`), which has them in closed form; on wide
 ones and on belts that ripple those of DOP853 from event to event, on the equation of motion written anew below.
 """
 
@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from fitting_exact_flow import evaluator
 from scipy.integrate import solve_ivp
 
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
-from fitting.model.shooting import evaluator
 from fitting.sensitivity.columns import local_tangents, shared_tangents
 from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
 from fitting.sensitivity.path import Curve, follow

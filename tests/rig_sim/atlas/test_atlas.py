@@ -1,18 +1,19 @@
 """The atlas: which figures it has, the files and tables it writes, and its numbers against published ones."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from daq.base.console import application
-from rig_sim.atlas.chapters.chapter4_motion import fixed_point_table
-from rig_sim.atlas.chapters.chapter5_branches import special_rows
-from rig_sim.atlas.figure import compare
+from daq.base.errors import InputError
+from rig_sim.atlas.figure import Computed
 from rig_sim.atlas.page import table
 from rig_sim.atlas.redraw import chosen, order, redraw
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
+from rig_sim.atlas.statements import CHAPTERS, WORDS, checked, compare, drawing, figures_of
 from rig_sim.cli.app import app
 
 REFERENCE = Path(__file__).parents[2] / "reference"
@@ -53,6 +54,45 @@ def test_a_printed_number_agrees_within_one_unit_of_its_last_digit():
     assert "they agree" not in table([compare("velocity", "0.5", 0.7)])
 
 
+@pytest.mark.parametrize(
+    ("printed", "value"), [("2 pi", 2.0 * math.pi), ("pi/2", 0.5 * math.pi), ("3 pi/2", 1.5 * math.pi)]
+)
+def test_a_printed_multiple_of_pi_is_exact(printed, value):
+    assert compare("", printed, value).agrees
+    assert not compare("", printed, value + 1e-12).agrees
+    assert compare("", printed, value + 0.1, within=0.2).agrees
+
+
+def test_a_statement_in_words_holds_by_its_verdict_or_by_the_same_words():
+    numbers = {"period": 6.35, "longer": True, "shorter": False, "unstable": True}
+    longer = checked(["stick lengthens the period", "yes", "period {period:.3f}", "longer", "why not"], numbers)
+    assert (longer.computed, longer.agrees, longer.why) == ("period 6.350", True, "")
+    shorter = checked(["shortens the period", "yes", "period {period:.3f}", "shorter", "why not"], numbers)
+    assert (shorter.agrees, shorter.why) == (False, "why not")
+    assert checked(["the fixed point is unstable", "yes", "{unstable}"], numbers).agrees
+    assert not checked(["the fixed point is unstable", "no", "{unstable}", "", "it is"], numbers).agrees
+
+
+def test_words_that_name_no_computed_number_are_refused_with_the_nearest_one():
+    figure = {"says": [["largest displacement", "1.5", "x_mx"]]}
+    with pytest.raises(InputError, match=r"figure 2.6 in chapter2.toml: no number 'x_mx' .*did you mean 'x_max'"):
+        drawing("figure 2.6 in chapter2.toml", figure, {}, lambda: Computed((), {"x_max": 1.5}))
+
+
+@pytest.mark.parametrize("file", sorted(CHAPTERS.glob("*.toml")), ids=lambda file: file.stem)
+def test_every_key_row_and_text_of_a_chapter_is_used(file):
+    held = dict(figures_of(file.name))
+    words = held.pop(WORDS, {})
+    assert set(held) == {number for number in ENTRIES if number.split(".")[0] in file.stem}
+    for number, figure in held.items():
+        assert figure.keys() <= {"title", "shows", "choices", "says"}, number
+        for row in figure.get("says", ()):
+            texts = [part for part in row if isinstance(part, str)]
+            assert 3 <= len(texts) <= (5 if "{" in row[2] else 4), row
+            assert all(part.keys() == {"within"} for part in row if not isinstance(part, str)), row
+    assert all(f"{{{name}}}" in file.read_text() for name in words)
+
+
 def test_a_figure_is_a_picture_and_a_page_with_its_table(tmp_path):
     (done,) = redraw(["2.7"], tmp_path / "atlas")
     with Image.open(done.file) as picture:
@@ -87,7 +127,7 @@ def test_numbers_of_one_mass_are_the_published_ones(figure, quantity, law, key):
 
 def test_the_fixed_point_of_two_masses_is_not_the_one_that_the_thesis_prints():
     reference = json.loads((REFERENCE / "dynamics.json").read_text())["chapter4"]["fixed_point_V0.1"]
-    rows = [row for row in fixed_point_table() if "eigenvalue" in row.quantity]
+    rows = [row for row in ENTRIES["4.12"].draw().table if "eigenvalue" in row.quantity]
     assert sorted(row.value for row in rows) == pytest.approx(
         sorted({abs(part) for root in reference["eig"] for part in root if part}), abs=reference["tol"]
     )
@@ -107,7 +147,7 @@ def test_numbers_of_the_map_are_the_published_ones():
 
 def test_numbers_of_the_damped_mass_are_the_published_ones():
     reference = json.loads((REFERENCE / "dynamics.json").read_text())["chapter5"]
-    hopf, fold = special_rows()
+    hopf, fold = ENTRIES["5.5"].draw().table
     assert hopf.value == pytest.approx(reference["hopf_c"]["value"], abs=reference["hopf_c"]["tol"])
     assert fold.value == pytest.approx(reference["fold_c"]["value"], abs=reference["fold_c"]["tol"])
     assert (hopf.agrees, fold.agrees) == (True, False)

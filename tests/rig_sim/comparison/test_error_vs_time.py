@@ -12,7 +12,7 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
-from rig_sim.comparison.error_vs_time import compare, difference, doubted, tightest
+from rig_sim.comparison.error_vs_time import compare, compared_with, difference, doubted, tightest
 from rig_sim.comparison.reference import Uncovered, events
 from rig_sim.comparison.solve_ivp import SOLVERS, by_solver
 from rig_sim.comparison.stepping import sample_phase
@@ -184,8 +184,9 @@ def test_a_landing_found_twice_is_doubted_in_the_list_that_holds_it():
     twice = listed(*events[:3], (4.0, "N>S"), (4.001, "S>N"), (5.001, "N>S"))
     right = {("exact", "interpreted"): listed(*events), ("dop853", "rtol 1e-12"): listed(*events)}
     lists = right | {("dop853", "rtol 2.3e-14"): twice, ("radau", "rtol 1e-09"): listed(*events)}
-    for method in ("exact", "dop853", "radau"):
-        assert tightest(lists, method, 9.0) == list(events)
+    peers = {method: tightest(lists, method, 9.0) for method in ("exact", "dop853", "radau")}
+    assert all(lists[peer].t == right["exact", "interpreted"].t for peer in peers.values())
+    assert compared_with(peers) == ("; compared: exact with dop853 rtol 1e-12; dop853, radau with exact interpreted")
     assert doubted(lists, 9.0) == (
         "; dop853 rtol 2.3e-14 is no reference: other events from t = 4, which 0 of 3 others have "
         "(S>N and N>S at the same time)"
@@ -204,3 +205,6 @@ def test_the_exact_method_has_an_error_where_a_rival_finds_other_events():
     found = compare(scene("rig"), 20.0, methods=("exact", "dop853"))
     exact = next(row for row in found.rows if row.method == "exact")
     assert exact.error < 1e-9
+    assert "; compared: exact with dop853 rtol 1e-12; dop853 with exact interpreted; dop853 rtol 2.3e-14 is no" in (
+        found.reference
+    )

@@ -11,15 +11,15 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from daq.base.errors import InputError
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.orbits.limit_cycle import cycle
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP
 from rig_sim.friction import contact
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.phases import next_event
+from rig_sim.integrate.phases import State, next_event
+from rig_sim.integrate.work import new_work
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
 
@@ -85,7 +85,8 @@ def test_one_slip_of_law_5_is_that_of_an_independent_solver(droop: float, drive:
     lands.terminal, lands.direction = True, 1.0  # type: ignore[attr-defined]
     # short steps, as the solver finds events on an interpolant of lower order than its steps
     expected = solve_ivp(motion, (0.0, 20.0), (x, v), "DOP853", events=lands, rtol=2.3e-14, atol=1e-15, max_step=0.001)
-    kind, mode, x_end, w_end, t_end = next_event(flow, initial_mode(flow, x, v, 0.0), x, v - 0.5, 0.0, 20.0, work)
+    start = State(initial_mode(flow, x, v, 0.0), x, v - 0.5, 0.0)
+    kind, (mode, x_end, w_end, t_end, _) = next_event(flow, start, 20.0, work)
     assert (kind, mode) == (4 * NEGATIVE + RAMP, RAMP)
     assert w_end == -droop
     assert t_end == pytest.approx(expected.t_events[0][0], abs=1e-12)

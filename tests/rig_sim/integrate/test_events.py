@@ -12,9 +12,9 @@ from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import COMPLETED, KINDS, NEGATIVE, NOT_FINITE, OUTCOMES, POSITIVE, RAMP, STICK
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.phases import next_event
+from rig_sim.integrate.phases import State, next_event
+from rig_sim.integrate.work import new_work
 
 
 def flow_of(law, **changes):
@@ -141,7 +141,8 @@ def test_a_belt_at_rest_brings_the_mass_to_rest(law, x):
 def test_mass_within_the_cone_of_a_resting_belt_has_no_events():
     flow = flow_of(5, v_belt=0.0)
     assert initial_mode(flow, -0.99, 0.0, 0.0) == STICK
-    assert next_event(flow, STICK, -0.99, 0.0, 0.0, 1e6, new_work()) == (COMPLETED, STICK, -0.99, 0.0, 1e6)
+    rest = State(STICK, -0.99, 0.0, 0.0)
+    assert next_event(flow, rest, 1e6, new_work()) == (COMPLETED, rest._replace(t=1e6))
 
 
 @pytest.mark.parametrize(
@@ -269,7 +270,7 @@ def test_constant_friction_with_a_ramp_never_quite_repeats_and_is_stepped_to_its
 
 
 def test_numbers_that_are_not_end_in_an_outcome():
-    kind, *_ = next_event(flow_of(5), NEGATIVE, math.nan, -0.5, 0.0, 1.0, new_work())
+    kind, _ = next_event(flow_of(5), State(NEGATIVE, math.nan, -0.5, 0.0), 1.0, new_work())
     assert OUTCOMES[kind].name == OUTCOMES[NOT_FINITE].name
 
 

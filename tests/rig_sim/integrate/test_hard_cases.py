@@ -11,14 +11,14 @@ import pytest
 
 from daq.base.console import application
 from rig_sim.comparison.error_vs_time import difference
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.orbits.limit_cycle import cycle
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, NEGATIVE, OUTCOMES
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.buffer import STEPS, new_work
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.phases import next_event
+from rig_sim.integrate.phases import State, next_event
+from rig_sim.integrate.work import new_work
 from rig_sim.motion import play
 from rig_sim.scenes.scene import scene
 
@@ -29,12 +29,12 @@ def flow_of(law, **changes):
 
 def at_the_end(flow, x, v, t):
     """Return (x, v) at time t."""
-    begun, w, mode, work = 0.0, v - flow.v_belt, initial_mode(flow, x, v, 0.0), new_work()
+    at, work = State(initial_mode(flow, x, v, 0.0), x, v - flow.v_belt, 0.0), new_work()
     kind = None
     while kind != COMPLETED:
-        kind, mode, x, w, begun = next_event(flow, mode, x, w, begun, t, work)
+        kind, at = next_event(flow, at, t, work)
         assert kind < FORCE_REVERSAL
-    return x, w + flow.v_belt
+    return at.x, at.w + flow.v_belt
 
 
 def meets_the_reference(reference_events, flow, x, v, t_max, tolerance, *, least=1):
@@ -61,9 +61,9 @@ def test_a_phase_of_any_length_ends_in_few_steps(slower):
     steps = []
     for number in range(1000):
         work, end = new_work(100), begin + (5.0 + 0.01 * number) * slower
-        kind, _, _, _, reached = next_event(flow, NEGATIVE, 1.5, -2e-3 / slower, begin, end, work)
-        assert (kind, reached) == (COMPLETED, end)
-        steps.append(work[STEPS])
+        kind, at = next_event(flow, State(NEGATIVE, 1.5, -2e-3 / slower, begin), end, work)
+        assert (kind, at.t) == (COMPLETED, end)
+        steps.append(work.steps)
     assert max(steps) <= 5
 
 
@@ -111,8 +111,8 @@ def test_a_wide_ramp_on_a_fast_belt_meets_the_reference(law, d, reference_events
 def test_linear_friction_that_falls_fast_ends_where_its_force_would_change_sign(G_slip):
     flow = flow_of(3, G_slip=G_slip)
     work = new_work()
-    _, mode, x, w, t = next_event(flow, initial_mode(flow, 1.0, 0.5, 0.0), 1.0, 0.0, 0.0, 100.0, work)
-    kind, _, _, w, t = next_event(flow, mode, x, w, t, 100.0, work)
+    _, at = next_event(flow, State(initial_mode(flow, 1.0, 0.5, 0.0), 1.0, 0.0, 0.0), 100.0, work)
+    kind, (_, _, w, t, _) = next_event(flow, at, 100.0, work)
     assert OUTCOMES[kind].name == "force reversal"
     assert w == -1.0 / G_slip
     with mpmath.workdps(30):  # u'' - G u' + u = 0, u(0) = 1/2, u'(0) = 0

@@ -8,13 +8,13 @@ import pytest
 
 from daq.base.errors import InputError
 from rig_sim.comparison import reference
-from rig_sim.dynamics.continuation import continuation
-from rig_sim.dynamics.control.landing_map import LandingMap
-from rig_sim.dynamics.fixed_point import fixed_point
-from rig_sim.dynamics.floquet import floquet
-from rig_sim.dynamics.forced.attractors import attractors
-from rig_sim.dynamics.forced.driven_mass import driven_masses
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.orbits.branches import continuation
+from rig_sim.dynamics.orbits.fixed_point import fixed_point
+from rig_sim.dynamics.orbits.floquet import floquet
+from rig_sim.dynamics.orbits.limit_cycle import cycle
+from rig_sim.dynamics.rig.driven import with_starts
+from rig_sim.dynamics.rig.landing import LandingMap
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.spline import about, piece_of, refused, spline_table
 from rig_sim.integrate.events import list_events
@@ -209,7 +209,7 @@ def test_a_driven_curve_of_many_points_has_attractors() -> None:
     """
     points = [[s, 1.0 / (1.0 + 3.0 * s)] for s in np.linspace(0.0, 3.0, 250).tolist()]
     known, found = (
-        attractors(driven_masses(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        attractors(*with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
         for friction in (
             {"friction.law": 5, "drive.omega": 0.3},
             {"friction.law": 0, "friction.curve": points, "drive.omega": 0.3},

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.orbits.limit_cycle import cycle
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.modes import NEGATIVE, RAMP, STICK
+from rig_sim.flow.modes import NEGATIVE, STICK
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.events import list_events
-from rig_sim.integrate.phases import next_event, sample_phase
+from rig_sim.integrate.events import list_events, new_samples
+from rig_sim.integrate.phases import State, next_event, sample_phase
+from rig_sim.integrate.work import new_work
 
 
 def flow_of(law, **changes):
@@ -56,31 +56,31 @@ def test_sampling_in_pieces_equals_sampling_at_once(sampled):
     flow = flow_of(6, u0=0.1, omega=0.7)
     times = np.linspace(0.0, 20.0, 201).tolist()
     x, v, _ = sampled(flow, 0.0, 0.0, times)
-    outs = [[0.0] * 201 for _ in range(3)]
+    samples = new_samples(times, compiled=False)
     work = new_work()
-    mode, at_x, w, t, i = initial_mode(flow, 0.0, 0.0, 0.0), 0.0, -0.5, 0.0, 0
+    at, i = State(initial_mode(flow, 0.0, 0.0, 0.0), 0.0, -0.5, 0.0), 0
     phases = 0
     while i < 201:
-        _, mode, at_x, w, t, i = sample_phase(flow, mode, at_x, w, t, times, i, 201, 20.0, *outs, work)
+        _, at, i = sample_phase(flow, at, 20.0, samples, i, work)
         phases += 1
     assert phases == len(list_events(flow, 0.0, 0.0, 20.0).t) + 1
-    assert np.allclose(outs[0], x, atol=1e-13)
-    assert np.allclose(outs[1], v, atol=1e-13)
+    assert np.allclose(samples.x, x, atol=1e-13)
+    assert np.allclose(samples.v, v, atol=1e-13)
 
 
 def test_flow_may_change_between_events():
     # scatter: each stick is left at its own level, so the slip point moves with the factor
     flow = flow_of(5)
     work = new_work()
-    mode, x, w, t = initial_mode(flow, 0.0, 0.0, 0.0), 0.0, -0.5, 0.0
+    at = State(initial_mode(flow, 0.0, 0.0, 0.0), 0.0, -0.5, 0.0)
     slip_points = []
     for factor in (1.0, 1.1, 1.05):
-        while mode != STICK:
-            _, mode, x, w, t = next_event(flow, mode, x, w, t, 100.0, work)
+        while at.mode != STICK:
+            _, at = next_event(flow, at, 100.0, work)
         flow = flow._replace(factor=factor)
-        _, mode, x, w, t = next_event(flow, mode, x, w, t, 100.0, work)
-        slip_points.append(x)
-        assert mode == NEGATIVE
+        _, at = next_event(flow, at, 100.0, work)
+        slip_points.append(at.x)
+        assert at.mode == NEGATIVE
     assert slip_points == pytest.approx([1.0, 1.1, 1.05], abs=1e-15)
 
 
@@ -91,27 +91,24 @@ def test_energy_balances_over_a_cycle(law, c):
     orbit = cycle(flow)
     work = new_work()
     nodes, weights = np.polynomial.legendre.leggauss(20)
-    mode, x, w, t = (RAMP if flow.ramp else STICK), orbit.x_slip, (-flow.d if flow.ramp else 0.0), 0.0
-    _, mode, x, w, t = next_event(flow, mode, x, w, t, 100.0, work)
-    mode, x, w, t = NEGATIVE, orbit.x_slip, (-flow.d if flow.ramp else 0.0), 0.0
+    at = State(NEGATIVE, orbit.x_slip, -flow.d if flow.ramp else 0.0, 0.0)
     balance = taken = 0.0
     settings = {name: getattr(flow, name) for name in ("Fs", "G_slip", "gamma", "d")}
     for _ in orbit.sequence:
-        _, following, x_end, w_end, t_end = next_event(flow, mode, x, w, t, 100.0, work)
-        if mode == STICK:
-            rise = flow.k * (x_end**2 - x**2) / 2.0 + c * flow.v_belt * (x_end - x)
+        _, end = next_event(flow, at, 100.0, work)
+        if at.mode == STICK:
+            rise = flow.k * (end.x**2 - at.x**2) / 2.0 + c * flow.v_belt * (end.x - at.x)
             balance += rise
-            taken += c * flow.v_belt**2 * (t_end - t)
+            taken += c * flow.v_belt**2 * (end.t - at.t)
         else:
-            edges = np.linspace(t, t_end, 41)
+            edges = np.linspace(at.t, end.t, 41)
             for a, b in pairwise(edges):
-                times = (0.5 * (a + b) + 0.5 * (b - a) * nodes).tolist()
-                outs = [[0.0] * 20 for _ in range(3)]
-                sample_phase(flow, mode, x, w, t, times, 0, 20, t_end, *outs, work)
-                v = np.array(outs[1])
+                samples = new_samples((0.5 * (a + b) + 0.5 * (b - a) * nodes).tolist(), compiled=False)
+                sample_phase(flow, at, end.t, samples, 0, work)
+                v = np.array(samples.v)
                 F = force(LAWS[law], v - flow.v_belt, **settings)
                 balance += 0.5 * (b - a) * float(weights @ (F * v))
                 taken += 0.5 * (b - a) * float(weights @ (c * v * v))
-        mode, x, w, t = following, x_end, w_end, t_end
-    assert t == pytest.approx(orbit.period, abs=1e-13)
+        at = end
+    assert at.t == pytest.approx(orbit.period, abs=1e-13)
     assert balance == pytest.approx(taken, abs=1e-10)

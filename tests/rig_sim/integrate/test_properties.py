@@ -9,15 +9,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from rig_sim.comparison.error_vs_time import difference
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.orbits.limit_cycle import cycle
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import NEGATIVE
 from rig_sim.friction.contact import force as force_of_law
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.events import list_events
-from rig_sim.integrate.phases import sample_phase
+from rig_sim.integrate.events import list_events, new_samples
+from rig_sim.integrate.phases import State, next_event, sample_phase
+from rig_sim.integrate.work import new_work
 
 TWO_ULP = 2.3e-13  # of a time near 1000
 
@@ -151,34 +151,29 @@ def energies(flow, orbit):
     """Return the belt's work over a cycle, what friction turns to heat, and what the damper takes."""
     nodes, weights = np.polynomial.legendre.leggauss(20)
     work = new_work()
-    x, w, t = orbit.x_slip, (-flow.d if flow.ramp else 0.0), 0.0
-    mode = NEGATIVE
+    at = State(NEGATIVE, orbit.x_slip, -flow.d if flow.ramp else 0.0, 0.0)
     belt = heat = damper = 0.0
     for _ in orbit.sequence:
-        copy = new_work()
-        idle = [0.0]
-        _, following, x_end, w_end, t_end, _ = sample_phase(
-            flow, mode, x, w, t, idle, 0, 0, 1e9, idle, idle, idle, copy
-        )
+        _, end = next_event(flow, at, 1e9, new_work())
         # pieces refined towards both ends, where a ramp's fast root and slip's beginning live
-        half = 0.5 * (t_end - t) * np.geomspace(1e-9, 1.0, 40)
-        cuts = np.concatenate(([t], t + half, (t_end - half[::-1])[1:], [t_end]))
+        half = 0.5 * (end.t - at.t) * np.geomspace(1e-9, 1.0, 40)
+        cuts = np.concatenate(([at.t], at.t + half, (end.t - half[::-1])[1:], [end.t]))
         for a, b in pairwise(cuts):
             times = (0.5 * (a + b) + 0.5 * (b - a) * nodes).tolist()
-            outs = [[0.0] * 20 for _ in range(3)]
-            sample_phase(flow, mode, x, w, t, times, 0, 20, t_end, *outs, work)
-            v = np.array(outs[1])
+            samples = new_samples(times, compiled=False)
+            sample_phase(flow, at, end.t, samples, 0, work)
+            v = np.array(samples.v)
             F = np.array(
                 [
-                    force(flow, mode, at, speed - flow.v_belt, time)
-                    for at, speed, time in zip(outs[0], outs[1], times, strict=True)
+                    force(flow, at.mode, x, speed - flow.v_belt, time)
+                    for x, speed, time in zip(samples.x, samples.v, times, strict=True)
                 ]
             )
             share = 0.5 * (b - a) * weights
             belt += flow.v_belt * float(share @ F)
             heat -= float(share @ (F * (v - flow.v_belt)))
             damper += flow.c * float(share @ v**2)
-        mode, x, w, t = following, x_end, w_end, t_end
+        at = end
     return belt, heat, damper
 
 

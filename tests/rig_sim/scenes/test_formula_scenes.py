@@ -9,13 +9,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from daq.base.errors import InputError
-from rig_sim.cli.parameter_range import ParameterRange
-from rig_sim.dynamics.continuation import continuation
-from rig_sim.dynamics.fixed_point import fixed_point
-from rig_sim.dynamics.floquet import floquet
-from rig_sim.dynamics.forced.attractors import attractors
-from rig_sim.dynamics.forced.driven_mass import driven_masses
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.orbits.branches import continuation
+from rig_sim.dynamics.orbits.fixed_point import fixed_point
+from rig_sim.dynamics.orbits.floquet import floquet
+from rig_sim.dynamics.orbits.limit_cycle import cycle
+from rig_sim.dynamics.rig.driven import with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.friction.curve import LINEAR, MEASURED
@@ -102,7 +101,7 @@ def test_a_formula_is_varied_as_a_law_is() -> None:
         def at(gamma: float) -> Flow:
             return scene("damped", **{**friction, "friction.gamma": gamma, "belt.speed": 0.6, "damper.c": 0.38}).flow()
 
-        found = continuation(at, ParameterRange("friction.gamma", 2.0, 6.0, 9).values())
+        found = continuation(at, np.linspace(2.0, 6.0, 9))
         return [(point.kind, point.value) for point in found.points]
 
     law, formula = special({"friction.law": 5}), special({"friction.formula": HYPERBOLA})
@@ -121,7 +120,7 @@ def test_a_formula_is_varied_as_a_law_is() -> None:
 
 def test_a_driven_formula_has_the_attractors_of_the_law() -> None:
     known, found = (
-        attractors(driven_masses(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        attractors(*with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
         for friction in (
             {"friction.law": 5, "drive.omega": 0.3},
             {"friction.formula": HYPERBOLA, "drive.omega": 0.3},

@@ -138,7 +138,7 @@ def test_a_file_is_a_scene(tmp_path: Path) -> None:
 def test_what_is_wrong_is_refused_by_name(setting: str, words: list[str]) -> None:
     with pytest.raises(InputError) as caught:
         changed(setting, base="rig" if "decoder" in setting else "base")
-    line = str(caught.value)
+    line = caught.value.as_line()
     assert "\n" not in line
     for word in words:
         assert word in line

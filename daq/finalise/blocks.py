@@ -1,0 +1,124 @@
+"""The samples of a journal of blocks (`daq.protocols.blocks`), in the pieces that the finaliser makes a run of.
+
+Their times are those of the source, and increase: the recorder refuses others.  Where they step by n periods, n - 1
+samples are missing.  There is one segment, and nothing to unwrap.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.base.compute.arrays import Array, Integers
+from daq.finalise.integrity import CheckedCounts, SegmentReason
+from daq.finalise.timeline import Piece, Samples
+from daq.protocols import blocks
+from daq.runfile import journal
+from daq.wire.decode import Stream
+
+COUNTER_BITS = 32  # no counter of the source's rolls over; the widest there is
+
+
+class BlockPiece(NamedTuple):
+    """Some samples of a journal: as a piece of a board's run, and their values, counts or m, (k,)."""
+
+    piece: Piece
+    checked: CheckedCounts
+    values: Array | Integers
+
+
+def pieces(recorded: journal.Journal) -> Iterator[BlockPiece]:
+    """Yield the samples of a journal, one record after the other; a damaged one has none, and counts as damaged."""
+    rate_hz, columns, most = (recorded.header[name] for name in ("rate_hz", "columns", "samples"))
+    begun: float | None = None
+    last_s, last_index, last_ns, last_value, taken = 0.0, -1, 0, 0, 0
+    for number, record in enumerate(recorded.records.of_kind(journal.RECEIVED)):
+        found = blocks.unpacked(record.data, columns)
+        time, values = (np.empty(0), np.empty(0)) if found is None else found
+        left = len(time) if most is None else most - taken
+        time, values = time[:left], values[:left]
+        if begun is None and len(time):
+            begun = last_s = float(time[0])
+        steps = np.diff(time, prepend=last_s)
+        periods = np.maximum(np.rint(steps * rate_hz).astype(np.int64), 1)
+        index = last_index + np.cumsum(periods)
+        if len(time) and not taken:
+            index -= index[0]
+        lost = np.diff(index, prepend=last_index if taken else -1) - 1
+        # When each sample was taken, if the source is not behind; those of a faster one have come all at once.
+        stamp = record.stamp_ns - np.rint((time[-1:] - time) * 1e9).astype(np.int64)
+        stamp = np.maximum(stamp, last_ns) if taken else stamp
+        rate = 0.0
+        if columns == blocks.COUNTS and len(time):
+            moved = np.abs(np.diff(values, prepend=last_value if taken else values[0]))
+            rate = float(np.max(moved / np.maximum(steps, 1 / rate_hz), initial=0.0))
+            last_value = int(values[-1])
+        yield BlockPiece(
+            _piece(time - (begun or 0.0), index, stamp, number, damaged=found is None),
+            _checked(values, lost, rate, begins=not taken),
+            values,
+        )
+        if len(time):
+            last_s, last_index, last_ns = float(time[-1]), int(index[-1]), int(stamp[-1])
+        taken += len(time)
+
+
+def _piece(time: Array, index: Integers, stamp: Integers, number: int, *, damaged: bool) -> Piece:
+    n, zero = len(time), np.zeros(len(time), np.int64)
+    samples = Samples(
+        time=time,
+        part=zero,
+        begun_by=("reopened",),
+        index=index,
+        ticks=zero,
+        frame=np.full(n, number),
+        stamp_ns=stamp,
+        up=zero.astype(np.uint32),
+        down=zero.astype(np.uint32),
+        status=zero.astype(np.uint8),
+        illegal=zero.astype(np.uint16),
+        belt=None,
+        edge=None,
+    )
+    frame = np.zeros(1, np.int64)
+    stream = Stream(
+        first=frame,
+        n=np.array([n]),
+        seq=frame,
+        ticks=frame,
+        illegal=frame,
+        stamp_ns=stamp[-1:],
+        dt=samples.illegal,
+        up=samples.up,
+        down=samples.down,
+        status=samples.status,
+        ident=None,
+        idents=zero[:0],
+        crc_frame=np.zeros(int(damaged), np.int64),
+        crc_errors=int(damaged),
+        discarded_bytes=0,
+        length=frame,
+    )
+    return Piece(samples, stream, number, index)
+
+
+def _checked(values: Array | Integers, lost: Integers, rate: float, *, begins: bool) -> CheckedCounts:
+    n, seconds = len(values), np.zeros(int(begins and len(values) > 0))
+    starts = np.zeros(len(seconds), np.int64)
+    first: SegmentReason = "reopened"
+    reasons = (first,) * len(starts)
+    return CheckedCounts(
+        count=values.astype(np.int64) if values.dtype.kind == "i" else np.zeros(n, np.int64),
+        segment=np.zeros(n, np.uint16),
+        flags=np.zeros(n, np.uint16),
+        lost=lost,
+        illegal=0,
+        peak_count_rate=rate,
+        reasons=reasons,
+        starts=starts,
+        gap_s=seconds,
+        leap_s=seconds,
+        paused=starts[:0],
+        paused_s=seconds[:0],
+        source=starts,
+    )

@@ -1,0 +1,441 @@
+"""What the pages of a view are sent: events with numbers, and any stretch of the record when they ask for it.
+
+An event is one JSON document.  Members of it, each left out where there is nothing to say:
+
+::
+
+    t, x, v, a          columns: samples since the last event; s, and the unit of the positions; null where not known,
+                        also x between two samples that nothing connects
+    counts              totals so far: samples, lost, crc_errors, illegal, phase_errors, segments
+    unit, state         "m" or "count"; "stick", "slip", "moving" or "gap"
+    trouble             what is wrong now, in words; "" when it is over
+    summary             `daq.live.analysis.LiveAnalysis.summary`
+    break_aways         those since the last event: time, position, time of the landing after it
+    marker              a person's: {"t", "text"}
+    progress            share of a finished run that has been read
+    ended               how the recording ended, in words: the last event
+"""
+
+import asyncio
+import json
+import math
+import os
+import time
+from abc import ABC, abstractmethod
+from bisect import bisect_right
+from collections import deque
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from daq.base.compute.arrays import Array, joined, rows
+from daq.base.errors import InputError
+from daq.finalise import claim
+from daq.live.analysis import LiveAnalysis, columns, number
+from daq.live.finished import RunSamples
+from daq.live.motion import MOST, LiveFilter, LiveMotion
+from daq.live.tail import JournalTail, JournalTotals
+from daq.runfile import journal
+
+# From one look at the journal to the next: the page draws what came in two halves, 20 frames/s.  A look takes 2 to 3 ms
+# of CPU time, nearly the same for 50 samples as for 100: half of it takes almost twice the share of a core.
+LOOK_EVERY_S = 0.099
+SUMMARY_EVERY_S = 1.0
+MOST_PER_S = 1000  # points sent per second of recording: of faster runs every second, third ... sample
+HISTORY_S = 120.0  # what a page that connects late, or again, is sent of a running recording
+GONE_AFTER_S = 3.0  # a journal that does not grow for so long may have lost its recorder
+LOSS_SHOWN_S = 10.0  # for so long a loss of samples is called out
+LONGEST_MARKER = 200  # characters
+MOST_ROWS = 30_000  # of a stretch that is sent sample by sample: six for each pixel of a wide screen
+MOST_PLACES = 1024  # in the journal from which its samples can be read again: 2 kB each
+PART_BYTES = 1 << 16  # of the journal read again at once
+PORTION = 1 << 8  # samples of a finished run that are analysed at once
+SERVED_EVERY_S = 0.02  # pages, while a finished run is read
+LEARNED_FROM = 1 << 17  # samples of a finished run from which the window of its motion is chosen
+
+
+@dataclass(frozen=True)
+class PageEvent:
+    """One message to the pages: its number, the time of its last sample (s), and its JSON."""
+
+    number: int
+    time: float
+    data: str
+
+
+class NotPossibleError(Exception):
+    """What a page asks for cannot be done, in words."""
+
+
+class Publisher(ABC):
+    """The events of a view, and whoever waits for the next one.
+
+    Parameters
+    ----------
+    path : Path
+        The journal, or the run file.
+    rate_hz : float
+        Nominal rate of the samples.
+
+    Attributes
+    ----------
+    ended : str
+        How the view has ended, "" while it goes on.
+    failure : Exception or None
+        What has ended it.
+    """
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        self.path, self.rate_hz = path, rate_hz
+        self.ended = ""
+        self.failure: Exception | None = None
+        self.analysis = LiveAnalysis(rate_hz)
+        self._events: deque[PageEvent] = deque()
+        self._number = 0
+        self._came = asyncio.Event()
+        self._now = 0.0
+        self._told = 0  # break-aways
+
+    @abstractmethod
+    async def follow(self) -> None:
+        """Publish events until the view has ended; an error ends it, and is kept in `failure`."""
+
+    @abstractmethod
+    def facts(self) -> dict[str, Any]:
+        """Return what a page is told first."""
+
+    @abstractmethod
+    def _stretch(self, begin: float, end: float) -> LiveMotion | None:
+        """Return the motion from time ``begin`` to ``end``, s, or somewhat more; None where there is none."""
+
+    def mark(self, text: str) -> None:
+        """Store a marker of this moment; NotPossibleError where there is no recording."""
+        raise NotPossibleError("there is no recording; use daq note --mark")
+
+    def stop(self) -> None:
+        """Ask the recorder to end the recording and keep its data; NotPossibleError where there is no recording."""
+        raise NotPossibleError("there is no recording to stop")
+
+    def stretch(self, begin: float, end: float) -> str:
+        """Return the JSON of a stretch of the record: columns t, x, v, a, and whether they are all samples, ``exact``.
+
+        A stretch of more than `MOST_ROWS` samples is thinned to its extremes.
+        """
+        motion = self._stretch(begin, end) if (end - begin) * self.rate_hz <= MOST_ROWS else None
+        found = columns(motion) if motion is not None else self.analysis.overview.rows()
+        own = (found[0] >= begin) & (found[0] <= end)
+        return json.dumps({"exact": motion is not None})[:-1] + _members(_texts(found[:, own])) + "}"
+
+    async def events(self, after: int) -> AsyncIterator[PageEvent]:
+        """Yield the events after a number, those of the past first, until the view has ended."""
+        while True:
+            came = self._came
+            for event in [event for event in self._events if event.number > after]:
+                after = event.number
+                yield event
+            if self.ended:
+                return
+            await came.wait()
+
+    def _summary(self) -> dict[str, Any]:
+        """Return the members ``summary`` and ``break_aways``."""
+        every = list(self.analysis.break_aways)
+        new = every[max(0, len(every) - (self.analysis.slips - self._told)) :]
+        self._told = self.analysis.slips
+        return {"summary": self.analysis.summary(), "break_aways": _rows(new)}
+
+    def _known(self) -> dict[str, Any]:
+        """Return the same members for a page that connects: all break-aways."""
+        return {"summary": self.analysis.summary(), "break_aways": _rows(list(self.analysis.break_aways))}
+
+    def _send(self, data: dict[str, Any], texts: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Keep an event for the pages; ``texts`` are members that are JSON already, by name."""
+        self._number += 1
+        self._events.append(PageEvent(self._number, self._now, json.dumps(data)[:-1] + _members(texts) + "}"))
+        while self._events[0].time < self._now - HISTORY_S:
+            self._events.popleft()
+        self._came.set()
+        self._came = asyncio.Event()
+
+    def _end(self, words: str) -> None:
+        self.ended = words
+        self._send({"ended": words})
+
+
+class LiveRun(Publisher):
+    """A recording while it runs.
+
+    Parameters
+    ----------
+    path : Path
+        The journal.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.tail = JournalTail(path)
+        super().__init__(path, float(self.tail.header["rate_hz"]))
+        self._stride = max(1, math.ceil(self.rate_hz / MOST_PER_S))
+        self._skip, self._before = 0, np.empty((5, 0))
+        self._last_new = time.monotonic()
+        self._summed = -math.inf
+        self._trouble = ""
+        self._losses: deque[tuple[float, int]] = deque([(0.0, 0)])
+        self._places: list[tuple[float, JournalTail]] = [(-math.inf, self.tail.fork())]
+        self._spacing_s = 1.0
+
+    async def follow(self) -> None:
+        """Look at the journal until the recording has ended."""
+        due = time.monotonic()
+        while not self.ended:
+            try:
+                self.look()
+            except Exception as error:
+                self.failure = error
+                self._end(f"the view has failed ({error}); the recording goes on")
+            now = time.monotonic()
+            due = max(due + LOOK_EVERY_S, now)  # a look that is late does not make the next ones follow at once
+            await asyncio.sleep(due - now)
+
+    def look(self) -> None:
+        """Take what is new in the journal and make an event of it."""
+        try:
+            new = self.tail.poll()
+        except FileNotFoundError:
+            self._end(self._gone())
+            return
+        except InputError as error:
+            self._end(f"the journal {error.what}")
+            return
+        self.analysis.rig, self.analysis.unit = self.tail.rig, self.tail.unit
+        motions = [self.analysis.feed(part) for part in new]
+        if new:
+            self._last_new, self._now = time.monotonic(), float(new[-1].time[-1])
+            self._remember()
+        summary: dict[str, Any] = {}
+        if self._last_new - self._summed >= SUMMARY_EVERY_S or self.tail.ended:
+            self._summed = self._last_new
+            summary = self._summary()
+        trouble = self._wrong()
+        if motions or summary or trouble != self._trouble:
+            self._trouble = trouble
+            self._publish(np.concatenate(motions, axis=1) if motions else None, summary)
+        if self.tail.ended:
+            words = {journal.COMPLETE: "complete", journal.STOPPED: "stopped by the user"}
+            self._end(f"the recording has ended: {words.get(self.tail.ended, self.tail.ended)}")
+        elif time.monotonic() - self._last_new > GONE_AFTER_S and not claim.is_locked(self.tail.path):
+            self._end(f"the recording process is gone: daq recover {self.tail.path.name}")
+
+    def mark(self, text: str) -> None:
+        """Store a marker of this moment beside the journal; the finaliser makes an event of it."""
+        if self.ended:
+            raise NotPossibleError("the recording has ended; use daq note --mark")
+        words = " ".join(text.split())[:LONGEST_MARKER] or "marker"
+        handle = os.open(journal.markers_path(self.tail.path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+        try:
+            os.write(handle, f"{time.monotonic_ns()} {words}\n".encode())
+        finally:
+            os.close(handle)
+        self._send({"marker": {"t": self._now, "text": words}})
+
+    def stop(self) -> None:
+        """Put the file beside the journal that asks its recorder to stop."""
+        if self.ended:
+            raise NotPossibleError("the recording has ended")
+        journal.stop_path(self.tail.path).touch()
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a page is told first: what is recorded, and what is known so far."""
+        header = self.tail.header
+        samples = header["samples"]
+        return {
+            "title": header["title"],
+            "file": self.path.name.removesuffix(".part"),
+            "rate": self.rate_hz,
+            "duration": None if samples is None else samples / self.rate_hz,
+            "every": self._stride,
+            "finished": False,
+            "trouble": self._trouble,
+            **self._known(),
+        }
+
+    def _stretch(self, begin: float, end: float) -> LiveMotion | None:
+        window = self.analysis.filter.window
+        margin = window / self.rate_hz
+        places = self._places
+        at = bisect_right([place for place, _ in places], begin - margin) - 1
+        tail = places[at][1].fork()
+        filtered = LiveFilter(self.rate_hz, window)
+        found: list[LiveMotion] = []
+        while True:
+            before = tail.bytes_read
+            try:
+                new = tail.poll(PART_BYTES)
+            except (OSError, InputError):
+                return None
+            found += [filtered.feed(part) for part in new]
+            if tail.bytes_read == before or (new and new[-1].time[-1] > end + margin):
+                return joined(found) if found else None
+
+    def _remember(self) -> None:
+        """Remember this place of the journal, from which its samples can be read again."""
+        if self._now - self._places[-1][0] < self._spacing_s:
+            return
+        self._places.append((self._now, self.tail.fork()))
+        if len(self._places) > MOST_PLACES:
+            self._places = self._places[::2]
+            self._spacing_s *= 2
+
+    def _wrong(self) -> str:
+        """Return what is wrong with the recording now, in words."""
+        lost = self.tail.counts.lost
+        if lost > self._losses[-1][1]:
+            self._losses.append((self._now, lost))
+        while len(self._losses) > 1 and self._losses[1][0] < self._now - LOSS_SHOWN_S:
+            self._losses.popleft()
+        if self.tail.port_lost:
+            return f"the port was lost ({self.tail.port_lost}): the recorder waits for it"
+        silent = time.monotonic() - self._last_new
+        if silent > GONE_AFTER_S:
+            return f"no sample for {silent:.0f} s"
+        if lost > self._losses[0][1] and self._losses[-1][0] > self._now - LOSS_SHOWN_S:
+            return f"the board loses samples: {lost - self._losses[0][1]} in the last {LOSS_SHOWN_S:g} s"
+        return ""
+
+    def _gone(self) -> str:
+        """Return what has become of a recording whose journal has no name any more."""
+        run = self.path.with_suffix("")
+        try:
+            finished = run.stat().st_mtime_ns >= self.tail.header["wall_ns"]
+        except OSError:
+            finished = False
+        if finished:
+            return "the recording has ended"
+        return (
+            f"{self.path.name} has been moved or removed; the terminal of daq record says where the recording goes on"
+        )
+
+    def _publish(self, motion: Array | None, summary: dict[str, Any]) -> None:
+        texts: dict[str, str] = {}
+        if motion is not None:
+            kept = motion[:, self._skip :: self._stride]
+            self._skip = (self._skip - motion.shape[1]) % self._stride
+            kept = kept[:, kept[0] > self._now - HISTORY_S]  # of a viewer that catches up
+            texts = _texts(np.concatenate((self._before, kept), axis=1), self._before.shape[1])
+            self._before = kept[:, -1:] if kept.size else self._before
+        data = {"counts": vars(self.tail.counts), "unit": self.tail.unit, "state": self.analysis.state}
+        self._send({**data, "trouble": self._trouble, **summary}, texts)
+
+
+class FinishedRun(Publisher):
+    """A run file in the same view.
+
+    Parameters
+    ----------
+    path : Path
+        The run file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.samples = RunSamples(path)
+        super().__init__(path, self.samples.header.rate_hz)
+        self._progress = 0.0
+
+    async def follow(self) -> None:
+        """Read the run, then wait for ever."""
+        try:
+            first = LiveAnalysis(self.rate_hz)
+            await self._read(first, LEARNED_FROM)
+            self.analysis = LiveAnalysis(self.rate_hz, first.filter.window)
+            self.samples.counts = JournalTotals(crc_errors=self.samples.counts.crc_errors)
+            await self._read(self.analysis)
+        except Exception as error:
+            self.failure = error
+            self._end(f"the run cannot be read ({error})")
+            return
+        self._progress = 1.0
+        self._tell()
+        await asyncio.Event().wait()
+
+    async def _read(self, analysis: LiveAnalysis, most: int | None = None) -> None:
+        """Analyse the samples, or so many of the first ones, and tell of it now and then."""
+        analysis.rig, analysis.unit = self.samples.header.rig, self.samples.header.unit
+        told = served = time.monotonic()
+        for piece in self.samples.pieces():
+            # In portions, as a recording comes: what is estimated on the way is used for the next one.
+            for first in range(0, piece.time.size, PORTION):
+                analysis.feed(rows(piece, slice(first, first + PORTION)))
+                if time.monotonic() - served > SERVED_EVERY_S:
+                    await asyncio.sleep(0)
+                    served = time.monotonic()
+            if most is not None and self.samples.counts.samples >= most:
+                return
+            if time.monotonic() - told > SUMMARY_EVERY_S:
+                told = time.monotonic()
+                self._progress = self.samples.counts.samples / self.samples.times.size if most is None else 0.0
+                self._tell()
+
+    def _tell(self) -> None:
+        counts = vars(self.samples.counts)
+        self._send({"counts": counts, "unit": self.analysis.unit, "progress": self._progress, **self._summary()})
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a page is told first: what was recorded, and what is known so far."""
+        run, times = self.samples.header, self.samples.times
+        return {
+            "title": run.title,
+            "file": self.path.name,
+            "rate": self.rate_hz,
+            "duration": number(float(times[-1] - times[0])),
+            "every": 1,
+            "finished": True,
+            "first": float(times[0]),
+            "last": float(times[-1]),
+            "started": run.started,
+            "unit": run.unit,
+            "counted": run.raw is not None,
+            "markers": [{"t": float(times[at]), "text": words} for at, words in self._markers()],
+            **self._known(),
+        }
+
+    def _markers(self) -> list[tuple[int, str]]:
+        run = self.samples.header
+        events = zip(run.event_sample.tolist(), run.event_kind, run.event_note, strict=True)
+        return [(at, words) for at, kind, words in events if kind == "marker" and at < self.samples.times.size]
+
+    def _stretch(self, begin: float, end: float) -> LiveMotion | None:
+        try:
+            found = self.samples.between(begin, end, MOST, MOST_ROWS)
+        except (OSError, InputError):  # the file has been moved meanwhile
+            return None
+        return LiveFilter(self.rate_hz, self.analysis.filter.window).feed(found)
+
+
+def _rows(break_aways: list[tuple[float, float, float]]) -> list[list[float | None]]:
+    return [[round(time, 6), number(x), round(landing, 6)] for time, x, landing in break_aways]
+
+
+def _texts(found: Array, known: int = 0) -> dict[str, str]:
+    """Return rows t, x, v, a, piece as JSON lists by name, with a row without a position between two pieces.
+
+    The first ``known`` rows have been told before.
+    """
+    breaks = np.flatnonzero(np.diff(found[4]) != 0) + 1
+    if breaks.size:
+        between = np.full((5, breaks.size), math.nan)
+        between[0] = (found[0, breaks - 1] + found[0, breaks]) / 2
+        found = np.insert(found, breaks, between, axis=1)
+    forms = {"t": "%.6f", "x": "%.7g", "v": "%.5g", "a": "%.5g"}
+    return {name: _column(values[known:], form) for (name, form), values in zip(forms.items(), found, strict=False)}
+
+
+def _column(values: Array, form: str) -> str:
+    return "[" + ",".join([form % value if math.isfinite(value) else "null" for value in values.tolist()]) + "]"
+
+
+def _members(texts: Mapping[str, str]) -> str:
+    """Return what follows the other members of a JSON object: names and texts that are JSON already."""
+    return "".join(f', "{name}": {text}' for name, text in texts.items())

@@ -1,0 +1,319 @@
+"""Record blocks of samples that a program hands over: the journal, its safety and the run file are those of a board.
+
+The program's blocks are taken in the caller's thread.  Each is handed to the system before the next one is asked for,
+so that a process that is killed keeps every block that was taken; another thread syncs the disk meanwhile.
+"""
+
+import contextlib
+import inspect
+import json
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.base.compute.arrays import Array, Integers
+from daq.base.errors import DataError, DeviceError, InputError
+from daq.protocols import blocks
+from daq.protocols.request import RecordRequest
+from daq.recorder.journal_place import JournalPlace
+from daq.recorder.record import (
+    WAKE_S,
+    RecordingInterruptedError,
+    begun,
+    check_output,
+    disk_error,
+    journal_exists,
+    keeping,
+    make_run,
+    samples_wanted,
+)
+from daq.runfile import journal
+from daq.runfile.recording import FARTHEST, LONGEST_S
+
+if TYPE_CHECKING:
+    from daq.finalise.quality import RecordingQuality
+
+WHERE = "daq.record"
+DO = "give blocks (t, x): times in s and positions in m, or integer counts, two arrays of one length"
+RATE_WITHIN = 0.1  # of the stated rate; another one is an error of the times' unit, or of the rate
+FEWEST_STEPS = 20  # before the rate of the times is believed
+
+
+def record_blocks(
+    source: Iterable[Any],
+    request: RecordRequest,
+    rate_hz: float,
+    seconds: float | None,
+    *,
+    progress: Callable[[float], None] = lambda seconds: None,
+    stop: threading.Event | None = None,
+) -> "RecordingQuality":
+    """Record the blocks of a source into ``request.output``; see `daq.recorder.source.record`.
+
+    Parameters
+    ----------
+    source : iterable
+        Its items are blocks.
+    request : RecordRequest
+        Output, calibration and notes; what concerns a board is not looked at.
+    rate_hz : float
+        Nominal rate.
+    seconds : float or None
+        How long; None: until the source ends.
+    progress, stop
+        As of `daq.recorder.record.record`.
+    """
+    check_output(request)
+    samples = None if seconds is None else samples_wanted(seconds, rate_hz)
+    taking = _Taking(iter(source), rate_hz)
+    stop = stop or threading.Event()
+    try:
+        first = taking.next()
+    except KeyboardInterrupt as error:
+        raise RecordingInterruptedError("interrupted before the first block came", WHERE, "record again") from error
+    except _SourceError as error:
+        what = f"the source failed before its first block: {_words(error)}"
+        raise DeviceError(what, WHERE, "mend it") from error.__cause__
+    if first is None:
+        raise DataError("the source gave no block", WHERE, DO)
+    how: dict[str, Any] = {
+        "protocol": blocks.NAME,
+        "columns": blocks.COUNTS if first.counted else blocks.POSITIONS,
+        "decoder": None,
+        "port": f"source: {type(source).__name__}",
+        "baud": None,
+        "rate_hz": rate_hz,
+        "samples": samples,
+        "title": f"{'counts' if first.counted else 'positions'} of a program, {rate_hz:g} Hz",
+        "warnings": [],
+    }
+    try:
+        writer = journal.Writer(request.part, begun(how, request.notes, {"source": type(source).__name__}))
+    except FileExistsError as error:
+        raise journal_exists(request.part) from error
+    except OSError as error:
+        raise disk_error(request.part, error) from error
+    place = JournalPlace(writer, request.output, lambda line: None)
+    with keeping(writer):
+        if request.calibration is not None:
+            writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
+        with _syncing(writer, place, stop) as lock:
+            failure = _take(first, taking, samples, writer, lock, progress, stop)
+        writer.sync()
+        place.check()
+        if isinstance(failure, _WrongRateError):
+            writer.remove()  # it would stand in the way of the next try, which begins with the same samples
+            raise failure
+        found = make_run(request, writer, place)
+    if failure is not None:
+        kept = f"the {found.samples} samples before it are in {found.file}"
+        if isinstance(failure, InputError):
+            raise InputError(f"{failure.what}; {kept}", failure.where, failure.do) from failure
+        what = f"the source failed: {_words(failure)}"
+        raise DeviceError(what, WHERE, f"mend it; {kept}") from failure.__cause__
+    return found
+
+
+def _take(
+    block: "_Block | None",
+    taking: "_Taking",
+    samples: int | None,
+    writer: journal.Writer,
+    lock: threading.Lock,
+    progress: Callable[[float], None],
+    stop: threading.Event,
+) -> "InputError | _SourceError | None":
+    """Write block after block until there are enough, or the source ends; return what it failed with."""
+    failure: InputError | _SourceError | None = None
+    reason = journal.COMPLETE
+    try:
+        while block is not None:
+            stamp = time.monotonic_ns()
+            with lock:
+                for data in blocks.packed(block.time, block.values):
+                    writer.append(journal.RECEIVED, stamp, data)
+                if writer.tick() and writer.is_asked_to_stop():
+                    stop.set()
+            progress(taking.taken_s)
+            if stop.is_set():
+                reason = journal.STOPPED
+                break
+            if samples is not None and taking.taken >= samples:
+                break
+            block = taking.next()
+        else:
+            reason = journal.COMPLETE if samples is None else journal.SOURCE_ENDED
+        taking.close()
+    except KeyboardInterrupt:
+        reason = journal.STOPPED
+    except (InputError, _SourceError) as error:
+        failure, reason = error, journal.SOURCE_FAILED
+    with lock:
+        if failure is not None:
+            writer.append(journal.LOST, time.monotonic_ns(), _words(failure).encode())
+        writer.append(journal.END, time.monotonic_ns(), json.dumps({"reason": reason}).encode())
+    return failure
+
+
+@contextlib.contextmanager
+def _syncing(writer: journal.Writer, place: JournalPlace, stop: threading.Event) -> Iterator[threading.Lock]:
+    """Sync a journal every second while a source is waited for; yield the lock that its writers take."""
+    lock, ended = threading.Lock(), threading.Event()
+
+    def sync() -> None:
+        while not ended.wait(WAKE_S):
+            with lock, contextlib.suppress(OSError):  # the caller's thread meets the same
+                if writer.tick():
+                    place.check()
+                    if writer.is_asked_to_stop():
+                        stop.set()
+
+    thread = threading.Thread(target=sync, name="daq journal", daemon=True)
+    thread.start()
+    try:
+        yield lock
+    finally:
+        ended.set()
+        thread.join()
+
+
+class _SourceError(Exception):
+    """The source raised an exception, which is the cause of this one."""
+
+
+class _WrongRateError(InputError):
+    """The times of the blocks have another rate than was stated."""
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Times, s, and counts or positions, m, of one block, (n,) each."""
+
+    time: Array
+    values: Array | Integers
+
+    @property
+    def counted(self) -> bool:
+        return self.values.dtype.kind == "i"
+
+
+class _Taking:
+    """Takes the blocks of a source, checked.
+
+    Attributes
+    ----------
+    taken : int
+        Samples taken.
+    """
+
+    def __init__(self, source: Iterator[Any], rate_hz: float) -> None:
+        self.taken = 0
+        self._source, self._rate_hz = source, rate_hz
+        self._number = 0
+        self._counted: bool | None = None
+        self._first_s = self._last_s = 0.0
+        self._steps: list[float] | None = []  # of the first samples; None once their rate was checked
+
+    @property
+    def taken_s(self) -> float:
+        """Seconds taken."""
+        return self._last_s - self._first_s + 1 / self._rate_hz
+
+    def next(self) -> _Block | None:
+        """Return the next block with a sample; None where the source has ended."""
+        while True:
+            try:
+                item = next(self._source)
+            except StopIteration:
+                return None
+            except Exception as error:
+                raise _SourceError from error
+            self._number += 1
+            block = self._checked(item)
+            if len(block.time):
+                return block
+
+    def close(self) -> None:
+        """End a generator that has not ended by itself, so that it can close its device."""
+        if inspect.isgenerator(self._source):
+            try:
+                self._source.close()
+            except Exception as error:
+                raise _SourceError from error
+
+    def _checked(self, item: Any) -> _Block:
+        try:
+            times, values = item
+        except (TypeError, ValueError) as error:
+            what = f"block {self._number} is {_kind(item)}, not two arrays"
+            do = f"{DO}; for arrays that are complete use daq.Recording.from_arrays(t, x).save(path)"
+            raise InputError(what, WHERE, do) from error
+        try:
+            time, column = np.atleast_1d(np.asarray(times)), np.atleast_1d(np.asarray(values))
+        except ValueError as error:
+            raise InputError(f"block {self._number} holds no columns of numbers", WHERE, DO) from error
+        for name, numbers in (("times", time), ("values", column)):
+            if numbers.ndim != 1 or numbers.dtype.kind not in "iuf":
+                what = f"the {name} of block {self._number} are {numbers.dtype} of shape {numbers.shape}"
+                raise InputError(what, WHERE, DO)
+        if len(time) != len(column):
+            what = f"block {self._number} holds {len(time)} times and {len(column)} values"
+            raise InputError(what, WHERE, DO)
+        counted = column.dtype.kind in "iu"
+        if self._counted is not None and len(time) and counted != self._counted:
+            kinds = "counts (integers)", "positions (floats)"
+            what = f"block {self._number} holds {kinds[not counted]} after {kinds[not self._counted]}"
+            raise InputError(what, WHERE, "give all blocks as one or the other: np.asarray(x, float)")
+        seconds = time.astype(np.float64)
+        self._check_values(seconds, column)
+        if len(seconds):
+            self._check_rate(seconds)
+            self._first_s = self._first_s if self.taken else float(seconds[0])
+            self._counted, self._last_s, self.taken = counted, float(seconds[-1]), self.taken + len(seconds)
+        return _Block(seconds, column.astype(np.int64) if counted else column.astype(np.float64))
+
+    def _check_values(self, time: Array, column: "np.ndarray[Any, Any]") -> None:
+        for name, numbers, most in (("time", time, np.inf), ("value", column, FARTHEST)):
+            wrong = np.flatnonzero(~((np.abs(numbers) <= most) & np.isfinite(numbers)))
+            if wrong.size:
+                what = f"the {name} of sample {wrong[0]} in block {self._number} is {numbers[wrong[0]]:g}"
+                raise InputError(what, WHERE, "leave out samples that are no numbers")
+        steps = np.diff(time, prepend=self._last_s if self.taken else -np.inf)
+        wrong = np.flatnonzero(~(steps > 0))
+        if wrong.size:
+            at = int(wrong[0])
+            before = float(time[at - 1]) if at else self._last_s
+            what = f"time does not increase at sample {at} in block {self._number}"
+            do = "give the times of one clock, in s, that go on from block to block"
+            raise InputError(f"{what}: {time[at]:.9g} s after {before:.9g} s", WHERE, do)
+        if self.taken and len(time) and time[-1] - self._first_s > LONGEST_S:
+            raise InputError(f"its times reach {time[-1]:.3g} s", WHERE, "give times in s")
+
+    def _check_rate(self, time: Array) -> None:
+        if self._steps is None:
+            return
+        before = [self._last_s] if self.taken else []
+        self._steps += np.diff([*before, *time[: FEWEST_STEPS + 1].tolist()]).tolist()
+        if len(self._steps) < FEWEST_STEPS:
+            return
+        found = 1 / float(np.median(self._steps))
+        self._steps = None
+        if abs(found / self._rate_hz - 1) > RATE_WITHIN:
+            what = f"the times step at {found:.4g} Hz, and rate_hz is {self._rate_hz:g}"
+            raise _WrongRateError(what, WHERE, f"give rate_hz={found:.4g}, or the times in s")
+
+
+def _kind(item: Any) -> str:
+    shape = getattr(item, "shape", None)
+    return f"a {type(item).__name__}" + (f" of shape {shape}" if shape is not None else "")
+
+
+def _words(error: InputError | _SourceError) -> str:
+    if isinstance(error, InputError):
+        return error.what
+    cause = error.__cause__
+    return f"{type(cause).__name__}: {cause}".rstrip(": ")

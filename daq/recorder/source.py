@@ -1,0 +1,227 @@
+"""Record from anything that gives samples: a port, the simulated rig, or a program's own blocks."""
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.base.console.notes import NoteFlags
+from daq.base.errors import InputError
+from daq.base.output import names
+from daq.base.units import Stated, stated
+from daq.protocols.request import RecordRequest
+from daq.recorder.blocks import record_blocks
+from daq.recorder.record import record as record_board
+from daq.runfile.rig import Rig
+
+if TYPE_CHECKING:
+    from daq.finalise.quality import RecordingQuality
+
+DURATION_S = 20.0  # of a port where none is stated, as of the command
+APPEARS_S = "30 s"  # how long the live view waits for a recording that begins
+
+
+def record(
+    source: str | Iterable[Any],
+    output: str | os.PathLike[str],
+    *,
+    rate_hz: float | None,
+    seconds: float | None = None,
+    mass: Stated | None = None,
+    stiffness: Stated | None = None,
+    damping: Stated | None = None,
+    belt_speed: Stated | None = None,
+    x0: Stated | None = None,
+    metres_per_count: Stated | None = None,
+    rig: str | os.PathLike[str] | None = None,
+    protocol: str = "frames",
+    columns: str | None = None,
+    baud: int | None = None,
+    decoder: str | None = None,
+    title: str | None = None,
+    operator: str | None = None,
+    sample: str | None = None,
+    note: str | None = None,
+    tags: Mapping[str, str] | None = None,
+    live: bool = False,
+    force: bool = False,
+    progress: Callable[[float], None] = lambda seconds: None,
+    say: Callable[[str], None] = lambda line: None,
+    stop: threading.Event | None = None,
+) -> "RecordingQuality":
+    """Record a run from a port, a URL or an iterable of blocks of samples, such as a data acquisition card's.
+
+    While it runs the recording is a journal, ``OUTPUT.part``, from which ``daq recover`` makes the run file if the
+    process is killed: with all blocks that were taken before.  Ctrl-C ends the recording and keeps its data.
+
+    Parameters
+    ----------
+    source : str or iterable
+        A device (``"/dev/ttyACM0"``, ``"COM3"``) or URL (``"rig://rig"``, the simulated rig), as ``daq record --port``
+        takes them; or an iterable of blocks ``(t, x)`` or ``(t, count)``: arrays of one length, or single numbers, with
+        times in s by one clock and positions in m, or counts as integers.
+    output : path
+        The run file; ``run-{n:03}.h5`` is numbered.
+    rate_hz : float or None
+        Nominal sample rate.  Where times step by n periods, n - 1 samples are counted as lost.  None for a port whose
+        rate is its own (text lines).
+    seconds : float, optional
+        How long; by default until the iterable ends, and 20 s from a port.
+    mass, stiffness, damping, belt_speed, x0, metres_per_count : quantity, optional
+        What is known of the rig, as for `Recording.from_arrays`; in place of what a board sends or ``rig`` says.
+    rig : path, optional
+        A rig.toml.
+    protocol, columns, baud, decoder
+        Of a port, as the flags of ``daq record``.
+    title, operator, sample, note, tags
+        Notes on the run; tags are a mapping of texts.
+    live : bool
+        Show the recording in the browser (``daq watch``), in a process of its own.
+    force : bool
+        Replace an existing file.
+    progress, say : callable
+        Called with the seconds recorded so far, and with a line of text about a board.
+    stop : threading.Event, optional
+        Ends the recording when it is set.
+
+    Returns
+    -------
+    RecordingQuality
+        Samples, losses, clock, warnings and ``file``, the run file: what ``daq record --json`` prints.
+
+    Raises
+    ------
+    InputError
+        For arguments that cannot be, a file that exists, a block that is no two columns of one length, times that do
+        not increase, or a rate that they do not have.  Blocks before a wrong one are kept in the file.
+    DeviceError
+        The port does not answer; the source raised an exception (its ``__cause__``): what came before is in the file;
+        or the disk refuses, and the journal is kept.
+    DataError
+        There was not one sample.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import daq
+    >>> def blocks():  # a card that gives 0.1 s at a time
+    ...     for k in range(20):
+    ...         t = (100 * k + np.arange(100)) / 1000
+    ...         yield t, 0.01 * np.sin(6 * t)
+    >>> found = daq.record(blocks(), "card.h5", rate_hz=1000, mass="300 g")
+    >>> found
+    <RecordingQuality card.h5: 2000 samples, 2 s at 1000 Hz, no sample lost>
+    >>> daq.load("card.h5").rig.mass
+    Measured(value=0.3, sd=0.0)
+    """
+    target = names.completed(Path(output))
+    typed = [f"{name}={value}" for name, value in (tags or {}).items()]
+    notes = NoteFlags(title, operator, sample, note, typed or None).given()
+    values = {
+        "mass": stated(mass, "mass"),
+        "stiffness": stated(stiffness, "stiffness"),
+        "damping": stated(damping, "damping"),
+        "belt_speed": stated(belt_speed, "belt_speed"),
+        "x0": stated(x0, "x0"),
+        "metres_per_count": stated(metres_per_count, "metres_per_count"),
+    }
+    request = RecordRequest(
+        output=target,
+        force=force,
+        calibration=None if rig is None else _text(Path(rig)),
+        stated={name: value for name, value in values.items() if value is not None},
+        notes=notes,
+    )
+    with _viewer(request.part) if live else contextlib.nullcontext():
+        if isinstance(source, str):
+            request = replace(
+                request,
+                port=source,
+                rate_hz=_whole(rate_hz),
+                duration_s=DURATION_S if seconds is None else seconds,
+                protocol=protocol,
+                columns=columns,
+                baud=baud,
+                decoder=decoder,
+            )
+            return record_board(request, progress=progress, say=say, stop=stop)
+        if isinstance(source, Mapping) or not isinstance(source, Iterable):
+            what = f"the source is a {type(source).__name__}"
+            raise InputError(what, "daq.record", "give a port, a URL, or an iterable of blocks (t, x)")
+        if rate_hz is None or not rate_hz > 0:
+            raise InputError(f"rate_hz is {rate_hz}", "daq.record", "give the samples per second of the source")
+        calibration = Rig.from_toml(request.calibration or "", str(rig)).stating(request.stated).to_toml()
+        request = replace(request, calibration=calibration)
+        return record_blocks(source, request, float(rate_hz), seconds, progress=progress, stop=stop)
+
+
+def recover(
+    journal: str | os.PathLike[str], output: str | os.PathLike[str] | None = None, *, force: bool = False
+) -> "RecordingQuality":
+    """Build the run file of a recording that was killed, out of its journal; ``daq recover`` does the same.
+
+    Parameters
+    ----------
+    journal : path
+        The ``RUN.h5.part`` that the recording left.
+    output : path, optional
+        The run file; by default the journal's name without ``.part``.
+    force : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    RecordingQuality
+
+    Raises
+    ------
+    InputError
+        The journal is missing, not a journal, or still being written; or the run file exists.
+    DataError
+        The journal holds no samples.
+
+    Examples
+    --------
+    >>> import daq
+    >>> found = daq.recover("run.h5.part")  # doctest: +SKIP
+    """
+    from daq.base.output import suffix
+    from daq.finalise.run import finalise
+
+    part = Path(journal)
+    if part.suffix != ".part":
+        raise InputError("is not a journal", str(part), "give the RUN.h5.part that the recording left")
+    target = part.with_suffix("") if output is None else Path(output)
+    suffix.check_run(target)
+    return finalise(part, target, finished_by="daq recover", force=force)
+
+
+def _whole(rate_hz: float | None) -> int | None:
+    if rate_hz is not None and float(rate_hz) != int(rate_hz):
+        raise InputError(f"rate_hz is {rate_hz}", "daq.record", "a port takes whole Hz, such as rate_hz=1000")
+    return None if rate_hz is None else int(rate_hz)
+
+
+def _text(rig: Path) -> str:
+    try:
+        return rig.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read ({error})", str(rig), "give a rig.toml") from error
+
+
+@contextlib.contextmanager
+def _viewer(part: Path) -> Iterator[None]:
+    """Show a recording that is about to begin in the browser, by a process that ends soon after it."""
+    line = [sys.executable, "-m", "daq.cli.app", "watch", str(part), "--wait", APPEARS_S]
+    process = subprocess.Popen(line, start_new_session=True)
+    try:
+        yield
+    except BaseException:
+        if not part.exists():
+            process.terminate()  # it still waits for a recording that has not begun
+        raise

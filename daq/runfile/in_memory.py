@@ -1,0 +1,187 @@
+"""A run made of arrays: the positions or counts that a program already has in memory, and what is known of the rig."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from daq.base.compute.arrays import Array, Integers
+from daq.base.errors import InputError
+from daq.base.measured import Measured
+from daq.base.units import Stated, stated
+from daq.runfile import belt_counter
+from daq.runfile.rig import Rig
+from daq.runfile.run_data import FARTHEST, RunData, impossible_motion, positions
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+Made = TypeVar("Made", bound=RunData)
+# Decimals of a position in m.  A coarser power of ten of which all readings are multiples is taken in their place; half
+# as many are 30 um, more than most encoders resolve, and at 18 a belt of 9 m no longer fits into a whole number.
+FINEST_DECIMALS = 9
+# Of the largest reading: by how much a decimal may be off where binary numbers hold it, after a change of units or two.
+ULPS = 4.0
+
+
+def from_arrays(
+    make: Callable[..., Made],
+    time: "ArrayLike",
+    position: "ArrayLike",
+    *,
+    mass: Stated | None = None,
+    stiffness: Stated | None = None,
+    belt_speed: Stated | None = None,
+    x0: Stated | None = None,
+    damping: Stated | None = None,
+    metres_per_count: Stated | None = None,
+    belt_position: "ArrayLike | None" = None,
+    title: str = "",
+) -> Made:
+    """Return a run made of arrays by ``make``, its class; see `daq.runfile.recording.Recording.from_arrays`."""
+    from daq.base.output import provenance
+
+    times, values = _column(time, "time"), _column(position, "position")
+    if len(times) != len(values):
+        raise InputError(f"time holds {len(times)} values and position {len(values)}", "from_arrays", "give one each")
+    if len(times) < 2:
+        raise InputError(f"time and position hold {len(times)} sample(s)", "from_arrays", "give two or more")
+    seconds = times.astype(np.float64)
+    seconds = seconds - seconds[0]
+    pitch = stated(metres_per_count, "metres_per_count")
+    count = counts(values, pitch, "position")
+    metres = values.astype(np.float64)
+    for name, column in (("time", seconds), ("position", metres)):
+        _check_finite(column, name)
+    if (wrong := impossible_motion(seconds, metres)) is not None:
+        raise InputError(wrong, "from_arrays", "give times in s that increase, and positions in m or counts")
+    rig = Rig(
+        metres_per_count=pitch,
+        mass=stated(mass, "mass"),
+        stiffness=stated(stiffness, "stiffness"),
+        belt_speed=stated(belt_speed, "belt_speed"),
+        x0=stated(x0, "x0"),
+        damping=stated(damping, "damping"),
+    )
+    begun = datetime.now(UTC)
+    run = make(
+        title=title or "arrays",
+        started=begun.isoformat(),
+        ended=(begun + timedelta(seconds=float(seconds[-1]))).isoformat(),
+        rate_hz=sample_rate(seconds),
+        rig=rig,
+        time=seconds,
+        position=metres if count is None else positions(count, rig),
+        count=count,
+        config_toml=rig.to_toml(),
+        provenance=provenance.here(),
+    )
+    if belt_position is None:
+        return run
+    belt = _column(belt_position, "belt_position").astype(np.float64)
+    if len(belt) != len(seconds):
+        raise InputError(
+            f"belt_position holds {len(belt)} values and time {len(seconds)}", "from_arrays", "give one each"
+        )
+    _check_finite(belt, "belt_position")
+    return with_belt(run, belt)
+
+
+def counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: str) -> Integers | None:
+    """Return positions as counts: whole numbers of any type with a pitch, integers without; None where they are metres.
+
+    Raises
+    ------
+    InputError
+        There is a pitch, and the values are no whole numbers.
+    """
+    if values.dtype.kind in "iu":
+        return np.asarray(values, np.int64)
+    if pitch is None:
+        return None
+    whole = np.rint(values)
+    off = np.flatnonzero(~(values == whole))
+    if off.size:
+        what = f"{name} is {values[off[0]]:g} at sample {off[0]}, no count, and metres_per_count is given"
+        raise InputError(what, name, "give whole counts, or leave metres_per_count out if these are metres")
+    return np.asarray(whole, np.int64)
+
+
+def with_belt(run: Made, belt: Array) -> Made:
+    """Return a run with the positions of its belt as counts.
+
+    The count is the last decimal of the positions, `FINEST_DECIMALS` at most, so that rounded readings are counts of
+    their own rounding.
+
+    Parameters
+    ----------
+    run : RunData
+        Of n samples.
+    belt : (n,) float64
+        Positions of the belt, m, positive towards +x.
+    """
+    pitch = last_decimal(belt)
+    count = np.rint(belt / pitch).astype(np.int64)
+    speed = belt_counter.velocity(count, run.time, np.array([0]), run.rate_hz, pitch)
+    rig = replace(run.rig, belt_metres_per_count=Measured(pitch))
+    return replace(run, rig=rig, belt_count=count, belt_velocity=speed, config_toml=rig.to_toml())
+
+
+def last_decimal(values: Array) -> float:
+    """Return the largest power of ten of which all values are multiples, 1e-9 (`FINEST_DECIMALS`) at least."""
+    for decimals in range(FINEST_DECIMALS):
+        number = values * 10.0**decimals
+        if np.all(np.abs(number - np.rint(number)) <= ULPS * np.spacing(np.abs(number).max())):
+            return float(10.0**-decimals)
+    return float(10.0**-FINEST_DECIMALS)
+
+
+def sample_rate(time: Array) -> float:
+    """Return the rate of samples at times in s, Hz: that of the steps in which no sample is missing."""
+    step = np.diff(time)  # their mean: the median alone carries the rounding of printed times
+    return float(1 / step[step < 1.5 * np.median(step)].mean())
+
+
+def _column(values: "ArrayLike", name: str) -> "np.ndarray[Any, Any]":
+    """Return numbers as an array of shape (n,)."""
+    try:
+        column = np.asarray(values)
+    except ValueError as error:  # rows of unequal length
+        raise InputError(f"{name} is no column of numbers", "from_arrays", "give a sequence of numbers") from error
+    if column.dtype == object and column.ndim == 1:  # a column of a table with a number as text or None in it
+        try:
+            column = column.astype(np.float64)
+        except (TypeError, ValueError) as error:
+            what = f"{name} holds {_odd(column)!r:.40}, not numbers"
+            raise InputError(what, "from_arrays", "give a sequence of numbers") from error
+    if column.dtype.kind in "mM":
+        what = f"{name} holds dates or durations"
+        do = "give seconds: (t - t[0]) / np.timedelta64(1, 's')"
+        raise InputError(what, "from_arrays", do)
+    if column.dtype.kind not in "iuf":
+        raise InputError(f"{name} holds {column.dtype} values, not numbers", "from_arrays", "give numbers")
+    if column.ndim != 1:
+        raise InputError(
+            f"{name} has shape {column.shape}", "from_arrays", f"give one dimension, as in {name}[:, 0] or .ravel()"
+        )
+    return column
+
+
+def _odd(column: "np.ndarray[Any, Any]") -> Any:
+    for value in column:
+        try:
+            float(value)
+        except (TypeError, ValueError):
+            return value
+    return None
+
+
+def _check_finite(values: Array, name: str) -> None:
+    wrong = np.flatnonzero(~(np.abs(values) <= FARTHEST))
+    if wrong.size:
+        value = values[wrong[0]]
+        do = f"remove those samples: keep = np.isfinite({name})" if not np.isfinite(value) else "check its unit"
+        more = f" and {wrong.size - 1} more" if wrong.size > 1 else ""
+        raise InputError(f"{name} is {value:g} at sample {wrong[0]}{more}", "from_arrays", do)

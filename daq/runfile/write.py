@@ -1,0 +1,37 @@
+"""A run into a new file: built beside its place, synced to disk, and put there whole."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from daq.base.output import atomic, disk
+from daq.runfile import schema, trust
+from daq.runfile.run_data import RunData
+
+
+def write(path: str | os.PathLike[str], run: RunData, *, force: bool = False) -> None:
+    """Write a run into a new file: build it beside ``path``, sync it to disk, move it into place.
+
+    Parameters
+    ----------
+    path : path
+        The run file.
+    run : RunData
+        The run.
+    force : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    InputError
+        When ``path`` exists and ``force`` was not given, or its folder does not exist.
+    ValueError
+        When the arrays of ``run`` do not belong together.
+    """
+    target = Path(path)
+    atomic.refuse_existing(target, force)
+    schema.check(run)
+    run = replace(run, digest=schema.digest(run))
+    with atomic.replacing(target, force) as temporary, disk.hdf5(temporary, "w") as file:
+        schema.write(file, run, target.name)
+    trust.trust_own(target)

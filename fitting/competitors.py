@@ -1,0 +1,334 @@
+"""Which laws compete for a record, and what is given of their parameters: fixed values, bounds and first values.
+
+A parameter is named as the results name it, in the unit that they give it there.  ``LAW.NAME`` is that of one law, as
+``5.gamma`` or ``mine.v_s``; a name alone is that of every law that has it.
+
+==================  ==================================  ============================================================
+name                of                                  remarks
+==================  ==================================  ============================================================
+k/m, v_dr, x0, c/m  every law                           v_dr of a single run
+Fs/m                laws 1 to 6
+gamma               laws 5 and 6
+G_slip/m            laws 3 and 4                        the law is then fitted as its formula
+d                   laws 2, 4, 6, formulas on a ramp
+static              laws 2, 4, 6
+those of a formula  that law                            ``NAME/m`` too where its unit has a force
+k, c, Fs, G_slip    as k/m, c/m, Fs/m, G_slip/m         in newtons where the mass is known, else per unit mass
+==================  ==================================  ============================================================
+
+What follows from other parameters (Fs/k, wear, droop, x0 + Fs/k) cannot be given.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+from daq.base.errors import InputError, check_known, nearest
+from fitting.law import Bound, Law, read_law
+from rig_sim.friction.law import LAWS
+
+ALL_LAWS = (1, 2, 3, 4, 5, 6)
+# Least value of each parameter of rig and contact, and whether it may be that.
+LEAST: dict[str, tuple[float, bool]] = {
+    "k/m": (0.0, False),
+    "Fs/m": (0.0, False),
+    "gamma": (0.0, True),
+    "G_slip/m": (0.0, True),
+    "d": (0.0, False),
+    "static": (1.0, True),
+    "c/m": (0.0, True),
+}
+FREE = (-math.inf, True)
+PER_MASS = "/m"
+LAST = 100_000  # number of a cycle: no record holds as many
+OF_EVERY_LAW = ("k/m", "k", "c/m", "c", "v_dr", "x0")
+OF_A_CURVE = {"linear": ("G_slip/m", "G_slip"), "hyperbolic": ("gamma",)}
+FORMULAS = {"constant": "Fs", "linear": "Fs - G_slip*s", "hyperbolic": "Fs/(1 + gamma*s)"}  # of the curves of the six
+
+
+class Given(NamedTuple):
+    """What is given of one parameter: its bounds, equal where it is fixed, and its first value, if any."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    start: float | None = None
+
+    @property
+    def fixed(self) -> bool:
+        """Whether it has one value."""
+        return self.low == self.high
+
+
+@dataclass(frozen=True, eq=False)
+class Competitors:
+    """The laws that compete.
+
+    Attributes
+    ----------
+    laws : tuple of int
+        Of the six.
+    formulas : tuple of Law
+        Those that were named.
+    fix, bounds, start : mapping of str to float, of (low, high), of float
+        By the names of parameters.
+
+    Raises
+    ------
+    InputError
+        For no law at all, unknown laws, two laws of one name, parameters that no law has, and values that cannot be.
+    """
+
+    laws: tuple[int, ...] = ALL_LAWS
+    formulas: tuple[Law, ...] = ()
+    fix: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, Bound] = field(default_factory=dict)
+    start: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        unknown = [law for law in self.laws if law not in ALL_LAWS]
+        if unknown or not self.count:
+            what = f"unknown law {unknown[0]}" if unknown else "no law to fit"
+            raise InputError(what, "--laws", "choose 1 to 6, such as 1-6 or 3,5")
+        twice = [name for name in self.names if self.names.count(name) > 1]
+        if twice:
+            raise InputError(f"two laws have the name {twice[0]}", "--law", "give each law a name of its own")
+        for flag, given in (("--fix", self.fix), ("--bound", self.bounds), ("--start", self.start)):
+            for name in given:
+                self._check_name(name, flag)
+        for name, (low, high) in self.bounds.items():
+            if low is not None and high is not None and not low < high:
+                raise InputError(f"bounds of {name} are {low:g} and {high:g}", "--bound", "give the lower one first")
+            if name in self.fix:
+                raise InputError(f"{name} is fixed and has bounds", "--bound", "give one of the two")
+        for law in self.every:
+            self.of_law(law)
+
+    @classmethod
+    def of(
+        cls,
+        laws: "int | str | Law | Sequence[int | str | Law]" = ALL_LAWS,
+        fix: Mapping[str, float] | None = None,
+        bounds: Mapping[str, Bound] | None = None,
+        start: Mapping[str, float] | None = None,
+    ) -> "Competitors":
+        """Return the competitors that a call from Python names: numbers, published names, and laws of one's own."""
+        numbers: list[int] = []
+        formulas: list[Law] = []
+        for one in [laws] if isinstance(laws, int | str | Law) else laws:
+            own_numbers, own_formulas = ([], [one]) if isinstance(one, Law) else _read(str(one), "--laws")
+            numbers += own_numbers
+            formulas += [law for law in own_formulas if law not in formulas]
+        return cls(tuple(dict.fromkeys(numbers)), tuple(formulas), fix or {}, bounds or {}, start or {})
+
+    @classmethod
+    def typed(
+        cls,
+        laws: str,
+        law: Iterable[str] = (),
+        ramp: Iterable[str] = (),
+        fix: Iterable[str] = (),
+        bound: Iterable[str] = (),
+        start: Iterable[str] = (),
+    ) -> "Competitors":
+        """Return the competitors that the flags of a command line name."""
+        numbers, formulas = _read(laws, "--laws")
+        formulas += [own for own in map(read_law, law) if own not in formulas]
+        behind = list(ramp)
+        for name in behind:
+            check_known(name, [own.name for own in formulas], "law", "--ramp")
+        return cls(
+            tuple(dict.fromkeys(numbers)),
+            tuple(own.behind_ramp() if own.name in behind else own for own in formulas),
+            {name: _number(value, name, "--fix") for name, value in _pairs(fix, "--fix")},
+            {name: _interval(value, name) for name, value in _pairs(bound, "--bound")},
+            {name: _number(value, name, "--start") for name, value in _pairs(start, "--start")},
+        )
+
+    @property
+    def every(self) -> tuple[int | Law, ...]:
+        """The laws."""
+        return (*self.laws, *self.formulas)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the formulas."""
+        return tuple(law.name for law in self.formulas)
+
+    @property
+    def count(self) -> int:
+        """How many laws compete."""
+        return len(self.laws) + len(self.formulas)
+
+    @cached_property
+    def restated(self) -> dict[int, Law]:
+        """The laws of the six that are fitted as their formula, since something is given of their G_slip."""
+        return {law: restated(law) for law in self.laws if {"G_slip/m", "G_slip"} & self.of_law(law).keys()}
+
+    @property
+    def direct(self) -> tuple[int, ...]:
+        """The laws of the six that compete as they are fitted, not as formulas."""
+        return tuple(law for law in self.laws if law not in self.restated)
+
+    @property
+    def searched(self) -> tuple[int, ...]:
+        """The laws of the six that are fitted: those that compete; beside formulas, which start from them, all six."""
+        return ALL_LAWS if self.formulas or self.restated else self.laws
+
+    def of_law(self, law: int | Law) -> dict[str, Given]:
+        """Return what is given of a law's parameters, by their names without that of the law.
+
+        Raises
+        ------
+        InputError
+            For values that the parameter cannot have.
+        """
+        found: dict[str, Given] = {}
+        for kind, given in (("bounds", self.bounds), ("start", self.start), ("fix", self.fix)):
+            for name, value in given.items():
+                own = _named(name, law)
+                if own is not None:
+                    found[own] = _with(found.get(own, Given()), kind, value)
+        own_names = () if isinstance(law, int) else law.curve.parameters
+        for name, one in found.items():
+            _check(name, one, *(LEAST.get(_per_mass(name), FREE) if name not in own_names else FREE))
+        return found
+
+    def _check_name(self, name: str, flag: str) -> None:
+        if any(_named(name, law) for law in self.every):
+            return
+        prefix, dot, _ = name.partition(".")
+        known = [str(law) if isinstance(law, int) else law.name for law in self.every]
+        if dot and prefix not in known:
+            raise InputError(f"{name}: there is no law {prefix}", flag, nearest(prefix, known))
+        choices = dict.fromkeys(own for law in self.every if not dot or _label(law) == prefix for own in names_of(law))
+        raise InputError(f"no law that is fitted has a parameter {name}", flag, nearest(name, list(choices)))
+
+
+def restated(law: int) -> Law:
+    """Return one of the six as its formula."""
+    kind = LAWS[law]
+    bounds = dict.fromkeys([name for name in ("gamma", "G_slip") if name in FORMULAS[kind.curve]], (0.0, None))
+    return Law(f"law{law}", FORMULAS[kind.curve], ramp=bool(kind.ramp), bounds=bounds)
+
+
+def names_of(law: int | Law) -> tuple[str, ...]:
+    """Return the names of a law's parameters of which something may be given."""
+    if isinstance(law, int):
+        kind = LAWS[law]
+        ramp = ("d", "static") if kind.ramp else ()
+        return (*OF_EVERY_LAW, "Fs/m", "Fs", *OF_A_CURVE.get(kind.curve, ()), *ramp)
+    own = law.curve.parameters
+    forces = [f"{name}{PER_MASS}" for name in own if law.dimensions.get(name, (0, 0))[0]]
+    return (*own, *forces, *OF_EVERY_LAW, *(("d",) if law.ramp else ()))
+
+
+def _label(law: int | Law) -> str:
+    return str(law) if isinstance(law, int) else law.name
+
+
+def _named(name: str, law: int | Law) -> str | None:
+    """Return a parameter's name in a law, without the law's; None where the law has none of that name."""
+    prefix, dot, own = name.partition(".")
+    if dot and prefix != _label(law):
+        return None
+    own = own if dot else name
+    return own if own in names_of(law) else None
+
+
+def _with(given: Given, kind: str, value: float | Bound) -> Given:
+    """Return what is given with one thing more; a fixed value is that alone."""
+    if kind == "bounds":
+        low, high = value  # type: ignore[misc]
+        return given._replace(
+            low=FREE[0] if low is None else float(low), high=math.inf if high is None else float(high)
+        )
+    number = float(value)  # type: ignore[arg-type]
+    return Given(number, number, number) if kind == "fix" else given._replace(start=number)
+
+
+def _per_mass(name: str) -> str:
+    """Return the name per unit mass of what has a name in newtons too."""
+    return f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in LEAST else name
+
+
+def _check(name: str, given: Given, least: float, itself: bool) -> None:
+    """Raise InputError for values that a parameter cannot have: below ``least``, or that unless ``itself``."""
+    for value in (given.high, given.start):
+        if value is not None and (math.isnan(value) or value < least or (value == least and not itself)):
+            do = f"it must be {'at least' if itself else 'above'} {least:g}"
+            raise InputError(f"{name} is {value:g}", "--fix" if given.fixed else "--bound", do)
+    if given.start is not None and not given.low <= given.start <= given.high:
+        what = f"{name} is {given.start:g}, not within {given.low:g} and {given.high:g}"
+        raise InputError(what, "--start", "give a first value within the bounds")
+
+
+def _read(text: str, where: str) -> tuple[list[int], list[Law]]:
+    """Return the numbers and the laws that a list such as ``1-3,stribeck`` names; or one ``NAME: FORMULA``."""
+    if ":" in text:
+        return [], [read_law(text, where)]
+    listed: list[int] = []
+    laws: list[Law] = []
+    for part in filter(None, (piece.strip() for piece in text.split(","))):
+        if part[0].isalpha():
+            laws.append(read_law(part, where))
+        else:
+            listed += numbers(part, where)
+    return listed, laws
+
+
+def numbers(text: str, flag: str) -> list[int]:
+    """Return the whole numbers that a list such as ``1-3,6`` names; an empty text names none.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    found: list[int] = []
+    for part in filter(None, (piece.strip() for piece in text.split(","))):
+        first, dash, last = part.partition("-")
+        try:
+            low = int(first)
+            high = int(last) if dash else low
+        except ValueError:
+            raise InputError(f"{part!r} is not a number or range", flag, "write for example 1-3,6") from None
+        if not 1 <= low <= high <= LAST:
+            raise InputError(f"{part!r} is not an increasing range from 1", flag, "write for example 1-3,6")
+        found.extend(range(low, high + 1))
+    return found
+
+
+def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
+    """Yield the parts of each NAME=VALUE."""
+    seen: set[str] = set()
+    for text in typed:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not name or not value:
+            what = "LO:HI" if flag == "--bound" else "VALUE"
+            do = f"write for example gamma={'0:20' if flag == '--bound' else '9.6'}"
+            raise InputError(f"{text!r} is not NAME={what}", flag, do)
+        if name in seen:
+            raise InputError(f"{name} is given twice", flag, "leave one out")
+        seen.add(name)
+        yield name, value
+
+
+def _number(text: str, name: str, flag: str) -> float:
+    try:
+        found = float(text)
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found):
+        raise InputError(f"{name} is {text!r}, not a number", flag, "give one in the unit of the results, without it")
+    return found
+
+
+def _interval(text: str, name: str) -> Bound:
+    """Return the bounds that LO:HI names; either may be left out."""
+    low, colon, high = (part.strip() for part in text.partition(":"))
+    if not colon or not (low or high):
+        raise InputError(f"bounds of {name} are {text!r}", "--bound", "write LO:HI, LO: or :HI")
+    return (_number(low, name, "--bound") if low else None, _number(high, name, "--bound") if high else None)

@@ -1,0 +1,195 @@
+"""What the fit of a law says, one of the six or a formula: unknowns, residuals, friction, of all runs or of one."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from daq.base.compute.arrays import Array, Mask
+from fitting.data.cycles import Cycle
+from fitting.driver.fit import TaskFit
+from fitting.least_squares.levenberg_marquardt import Solution
+from fitting.model import parameters, wear
+from fitting.model.parameters import PER_RUN, Global
+from fitting.model.problem import EstimationProblem
+from fitting.model.windows import ShootingWindows
+from fitting.sensitivity.path import Path
+from fitting.sensitivity.values import positions
+
+
+@dataclass(frozen=True, eq=False)
+class FittedLaw(ABC):
+    """One law fitted to the runs, per unit mass and in the fit's frame.
+
+    Attributes
+    ----------
+    at : TaskFit
+        Where the driver ended.
+    problem : EstimationProblem
+        The runs, and the contact: a jump or a ramp.
+    u : (13 runs,) f8
+        Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
+        datum (m), c/m (1/s), fade (fraction of the first level lost per second), compliance (belt speed lost per metre
+        of spring stretch, 1/s), the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s), and a
+        ramp's break-away level over F; see `fitting.model.parameters`.  Of a formula F is its friction at rest.
+    active : tuple of int
+        Which of them the fit moves.
+    local : (cycles, 6) f8
+    residual : (N,) f8
+        Model minus measurement, m, cycle by cycle.
+    cycle_rms : (cycles,) f8
+        m.
+    inlier_cycles : (cycles,) bool
+        False where a cycle fits so badly (a kick, lost counts) that its level says nothing.
+    sigma : (runs,) f8
+        Effective standard deviation of one residual, m: rms x sqrt(correlation time in samples).
+    prior_deviations : (p,) f8
+        How far the active unknowns are from their calibrations, in standard deviations; 0 where there is none.
+    solution : Solution
+        In the active unknowns, then a formula's own.
+    precision : (p,) f8
+        1/sd^2 of the calibrations, for the active unknowns.
+    windows : ShootingWindows
+    cycles : tuple of Cycle
+    """
+
+    at: TaskFit
+    problem: EstimationProblem
+    u: Array
+    active: tuple[int, ...]
+    local: Array
+    residual: Array
+    cycle_rms: Array
+    inlier_cycles: Mask
+    sigma: Array
+    prior_deviations: Array
+    solution: Solution
+    precision: Array
+    windows: ShootingWindows
+    cycles: tuple[Cycle, ...]
+
+    @staticmethod
+    def read(at: TaskFit) -> dict[str, Any]:
+        """Return the attributes of where the driver ended with a law."""
+        problem, active, u = at.task.problem, at.task.places, at.u
+        index = list(active)
+        return {
+            "at": at,
+            "problem": problem,
+            "u": u,
+            "active": active,
+            "local": at.local,
+            "residual": at.residual,
+            "cycle_rms": at.cycle_rms,
+            "inlier_cycles": at.noise.inliers,
+            "sigma": at.noise.sigma,
+            "prior_deviations": (u[index] - problem.prior[index]) * np.sqrt(problem.precision[index]),  # none of a fade
+            "solution": at.solution,
+            "precision": at.problem.precision[: len(active)],
+            "windows": at.windows,
+            "cycles": problem.cycles,
+        }
+
+    @property
+    @abstractmethod
+    def law(self) -> int | str:
+        """The law's number, or the name of one given as a formula."""
+
+    @property
+    @abstractmethod
+    def law_parameters(self) -> int:
+        """Number of the law's own free unknowns; what every law has besides (datum, damping, fade, belt) not."""
+
+    @property
+    def values(self) -> parameters.Values:
+        """Global parameters by name; the first run's where there are several."""
+        return parameters.values(self.u[:PER_RUN])
+
+    @property
+    def rows(self) -> tuple[slice, ...]:
+        """The residuals of each cycle."""
+        return self.windows.rows
+
+    @property
+    def outcome(self) -> str:
+        """How the last minimisation ended (`levenberg_marquardt.Solution`)."""
+        return self.solution.outcome
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the fit, s."""
+        return self.at.cpu_s
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of all residuals, m."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def geometric_mean_rms(self) -> float:
+        """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
+        return float(np.exp(np.mean(np.log(self.cycle_rms))))
+
+    @property
+    def misfit(self) -> float:
+        """What noise (the largest of all runs) does not explain of the geometric mean of the cycles' errors, m."""
+        return self.at.misfit
+
+    @property
+    def calibration_deviations(self) -> Array:
+        """How far the active unknowns are from calibrations that were given, in standard deviations; else 0."""
+        guessed = [
+            place % PER_RUN == Global.DATUM and self.problem.motions[place // PER_RUN].datum_prior is None
+            for place in self.active
+        ]
+        return np.where(guessed, 0.0, self.prior_deviations)
+
+    @property
+    def runs(self) -> int:
+        """How many runs were fitted together."""
+        return self.u.size // PER_RUN
+
+    def path(self) -> Path | None:
+        """Return the fitted motion along the windows, for tangents; None where it cannot be followed."""
+        return self.at.path
+
+    def force(self, w: Array, mass: float = 1.0) -> Array:
+        """Return friction on a mass (kg), N, positive along the belt, at relative velocities w (n,), m/s."""
+        w, d = np.asarray(w, float), self.values.d if self.problem.ramp else 0.0
+        slip = np.sign(w) * self.at.task.friction(self.at.q, np.maximum(np.abs(w) - d, 0.0))
+        ramp = self.values.static * self.values.F * w / d if d else np.zeros(w.shape)
+        return np.asarray(-mass * np.where(np.abs(w) <= d, ramp, slip))
+
+    def residual_in(self, windows: ShootingWindows, local: Array) -> Array | None:
+        """Return what the law would leave of other windows of this run (N,), m; None where it cannot be followed."""
+        task = self.at.task
+        curve = task.curve.on_path(task.split(self.at.q)[1], self.at.q[: len(task.places)])
+        found = None if curve is None else positions(windows, curve, self.u, local)
+        return None if found is None else found - windows.position
+
+    def level_trend(self, run: int = 0) -> wear.Wear | None:
+        """Return the line through the friction levels of one run's inlier cycles (`fitting.model.wear`)."""
+        return wear.of_cycles(self.windows, self.inlier_cycles, self.local, run)
+
+    def for_run(self, run: int) -> Self:
+        """Return what the fit says of one run: its unknowns, cycles and residuals; the solution stays that of all."""
+        if self.runs == 1:
+            return self
+        own = np.flatnonzero(self.windows.run == run)
+        windows = self.windows.parts[run]
+        slots = parameters.columns(self.active, self.runs)[run]
+        return replace(
+            self,
+            u=self.u[PER_RUN * run : PER_RUN * (run + 1)],
+            active=tuple(int(slot) for slot in slots if slot >= 0),
+            local=self.local[own],
+            residual=np.concatenate([self.residual[self.rows[k]] for k in own]),
+            cycle_rms=self.cycle_rms[own],
+            inlier_cycles=self.inlier_cycles[own],
+            sigma=self.sigma[[run]],
+            prior_deviations=self.prior_deviations[slots >= 0],
+            precision=self.precision[slots >= 0],
+            windows=windows,
+            cycles=tuple(self.cycles[k] for k in own),
+        )

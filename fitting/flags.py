@@ -1,0 +1,137 @@
+"""The flags of `fit-friction` in groups, as typed: each is an argument of the command, with one flag for each field."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from daq.base.console import flags
+from daq.base.measured import Measured
+
+
+def _repeated(text: str) -> Parameter:
+    """Return a flag that may be given several times."""
+    return Parameter(negative=(), consume_multiple=False, help=f"{text.removesuffix('.')}; repeatable.")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class LawFlags:
+    """Which laws compete, and what is given of their parameters."""
+
+    laws: Annotated[
+        str, Parameter(help="Laws to fit: 1-6, or a list such as 3,5,6; published ones by name: 1-6,stribeck.")
+    ] = "1-6"
+    law: Annotated[
+        list[str] | None,
+        _repeated(
+            "One more law: a published one (stribeck, stribeck-gaussian, either with -viscous, logarithmic, power), or "
+            "'NAME: FORMULA', friction per unit mass at slip speed s."
+        ),
+    ] = None
+    ramp: Annotated[list[str] | None, _repeated("Put the law of this name behind a ramp.")] = None
+    fix: Annotated[
+        list[str] | None,
+        _repeated("A parameter that is known, NAME=VALUE as the results name it: gamma=9.6, mine.v_s=0.05."),
+    ] = None
+    bound: Annotated[list[str] | None, _repeated("Bounds of a parameter: NAME=LO:HI, LO: or :HI.")] = None
+    start: Annotated[list[str] | None, _repeated("First value of a parameter, NAME=VALUE.")] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class RigFlags:
+    """What is known of the rig, in place of the run's own calibration."""
+
+    mass: Annotated[
+        Measured | None, flags.measured("--mass", "mass", "Mass, kg or with a unit and error: '300 g +- 1 g'.", "mass")
+    ] = None
+    stiffness: Annotated[
+        Measured | None,
+        flags.measured("--stiffness", "stiffness", "Spring: '10.5 N/m +- 0.1 N/m'; instead of the mass.", "stiffness"),
+    ] = None
+    x0: Annotated[
+        Measured | None,
+        flags.measured(
+            "--x0", "length", "Position at which the spring is at rest: '60 mm +- 0.1 mm'; without +- exact.", "x0"
+        ),
+    ] = None
+    datum: Annotated[
+        Measured | None,
+        flags.measured("--datum", "length", "-x0, from the readings of which the run was made; use --x0.", "datum"),
+    ] = None
+    datum_sd: Annotated[
+        float | None, flags.quantity("--datum-sd", "length", "Standard deviation of --datum; use --x0 with +-.")
+    ] = None
+    damping: Annotated[
+        Measured | None,
+        flags.measured("--damping", "damping", "Viscous damping from a ring-down, N s/m: '0.02 +- 0.001'.", "damping"),
+    ] = None
+    damping_sd: Annotated[
+        float | None, flags.quantity("--damping-sd", "damping", "Standard deviation of --damping, N s/m.")
+    ] = None
+    belt_speed: Annotated[
+        Measured | str | None,
+        flags.measured(
+            "--belt-speed",
+            "speed",
+            "Belt speed, signed: '22 cm/s +- 1 mm/s'; channel: from belt counts, the default if the run contains them.",
+            word="channel",
+        ),
+    ] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PartFlags:
+    """Which part of each run is fitted, and how sure the intervals are."""
+
+    exclude_cycles: Annotated[str, Parameter(help="Cycles to leave out, counted from 1: 3,7-9.")] = ""
+    begin: Annotated[
+        float | None, flags.quantity("--from", "time", "Fit from this time of the run, s or with a unit.")
+    ] = None
+    end: Annotated[float | None, flags.quantity("--to", "time", "Fit up to this time of the run, likewise.")] = None
+    alpha: Annotated[float, Parameter(help="1 - confidence level of the intervals and the set.")] = 0.05
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class OutputFlags:
+    """What is written besides the run file."""
+
+    report: Annotated[
+        Path | None,
+        Parameter(
+            help="Report to write; default RUN.report.html, of a joint fit RUN+N.report.html; with --each numbered."
+        ),
+    ] = None
+    no_report: Annotated[bool, Parameter(negative=(), help="Write no report.")] = False
+    csv: Annotated[Path | None, Parameter(help="Also write the ranking as a table with one row per run and law.")] = (
+        None
+    )
+    curve_csv: Annotated[
+        Path | None,
+        Parameter(help="Also write the measured friction curve with its band: relative speed, friction, lo, hi."),
+    ] = None
+    save_scene: Annotated[
+        Path | None,
+        Parameter(help="Also write the fitted rig as a scene (.toml) for rig-sim: the law, or the measured curve."),
+    ] = None
+    force: Annotated[
+        bool, Parameter(negative=(), help="Replace a report, table or joint fit that is not of these runs.")
+    ] = False
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class WorkFlags:
+    """Whether the runs are fitted one by one, and on which processors."""
+
+    each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself: a batch.")] = False
+    jobs: Annotated[int, Parameter(help="Processes to fit in; a joint fit uses at most three.")] = 1
+    scheduler: Annotated[str | None, Parameter(help="Fit on the workers of a dask scheduler: tcp://host:8786.")] = None
+
+
+DEFAULT_LAWS, DEFAULT_RIG, DEFAULT_PART = LawFlags(), RigFlags(), PartFlags()
+DEFAULT_OUTPUTS, DEFAULT_WORK = OutputFlags(), WorkFlags()

@@ -1,0 +1,130 @@
+"""What a departure is: from a fitted motion to what it would change, to first order in its parameters."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.base.compute.arrays import Array
+from fitting.forces.fitted_motion import FittedMotion
+from fitting.sensitivity.path import NO_DRAG
+from fitting.sensitivity.rates import Drag
+
+# Of the largest velocity: where a drag jumps at rest.  Without the drag in the motion a sample's change of velocity is
+# 1 %, so a narrower turn is none that a step sees; ten times as wide, the kink by which a guide is recognised is lost.
+TURN = 0.005
+# The same where the motion is followed with the drag, in steps as short as the turn.  At 0.005 the friction of a strong
+# guide comes out 0.6 % too large.
+SHARP = 0.0005
+# A drag's table: up to how far, of the largest velocity; how close its rows are about rest; how many they are.  They
+# are a fifteenth of `SHARP` apart there, and 0.03 at that velocity, where a square errs by 2e-4; half as many rows err
+# by four times as much.
+BEYOND, CLOSER, ROWS = 1.5, 8.0, 801
+
+
+class Forcing(NamedTuple):
+    """What one departure adds where its parameters are 1; k columns, one a parameter, None for nothing.
+
+    Attributes
+    ----------
+    acceleration : (M, k) f8, optional
+        Force on the mass per unit mass at the stage points of the trajectory, m/s^2 per unit of the parameter.
+    belt_speed : (M, k) f8, optional
+        Change of the belt's speed there, m/s per unit of the parameter.
+    reading : (N, k) f8, optional
+        Change of the position that is read at the samples, m per unit of the parameter.
+    """
+
+    acceleration: Array | None = None
+    belt_speed: Array | None = None
+    reading: Array | None = None
+
+
+@dataclass(frozen=True)
+class Departure:
+    """One assumption and how it may break.
+
+    Attributes
+    ----------
+    name : str
+    text : str
+        What it says of the rig, to stand in a sentence after the best law's name.
+    text_of_positions : str
+        The same of a record that no encoder counted, where it then is another thing; else empty.
+    parameter, unit : str
+        Symbol and unit of its size: of the coefficient where there is one column, of the amplitude where there are two,
+        a sine and a cosine.
+    columns : int
+        1 or 2.
+    forcing : callable
+        ``forcing(trajectory, scale)``; ``scale`` is NaN for a departure that has none.
+    scale, scale_unit : str
+        What else it depends on, such as a frequency: scanned.
+    scales : callable, optional
+        ``scales(trajectory)``: the values to scan, rising, at most half a resolution apart.
+    with_mass : (str, str), optional
+        Symbol and unit of the size times the mass, where the mass is known.
+    drag : callable, optional
+        ``drag(velocity, turn)``: a force by the mass's own velocity alone, (n,) in m/s^2 per unit of the parameter, of
+        a departure that is nothing else (`by_velocity`).  Where it jumps at rest, it may do so within ``turn``, m/s.
+        It is followed together with the motion, any other force along the path before.
+    """
+
+    name: str
+    text: str
+    parameter: str
+    unit: str
+    forcing: Callable[[FittedMotion, float], Forcing]
+    columns: int = 1
+    scale: str = ""
+    scale_unit: str = ""
+    scales: Callable[[FittedMotion], Array] | None = None
+    with_mass: tuple[str, str] | None = None
+    text_of_positions: str = ""
+    drag: Callable[[Array, float], Array] | None = None
+
+    def says(self, *, counted: bool) -> str:
+        """Return what it says of the rig of a record that an encoder counted, or of another one."""
+        return self.text if counted or not self.text_of_positions else self.text_of_positions
+
+    def drag_table(self, fastest: float) -> Drag:
+        """Return the force of a unit by velocity, of motions about as fast as ``fastest``, m/s; empty without one."""
+        if self.drag is None:
+            return NO_DRAG
+        velocity = fastest * BEYOND * np.sinh(CLOSER * np.linspace(-1.0, 1.0, ROWS)) / math.sinh(CLOSER)
+        turn = SHARP * fastest
+        return Drag(velocity, self.drag(velocity, turn), turn)
+
+
+def by_velocity(drag: Callable[[Array, float], Array]) -> Callable[[FittedMotion, float], Forcing]:
+    """Return the forcing of a departure that is a force by the mass's own velocity alone."""
+
+    def forcing(trajectory: FittedMotion, _: float) -> Forcing:
+        turn = TURN * float(np.max(np.abs(trajectory.velocity)))
+        return Forcing(acceleration=drag(trajectory.velocity, turn)[:, np.newaxis])
+
+    return forcing
+
+
+def harmonic(phase: Array, factor: Array | float = 1.0) -> Array:
+    """Return sine and cosine of ``phase`` (n,) as columns (n, 2), times ``factor``."""
+    return np.asarray(np.c_[factor * np.sin(phase), factor * np.cos(phase)])
+
+
+def spaced(smallest: float, largest: float, length: float) -> Array:
+    """Return wavelengths (or periods) from large to small, a quarter of the resolution of ``length`` apart.
+
+    Two harmonics can be distinguished when they differ by one turn over the length: half as many values would lose up
+    to a fifth of a gain between two of them, twice as many cost twice the time.
+    """
+    if not 0 < smallest < largest or length <= 0:
+        return np.empty(0)
+    turns = np.arange(1 / largest, 1 / smallest, 0.25 / length)
+    return np.asarray(1 / turns[turns > 0])
+
+
+def speed_of_wave(length: float) -> float:
+    """Return 2 pi over a wavelength or a period."""
+    return 2 * math.pi / length

@@ -1,0 +1,105 @@
+"""What `fit-friction` prints of a ranking: verdict, laws, parameters, goodness of fit, warnings."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.base.console import application
+from daq.base.output.lengths import format_length
+from fitting.adequacy.result import Adequacy
+from fitting.report import page
+from fitting.report.symbols import MOTION, formula_of
+from fitting.selection.result import Ranking
+from fitting.selection.verdict import format_probability
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+MOST_FORMS = 4  # shown on the terminal; the document and the report have all
+INTERVAL = 3  # column of the table of parameters that may be broken over two lines
+
+
+def of_ranking(ranking: Ranking, statistics: Sequence[str], written: Sequence[Path | None], alpha: float) -> list[Any]:
+    """Return the lines and tables of a ranking.
+
+    Parameters
+    ----------
+    ranking : Ranking
+    statistics : sequence of str
+        Of its stick-slip, in words.
+    written : sequence of Path or None
+        The file of a joint fit, and the report.
+    alpha : float
+        1 - confidence level of the intervals.
+    """
+    # The last line is the verdict too: it is what a long output ends on, and what scripts read.
+    lines: list[Any] = [f"verdict: {ranking.verdict}"]
+    if ranking.rows:
+        law = f"{ranking.best.label}: {formula_of(ranking.best)}; {MOTION}"
+        lines += [_laws(ranking), _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
+    lines += [f"warning: {warning}" for warning in ranking.warnings]
+    lines += statistics
+    named = [f"; {kind}: {path}" for kind, path in zip(("joint fit", "report"), written, strict=True) if path]
+    cycles = f"{ranking.best.cycles} cycles, " if ranking.rows else ""
+    lines.append(f"{cycles}{ranking.cpu_s:.1f} s of CPU time{''.join(named)}")
+    lines.append(f"verdict: {ranking.verdict}")
+    return lines
+
+
+def _laws(ranking: Ranking) -> "Table":
+    """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
+    table = application.table("friction laws, best first", ("law", "rms error", "behind", "weight", "in set"))
+    for row in ranking.rows:
+        behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
+        weight = f"{row.weight:.2f}" if row.weight >= 0.005 else "<0.01"
+        style = "bold" if row.in_set else None
+        member = "yes" if row.in_set else "-"
+        table.add_row(row.title, format_length(row.rms_m), behind, weight, member, style=style)
+    return table
+
+
+def _adequacy(adequacy: Adequacy) -> list[Any]:
+    """Return goodness of fit, the published forms of the measured curve, and the departures, in words."""
+    lines: list[Any] = []
+    found, curve = adequacy.goodness, adequacy.curve
+    if found is not None:
+        visible = adequacy.smallest_visible
+        size = f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
+        lines.append(
+            f"goodness of fit: {adequacy.said}; residuals {found.misfit:.3g} times the noise of "
+            f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p {format_probability(found.p_value)}; "
+            f"smallest visible departure of friction: {size}"
+        )
+    if curve is not None and adequacy.rejected and adequacy.of_speed:
+        table = application.table("published forms of the measured curve", ("form", "chi", "inside band", "parameters"))
+        table.columns[0].justify = table.columns[3].justify = "left"
+        table.columns[0].no_wrap = table.columns[3].no_wrap = False
+        for form in curve.forms[:MOST_FORMS]:
+            values = ", ".join(f"{name} = {item.value:.4g} {item.unit}" for name, item in form.determined.items())
+            table.add_row(form.name.replace("-", " "), f"{form.chi:.2f}", "yes" if form.inside_band else "-", values)
+        lines.append(table)
+    if adequacy.departures:
+        title = "departures that would explain it" if adequacy.rejected else "beside the law"
+        table = application.table(title, ("departure", "sigmas", "size", "std. error", "unit", "explained"))
+        table.columns[0].justify, table.columns[0].overflow = "left", "fold"
+        for one in adequacy.departures:
+            value, error = (f"{one.value:.4g}", f"{one.stderr:.2g}") if one.parameter else ("-", "-")
+            table.add_row(one.name, f"{one.sigmas:.1f}", value, error, one.unit, f"{100 * one.explained:.0f} %")
+        lines.append(table)
+    return lines
+
+
+def _parameters(ranking: Ranking, alpha: float) -> "Table":
+    """Return the best law's parameters."""
+    headings = ("parameter", "value", "std. error", f"{100 * (1 - alpha):g} % interval", "unit")
+    table = application.table(ranking.best.label, headings)
+    rows = [(name, *page.format_interval(item)[:3], item.unit) for name, item in ranking.best.parameters.items()]
+    for row in rows:
+        table.add_row(*row)
+    # A narrow terminal breaks the intervals and the headings between words, and never a name or a number.
+    for place, column in enumerate(table.columns):
+        cells = [row[place] for row in rows]
+        whole = [word for cell in cells for word in cell.split()] if place == INTERVAL else cells
+        column.no_wrap = False
+        column.min_width = max(map(len, (*whole, *headings[place].split())))
+    return table

@@ -1,0 +1,60 @@
+"""What was asked of a ranking, checked."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from daq.base.errors import InputError
+from daq.base.measured import Measured
+from fitting.competitors import Competitors, Given
+from processing.record.kinematics import Kinematics
+
+LEAST_ALPHA = 1e-9  # surer is no interval
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Which laws compete, and how; as the arguments of `fitting.selection.ranking.rank`.
+
+    Raises
+    ------
+    InputError
+        For alpha outside (0, 1), fewer than one job.
+    """
+
+    competitors: Competitors
+    belt_speed: Measured | float | str | None
+    excluded: tuple[int, ...]
+    alpha: float
+    jobs: int
+    progress: Callable[[float], None] | None
+    scheduler: str | None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        if not LEAST_ALPHA <= self.alpha < 1:
+            do = f"give a number from {LEAST_ALPHA:g} to 1, such as 0.05"
+            raise InputError(f"alpha is {self.alpha}", "--alpha", do)
+        if self.jobs < 1:
+            raise InputError(f"jobs is {self.jobs}", "--jobs", "give 1 or more")
+
+    def given(self, law: int | str) -> dict[str, Given]:
+        """Return what is given of a law's parameters; nothing of a rival that was not asked for."""
+        own = next((one for one in self.competitors.every if law in (one, getattr(one, "name", None))), None)
+        return {} if own is None else self.competitors.of_law(own)
+
+    def fixed(self, law: int | str) -> dict[str, float]:
+        """Return the parameters of a law that are fixed, with their values."""
+        return {name: given.low for name, given in self.given(law).items() if given.fixed}
+
+    def check_together(self, records: Sequence[Kinematics]) -> None:
+        """Raise InputError for what means nothing beside several runs."""
+        if not records:
+            raise InputError("no run", "command line", "name at least one run file")
+        if len(records) == 1:
+            return
+        if self.belt_speed is not None and self.belt_speed != "channel":
+            raise InputError("one belt speed for several runs", "--belt-speed", "leave it out: each run finds its own")
+        if self.excluded:
+            raise InputError(
+                "cycles to exclude from several runs", "--exclude-cycles", "fit that run alone, or leave it out"
+            )

@@ -1,0 +1,247 @@
+"""Warnings beside a verdict: a table of conditions, each with its sentence."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from daq.runfile.rest_position import question
+from fitting.adequacy.result import Adequacy
+from fitting.competitors import Given
+from fitting.data.cycles import CycleSegmentation
+from fitting.data.frame import MeasuredMotion
+from fitting.model.parameters import Global
+from fitting.model.problem import NARROWEST_RAMP
+from fitting.selection.result import LawResult
+from processing.record.finding import Finding
+from processing.record.kinematics import Kinematics
+from rig_sim.friction.law import LAWS
+
+POOR_FIT = 0.003  # of the motion's range: five times what 12 % scatter, ripple and jitter leave over
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedRun:
+    """One run and what was found of it: what a warning may be about.
+
+    Attributes
+    ----------
+    rows : sequence of LawResult
+        Best first.
+    best : LawResult
+        The best of those that were asked for.
+    members : sequence of int or str
+        The set, best first.
+    motion, cut : MeasuredMotion, CycleSegmentation
+    record : Kinematics
+    findings : sequence of Finding
+    sustained : bool
+        Whether the mass sticks in the long run.
+    given : mapping of str to Given
+        What was given of the best law's parameters.
+    """
+
+    rows: Sequence[LawResult]
+    best: LawResult
+    members: Sequence[int | str]
+    motion: MeasuredMotion
+    cut: CycleSegmentation
+    record: Kinematics
+    findings: Sequence[Finding]
+    sustained: bool
+    given: Mapping[str, Given] = field(default_factory=dict)
+
+    @property
+    def ramps(self) -> bool:
+        """Whether a law of the set has a ramp."""
+        return any(row.fit.problem.ramp for row in self.rows if row.in_set)
+
+    def fixed(self, name: str) -> bool:
+        """Return whether the value of a parameter was given."""
+        return name in self.given and self.given[name].fixed
+
+    @property
+    def ripples(self) -> bool:
+        """Whether the fit has a ripple of the belt."""
+        return "ripple" in self.best.parameters
+
+    def percent_of_belt(self, speed: float) -> float:
+        """Return a speed (m/s) in percent of the belt's."""
+        return 100 * speed / self.motion.belt_speed
+
+    @property
+    def percent_of_travel(self) -> float:
+        """What the best law leaves beyond noise, in percent of the motion's range."""
+        return 100 * self.best.fit.misfit / self.motion.travel
+
+    @property
+    def odd_rest(self) -> str:
+        """What is asked about a stated rest position; empty where nothing is."""
+        rest, place = self.motion.datum_prior, self.motion.sign * self.motion.measured
+        if rest is None:
+            return ""
+        stated = replace(rest, value=self.motion.sign * rest.value)
+        return question(stated, float(place.min()), float(place.max()))
+
+    @property
+    def left_out(self) -> str:
+        """The cycles that were left out, each with its reason, but for those that the user excluded."""
+        left = (cycle for cycle in self.cut.cycles if cycle.flag and cycle.flag != "excluded")
+        return ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
+
+    @property
+    def unfinished(self) -> str:
+        """The laws whose fits did not converge."""
+        stuck = (row.law for row in self.rows if row.asked and row.fit.outcome not in ("converged", "step limit"))
+        return ", ".join(map(str, stuck))
+
+    @property
+    def hidden_ramp(self) -> float | None:
+        """The width (m/s) below which the best law may have a ramp unseen; None where that is not asked."""
+        jump = self.best.law
+        if not isinstance(jump, int) or not self.sustained or LAWS[jump].ramp:
+            return None
+        row = next((row for row in self.rows if row.law == jump + 1), None)
+        if row is None or row.in_set or "d" not in row.parameters or row.parameters["d"].fixed:
+            return None
+        near = row.rms_m < 1.05 * self.best.rms_m
+        seen = row.fit.u[Global.D] > 10 * NARROWEST_RAMP * self.motion.belt_speed
+        return row.parameters["d"].hi if near and seen else None
+
+
+class Warned(NamedTuple):
+    """A warning: when it is given, and what it says."""
+
+    when: Callable[[JudgedRun], object]
+    says: Callable[[JudgedRun], str]
+
+
+OF_THE_FIT = (
+    Warned(
+        lambda run: run.best.fit.misfit > POOR_FIT * run.motion.travel,
+        lambda run: (
+            f"no law fits well: the typical error of the best one is {run.percent_of_travel:.2g} % of the motion, "
+            "so the friction may follow none of the six"
+        ),
+    ),
+    Warned(
+        lambda run: not run.sustained,
+        lambda _: (
+            "no sustained stick: Fs is the friction level of the one drag at the start-up; its interval leaves out how "
+            "far levels differ from one break-away to the next, and that of v_dr how the belt's speed varies"
+        ),
+    ),
+    Warned(
+        lambda run: not run.sustained and not run.cut.shows_belt,
+        lambda _: (
+            "the drag at the start-up is too short to show the belt's speed or a ramp: without a calibration v_dr is "
+            "the highest sustained velocity, with an error of 100 %"
+        ),
+    ),
+    Warned(
+        lambda run: run.ramps and not run.motion.belt_measured,
+        lambda _: (
+            "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
+            "may be laws 1, 3, 5 on such a belt"
+        ),
+    ),
+    Warned(
+        lambda run: run.motion.compliance is not None,
+        lambda run: (
+            f"the belt slows under load, by {run.percent_of_belt(run.best.parameters['droop'].value):.2g} % at Fs: "
+            "measured by its encoder, part of every law"
+        ),
+    ),
+    Warned(
+        lambda run: run.ripples,
+        lambda run: (
+            f"the belt's speed varies by {run.percent_of_belt(run.best.parameters['ripple'].value):.2g} % at "
+            f"{run.best.parameters['ripple_hz'].value:.3g} Hz: detected in the sticks, included in every law"
+        ),
+    ),
+    Warned(
+        lambda run: not run.ripples and run.motion.speed_variation > 0,
+        lambda run: (
+            f"the measured belt speed varies by {run.percent_of_belt(run.motion.speed_variation):.2g} % rms apart from "
+            "load: the fit assumes it steady"
+        ),
+    ),
+    Warned(
+        lambda run: run.motion.datum_prior is None,
+        lambda _: (
+            "no x0: the spring's rest position was also fitted; laws 1 and 3 then determine only x0 + Fs/k "
+            '(give --x0, as in --x0 "60 mm +- 0.1 mm")'
+        ),
+    ),
+    Warned(lambda run: run.odd_rest, lambda run: run.odd_rest),
+    Warned(
+        lambda run: (run.motion.damping_prior is None or run.motion.per_mass) and not run.fixed("c/m"),
+        lambda _: (
+            "no damping calibration: c assumed 0 +- 1 % of critical; laws 3 and 4 then determine only G_slip - c "
+            "(give --damping and --damping-sd with --mass)"
+        ),
+    ),
+    Warned(
+        lambda run: run.motion.per_mass,
+        lambda _: "no mass: forces are given per kilogram (give --mass or --stiffness for newtons)",
+    ),
+)
+OF_THE_RECORD = (  # after the findings
+    Warned(lambda run: run.left_out, lambda run: f"cycles left out: {run.left_out}"),
+    Warned(
+        lambda run: run.record.lost_counts,
+        lambda run: f"counts seem to be lost at {run.record.lost_counts} sample(s): the fit has them put back",
+    ),
+    Warned(
+        lambda run: run.unfinished,
+        lambda run: f"the fit of law {run.unfinished} did not converge: its error is an upper bound",
+    ),
+    Warned(
+        lambda run: run.hidden_ramp is not None,
+        lambda run: f"a ramp narrower than {run.hidden_ramp:.2g} m/s cannot be excluded",
+    ),
+)
+
+
+def warnings(run: JudgedRun) -> tuple[str, ...]:
+    """Return the warnings that belong to the verdict on a run."""
+    of_fit, of_record = ([one.says(run) for one in table if one.when(run)] for table in (OF_THE_FIT, OF_THE_RECORD))
+    return (*of_fit, *(finding.text for finding in run.findings), *of_record)
+
+
+def not_judged(adequacy: Adequacy) -> tuple[str, ...]:
+    """Return the warnings of what the goodness of fit does not judge: some cycles, or the whole record."""
+    found = adequacy.goodness
+    if found is None:
+        return ()
+    if not found.judged:
+        return (
+            "goodness of fit not judged: too few slips, or noise leaves the same in every repetition of the record",
+        )
+    if not found.left_out:
+        return ()
+    listed = ", ".join(map(str, found.left_out))
+    return (f"cycles not judged: {listed} (a velocity step, as of the belt's joint, or another single disturbance)",)
+
+
+def level_of_curve(adequacy: Adequacy) -> tuple[str, ...]:
+    """Return the warning that the record does not determine the level of the measured curve; none where it does."""
+    curve = adequacy.curve
+    if curve is None or curve.level_known:
+        return ()
+    if curve.level_assumed:
+        return (
+            "no x0, and friction levels that do not scatter: the record determines differences of friction alone. "
+            "The measured curve assumes that the spring is relaxed where the record begins at rest, or at the lowest "
+            "position; its band contains every level (give --x0 with its error)",
+        )
+    return (
+        "the record hardly determines the level of the measured curve, only differences of friction (give --x0 with "
+        "its error)",
+    )
+
+
+def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:
+    """Return the warnings of several runs: what holds for all of them once, the rest with the file's name before it."""
+    common = [text for text in warned[0] if all(text in own for own in warned)]
+    apart = ((name, text) for name, own in zip(names, warned, strict=True) for text in own if text not in common)
+    return (*common, *(f"{name}: {text}" for name, text in apart))

@@ -1,0 +1,131 @@
+"""Which parameters a formula has only together: no record can determine those of ``a*b*s`` or ``Fs - (a + b)*s`` apart.
+
+A direction in the parameters along which the curve does not change at any speed is found where the derivatives by them,
+each over its size, are linearly dependent.  It must be there at several sets of values, of the sizes that the units of
+the parameters allow: a fall of no height leaves its speed undetermined, but the formula does not.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.base.compute.arrays import Array
+from daq.base.errors import InputError
+from fitting.law import Law
+
+DRAWS = 4  # sets of values: at half of them a chance dependence would pass, at twice nothing changes
+DRAWN = (0.5, 2.0)  # times the natural sizes
+NONE_LEFT = 1e-8  # of the largest singular value: below it columns are dependent, above 1e-6 they are not
+PART = 0.1  # of a direction's largest part: less is rounding
+SAME = 1e-4  # relative: sizes of a direction's parts that are equal
+
+
+class Undetermined(NamedTuple):
+    """Parameters, how the formula has them together, and how many of them may have any value."""
+
+    names: tuple[str, ...]
+    how: str
+    free: int
+
+    def __str__(self) -> str:
+        *others, last = self.names
+        return f"{', '.join(others)} and {last} {self.how}" if others else f"{last} {self.how}"
+
+
+def natural_size(law: Law, name: str, friction: float, speed: float) -> float:
+    """Return the size of a parameter by its unit, for curves of that friction (m/s^2) and speed (m/s); else 1."""
+    force, power = law.dimensions.get(name, (0, 0))
+    return float(friction**force * speed**power)
+
+
+def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermined, ...]:
+    """Return the free parameters of a formula that it has only together.
+
+    Parameters
+    ----------
+    law : Law
+    friction : float
+        About that of the contact, m/s^2.
+    fastest : float
+        Slip speed up to which the curve is looked at, m/s.
+    """
+    rng = np.random.default_rng(len(law.formula))
+    speeds = fastest * np.linspace(0.0, 1.0, 12 * len(law.free) + 1)
+    sizes = np.array([natural_size(law, name, friction, fastest) for name in law.free])
+    found = []
+    for _ in range(DRAWS):
+        own = sizes * rng.uniform(*DRAWN, sizes.size)
+        values = dict(zip(law.free, own.tolist(), strict=True)) | dict(law.fix or {})
+        try:
+            slopes = law.curve.gradient(speeds, values, law.free)
+        except InputError:
+            continue
+        found.append(_groups(slopes * own, own))
+    if not found:
+        return ()
+    everywhere = set.intersection(*(set(groups) for groups in found))
+    return tuple(
+        Undetermined(
+            tuple(law.free[i] for i in group),
+            _how([groups[group] for groups in found]),
+            min(groups[group][0].shape[0] for groups in found),
+        )
+        for group in sorted(everywhere)
+    )
+
+
+def _groups(columns: Array, values: Array) -> dict[tuple[int, ...], tuple[Array, Array]]:
+    """Return groups of dependent columns (n, k), each with the directions (r, m) along which they cancel.
+
+    Once in the logarithms of the parameters, once in the parameters.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    seen = size > NONE_LEFT * float(size.max(initial=0.0))
+    alone = np.ones((1, 1))
+    found: dict[tuple[int, ...], tuple[Array, Array]] = {(i,): (alone, alone) for i in np.flatnonzero(~seen).tolist()}
+    index = np.flatnonzero(seen)
+    if not index.size:
+        return found
+    _, singular, axes = np.linalg.svd(columns[:, index] / size[index], full_matrices=False)
+    null = axes[singular < NONE_LEFT * float(singular.max())]
+    beside = np.abs(np.einsum("ri,rj->ij", null, null)) > PART**2
+    left = [i for i in range(index.size) if beside[i, i]]
+    while left:
+        group: list[int] = []
+        more = left[:1]
+        while more:
+            group += more
+            more = [i for i in left if i not in group and np.any(beside[i, group])]
+        left = [i for i in left if i not in group]
+        group.sort()
+        places = index[group]
+        logs = _basis(null[:, group]) / size[places]
+        found[tuple(places.tolist())] = logs, logs * values[places]
+    return found
+
+
+def _how(directions: list[tuple[Array, Array]]) -> str:
+    """Return in which way a group enters, from its directions at every set of values."""
+    count = directions[0][0].shape[1]
+    if count == 1:
+        return "does not change friction"
+    first, others = np.eye(count)[0], np.eye(count)[1:]
+    for place, both in enumerate((("a product", "a quotient"), ("a sum", "a difference"))):
+        bases = [_basis(own[place]) for own in directions]
+        for sign, kind in zip((-1.0, 1.0), both, strict=True):
+            steps = first + sign * others
+            if (sign < 0 or count == 2) and all(_inside(steps, basis) for basis in bases):
+                return f"enter only as {kind}"
+    return "enter only together"
+
+
+def _basis(directions: Array) -> Array:
+    """Return an orthonormal basis of the space of some directions (r, m)."""
+    _, singular, axes = np.linalg.svd(directions, full_matrices=False)
+    return np.asarray(axes[singular > SAME * float(singular.max())])
+
+
+def _inside(steps: Array, basis: Array) -> bool:
+    """Return whether steps (n, m) lie in a space."""
+    left = steps - np.einsum("nm,rm,rj->nj", steps, basis, basis)
+    return bool(np.all(np.abs(left) < SAME * np.abs(steps).max()))

@@ -1,0 +1,35 @@
+"""What all commands of ``rig-sim`` share: the scene as typed, and a result as text, JSON and picture."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from daq.base.console.application import Answer
+
+if TYPE_CHECKING:
+    from rig_sim.functions.result import Result
+    from rig_sim.scenes.model import Scene
+
+SceneName = Annotated[str, Parameter(help="A built-in name (see rig-sim scenes) or a TOML file.")]
+DrivenName = Annotated[str, Parameter(help="A built-in name (see rig-sim scenes) or a TOML file, with a drive.")]
+
+
+def changed(name: str, changes: list[str] | None) -> "Scene":
+    """Return a scene with the changes of ``--set``."""
+    from rig_sim.scenes.scene import parse_changes, scene
+
+    return scene(name, **parse_changes(changes))
+
+
+def answered(found: "Result", plot: Path | None = None, force: bool = False, *more: str) -> Answer:
+    """Return a result as the command's answer; ``plot``: drawn into this file, of which the answer says so."""
+    data: dict[str, Any] = found.as_json()
+    lines = [*found.lines(), *more]
+    if plot is not None:
+        from daq.base.output.plot import save
+
+        save(found.plot(), plot, force=force)
+        data["file"] = plot
+        lines.append(str(plot))
+    return Answer(data, "\n".join(lines))

@@ -1,0 +1,1 @@
+"""What is asked of any system: attractors, basins, exponents, periodic orbits, branches and sweeps."""

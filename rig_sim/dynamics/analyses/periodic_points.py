@@ -1,0 +1,115 @@
+"""Periodic points of a map of an interval: where f^n(x) = x, and the slope of f^n there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.base.compute.arrays import Array
+from rig_sim.dynamics.system.interface import OnInterval, slope, survey
+
+# Places at which f^n(x) - x is compared with 0.  Two periodic points between neighbouring places are not seen: twice as
+# many halve the distance at which they are.
+PLACES = 2000
+FEW = 200  # places that decide whether the map is defined anywhere: a motion that never sticks takes the most steps
+SAME = 1e-9  # of the interval: roots closer than this are one point; also how well f^n(x) = x holds at a root
+
+
+@dataclass(frozen=True)
+class PeriodicPoint:
+    """A periodic orbit of a map.
+
+    Attributes
+    ----------
+    points : tuple of float
+        The orbit, from its smallest point on in the order in which they follow.
+    slope : float
+        Derivative of f^period, the same at every point; the orbit is stable while its size is below 1.
+    """
+
+    points: tuple[float, ...]
+    slope: float
+
+    @property
+    def period(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    @property
+    def stable(self) -> bool:
+        """Whether deviations shrink."""
+        return abs(self.slope) < 1.0
+
+
+def periodic_points(
+    f: OnInterval, period: int = 1, *, places: int = PLACES, within: tuple[float, float] | None = None
+) -> tuple[PeriodicPoint, ...]:
+    """Return the orbits of exactly this period, by their smallest point: those with a point in the interval ``within``.
+
+    Raises
+    ------
+    ValueError
+        ``period`` below 1.
+    """
+    if period < 1:
+        raise ValueError(f"period is {period}; need 1 or more")
+    lo, hi = within or (f.lo, f.hi)
+    if within is None and np.all(np.isnan(survey(f, np.linspace(f.lo, f.hi, FEW)))):
+        return ()
+    x = np.linspace(max(lo, f.lo), min(hi, f.hi), places)
+    return orbits_among(f, period, x, survey(f, x, period))
+
+
+def orbits_of_periods(f: OnInterval, periods: int) -> list[PeriodicPoint]:
+    """Return the orbits of periods 1 to ``periods``, each as `periodic_points` finds them, at the cost of the longest.
+
+    A place from which no stick follows, the costliest one, is tried once.
+    """
+    if np.all(np.isnan(survey(f, np.linspace(f.lo, f.hi, FEW)))):
+        return []
+    places = iterate = np.linspace(f.lo, f.hi, PLACES)
+    found: list[PeriodicPoint] = []
+    for period in range(1, periods + 1):
+        iterate = survey(f, iterate)
+        found += orbits_among(f, period, places, iterate)
+    return found
+
+
+def orbits_among(f: OnInterval, period: int, x: Array, iterate: Array) -> tuple[PeriodicPoint, ...]:
+    """Return the orbits of exactly this period with a point between neighbours of ``x``, whose iterates are known."""
+    gain = iterate - x
+    found: list[PeriodicPoint] = []
+    for i in np.flatnonzero(np.sign(gain[:-1]) * np.sign(gain[1:]) <= 0.0):
+        root = return_point(f, period, float(x[i]), float(x[i + 1]))
+        if root is None or any(abs(root - point) <= SAME * (f.hi - f.lo) for orbit in found for point in orbit.points):
+            continue
+        orbit = f.orbit(root, period)
+        if any(period % n == 0 and abs(orbit[n - 1] - root) <= SAME * (f.hi - f.lo) for n in range(1, period)):
+            continue
+        first = int(np.argmin(orbit))
+        found.append(PeriodicPoint(tuple(np.roll(orbit, -first).tolist()), orbit_slope(f, orbit)))
+    return tuple(sorted(found, key=lambda point: point.points))
+
+
+def orbit_slope(f: OnInterval, orbit: Array) -> float:
+    """Return the product of the slopes at every point of an orbit."""
+    return float(np.prod(slope(f, orbit)))
+
+
+def return_point(f: OnInterval, period: int, first: float, last: float) -> float | None:
+    """Return where f^period(x) = x between two places where the gain f^period(x) - x has opposite signs.
+
+    None where the sign changes by a jump of the map.
+    """
+    from scipy.optimize import brentq
+
+    def gain(x: float) -> float:
+        return float(f.images(np.array([x]), period)[0]) - x
+
+    if gain(first) == 0.0:
+        return first
+    try:
+        root = float(brentq(gain, first, last, xtol=1e-15 * (f.hi - f.lo), rtol=8.9e-16))
+    except ValueError:  # a place where the map is not defined
+        return None
+    steepness = max(abs(gain(first)), abs(gain(last))) / (last - first)
+    return root if abs(gain(root)) <= SAME * (f.hi - f.lo) * max(1.0, steepness) else None

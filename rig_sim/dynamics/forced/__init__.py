@@ -1,1 +1,0 @@
-"""Driven systems: sections, the period of an attractor in drive periods, exponents, sweeps, and dither."""

@@ -1,0 +1,1 @@
+"""Pictures of analyses; matplotlib is imported here."""

@@ -1,0 +1,114 @@
+"""Pictures of driven masses: dither, and a motion that is locked onto an unstable orbit (figures 6.12 to 6.17)."""
+
+import math
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from daq.base.output.plot import STYLE, figure
+from rig_sim.dynamics.analyses.settling import settled
+from rig_sim.dynamics.control.dither import (
+    DECAY,
+    MOST_SAMPLES,
+    STEPS_IN_ALL,
+    linear_ripple,
+    positions,
+    swing,
+    threshold,
+)
+from rig_sim.dynamics.control.ogy import Lock
+from rig_sim.dynamics.rig.driven import DrivenMap
+from rig_sim.dynamics.rig.landing import LandingMap
+from rig_sim.dynamics.system.step_budget import StepBudget
+from rig_sim.flow.flow import Flow
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+OSCILLATIONS = 12.0  # of the mass alone that are drawn
+SAMPLES = 40  # drawn of a drive period, or of an oscillation of the mass if that is shorter
+LOCK_SAMPLES = 200  # per drive period, of a motion under control
+BEFORE = 12  # landings of the motion without control that the phase portrait shows
+TURNS = 3  # of the orbit, drawn over time
+RATIOS = (0.5, 1.5, 41)  # amplitudes over the threshold: from, to, how many
+
+
+def draw_dither(axes: "Axes", flow: Flow, x: float, v: float) -> None:
+    """Draw a motion with and without its drive over time."""
+    own, period = 2.0 * math.pi * math.sqrt(flow.m / flow.k), 2.0 * math.pi / abs(flow.omega)
+    samples = min(math.ceil(OSCILLATIONS * own / min(own, period) * SAMPLES), MOST_SAMPLES)
+    times = np.linspace(0.0, OSCILLATIONS * own, samples)
+    for u0, name, width in ((0.0, "without the drive", 0.8), (flow.u0, f"u0 = {flow.u0:.6g}", 1.6)):
+        path = positions(flow._replace(u0=u0), x, v, times)
+        axes.plot(times[: len(path)], path, lw=width, label=name)
+    axes.set(xlabel="t (the scene's unit)", ylabel="x (the scene's unit)", title=f"Dither of omega = {flow.omega:.6g}")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0)
+
+
+@mpl.rc_context(fname=STYLE)
+def quench_figure(flow: Flow, x: float, v: float) -> Figure:
+    """Return a figure of a motion with and without its drive, above, and of its swing over the amplitude, below."""
+    drawn = figure(8.6, 7.2)
+    above, below = drawn.subplots(2)
+    draw_dither(above, flow, x, v)
+    least = threshold(flow)
+    if least > 0.0:
+        amplitudes = least * np.linspace(*RATIOS)
+        flows = [flow._replace(u0=u0) for u0 in amplitudes.tolist()]
+        steps = StepBudget(STEPS_IN_ALL)
+        motions = [settled(DrivenMap(driven, budget=steps).motion(np.array([x, v])), DECAY) for driven in flows]
+        below.plot(
+            amplitudes, [swing(driven, motion) for driven, motion in zip(flows, motions, strict=True)], ".-", ms=5
+        )
+        ripples = [linear_ripple(driven) for driven in flows]
+        below.plot(amplitudes, [math.nan if ripple is None else ripple for ripple in ripples], "--", color="0.5")
+        below.axvline(least, color="0.5", lw=0.8)
+        place = {"xycoords": ("data", "axes fraction"), "rotation": 90, "va": "bottom", "ha": "right"}
+        below.annotate("threshold by formula", (least, 0.22), **place)
+        below.set_yscale("log")
+    below.set(
+        xlabel="u0 (the scene's unit)",
+        ylabel="peak to peak of x (the scene's unit)",
+        title="Swing over the amplitude; dashed: spring and mass alone",
+    )
+    return drawn
+
+
+def draw_landings(axes: "Axes", found: Lock | None) -> None:
+    """Draw the landings of a motion under control, one after the other, and where the control held."""
+    if found is not None:
+        axes.plot(found.states[:, -1], ".", ms=3, color="#0072B2")
+        if found.events_to_lock is not None:
+            axes.axvline(found.events_to_lock, color="black", lw=0.8, ls=":")
+    axes.set(xlabel="landing", ylabel="x at landing (the scene's unit)", title="Landings")
+
+
+@mpl.rc_context(fname=STYLE)
+def lock_figure(f: LandingMap, found: Lock, period: int, budget: float) -> Figure:
+    """Return a figure of the landings, the change of the amplitude, the phase portrait and the velocity."""
+    page = figure(10.0, 7.0)
+    ((landings, changes), (portrait, velocity)) = page.subplots(2, 2)
+    draw_landings(landings, found)
+    changes.plot(100.0 * found.changes / f.strength, ".-", ms=3, lw=0.8, color="#D55E00")
+    for side in (-1, 1):
+        changes.axhline(side * 100.0 * budget, color="0.5", lw=0.8, ls="--")
+    changes.set(xlabel="landing", ylabel="change of u0 (%)", title="Control; dashed: the budget")
+    if found.events_to_lock is not None:
+        changes.axvline(found.events_to_lock, color="black", lw=0.8, ls=":")
+    first = max((found.events_to_lock or 0) - BEFORE, 0)
+    last = len(found.changes)
+    for part, colour, width in (
+        (slice(first, first + BEFORE), "0.75", 0.7),
+        (slice(last - period, last), "#0072B2", 1.6),
+    ):
+        _, x, v = f.sampled(found.states[:last][part], found.changes[part], LOCK_SAMPLES / f.period)
+        portrait.plot(x, v, color=colour, lw=width)
+    portrait.set(xlabel="x (the scene's unit)", ylabel="v (the scene's unit)")
+    portrait.set_title(f"Last {period} landings; grey: before the control")
+    drawn = slice(max(last - TURNS * period, 0), last)
+    time, _, v = f.sampled(found.states[drawn], found.changes[drawn], LOCK_SAMPLES / f.period)
+    velocity.plot(time, v, color="#0072B2", lw=1.0)
+    velocity.set(xlabel="time (the scene's unit)", ylabel="v (the scene's unit)", title="Velocity on the orbit")
+    return page

@@ -1,0 +1,270 @@
+"""Fixed points and orbits over a parameter, and where draws from a fit put the special points."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from daq.base.compute.stages import Stages, silent
+from daq.base.errors import InputError
+from rig_sim.functions.arguments import ParameterRange, SceneLike, parameter_range, scene_of, whole
+from rig_sim.functions.result import PALE, STABLE, UNIT, UNSTABLE, Result
+from rig_sim.functions.systems import SweptScene, stick_map
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from rig_sim.dynamics.analyses.special_points import Branch, SpecialPoint
+    from rig_sim.dynamics.analyses.special_points import Continuation as Found
+    from rig_sim.dynamics.orbits.point_draws import PointInterval
+    from rig_sim.dynamics.system.formula import FormulaMap
+
+MOST_DRAWS = 100_000
+STEPS_PER_VALUE = 1_000_000  # integrator steps of two masses; those of the thesis take 300 000
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Where draws of a fit's parameters put the special points: ``intervals``, and how many draws were no rig."""
+
+    number: int
+    refused: int
+    seed: int
+    intervals: "tuple[PointInterval, ...]"
+
+
+@dataclass(frozen=True, repr=False)
+class Continuation(Result):
+    """Branches over a parameter, and their special points: what `rig_sim.continue_` returns.
+
+    Attributes
+    ----------
+    parameter : str
+    branches : tuple of Branch
+        Kind, stability, and rows with the value and the state: a fixed point or an orbit.
+    points : tuple of SpecialPoint
+        Kind and value.
+    draws : Draws or None
+    """
+
+    parameter: str
+    branches: "tuple[Branch, ...]"
+    points: "tuple[SpecialPoint, ...]"
+    draws: Draws | None = field(default=None, repr=False)
+    name: str = field(default="", repr=False, compare=False)
+
+    UNITS: ClassVar[Mapping[str, str]] = {"x": "m", "x_min": "m", "x_max": "m", "period": "s"}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the command prints with ``--json``."""
+        branches = [
+            {
+                "kind": branch.kind,
+                "stable": branch.stable,
+                "rows": [{"value": row.value, **asdict(row.state)} for row in branch.rows],
+            }
+            for branch in self.branches
+        ]
+        points: list[dict[str, Any]] = [
+            {"kind": point.kind, "parameter": self.parameter, "value": point.value} for point in self.points
+        ]
+        data: dict[str, Any] = {"parameter": self.parameter, "branches": branches, "points": points}
+        if self.draws is not None:
+            for row, one in zip(points, self.draws.intervals, strict=True):
+                row |= {"lo": one.lo, "hi": one.hi, "draws": one.found, "below": one.below, "above": one.above}
+            data |= {"draws": self.draws.number, "refused": self.draws.refused, "seed": self.draws.seed}
+        return data
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """Return a row for each value of each branch: the number of the branch, its kind and stability, the state."""
+        return [
+            {
+                self.parameter: row.value,
+                "branch": number,
+                "kind": branch.kind,
+                "stable": branch.stable,
+                **{name: value for name, value in asdict(row.state).items() if name != "stable"},
+            }
+            for number, branch in enumerate(self.branches, 1)
+            for row in branch.rows
+        ]
+
+    def special_points(self) -> "pd.DataFrame":
+        """Return a row for each special point: its kind, its value, with ``draws`` its 95 % interval."""
+        import pandas as pd
+
+        return pd.DataFrame(self.as_json()["points"])
+
+    def lines(self) -> list[str]:
+        """Return a line for each branch and each special point."""
+        width = 11 if any(branch.kind in ("orbit", "fixed point") for branch in self.branches) else 8
+        lines = [
+            f"{'stable' if branch.stable else 'unstable':8} {branch.kind:{width}} {self.parameter} "
+            f"from {branch.rows[0].value:.6g} to {branch.rows[-1].value:.6g}, {len(branch.rows)} values"
+            for branch in self.branches
+        ]
+        if self.draws is None:
+            places = [f"{point.kind}: {self.parameter} = {point.value:.12g}" for point in self.points]
+            return lines + (places or ["no special point"])
+        places = [
+            f"{point.kind}: {self.parameter} = {point.value:.6g}, 95 % interval {interval_text(one)}"
+            for point, one in zip(self.points, self.draws.intervals, strict=True)
+        ]
+        lines += places or ["no special point: none to find again in the draws"]
+        number, refused = self.draws.number, self.draws.refused
+        return lines + ([f"{refused} of {number} draws are no rig and were left out"] if refused else [])
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the branches over the parameter, unstable ones dashed, with the special points."""
+        for branch in self.branches:
+            values = [row.value for row in branch.rows]
+            colour, line = (STABLE, "-") if branch.stable else (UNSTABLE, "--")
+            for heights in zip(*(_heights(row.state) for row in branch.rows), strict=True):
+                ax.plot(values, heights, line if len(values) > 1 else ".", color=colour, lw=1.3)
+        for point in self.points:
+            ax.axvline(point.value, color=PALE, lw=0.8, ls=":")
+            place = {"xycoords": ("data", "axes fraction"), "rotation": 90, "va": "top", "ha": "right"}
+            ax.annotate(point.kind, (point.value, 0.98), **place)  # type: ignore[arg-type]
+        ax.set(xlabel=f"{self.parameter} {UNIT}", ylabel=f"x {UNIT}", title=f"{self.name}; dashed: unstable")
+
+
+def _heights(state: Any) -> tuple[float, ...]:
+    """Return what is drawn of a state: a fixed point's position, an orbit's extremes, the points of a map's orbit."""
+    if hasattr(state, "points"):
+        return tuple(sorted(state.points))
+    return (state.x,) if hasattr(state, "x") else (state.x_min, state.x_max)
+
+
+def continue_(
+    scene: "SceneLike | Callable[[float], FormulaMap]",
+    over: "str | tuple[str, Sequence[float]]",
+    *,
+    draws: int | None = None,
+    progress: Stages = silent,
+) -> Continuation:
+    """Follow fixed points and periodic orbits over a parameter: ``rig-sim continue``.
+
+    Special points: hopf, fold (the stable and the unstable orbit meet), grazing (the orbit no longer sticks),
+    border-collision (the fixed point crosses the edge of a ramp).  Of two masses, orbits of periods 1 and 2 of their
+    map, with the points period-doubling, fold and crisis (a chaotic attractor meets the unstable orbit that bounds its
+    basin).  Start and the random sections are ignored.
+
+    Parameters
+    ----------
+    scene : str, Path, Scene or callable
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass or two.  Or a function
+        that returns, for a value of the parameter, a `rig_sim.FormulaMap` of an interval.
+    over : str or (str, sequence of float)
+        'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41); or a key and its values.
+    draws : int, optional
+        Give each special point its 95 % interval from so many draws of the parameters of the section ``fit``, which
+        `fitting.rank(...).save_scene(path)` writes.  A key that no longer has its fitted value is not drawn.
+    progress : callable, optional
+        Called with the stage, what is done of it, and its whole.
+
+    Returns
+    -------
+    Continuation
+
+    Raises
+    ------
+    InputError
+        No such scene or key, another form of ``over``, draws of two masses or without a section ``fit``.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> found = rig_sim.continue_("damped", over="damper.c=0.3:0.6:4")
+    >>> [(point.kind, round(point.value, 6)) for point in found.points]
+    [('hopf', 0.382653), ('fold', 0.556168)]
+    """
+    if draws is not None and not 2 <= whole(draws, "--draws") <= MOST_DRAWS:
+        raise InputError(f"is {draws}", "--draws", f"give 2 to {MOST_DRAWS}")
+    if callable(scene):
+        return _of_own(scene, parameter_range(over, of_scene=False), draws, progress)
+    span = parameter_range(over)
+    found = scene_of(scene)
+    swept = SweptScene(found, span.key)
+    first = swept.at(span.start)
+    if first.coupling is not None:
+        if draws is not None:
+            raise InputError("--draws with two masses", "--draws", "leave it out")
+        return _of_two_masses(SweptScene(first, span.key), span, progress)
+    from rig_sim.dynamics.orbits.branches import continuation
+
+    drawn = None
+    if draws is not None:
+        from rig_sim.scenes.draws import drawn_changes
+
+        drawn = drawn_changes(first, draws, first.name)
+    followed = continuation(swept.flow, span.values(), progress=_stage("following", span.number, progress))
+    parts = (span.key, followed.branches, followed.points)
+    if drawn is None:
+        return Continuation(*parts, name=first.name)
+    intervals, refused = point_intervals(swept, followed.points, span, drawn, progress)
+    return Continuation(*parts, Draws(len(drawn), refused, first.seed, intervals), first.name)
+
+
+def _stage(name: str, whole_: int, progress: Stages) -> Callable[[float], None]:
+    return lambda done: progress(name, done, whole_)
+
+
+def _of_two_masses(swept: SweptScene, span: ParameterRange, progress: Stages) -> Continuation:
+    from rig_sim.dynamics.rig.stick import STEPS_IN_ALL
+    from rig_sim.dynamics.system.step_budget import StepBudget
+
+    budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_VALUE * span.number))
+    return _of_maps(lambda value: stick_map(swept.at(value), budget), span, swept.scene.name, progress)
+
+
+def _of_own(
+    system_at: "Callable[[float], FormulaMap]", span: ParameterRange, draws: int | None, progress: Stages
+) -> Continuation:
+    from rig_sim.functions.systems import on_interval
+
+    if draws is not None:
+        raise InputError("--draws of a system of one's own", "--draws", "leave it out")
+    name = type(system_at(span.start)).__name__
+    return _of_maps(lambda value: on_interval(system_at(value)), span, name, progress)
+
+
+def _of_maps(map_at: Callable[[float], Any], span: ParameterRange, name: str, progress: Stages) -> Continuation:
+    from rig_sim.dynamics.analyses.map_branches import map_continuation
+
+    show = _stage("following", span.number, progress)
+    found: Found = map_continuation(map_at, span.values().tolist(), progress=show)
+    return Continuation(span.key, found.branches, found.points, name=name)
+
+
+def point_intervals(
+    swept: SweptScene,
+    points: "Sequence[SpecialPoint]",
+    span: ParameterRange,
+    drawn: list[dict[str, object]],
+    progress: Stages = silent,
+) -> "tuple[tuple[PointInterval, ...], int]":
+    """Return the interval of each special point, and how many draws were no rig."""
+    from rig_sim.dynamics.orbits.point_draws import MovingPoint, interval
+
+    moving = [MovingPoint(point, swept.flow, span.values()) for point in points]
+    places: list[list[float]] = [[] for _ in moving]
+    refused = 0
+    for done, changes in enumerate(drawn, start=1):
+        try:
+            found = [one.for_draw(lambda value, changes=changes: swept.at(value, **changes).flow()) for one in moving]  # type: ignore[misc]
+        except (InputError, ValueError):
+            refused += 1
+            continue
+        for mine, value in zip(places, found, strict=True):
+            mine.append(value)
+        progress("drawing", float(done), len(drawn))
+    return tuple(interval(mine) for mine in places), refused
+
+
+def interval_text(one: "PointInterval") -> str:
+    """Return an interval in words, with the draws that put the point beyond the values followed."""
+    lo, hi = ("beyond" if end is None else f"{end:.6g}" for end in (one.lo, one.hi))
+    beyond = [f"{count} {name} the first value" for name, count in (("below", one.below),) if count]
+    beyond += [f"{one.above} above the last value"] if one.above else []
+    outside = f"; of the draws {', '.join(beyond)}" if beyond else ""
+    return f"{lo} to {hi} ({one.found} draws{outside})"

@@ -1,0 +1,535 @@
+"""A mass under control: dither, an orbit held by small changes of the drive, a shaker that feeds the velocity back."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from daq.base.compute.stages import Stages, silent
+from daq.base.errors import InputError, check_known
+from rig_sim.dynamics.control.dither import Quench as Quenching
+from rig_sim.dynamics.system.formula import FormulaMap
+from rig_sim.flow.flow import LARGEST, SMALLEST
+from rig_sim.functions.arguments import SceneLike, number, plain_number, scene_of, whole
+from rig_sim.functions.result import Result
+from rig_sim.functions.systems import landing_map, with_period
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from daq.base.compute.arrays import Array
+    from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit
+    from rig_sim.dynamics.control.locking import Locking
+    from rig_sim.dynamics.control.ogy import Lock as Controlling
+    from rig_sim.dynamics.control.stability import ShakerPlane
+    from rig_sim.flow.flow import Flow
+
+METHODS = ("ogy", "search")
+MOST_PERIOD = 100  # of a search; the multipliers of longer orbits leave no digit of a motion
+MOST_EVENTS = 10_000_000
+# Integrator steps of a lock, 5 s, or so many for each event asked for.  Of the thesis's motions periods 1 to 5 take 5e5
+# and 100 takes 6e6; an event takes 80.  Where every close return is tried in vain a search took 24 s and more.
+STEPS_IN_ALL, STEPS_PER_EVENT = 10_000_000, 200
+SHOWN = 5  # orbits, and positions of an orbit, in the text
+
+
+@dataclass(frozen=True, repr=False)
+class Quench(Result, Quenching):
+    """Whether a fast drive quenches stick-slip, and from which amplitude on: what `rig_sim.quench` returns."""
+
+    name: str = field(default="", repr=False, compare=False, kw_only=True)
+    flow: "Flow" = field(repr=False, compare=False, kw_only=True)
+    start: tuple[float, float] = field(repr=False, compare=False, kw_only=True)
+
+    UNITS: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("threshold", "threshold_with_slope", "simulated_threshold"), "N"),
+        **dict.fromkeys(("swing", "linear_ripple", "free_swing"), "m"),
+    }
+
+    def lines(self) -> list[str]:
+        """Return the answer, the thresholds and the swings in words."""
+        lines = [f"{self.outcome}: u0 = {self.flow.u0:.6g}"]
+        simulated = self.simulated_threshold
+        by_formula = ("by formula", self.threshold), ("with the slope of friction", self.threshold_with_slope)
+        for name, value in by_formula:
+            lines.append(f"threshold {name} {value:.6g}")
+            if simulated is not None and value > 0.0:
+                lines[-1] += f" (simulation {simulated / value - 1.0:+.2%})"
+        if simulated is not None:
+            lines.append(f"threshold by simulation {simulated:.6g}")
+        swings = [format(swing, ".4g") if math.isfinite(swing) else "-" for swing in (self.swing, self.free_swing)]
+        lines.append(f"peak to peak of x {swings[0]}; without the drive {swings[1]}")
+        if self.linear_ripple is not None:
+            lines.append(f"of spring and mass alone under the drive {self.linear_ripple:.4g}")
+        return lines
+
+    def plot(self, ax: "Axes | None" = None) -> "Figure":
+        """Draw the motion with and without its drive; without ``ax`` also its swing over the amplitude, below."""
+        if ax is not None:
+            return super().plot(ax)
+        from rig_sim.dynamics.pictures.driven import quench_figure
+
+        return quench_figure(self.flow, *self.start)
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the motion with and without its drive."""
+        from rig_sim.dynamics.pictures.driven import draw_dither
+
+        draw_dither(ax, self.flow, *self.start)
+
+
+@dataclass(frozen=True, repr=False)
+class Lock(Result):
+    """An unstable orbit, and how the motion was locked onto it: what `rig_sim.lock` returns.
+
+    Attributes
+    ----------
+    method : str
+    period : int
+        Landings in one turn of the orbit.
+    budget, du_limit : float
+        Largest change of the drive's amplitude, as a fraction of it, and N.
+    outcome, advice : str
+        'locked', or why not and what to do.
+    orbit : dict or None
+        The orbit locked onto: x at break-away (m), t and x of its landings, duration, drive periods, multipliers.
+    orbits : list of dict
+        All that were found, the least unstable first.
+    regular_period : int or None
+        On which the motion settles without control.
+    locked : bool
+    events_to_lock : int or None
+        Landings before the control that held.
+    events : int
+    du_max, du_final : float
+        Largest and last change of the amplitude, N.
+    """
+
+    method: str
+    period: int
+    budget: float
+    du_limit: float
+    outcome: str = ""
+    advice: str = ""
+    orbit: dict[str, Any] | None = None
+    orbits: list[dict[str, Any]] = field(default_factory=list)
+    regular_period: int | None = None
+    locked: bool = False
+    events_to_lock: int | None = None
+    events: int = 0
+    du_max: float = 0.0
+    du_final: float = 0.0
+    kept: int | None = None
+    name: str = field(default="", repr=False, compare=False)
+    system: Any = field(default=None, repr=False, compare=False)
+    control: "Controlling | None" = field(default=None, repr=False, compare=False)
+
+    UNITS: ClassVar[Mapping[str, str]] = {"t": "s", "x": "m", "change": "N", "x_slip": "m"}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the command prints with ``--json``."""
+        data = super().as_json()
+        if self.kept is None:
+            del data["kept"]
+        return data
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """Return the numbers of the answer, without the orbits."""
+        return [{name: value for name, value in self.as_json().items() if name not in ("orbit", "orbits")}]
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return a row for each landing under control: t within the drive's period, x, and the change of the amplitude.
+
+        Of a system of one's own: each coordinate of the state, and the change of the parameter.  Empty where there was
+        no motion under control.
+        """
+        import numpy as np
+        import pandas as pd
+
+        own = not hasattr(self.system, "landing")
+        d = len(self.system.scale)
+        names = [f"x{place}" for place in range(d)] if own else ["t", "x"]
+        if self.control is None:
+            return pd.DataFrame(columns=[*names, "change"], dtype=np.float64)
+        changes = np.append(self.control.changes, np.nan)
+        table = pd.DataFrame(np.column_stack([self.control.states, changes]), columns=[*names, "change"])
+        table.attrs["units"] = {} if own else {name: self.UNITS[name] for name in (*names, "change")}
+        return table
+
+    def lines(self) -> list[str]:
+        """Return the answer and the orbits in words."""
+        lines = [f"outcome        {self.outcome}" + (f" ({self.advice})" if self.advice else "")]
+        if self.regular_period is not None:
+            lines.append(f"without control the motion settles on period {self.regular_period}")
+        for place, orbit in enumerate(self.orbits[:SHOWN] or [self.orbit]):  # type: ignore[list-item]
+            if orbit is not None:
+                where, points = ("x at break-away", orbit["x_slip"]) if "x_slip" in orbit else ("x", orbit["x"])
+                more = " ..." if len(points) > SHOWN else ""
+                places = ", ".join(f"{x:.12g}" for x in points[:SHOWN]) + more
+                size = f", multiplier {_shown(orbit['multipliers'][0])}" if "multipliers" in orbit else ""
+                lines.append(f"{'orbit' if place == 0 else '':14} {where} {places}{size}")
+        lines.append(f"locked         {self.locked}")
+        if self.events_to_lock is not None:
+            lines.append(f"events to lock {self.events_to_lock}")
+        limit = f"{self.du_max:.6g} of {self.du_limit:.6g} allowed, last {self.du_final:.3g}"
+        return [*lines, f"largest change {limit}"]
+
+    def plot(self, ax: "Axes | None" = None) -> "Figure":
+        """Draw the landings; without ``ax`` also the changes of the amplitude, the phase portrait and the velocity."""
+        if ax is not None or self.control is None or not hasattr(self.system, "landing"):
+            return super().plot(ax)
+        from rig_sim.dynamics.pictures.driven import lock_figure
+
+        return lock_figure(self.system, self.control, self.period, self.budget)
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the landings one after the other."""
+        from rig_sim.dynamics.pictures.driven import draw_landings
+
+        draw_landings(ax, self.control)
+
+
+@dataclass(frozen=True, repr=False)
+class Shaker(Result):
+    """The small oscillation under a shaker that feeds the velocity back: what `rig_sim.shaker` returns.
+
+    Attributes
+    ----------
+    omega, delta : float
+        Frequency (rad/s) and growth rate (1/s).
+    stable : bool
+        Whether it decays and its frequency lies within the band.
+    roots : tuple of complex
+        Both roots omega + i delta.
+    band : (float, float) or None
+        The frequencies that the filter passes, rad/s.
+    in_band : bool
+    stable_phases, stable_amplifications : list of (float, float)
+        Intervals of phi (rad) at this a, and of a (N s/m) at this phi.
+    """
+
+    omega: float
+    delta: float
+    stable: bool
+    roots: tuple[complex, complex]
+    band: tuple[float, float] | None
+    in_band: bool
+    stable_phases: list[tuple[float, float]]
+    stable_amplifications: list[tuple[float, float]]
+    a: float = field(default=0.0, repr=False, compare=False)
+    phi: float = field(default=0.0, repr=False, compare=False)
+    plane: "ShakerPlane | None" = field(default=None, repr=False, compare=False)
+    name: str = field(default="a mass", repr=False, compare=False)
+
+    UNITS: ClassVar[Mapping[str, str]] = {"omega": "rad/s", "delta": "1/s", "band": "rad/s", "stable_phases": "rad"}
+    SIZE = (8.6, 6.2)
+
+    def lines(self) -> list[str]:
+        """Return the answer in words."""
+        kind = "decays" if self.delta < 0.0 else "grows" if self.delta > 0.0 else "neither grows nor decays"
+        outside = "" if self.in_band else ", but its frequency lies outside the filter's band"
+        return [
+            f"omega  {self.omega:.15g} rad/s",
+            f"delta  {self.delta:.15g} 1/s: the oscillation {kind}{outside}",
+            f"stable {self.stable}",
+            f"stable phases at a = {self.a:g}: {_intervals(self.stable_phases)}",
+            f"stable amplifications at phi = {self.phi:g}: {_intervals(self.stable_amplifications)}",
+        ]
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the curves of constant growth rate and frequency, and where the oscillation decays."""
+        from rig_sim.dynamics.pictures.shaker import draw_shaker
+
+        if self.plane is not None:
+            draw_shaker(ax, self.plane, self.a, self.phi)
+
+
+def quench(scene: SceneLike, *, progress: Stages = silent) -> Quench:
+    """Find whether a fast drive (dither) quenches stick-slip, and from which amplitude on: ``rig-sim quench``.
+
+    ``threshold`` is the amplitude u0 with which the mass alone reaches the belt's speed: v_belt abs(k - m omega^2 + i c
+    omega) / omega; ``threshold_with_slope`` counts the slope of friction there as damping.  ``simulated_threshold`` is
+    the least u0 with which the simulated motion, from the scene's start, loses its stick-slip; ``quenched`` says so for
+    the scene's own u0.
+
+    Parameters
+    ----------
+    scene : str, Path or Scene
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass with a drive.
+    progress : callable, optional
+        Called with the stage, what is done of it, and its whole.
+
+    Returns
+    -------
+    Quench
+
+    Raises
+    ------
+    InputError
+        No such scene, two masses, no drive, or a drive without a period.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> found = rig_sim.quench(rig_sim.scene("forced", **{"drive.omega": 20, "drive.u0": 1.75}))
+    >>> found.quenched, round(found.threshold, 4)
+    (True, 1.6957)
+    """
+    from rig_sim.dynamics.control.dither import quench as find
+
+    given = scene_of(scene)
+    flow, x, v = with_period(given)
+    return Quench(**vars(find(flow, x, v, progress)), name=given.name, flow=flow, start=(x, v))
+
+
+def lock(
+    scene: SceneLike | FormulaMap,
+    period: int,
+    budget: float,
+    *,
+    method: Literal["ogy", "search"] = "ogy",
+    events: int = 20_000,
+    progress: Stages = silent,
+) -> Lock:
+    """Find an unstable orbit of a driven mass, and lock the motion onto it by small changes: ``rig-sim lock``.
+
+    What changes is the drive's amplitude.  The orbits are found by close returns of the uncontrolled motion; of
+    several, the least unstable one is taken.  An event is a landing: a passage from slip to stick.
+
+    Parameters
+    ----------
+    scene : str, Path, Scene or FormulaMap
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass with a drive.  Or a
+        `rig_sim.FormulaMap` whose `step` takes changes of its parameter.
+    period : int
+        Landings in one turn of the orbit, 1 to 100.
+    budget : float
+        Largest change of the drive's amplitude, as a fraction of it, from 0 to 1.
+    method : str
+        'ogy' (Ott, Grebogi and Yorke: a change at each landing), or 'search' (the thesis's: raise the amplitude until
+        the section repeats, then take it back).
+    events : int
+        Landings after which the control gives up.
+    progress : callable, optional
+        Called with the stage, what is done of it, and its whole.
+
+    Returns
+    -------
+    Lock
+
+    Raises
+    ------
+    InputError
+        No such scene or method, two masses, no drive, or a number out of range.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> found = rig_sim.lock("forced", period=2, budget=0.0235)
+    >>> found.locked, found.du_max <= found.du_limit
+    (True, True)
+    """
+    size = plain_number(budget, "--budget")
+    _check("budget", size)
+    if size > 1.0:
+        raise InputError(f"is {size:g}", "--budget", "give a fraction of drive.u0, from 0 to 1")
+    turn, most = whole(period, "--period"), whole(events, "--events")
+    if not 1 <= turn <= MOST_PERIOD:
+        raise InputError(f"is {period}", "--period", f"give 1 to {MOST_PERIOD} landings")
+    if not 1 <= most <= MOST_EVENTS:
+        raise InputError(f"is {events}", "--events", f"give 1 to {MOST_EVENTS}")
+    check_known(method, METHODS, "method", "--method")
+    found, f, control, name = _locked(scene, turn, size, method, most, progress)
+    return Lock(method, turn, size, size * f.strength, **found, name=name, system=f, control=control)
+
+
+def _locked(
+    scene: SceneLike | FormulaMap, period: int, budget: float, method: str, events: int, progress: Stages
+) -> "tuple[dict[str, Any], FormulaMap, Controlling | None, str]":
+    """Return what a lock has found, the map, the motion under control, and the system's name."""
+    from rig_sim.dynamics.control.locking import find_and_lock
+    from rig_sim.dynamics.system.step_budget import StepBudget
+
+    f: FormulaMap
+    if isinstance(scene, FormulaMap):
+        f, start, name = scene, scene.start, type(scene).__name__
+    else:
+        given = scene_of(scene)
+        f = landings = landing_map(given, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
+        first = landings.first(float(given.start.x), float(given.start.v))
+        start, name = first.state, given.name
+        if first.outcome != "completed":
+            advice = "the motion does not reach a stick: change the drive or the belt"
+            return {"outcome": first.outcome, "advice": advice}, f, None, name
+    if method == "search":
+        return _searched(f, start, period, budget, progress), f, None, name
+    found = find_and_lock(f, start, period, budget, events, progress)
+    return _as_fields(f, found), f, found.lock, name
+
+
+def _as_fields(f: FormulaMap, found: "Locking") -> dict[str, Any]:
+    """Return what a lock has found, by the names of the result's fields."""
+    rows = [_orbit_row(f, orbit) for orbit in found.orbits]
+    data: dict[str, Any] = {"outcome": found.outcome, "advice": found.advice, "orbits": rows}
+    data |= {"orbit": rows[0] if rows else None, "regular_period": found.regular}
+    if found.lock is not None:
+        sizes = [abs(float(change)) for change in found.lock.changes]
+        data |= {"locked": found.lock.locked, "events_to_lock": found.lock.events_to_lock, "events": len(sizes)}
+        data |= {"du_max": max(sizes, default=0.0), "du_final": float(found.lock.changes[-1]) if sizes else 0.0}
+    return data
+
+
+def _orbit_row(f: FormulaMap, orbit: "UnstableOrbit") -> dict[str, Any]:
+    """Return an orbit by the names of JSON."""
+    from rig_sim.dynamics.rig.landing import LandingMap
+
+    if not isinstance(f, LandingMap):
+        return {"points": orbit.points, "x": orbit.points[:, 0], "multipliers": orbit.multipliers}
+    landings = [f.landing(point) for point in orbit.points]
+    duration = math.fsum(landing.duration for landing in landings)
+    return {
+        "x_slip": [landing.x_slip for landing in landings],
+        "t": orbit.points[:, 0],
+        "x": orbit.points[:, 1],
+        "duration": duration,
+        "drive_periods": round(duration / f.period),
+        "multipliers": orbit.multipliers,
+    }
+
+
+def _searched(f: FormulaMap, start: "Array", period: int, budget: float, progress: Stages) -> dict[str, Any]:
+    """Return what the thesis's search-and-lock has found, by the names of the result's fields."""
+    from rig_sim.dynamics.control.locking import ADVICE
+    from rig_sim.dynamics.control.search_and_lock import search_and_lock
+    from rig_sim.dynamics.rig.landing import LandingMap
+    from rig_sim.dynamics.system.step_budget import StepLimitError
+
+    try:
+        found = search_and_lock(f, start, period, budget, progress=progress)
+    except StepLimitError:
+        return {"outcome": "step limit", "advice": ADVICE["step limit"]}
+    if found.change is None or found.points is None:
+        advice = "the section did not repeat with this period: raise the budget"
+        return {"outcome": "not locked", "advice": advice, "events": found.events, "du_max": budget * f.strength}
+    orbit: dict[str, Any] = {"points": found.points, "x": found.points[:, 0]}
+    if isinstance(f, LandingMap):
+        x_slip = [f.landing(point, found.change).x_slip for point in found.points]
+        orbit = {"x_slip": x_slip, "t": found.points[:, 0], "x": found.points[:, 1]}
+    data = {"orbit": orbit, "events_to_lock": found.events, "events": found.events, "kept": found.kept}
+    data |= {"du_max": found.change, "du_final": 0.0, "locked": found.stays}
+    advice = "without the change the motion leaves the orbit: take the method ogy"
+    return data | ({"outcome": "locked"} if found.stays else {"outcome": "locked while changed", "advice": advice})
+
+
+def shaker(
+    m: float | str,
+    k: float | str,
+    c: float | str,
+    gamma: float | str,
+    a: float | str,
+    phi: float | str,
+    *,
+    band: "str | tuple[float, float] | None" = None,
+) -> Shaker:
+    """Find frequency and growth rate of the small oscillation under a shaker that feeds the velocity back.
+
+    ``rig-sim shaker``.  The shaker's force is the velocity times a, ahead of it by phi; phi = pi is a damper.
+
+    Parameters
+    ----------
+    m, k, c : float or str
+        Mass (kg), spring (N/m), damper (N s/m); or with a unit, '300 g'.
+    gamma : float or str
+        Slope of friction at the belt's speed, N s/m: above 0 where it falls with the slip speed.
+    a : float or str
+        Amplification, N s/m.
+    phi : float or str
+        Phase by which the force leads the velocity, rad, or '170 deg'.
+    band : str or (float, float), optional
+        The frequencies that the filter passes: 'LOW:HIGH' or (low, high), rad/s; ``stable`` needs them.
+
+    Returns
+    -------
+    Shaker
+
+    Raises
+    ------
+    InputError
+        A number that is not finite, or of the wrong sign; another form of ``band``.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> found = rig_sim.shaker(m=1, k=1, c=0, gamma=0.3, a=0.5, phi=3, band=(0.9, 1.1))
+    >>> found.stable, round(found.delta, 4)
+    (True, -0.101)
+    """
+    from rig_sim.dynamics.control.phasor import phasor_roots
+    from rig_sim.dynamics.control.stability import ShakerPlane
+
+    kinds = {"m": "mass", "k": "stiffness", "c": "damping", "gamma": "damping", "a": "damping", "phi": "angle"}
+    given = {"m": m, "k": k, "c": c, "gamma": gamma, "a": a, "phi": phi}
+    value = {name: number(given[name], kinds[name], f"--{name}") for name in kinds}
+    for name, size in value.items():
+        _check(name, size, positive=name in ("m", "k"), negative=name in ("c", "gamma", "phi"))
+    passed = None if band is None else _band(band)
+    plane = ShakerPlane(value["m"], value["k"], value["gamma"] - value["c"], passed)
+    level, phase = value["a"], value["phi"]
+    roots = phasor_roots(plane.m, plane.k, plane.S, level, phase)
+    return Shaker(
+        roots[0].real,
+        roots[0].imag,
+        plane.stable(level, phase),
+        roots,
+        plane.band,
+        plane.passes(roots[0].real),
+        plane.stable_phases(level),
+        plane.stable_amplifications(phase),
+        level,
+        phase,
+        plane,
+    )
+
+
+def _check(name: str, value: float, *, positive: bool = False, negative: bool = False) -> None:
+    """Refuse a number that is not finite, too large or too small, or of the wrong sign.
+
+    Raises
+    ------
+    InputError
+        Naming the flag.
+    """
+    if not math.isfinite(value) or abs(value) > LARGEST or 0.0 < abs(value) < SMALLEST:
+        raise InputError(f"is {value:g}", f"--{name}", f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}")
+    if (positive and value <= 0.0) or (not negative and value < 0.0):
+        raise InputError(f"is {value:g}", f"--{name}", "give a number above 0" if positive else "give 0 or more")
+
+
+def _band(given: "str | tuple[float, float]") -> tuple[float, float]:
+    """Return the two frequencies of a band, rad/s.
+
+    Raises
+    ------
+    InputError
+        Another form, or not 0 <= LOW < HIGH.
+    """
+    do, python = "write LOW:HIGH in rad/s, as in 0.9:1.1", "give (low, high) in rad/s, as in (0.9, 1.1)"
+    ends: Sequence[Any] = given.split(":") if isinstance(given, str) else given
+    try:
+        first, last = ends
+    except (TypeError, ValueError):
+        raise InputError(f"{given!r} is no band", "--band", do, python=python) from None
+    low, high = (number(end, "angular frequency", "--band") for end in (first, last))
+    if not 0.0 <= low < high < math.inf:
+        raise InputError(f"{given!r} is no band", "--band", "give 0 <= LOW < HIGH, in rad/s")
+    return low, high
+
+
+def _intervals(found: list[tuple[float, float]]) -> str:
+    return ", ".join(f"{low:.6g} to {high:.6g}" for low, high in found) or "none"
+
+
+def _shown(value: complex) -> str:
+    return f"{value.real:.10g}" if value.imag == 0.0 else f"{value:.10g}"

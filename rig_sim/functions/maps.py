@@ -1,0 +1,449 @@
+"""Maps of two masses from stick to stick, or of one's own: map, basins, and Lyapunov exponents of any system."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from daq.base.compute.stages import Stages, silent
+from daq.base.errors import InputError
+from rig_sim.dynamics.system.formula import FormulaMap
+from rig_sim.functions.arguments import SceneLike, scene_of, whole
+from rig_sim.functions.result import PALE, STABLE, Result
+from rig_sim.functions.systems import driven_map, on_interval, stick_map
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.base.compute.arrays import Array, Integers
+    from rig_sim.dynamics.analyses.basins import Attractor
+    from rig_sim.dynamics.analyses.periodic_points import PeriodicPoint
+    from rig_sim.dynamics.rig.stick import StickEvent, StickMap
+    from rig_sim.scenes.model import Scene
+
+MOST_CELLS = 1_000_000
+MOST_EVENTS = 10_000_000
+STEPS_PER_EVENT = 1000  # of basins and of lyapunov, whose slopes take four events more; the thesis's take 30 each
+MANY_EVENTS = 500  # interpreted some seconds; above, compiled code is faster with its compilation
+ROTATIONS = 2000  # landings over which the mean time between two is taken
+
+
+@dataclass(frozen=True, repr=False)
+class Map(Result):
+    """What a map makes of places, and its periodic orbits: what `rig_sim.map` returns.
+
+    Attributes
+    ----------
+    d, f : tuple of float
+        Stretches x2 - x1 (m) of a global stick, and those that follow; of a map of one's own x and its images.
+    word : tuple of str
+        Which mass broke away, in order; of several events the words are separated by spaces.
+    duration : tuple of float
+        Of the events, s.
+    outcome, advice : tuple of str
+        'completed', or how an event ended instead, and what to do.
+    periodic : tuple of PeriodicPoint or None
+        The orbits of the period ``iterate``, where they were asked for.
+    several : bool
+        Whether a list of places was given, of which JSON has lists too.
+    """
+
+    d: tuple[float, ...]
+    f: tuple[float, ...]
+    word: tuple[str, ...]
+    duration: tuple[float, ...]
+    outcome: tuple[str, ...]
+    advice: tuple[str, ...]
+    periodic: "tuple[PeriodicPoint, ...] | None" = None
+    several: bool = field(default=True, repr=False, compare=False)
+    asked: bool = field(default=True, repr=False, compare=False)
+    iterate: int = field(default=1, repr=False, compare=False)
+    name: str = field(default="", repr=False, compare=False)
+    system: Any = field(default=None, repr=False, compare=False)
+
+    UNITS: ClassVar[Mapping[str, str]] = {"d": "m", "f": "m", "duration": "s"}
+    SIZE = (6.4, 6.2)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the command prints with ``--json``."""
+        data: dict[str, Any] = {}
+        if self.asked:
+            names = ("d", "f", "word", "duration", "outcome", "advice")
+            data = {name: list(getattr(self, name)) for name in names}
+            if not self.several:
+                data = {name: values[0] for name, values in data.items()}
+        if self.periodic is not None:
+            data["periodic"] = [
+                {**asdict(orbit), "period": orbit.period, "stable": orbit.stable} for orbit in self.periodic
+            ]
+        return data
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """Return a row for each place; where only periodic orbits were asked for, one for each of these."""
+        if not self.asked:
+            return self.as_json().get("periodic", [])  # type: ignore[no-any-return]
+        columns = {name: getattr(self, name) for name in ("d", "f", "word", "duration", "outcome", "advice")}
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+    def lines(self) -> list[str]:
+        """Return a line for each place and each periodic orbit."""
+        lines = [f"{'d':>22} {'f(d)':>22}  word"] if self.asked else []
+        for d, f, word, outcome, advice in zip(self.d, self.f, self.word, self.outcome, self.advice, strict=True):
+            end = "" if outcome == "completed" else f"  {outcome} ({advice})"
+            lines.append(f"{d:22.15g} {_finite(f, '.15g'):>22}  {word}{end}")
+        if self.periodic is not None:
+            lines += [
+                f"period {orbit.period}, {'stable' if orbit.stable else 'unstable'}, slope {orbit.slope:.12g}: "
+                + ", ".join(f"{point:.15g}" for point in orbit.points)
+                for orbit in self.periodic
+            ] or [f"no orbit of period {self.iterate}"]
+        return lines
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the iterate of the map, with the points where it meets the diagonal."""
+        from rig_sim.dynamics.pictures.maps import draw_map
+
+        draw_map(ax, self.system, self.iterate)
+
+
+@dataclass(frozen=True, repr=False)
+class Basins(Result):
+    """Attractors of a map, the largest basin first, and their basins: what `rig_sim.basins` returns.
+
+    Attributes
+    ----------
+    range : tuple of float
+        The interval, m.
+    shares : tuple of float
+        Of the interval that lead to each attractor.
+    attractors : tuple of Attractor
+        Points, period (None where it is not periodic) and share.
+    nowhere : float
+        Share that leads to no global stick, or to where the map is not defined.
+    cells, cycles : int
+        Cells of the interval, and cycles of cells before they were merged.
+    centres, fate : (cells,) arrays
+        Of each cell, and the index of its attractor, or -1.
+    """
+
+    range: tuple[float, float]
+    shares: tuple[float, ...]
+    attractors: "tuple[Attractor, ...]"
+    nowhere: float
+    cells: int
+    cycles: int
+    centres: "Array" = field(repr=False, compare=False)
+    fate: "Integers" = field(repr=False, compare=False)
+    name: str = field(default="", repr=False, compare=False)
+
+    UNITS: ClassVar[Mapping[str, str]] = {"centre": "m"}
+    SIZE = (8.6, 2.6)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the command prints with ``--json``."""
+        return super().as_json() | {"attractors": [asdict(attractor) for attractor in self.attractors]}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """Return a row for each attractor."""
+        return [{"attractor": number, **asdict(one)} for number, one in enumerate(self.attractors, 1)]
+
+    def lines(self) -> list[str]:
+        """Return a line for each attractor."""
+        lines = []
+        for number, attractor in enumerate(self.attractors, 1):
+            kind = f"period {attractor.period}" if attractor.period else "not periodic"
+            few = ", ".join(f"{point:.12g}" for point in attractor.points[:4])
+            more = " ..." if len(attractor.points) > 4 else ""
+            lines.append(f"attractor {number}: {100.0 * attractor.share:.3f} %, {kind}: {few}{more}")
+        if self.nowhere or not self.attractors:
+            lines.append(f"no global stick: {100.0 * self.nowhere:.3f} %")
+        return lines
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw which attractor each start leads to, with the attractors' points above."""
+        from rig_sim.dynamics.pictures.maps import draw_basins
+
+        draw_basins(ax, self.attractors, self.centres, self.fate)
+
+
+@dataclass(frozen=True, repr=False)
+class Exponent(Result):
+    """A Lyapunov exponent: what `rig_sim.lyapunov` returns.
+
+    Attributes
+    ----------
+    exponent, stderr : float
+        Mean logarithm by which a small deviation grows, and its standard error: 0 on a periodic attractor.
+    events : int
+        That it was taken over.
+    period : int or None
+        Of a periodic attractor.
+    outcome : str
+        'completed', or why there is none.
+    per : str
+        'event' (from one global stick to the next), 'landing', 'drive period', or 'step' of a system of one's own.
+    drive_periods_per_landing : float or None
+        Rotation number of a driven mass.
+    """
+
+    exponent: float
+    stderr: float
+    events: int
+    period: int | None
+    outcome: str
+    per: str
+    drive_periods_per_landing: float | None = None
+    name: str = field(default="", repr=False, compare=False)
+    advice: str = field(default="", repr=False, compare=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the command prints with ``--json``."""
+        data = super().as_json()
+        if self.drive_periods_per_landing is None:
+            del data["drive_periods_per_landing"]
+        return data
+
+    def lines(self) -> list[str]:
+        """Return the exponent in one line."""
+        if self.outcome != "completed":
+            return [f"{self.outcome}: {self.advice}"]
+        orbit = f"period {self.period}, exact" if self.period else f"over {self.events} {self.per}s"
+        return [f"{with_error(self.exponent, self.stderr)} per {self.per} ({orbit})"]
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the exponent with its standard error, and 0, above which the motion is chaotic."""
+        ax.axhline(0.0, color=PALE, lw=0.8)
+        ax.errorbar([0.0], [self.exponent], yerr=[self.stderr], fmt="o", capsize=4, color=STABLE)
+        ax.set(xticks=[], ylabel=f"Lyapunov exponent per {self.per}", title=self.name)
+
+
+def map(
+    scene: SceneLike | FormulaMap,
+    d: float | Sequence[float] | None = None,
+    *,
+    iterate: int = 1,
+    periodic: bool = False,
+) -> Map:
+    """Map the stretch d = x2 - x1 of two masses from one global stick to the next: ``rig-sim map``.
+
+    Start and the belt's start are ignored.
+
+    Parameters
+    ----------
+    scene : str, Path, Scene or FormulaMap
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of two masses.  Or a
+        `rig_sim.FormulaMap` of an interval, whose x is ``d``.
+    d : float or sequence of float, optional
+        Stretch while both masses stick, m.
+    iterate : int
+        How many events to follow.
+    periodic : bool
+        Find the periodic orbits of the map with ``iterate`` as their period.
+
+    Returns
+    -------
+    Map
+        With ``plot()``, the iterate over its interval.
+
+    Raises
+    ------
+    InputError
+        One mass, a belt at rest, or an ``iterate`` below 1.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> found = rig_sim.map("two-mass", d=[0.05, 0.1], iterate=2)
+    >>> found.to_dataframe()[["d", "f", "word"]].round(6)
+          d         f   word
+    0  0.05  0.142806  12 21
+    1  0.10  0.123401  21 21
+    """
+    count = whole(iterate, "--iterate")
+    if count < 1:
+        raise InputError(f"is {iterate}", "--iterate", "give 1 or more")
+    own = isinstance(scene, FormulaMap)
+    name = type(scene).__name__ if isinstance(scene, FormulaMap) else scene_of(scene).name
+    f: Any = on_interval(scene) if isinstance(scene, FormulaMap) else stick_map(scene_of(scene))
+    several = not (d is None or isinstance(d, int | float))
+    places = _numbers(d)
+    chains = [_images(f, place, count) if own else _events(f, place, count, len(places)) for place in places]
+    orbits = None
+    if periodic:
+        from rig_sim.dynamics.analyses.periodic_points import periodic_points
+
+        orbits = periodic_points(f, count)
+    columns: list[Any] = list(zip(*chains, strict=True)) or [()] * 5
+    images, word, duration, outcome, advice = columns
+    parts = (word, duration, outcome, advice, orbits, several, d is not None, count, name, f)
+    return Map(tuple(places), images, *parts)
+
+
+def _numbers(d: Any) -> list[float]:
+    try:
+        return [] if d is None else [float(d)] if isinstance(d, int | float) else [float(place) for place in d]
+    except (TypeError, ValueError):
+        what = f"{d!r:.60} holds something that is no number"
+        raise InputError(what, "--d", "write 0.1,0.2", python="give a number, or several") from None
+
+
+def _events(f: "StickMap", d: float, times: int, places: int) -> tuple[float, str, float, str, str]:
+    """Return d, word, duration, outcome and advice after so many events that follow a global stick."""
+    chain: list[StickEvent] = []
+    for _ in range(times):
+        chain.append(f.event(d, compiled=places * times > MANY_EVENTS))
+        if chain[-1].outcome != "completed":
+            break
+        d = chain[-1].d
+    last = chain[-1]
+    word, duration = " ".join(event.word for event in chain), sum(event.duration for event in chain)
+    return last.d, word, duration, last.outcome, last.advice
+
+
+def _images(f: FormulaMap, x: float, times: int) -> tuple[float, str, float, str, str]:
+    import numpy as np
+
+    found = float(f.images(np.array([x]), times)[0])
+    there = math.isfinite(found)
+    end = ("completed", "") if there else ("outside", f"the map is defined from {f.lo:g} to {f.hi:g}")
+    return (found, "", float(times), *end)
+
+
+def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages = silent) -> Basins:
+    """Find the attractors of two masses, and which share of the stretches d leads to each: ``rig-sim basins``.
+
+    By cell mapping.  Start and the belt's start are ignored.
+
+    Parameters
+    ----------
+    scene : str, Path, Scene or FormulaMap
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of two masses.  Or a
+        `rig_sim.FormulaMap` of an interval.
+    cells : int
+        Cells that the interval is divided into.
+    progress : callable, optional
+        Called with the stage, what is done of it, and its whole.
+
+    Returns
+    -------
+    Basins
+
+    Raises
+    ------
+    InputError
+        One mass, a belt at rest, or a number of cells out of range.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> found = rig_sim.basins(rig_sim.scene("two-mass", **{"belt.speed": 0.165}), cells=1000)
+    >>> [attractor.period for attractor in found.attractors], found.shares[0] > found.shares[1]
+    ([2, 2], True)
+    """
+    from rig_sim.dynamics.analyses.basins import basins as find
+
+    number = whole(cells, "--cells")
+    if not 2 <= number <= MOST_CELLS:
+        raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
+    name = type(scene).__name__ if isinstance(scene, FormulaMap) else scene_of(scene).name
+    f: Any = on_interval(scene) if isinstance(scene, FormulaMap) else _with_steps(scene_of(scene), number)
+    found = find(f, number, progress)
+    shares = tuple(attractor.share for attractor in found.attractors)
+    parts = ((f.lo, f.hi), shares, found.attractors, found.nowhere, number, found.cycles)
+    return Basins(*parts, found.centres, found.fate, name)
+
+
+def _with_steps(found: "Scene", events: int) -> "StickMap":
+    """Return the map of two masses with integrator steps for an analysis or, if more, for ``events``."""
+    from rig_sim.dynamics.rig.stick import STEPS_IN_ALL
+    from rig_sim.dynamics.system.step_budget import StepBudget
+
+    return stick_map(found, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
+
+
+def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: Stages = silent) -> Exponent:
+    """Find the Lyapunov exponent on the attractor that the start leads to: ``rig-sim lyapunov``.
+
+    Per event of two masses, from their map.  Of a driven mass per landing, by the variational equation; per drive
+    period where the mass does not stick.  Positive for chaos.  On a periodic attractor it is exact.
+
+    Parameters
+    ----------
+    scene : str, Path, Scene or FormulaMap
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of two masses with ``start.d`` or
+        ``start.attractor``, or of a driven mass.  Or a `rig_sim.FormulaMap`.
+    events : int
+        Events to take the mean over: from one global stick to the next, landings, or steps.
+    progress : callable, optional
+        Called with the stage, what is done of it, and its whole.
+
+    Returns
+    -------
+    Exponent
+
+    Raises
+    ------
+    InputError
+        One mass without a drive, a start that is no global stick, or a number of events out of range.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> found = rig_sim.lyapunov(rig_sim.scene("forced", **{"drive.omega": 1.1}), events=500)
+    >>> found.per, found.exponent > 5 * found.stderr > 0
+    ('landing', True)
+    """
+    import numpy as np
+
+    from rig_sim.dynamics.analyses.exponent import BLOCKS, exponent
+
+    number = whole(events, "--events")
+    if not BLOCKS <= number <= MOST_EVENTS:
+        raise InputError(f"is {events}", "--events", f"give {BLOCKS} to {MOST_EVENTS}")
+    if isinstance(scene, FormulaMap):
+        found = exponent(scene.motion(scene.start), number, progress)
+        advice = "no exponent; take another start or other parameters"
+        return Exponent(**vars(found), per="step", name=type(scene).__name__, advice=advice)
+    given = scene_of(scene)
+    if given.coupling is None:
+        return _driven_lyapunov(given, number, progress)
+    from rig_sim.motion.two_masses import stretch
+
+    f, start = _with_steps(given, number), stretch(given)
+    if not abs(start) <= f.hi:
+        raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
+    found = exponent(f.motion(np.array([start])), number, progress)
+    advice = "the motion stops sticking; list its events instead"
+    return Exponent(**vars(found), per="event", name=given.name, advice=advice)
+
+
+def _driven_lyapunov(given: "Scene", events: int, progress: Stages) -> Exponent:
+    """Return the exponent of a driven mass per landing, or per drive period where it does not stick."""
+    from rig_sim.dynamics.analyses.exponent import exponent, rotation_number
+
+    per = "landing"
+    f, start = driven_map(given, "landing")
+    motion = f.motion(start)
+    found = exponent(motion, events, progress)
+    if found.outcome == "no stick":
+        per = "drive period"
+        f, start = driven_map(given, "poincare")
+        motion = f.motion(start)
+        found = exponent(motion, events, progress)
+    rotation = None
+    if per == "landing" and found.outcome == "completed":
+        rotation = rotation_number(motion.follow(ROTATIONS))
+    advice = "no exponent; list the events instead"
+    return Exponent(**vars(found), per=per, drive_periods_per_landing=rotation, name=given.name, advice=advice)
+
+
+def with_error(value: float, stderr: float) -> str:
+    """Return a value with the digits that its standard error, given to two, leaves: "0.865 +- 0.013"."""
+    if not (math.isfinite(stderr) and stderr > 0.0):
+        return f"{value:.8g} +- {stderr:.2g}"
+    decimals = max(0, 1 - math.floor(math.log10(stderr)))
+    return f"{value:.{decimals}f} +- {stderr:.2g}"
+
+
+def _finite(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "-"

@@ -1,0 +1,210 @@
+"""One mass on a belt, undriven: its periodic orbit, its fixed point, and Floquet multipliers."""
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from daq.base.errors import check_known
+from rig_sim.dynamics.orbits import fixed_point as fixed
+from rig_sim.dynamics.orbits import floquet as multipliers
+from rig_sim.dynamics.orbits import limit_cycle
+from rig_sim.flow.modes import NEGATIVE, POSITIVE
+from rig_sim.functions.arguments import SceneLike, scene_of
+from rig_sim.functions.result import PALE, STABLE, UNIT, Result, table_lines
+from rig_sim.integrate.phases import State
+from rig_sim.scenes.model import Scene
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from matplotlib.axes import Axes
+
+ORBITS = ("stable", "unstable")
+POINTS = 2000  # of an orbit that is drawn
+
+
+@dataclass(frozen=True, repr=False)
+class Cycle(Result, limit_cycle.Orbit):
+    """The periodic orbit that a scene reaches from the slip point: what `rig_sim.cycle` returns."""
+
+    name: str = field(default="", repr=False, compare=False)
+    scene: Scene | None = field(default=None, repr=False, compare=False)
+
+    UNITS: ClassVar["Mapping[str, str]"] = {
+        **dict.fromkeys(("period", "t_stick", "t_slip"), "s"),
+        **dict.fromkeys(("x_slip", "x_stick", "x_min", "x_max"), "m"),
+        **dict.fromkeys(("v_min", "v_max"), "m/s"),
+    }
+    SIZE = (6.4, 4.6)
+
+    def lines(self) -> list[str]:
+        """Return a line for every number."""
+        return table_lines(self.as_json())
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the orbit in the phase plane, velocity over position."""
+        import numpy as np
+
+        from rig_sim.integrate.sampled import sampled
+
+        ax.set(xlabel=f"x {UNIT}", ylabel=f"v {UNIT}", title=f"{self.name}: {self.outcome}")
+        if self.period is None or self.x_slip is None or self.scene is None:
+            return
+        flow = self.scene.flow()
+        edge = -math.copysign(flow.d, flow.v_belt) if flow.ramp else 0.0
+        mode = NEGATIVE if flow.v_belt > 0.0 else POSITIVE
+        times = np.linspace(0.0, self.period, POINTS)
+        x, v = sampled(flow, State(mode, self.x_slip, edge, 0.0), times)
+        ax.plot(x, v, color=STABLE)
+        ax.axhline(flow.v_belt, color=PALE, lw=0.8, ls="--")
+
+
+@dataclass(frozen=True, repr=False)
+class FixedPoint(Result, fixed.FixedPoint):
+    """The fixed point of one mass and its stability: what `rig_sim.fixed_point` returns."""
+
+    name: str = field(default="", repr=False, compare=False)
+
+    UNITS: ClassVar["Mapping[str, str]"] = {"x": "m", "eigenvalues": "1/s"}
+    SIZE = (5.4, 4.6)
+
+    def lines(self) -> list[str]:
+        """Return a line for every number."""
+        return table_lines(self.as_json())
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the eigenvalues in the complex plane; left of the line a motion decays."""
+        ax.axvline(0.0, color=PALE, lw=0.8)
+        ax.plot([root.real for root in self.eigenvalues], [root.imag for root in self.eigenvalues], "o", color=STABLE)
+        ax.set(xlabel=f"real part, growth rate {UNIT}", ylabel=f"imaginary part {UNIT}")
+        ax.set_title(f"{self.name}: eigenvalues of the fixed point")
+
+
+@dataclass(frozen=True, repr=False)
+class TwoMassFixedPoint(Result, fixed.TwoMassFixedPoint):
+    """The fixed point of two masses and its stability: what `rig_sim.fixed_point` returns for them."""
+
+    name: str = field(default="", repr=False, compare=False)
+
+    UNITS: ClassVar["Mapping[str, str]"] = FixedPoint.UNITS
+    SIZE = FixedPoint.SIZE
+    lines = FixedPoint.lines
+    draw = FixedPoint.draw
+
+
+@dataclass(frozen=True, repr=False)
+class FloquetOrbit(Result, multipliers.FloquetOrbit):
+    """A periodic orbit with its Floquet multipliers: what `rig_sim.floquet` returns."""
+
+    name: str = field(default="", repr=False, compare=False)
+
+    UNITS: ClassVar["Mapping[str, str]"] = {"period": "s", "x_min": "m", "x_max": "m"}
+    SIZE = (5.4, 4.6)
+
+    def lines(self) -> list[str]:
+        """Return a line for every number."""
+        return table_lines(self.as_json())
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the multipliers in the complex plane; outside the unit circle a deviation grows."""
+        circle = [2.0 * math.pi * share / 360.0 for share in range(361)]
+        ax.plot([math.cos(angle) for angle in circle], [math.sin(angle) for angle in circle], color=PALE, lw=0.8)
+        ax.plot(self.multipliers, [0.0] * len(self.multipliers), "o", color=STABLE)
+        ax.set(xlabel="real part", ylabel="imaginary part", title=f"{self.name}: Floquet multipliers")
+        ax.set_aspect("equal", adjustable="datalim")
+
+
+def cycle(scene: SceneLike) -> Cycle:
+    """Find the periodic orbit that is reached from the slip point: ``rig-sim cycle``.
+
+    The scene's start, ``belt.start`` and its random sections are ignored.
+
+    Parameters
+    ----------
+    scene : str, Path or Scene
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns.
+
+    Returns
+    -------
+    Cycle
+        Period, times, extremes; laws 1 and 2 have the ``outcome`` 'grazing', others 'cycle', 'fixed point' ...
+
+    Raises
+    ------
+    InputError
+        No such scene, two masses, or numbers that are not physical.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> orbit = rig_sim.cycle(rig_sim.scene("base", **{"friction.law": 3}))
+    >>> orbit.outcome, orbit.sequence, round(orbit.period, 3)
+    ('cycle', 'NS', 6.338)
+    """
+    found = scene_of(scene)
+    return Cycle(**vars(limit_cycle.cycle(found)), name=found.name, scene=found)
+
+
+def fixed_point(scene: SceneLike) -> FixedPoint | TwoMassFixedPoint:
+    """Find the fixed point, where friction and spring balance at rest: ``rig-sim fixed-point``.
+
+    Parameters
+    ----------
+    scene : str, Path or Scene
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass or two.  Its start is
+        ignored.
+
+    Returns
+    -------
+    FixedPoint or TwoMassFixedPoint
+        Position (m), eigenvalues (1/s), and whether it is stable.
+
+    Raises
+    ------
+    InputError
+        No such scene, or numbers that are not physical.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> rest = rig_sim.fixed_point("damped")
+    >>> rest.stable, round(rest.eigenvalues[0].real, 4)
+    (True, -0.0337)
+    """
+    found = scene_of(scene)
+    if found.coupling is None:
+        return FixedPoint(**vars(fixed.fixed_point(found.flow())), name=found.name)
+    return TwoMassFixedPoint(**vars(fixed.two_mass_fixed_point(found.two_mass_flow())), name=found.name)
+
+
+def floquet(scene: SceneLike, orbit: Literal["stable", "unstable"] = "stable") -> FloquetOrbit:
+    """Find a periodic orbit with its Floquet multipliers: ``rig-sim floquet``.
+
+    The first multiplier is 1, along the orbit; the second is 0 for an orbit that sticks, above 1 for an unstable one.
+
+    Parameters
+    ----------
+    scene : str, Path or Scene
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns.  Its start is ignored.
+    orbit : str
+        'stable': the one reached from the slip point; 'unstable': the one that separates it from the fixed point.
+
+    Returns
+    -------
+    FloquetOrbit
+        Multipliers, period (s) and extremes (m).
+
+    Raises
+    ------
+    InputError
+        No such scene or orbit, two masses, or numbers that are not physical.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> round(rig_sim.floquet("damped", orbit="unstable").multipliers[1], 6)
+    1.692648
+    """
+    check_known(orbit, ORBITS, "orbit", "--orbit")
+    found = scene_of(scene)
+    return FloquetOrbit(**vars(multipliers.floquet(found.flow(), orbit)), name=found.name)

@@ -1,0 +1,120 @@
+"""What the functions return: a frozen dataclass with a table, a picture and the words that a command prints."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from daq.base.errors import in_python
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+UNIT = "(the scene's unit)"  # beside the name of an axis
+PALE, STABLE, UNSTABLE = "0.5", "#0072B2", "#D55E00"  # colours of pictures
+LINES = 6  # of a result's words that its short text shows
+ROWS = 12  # of a result's table that a notebook shows
+
+
+class Result:
+    """A result; ``print(result)`` prints what the command prints.
+
+    A subclass is a frozen dataclass with ``repr=False``.  Fields with ``repr=False`` are what a picture needs besides.
+    """
+
+    UNITS: ClassVar[Mapping[str, str]] = {}  # of columns, in a scene in SI; else the scene's own
+    SIZE: ClassVar[tuple[float, float]] = (8.6, 5.0)  # of a picture, inches
+    name: str  # of the scene or system
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the command prints with ``--json``."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.repr}  # type: ignore[arg-type]
+
+    def lines(self) -> list[str]:
+        """Return the lines that the command prints."""
+        raise NotImplementedError
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """Return the rows of the table."""
+        return [self.as_json()]
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the result as a pandas table; ``attrs["units"]`` holds the units of its columns in a scene in SI."""
+        import pandas as pd
+
+        table = pd.DataFrame(list(self.rows()))
+        table.attrs["units"] = {name: unit for name, unit in self.UNITS.items() if name in table}
+        return table
+
+    def plot(self, ax: "Axes | None" = None) -> "Figure":
+        """Draw the result.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw; by default a new figure, which pyplot does not manage.
+
+        Returns
+        -------
+        matplotlib Figure
+            ``figure.savefig(path)`` writes it, a notebook shows it.
+        """
+        import matplotlib as mpl
+
+        from daq.base.output.plot import STYLE, figure
+
+        with mpl.rc_context(fname=STYLE):
+            if ax is None:
+                ax = figure(*self.SIZE).add_subplot()
+            self.draw(ax)
+        found = ax.figure
+        return found.figure if hasattr(found, "figure") and found.figure is not None else found  # type: ignore[return-value]
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the result into axes."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def __repr__(self) -> str:
+        words = in_python("\n".join(self.lines())).split("\n")
+        more = [" ..."] if len(words) > LINES else []
+        head = f"<{type(self).__name__} of {self.name}"
+        return "\n".join([head, *(f" {line}" for line in words[:LINES]), *more]) + ">"
+
+    def _repr_html_(self) -> str:
+        from daq.base.output import notebook
+
+        rows = list(self.rows())
+        title = f"{type(self).__name__} of {self.name}"
+        if len(rows) == 1:
+            return notebook.table(title, [[name, shown(value)] for name, value in rows[0].items() if _there(value)])
+        header = list(rows[0]) if rows else []
+        cells = [[shown(value) for value in row.values()] for row in rows[:ROWS]]
+        return notebook.table(title, cells + ([["..."] * len(header)] if len(rows) > ROWS else []), header)
+
+
+def table_lines(data: Mapping[str, Any]) -> list[str]:
+    """Return a line for every entry that is there."""
+    return [f"{key:11} {shown(value, 15)}" for key, value in data.items() if _there(value)]
+
+
+def _there(value: Any) -> bool:
+    return not (value is None or (isinstance(value, str | tuple | list) and len(value) == 0))
+
+
+def shown(value: Any, digits: int = 6) -> str:
+    """Return a value as text; numbers to so many digits."""
+    if isinstance(value, tuple | list):
+        return ", ".join(shown(item, digits) for item in value)
+    if isinstance(value, complex):
+        sign = "-" if value.imag < 0 else "+"
+        return f"{value.real:.{digits}g} {sign} {abs(value.imag):.{digits}g}i"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def ended(outcome: str, advice: str) -> str:
+    """Return how a motion ended, with what to do about it."""
+    return f"{outcome} ({advice})" if advice else outcome

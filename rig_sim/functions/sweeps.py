@@ -1,0 +1,286 @@
+"""Attractors over a parameter, here, in processes or on a dask cluster."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from daq.base.compute.stages import Stages, silent
+from daq.base.errors import InputError, check_known
+from rig_sim.functions.arguments import ParameterRange, SceneLike, parameter_range, scene_of, whole
+from rig_sim.functions.result import Result
+from rig_sim.functions.systems import (
+    DrivenAttractors,
+    OwnAttractors,
+    SweptScene,
+    TwoMassAttractors,
+    driven_start,
+    stick_map,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from daq.base.output.resume import ResumeFile
+    from rig_sim.dynamics.analyses.sweep import AttractorAt
+    from rig_sim.dynamics.system.formula import FormulaMap
+
+Section = Literal["poincare", "map", "slip"]
+SECTIONS = ("poincare", "map", "slip")
+ORDINATES = {  # what is drawn, by the section and whether the mass is driven
+    ("poincare", False): "x1 where the first mass turns forwards",
+    ("map", False): "d = x2 - x1 in global stick",
+    ("poincare", True): "x at phase 0 of the drive",
+    ("slip", True): "x at break-away",
+}
+Find = Callable[[float], "list[AttractorAt]"]
+
+
+@dataclass(frozen=True, repr=False)
+class Sweep(Result):
+    """Attractors over a parameter, a bifurcation diagram: what `rig_sim.sweep` returns.
+
+    Attributes
+    ----------
+    parameter : str
+    section : str
+        'poincare', 'map' or 'slip'.
+    attractors : tuple of AttractorAt
+        A row for each attractor at each value, in order.
+    """
+
+    parameter: str
+    section: str
+    attractors: "tuple[AttractorAt, ...]"
+    name: str = field(default="", repr=False, compare=False)
+    ordinate: str = field(default="", repr=False, compare=False)
+
+    SIZE = (8.6, 5.6)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the command prints with ``--json``."""
+        return {"parameter": self.parameter, "section": self.section, "rows": self.rows()}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """Return a row for each attractor at each value."""
+        return [
+            {
+                "parameter": row.value,
+                "attractor": row.attractor,
+                "points": row.points,
+                "period": row.period,
+                "drive_periods": row.drive_periods,
+                "share": row.share,
+                "outcome": row.outcome,
+            }
+            for row in self.attractors
+        ]
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return a row for each attractor at each value; ``explode("points")`` makes one for each point."""
+        import pandas as pd
+
+        columns = ["parameter", "attractor", "points", "period", "drive_periods", "share", "outcome"]
+        whole_or_none = {"period": "Int64", "drive_periods": "Int64"}
+        return pd.DataFrame(list(self.rows()), columns=columns).astype(whole_or_none)
+
+    def lines(self) -> list[str]:
+        """Return a line for each attractor at each value."""
+        lines = [f"{self.parameter:>14}  attractor  share  period  points"]
+        for row in self.attractors:
+            few = ", ".join(f"{point:.6g}" for point in row.points[:4]) + (" ..." if len(row.points) > 4 else "")
+            period = str(row.period or "-")
+            points = few if row.outcome == "completed" else f"{few} ({row.outcome})".strip()
+            share = f"{row.share:.3f}" if math.isfinite(row.share) else "-"
+            lines.append(f"{row.value:14.8g}  {row.attractor:9}  {share:>5}  {period:>6}  {points}")
+        if not self.attractors:
+            lines.append("no attractor at any value: the motion comes to rest, or never sticks as a whole")
+        return lines
+
+    def draw(self, ax: "Axes") -> None:
+        """Draw the points of every attractor over the parameter: a bifurcation diagram."""
+        from rig_sim.dynamics.pictures.maps import draw_sweep
+
+        draw_sweep(ax, self.attractors, self.parameter, self.ordinate)
+
+
+def sweep(
+    scene: "SceneLike | Callable[[float], FormulaMap]",
+    over: "str | tuple[str, Sequence[float]]",
+    *,
+    section: Section = "poincare",
+    jobs: int = 1,
+    scheduler: str | None = None,
+    resume: str | Path | None = None,
+    progress: Stages = silent,
+) -> Sweep:
+    """Find the attractors of two masses, or of a driven one, at each value of a parameter: ``rig-sim sweep``.
+
+    Attractor 1 has the largest basin at the first value; then the numbers follow.  Two masses: the starts lie all over
+    the stretches that a global stick can have.  A motion without global stick counts as one more attractor, with points
+    in the section poincare alone.  A driven mass: the scene's start, the sliding mass at rest, and eight starts in
+    stick, all over the drive's phases of break-away.
+
+    Parameters
+    ----------
+    scene : str, Path, Scene or callable
+        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of two masses or a driven one.  Or a
+        function that returns, for a value of the parameter, a `rig_sim.FormulaMap`.
+    over : str or (str, sequence of float)
+        'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41); or a key and its values.
+    section : str
+        Points of two masses: x1 where the first turns forwards ('poincare'), or d = x2 - x1 while both stick ('map').
+        Of a driven mass: x at phase 0 of the drive ('poincare'), or at break-away ('slip').
+    jobs : int
+        Processes; the results do not depend on it.
+    scheduler : str, optional
+        Address of a running dask scheduler whose workers do it; needs stickslip[cluster].
+    resume : str or Path, optional
+        File of the finished values: written while they are found, and read when the same call is made again after an
+        interruption, so that none is computed twice.
+    progress : callable, optional
+        Called with the stage, what is done of it, and its whole.
+
+    Returns
+    -------
+    Sweep
+
+    Raises
+    ------
+    InputError
+        No such scene or key, another form of ``over``, a section that the scene does not have, one mass without a
+        drive, or a file of another sweep.
+
+    Examples
+    --------
+    >>> import rig_sim
+    >>> found = rig_sim.sweep("two-mass", over="belt.speed=0.165:0.175:2", section="map")
+    >>> found.to_dataframe()[["parameter", "attractor", "period"]]
+       parameter  attractor  period
+    0      0.165          1       2
+    1      0.165          2       2
+    2      0.175          1       2
+    """
+    if whole(jobs, "--jobs") < 1:
+        raise InputError(f"is {jobs}", "--jobs", "give 1 or more")
+    check_known(section, SECTIONS, "section", "--section")
+    own = callable(scene)
+    span = parameter_range(over, of_scene=not own)
+    find: Find
+    if callable(scene):
+        find, name, ordinate = OwnAttractors(scene), type(scene(span.start)).__name__, "first coordinate of the state"
+        content: dict[str, Any] = {"name": name}
+        if jobs > 1 or scheduler is not None:
+            _check_sendable(find)
+    else:
+        find, name, ordinate, content = _of_scene(scene, span, section)
+    if resume is None:
+        rows = _swept(find, span, jobs, scheduler, None, progress)
+    else:
+        from daq.base.output.resume import resuming
+
+        path = Path(resume)
+        with resuming(path, _header(content, span, section)) as file:
+            rows = _swept(find, span, jobs, scheduler, file, progress)
+    return Sweep(span.key, section, tuple(rows), name, ordinate)
+
+
+def _of_scene(given: SceneLike, span: ParameterRange, section: str) -> tuple[Find, str, str, dict[str, Any]]:
+    """Return what finds the attractors, the scene's name, what is drawn, and what a file of ``resume`` says of it."""
+    swept = SweptScene(scene_of(given), span.key)
+    ends = swept.at(span.start), swept.at(span.stop)
+    first = ends[0]
+    coupled = first.coupling is not None
+    swept = SweptScene(first, span.key)
+    if not coupled and section == "map":
+        raise InputError("is map, which is for two masses", "--section", "give poincare or slip")
+    if coupled and section == "slip":
+        raise InputError("is slip, which is for a driven mass", "--section", "give poincare or map")
+    for end in ends:
+        if coupled:
+            stick_map(end)
+        else:
+            driven_start(end)
+    find: Find = TwoMassAttractors(swept, section) if coupled else DrivenAttractors(swept, section)
+    content = first.model_dump(exclude={"name", "title"}, exclude_unset=True)
+    return find, first.name, ORDINATES[section, not coupled], content
+
+
+def _check_sendable(find: Find) -> None:
+    """Refuse a system that no other process can be handed: a function within a function, or a lambda."""
+    import pickle
+
+    try:
+        pickle.dumps(find)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        python = "define the function in a module, outside any other function, or leave out jobs and scheduler"
+        raise InputError(f"cannot be handed to another process ({error})", "--jobs", python, python=python) from None
+
+
+def _swept(
+    find: Find,
+    span: ParameterRange,
+    jobs: int,
+    scheduler: str | None,
+    file: "ResumeFile | None",
+    progress: Stages,
+) -> "list[AttractorAt]":
+    """Return the attractors at every value, those taken from the file that are there; the others go there."""
+    from daq.base.compute.workers import workers
+    from daq.base.console.application import plain
+    from rig_sim.dynamics.analyses.sweep import sweep as follow
+
+    values = span.values().tolist()
+    finished = _finished(file) if file is not None else {}
+
+    def keep(value: float, rows: "list[AttractorAt]") -> None:
+        if file is not None:
+            file.append(plain({"value": value, "attractors": [asdict(row) for row in rows]}))
+
+    if all(value in finished for value in values):
+        jobs, scheduler = 1, None  # nothing to share out
+    with workers(jobs, scheduler, join=True) as spread:
+        return follow(
+            find,
+            values,
+            spread=spread,
+            progress=lambda done: progress("sweeping", done, span.number),
+            finished=finished,
+            keep=keep,
+        )
+
+
+def _header(content: dict[str, Any], span: ParameterRange, section: str) -> dict[str, Any]:
+    """Return what the attractors depend on, for the first line of the file of ``resume``."""
+    from daq.base.console.application import plain
+    from daq.base.version import VERSION
+
+    over: dict[str, Any] = {"key": span.key, "start": span.start, "stop": span.stop, "number": span.number}
+    over |= {"values": list(span.given)} if span.given else {}
+    return {"command": "rig-sim sweep", "version": VERSION, "over": over, "section": section, "scene": plain(content)}
+
+
+def _finished(file: "ResumeFile") -> "dict[float, list[AttractorAt]]":
+    """Return the attractors by value from the file of ``resume``."""
+    from rig_sim.dynamics.analyses.sweep import AttractorAt
+
+    nan = float("nan")
+    found = {}
+    try:
+        for row in file.rows:
+            found[row["value"]] = [
+                AttractorAt(
+                    **kept
+                    | {
+                        "points": tuple(kept["points"]),
+                        "extent": tuple(nan if end is None else end for end in kept["extent"]),
+                        "share": nan if kept["share"] is None else kept["share"],
+                    }
+                )
+                for kept in row["attractors"]
+            ]
+    except (KeyError, TypeError):
+        raise InputError("holds a row that is not of a sweep", str(file.path), "name another file") from None
+    return found

@@ -1,0 +1,204 @@
+"""The systems that a scene makes, checked: one mass, two, or a driven one, and a scene with one key left open."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from daq.base.errors import InputError
+from rig_sim.scenes.model import Scene
+from rig_sim.scenes.scene import change_in_python, scene
+
+if TYPE_CHECKING:
+    from daq.base.compute.arrays import Array
+    from rig_sim.dynamics.analyses.sweep import AttractorAt
+    from rig_sim.dynamics.rig.driven import DrivenMap
+    from rig_sim.dynamics.rig.landing import LandingMap
+    from rig_sim.dynamics.rig.stick import StickMap
+    from rig_sim.dynamics.system.formula import FormulaMap
+    from rig_sim.dynamics.system.step_budget import StepBudget
+    from rig_sim.flow.flow import Flow
+
+CHANGE_IT = "change that value with --set"
+STARTS = 8  # of a map of an interval of one's own: fewer miss attractors with small basins, more cost in proportion
+OFFSET = 0.6180339887498949  # of a start in its part of the interval: no simple fraction, as unstable orbits may be
+
+
+def not_physical(found: Scene, error: ValueError) -> InputError:
+    """Return the error that refuses a scene whose numbers are not physical, or not modelled."""
+    python = f"change that value: {change_in_python(found.name, 'section.key', 'VALUE')}"
+    return InputError(str(error), f"scene {found.name}", CHANGE_IT, python=python)
+
+
+def stick_map(found: Scene, budget: "StepBudget | None" = None) -> "StickMap":
+    """Return the map of a scene of two masses, with integrator steps of its own or from a ``budget`` that maps share.
+
+    Raises
+    ------
+    InputError
+        One mass, masses that are not physical, or a belt at rest.
+    """
+    from rig_sim.dynamics.rig.stick import StickMap
+
+    flow = found.two_mass_flow()
+    try:
+        return StickMap(flow, budget=budget)
+    except ValueError as error:
+        raise not_physical(found, error) from None
+
+
+def driven_start(found: Scene) -> "tuple[Flow, float, float]":
+    """Return the flow and the start (x, v) of a scene of one driven mass.
+
+    Raises
+    ------
+    InputError
+        Two masses, no drive, or numbers that are not physical.
+    """
+    from rig_sim.flow.flow import validate
+
+    if found.drive is None:
+        do = "set drive.u0 and drive.omega, or take the scene forced"
+        python = f"write rig_sim.scene({found.name!r}, **{{'drive.u0': 0.2, 'drive.omega': 1.6}}), or take 'forced'"
+        raise InputError("has no drive, and this is for a driven mass", f"scene {found.name}", do, python=python)
+    flow = found.flow()
+    try:
+        validate(flow)
+    except ValueError as error:
+        raise not_physical(found, error) from None
+    return flow, float(found.start.x), float(found.start.v)
+
+
+def with_period(found: Scene) -> "tuple[Flow, float, float]":
+    """Return flow and start as `driven_start`, or refuse a drive without a period."""
+    flow, x, v = driven_start(found)
+    if flow.omega == 0.0:
+        python = change_in_python(found.name, "drive.omega", "1.6")
+        what = "drive.omega is 0: there is no drive period"
+        raise InputError(what, f"scene {found.name}", "set drive.omega", python=f"write {python}")
+    return flow, x, v
+
+
+def driven_map(found: Scene, section: str) -> "tuple[DrivenMap, Array]":
+    """Return a driven mass as a system, and the scene's own start; errors as `with_period`."""
+    import numpy as np
+
+    from rig_sim.dynamics.rig.driven import DrivenMap
+
+    flow, x, v = with_period(found)
+    return DrivenMap(flow, section), np.array([x, v])
+
+
+def landing_map(found: Scene, budget: "StepBudget") -> "LandingMap":
+    """Return the map from landing to landing of a scene of one driven mass.
+
+    Raises
+    ------
+    InputError
+        Two masses, no drive, or numbers that are not physical.
+    """
+    from rig_sim.dynamics.rig.landing import LandingMap
+
+    flow = found.flow()
+    if found.drive is None:
+        python = change_in_python(found.name, "drive.u0", "0.2")
+        do = "set drive.u0 and drive.omega"
+        raise InputError("has no drive to control", f"scene {found.name}", do, python=f"write {python}")
+    try:
+        return LandingMap(flow, budget=budget)
+    except ValueError as error:
+        raise not_physical(found, error) from None
+
+
+@dataclass(frozen=True)
+class SweptScene:
+    """A scene with one key left open, whole, as a process is handed it: a worker elsewhere may not have its file.
+
+    Attributes
+    ----------
+    scene : Scene
+    key : str
+        Its key that is left open, ``section.key``.
+    """
+
+    scene: Scene
+    key: str
+
+    def at(self, value: float, **changes: object) -> Scene:
+        """Return the scene with this value of the key, and other changes."""
+        return scene(self.scene, **{**changes, self.key: value})
+
+    def flow(self, value: float) -> "Flow":
+        """Return the flow of one mass at a value of the key."""
+        return self.at(value).flow()
+
+
+@dataclass(frozen=True)
+class TwoMassAttractors:
+    """Finds the attractors of two masses at a value of one key; ``section`` is that whose points are drawn."""
+
+    swept: SweptScene
+    section: str
+
+    def __call__(self, value: float) -> "list[AttractorAt]":
+        """Return the attractors, the largest basin first."""
+        from rig_sim.dynamics.rig.section import attractors_at
+
+        return attractors_at(lambda at: self.swept.at(at).two_mass_flow(), self.section, value)
+
+
+@dataclass(frozen=True)
+class DrivenAttractors:
+    """Finds the attractors of a driven mass at a value of one key; ``section`` is that whose points are drawn."""
+
+    swept: SweptScene
+    section: str
+
+    def __call__(self, value: float) -> "list[AttractorAt]":
+        """Return the attractors, the one that most starts lead to first."""
+        from rig_sim.dynamics.analyses.settling import attractors
+        from rig_sim.dynamics.analyses.sweep import AttractorAt
+        from rig_sim.dynamics.rig.driven import with_starts
+
+        flow, x, v = driven_start(self.swept.at(value))
+        if flow.omega == 0.0:
+            return [AttractorAt(value, 0, (), None, 0.0, (math.nan, math.nan), None, "no drive period")]
+        rows = attractors(*with_starts(flow, x, v, self.section), value)
+        if flow.u0 == 0.0:
+            rows = [replace(row, outcome="no drive" if row.points else row.outcome) for row in rows]
+        return rows
+
+
+@dataclass(frozen=True)
+class OwnAttractors:
+    """Finds the attractors of a system of one's own, which ``system_at`` returns for a value of its parameter."""
+
+    system_at: "Callable[[float], FormulaMap]"
+
+    def __call__(self, value: float) -> "list[AttractorAt]":
+        """Return the attractors that its start leads to, and starts all over its interval, the most frequent first."""
+        import numpy as np
+
+        from rig_sim.dynamics.analyses.settling import attractors
+
+        f = self.system_at(value)
+        starts = [f.start]
+        if math.isfinite(f.hi - f.lo):
+            places = f.lo + (f.hi - f.lo) * (np.arange(STARTS) + OFFSET) / STARTS
+            starts += [np.array([place]) for place in places]
+        return attractors(f, starts, value)
+
+
+def on_interval(f: "FormulaMap") -> "FormulaMap":
+    """Return a system of one's own that is a map of an interval.
+
+    Raises
+    ------
+    InputError
+        It has more than one coordinate, or no interval.
+    """
+    if len(f.scale) != 1 or not math.isfinite(f.hi - f.lo):
+        do = "give its interval"
+        python = f"write super().__init__(..., interval=(lo, hi)) in {type(f).__name__}, a map of one coordinate"
+        raise InputError("is no map of an interval", type(f).__name__, do, python=python)
+    return f

@@ -1,0 +1,188 @@
+"""What pages are told: losses, silence and a lost port; all of the past, in memory that does not grow."""
+
+import json
+import shutil
+import tracemalloc
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import daq
+from daq.finalise.run import run_data
+from daq.live import publisher
+from daq.live.publisher import LiveRun
+from daq.runfile import journal
+
+from .motions import stick_slip
+
+HEADER = {
+    "protocol": "text",
+    "columns": "t_us,count",
+    "decoder": None,
+    "port": "/dev/ttyACM0",
+    "baud": 115200,
+    "rate_hz": 1000,
+    "samples": None,
+    "title": "a sketch",
+    "operator": "",
+    "wall_ns": 1_700_000_000_000_000_000,
+    "monotonic_ns": 0,
+    "utc_offset_s": 0,
+    "warnings": [],
+    "provenance": {},
+}
+
+
+def lines(first: int, n: int) -> bytes:
+    return b"".join(b"%d,%d\n" % (1000 * k, round(4000 * np.sin(k / 200))) for k in range(first, first + n))
+
+
+def last(run: LiveRun) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(run._events[-1].data)
+    return found
+
+
+@pytest.fixture
+def writer(tmp_path: Path) -> Iterator[journal.Writer]:
+    made = journal.Writer(tmp_path / "run.h5.part", HEADER)
+    yield made
+    made.abandon()
+
+
+def test_a_board_that_loses_samples_is_called_out(keep_journal: Callable[..., Path]) -> None:
+    run = LiveRun(keep_journal("gaps.rate=2", "gaps.duration=0.05"))
+    run.look()
+    told = [json.loads(event.data) for event in run._events]
+    lost = told[0]["counts"]["lost"]
+    assert lost > 50
+    assert told[0]["trouble"] == f"the board loses samples: {lost} in the last 10 s"
+
+
+def test_a_loss_of_samples_is_called_out_for_ten_seconds(writer: journal.Writer) -> None:
+    run = LiveRun(writer.path)
+    before = 0
+    for second, lost, trouble in (
+        (1, 3, "3 in the last 10 s"),
+        (8, 2, "5 in the last 10 s"),
+        (12, 0, "2 in the"),
+        (25, 0, ""),
+    ):
+        run.tail.counts.lost += lost
+        writer.append(journal.RECEIVED, second * 1_000_000_000, lines(1000 * before, 1000 * (second - before)))
+        writer.sync()
+        run.look()
+        before = second
+        assert trouble in last(run)["trouble"]
+        assert bool(last(run)["trouble"]) == bool(trouble)
+
+
+def test_a_lost_port_and_a_silent_board_are_called_out(writer: journal.Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = LiveRun(writer.path)
+    writer.append(journal.RECEIVED, 1_000_000_000, lines(0, 1000))
+    writer.sync()
+    run.look()
+    clock = [run._last_new]
+    monkeypatch.setattr(publisher.time, "monotonic", lambda: clock[0])
+    clock[0] += 5.0
+    run.look()
+    assert last(run)["trouble"] == "no sample for 5 s"
+    writer.append(journal.LOST, 6_000_000_000, b"unplugged")
+    writer.sync()
+    run.look()
+    assert last(run)["trouble"] == "the port was lost (unplugged): the recorder waits for it"
+    writer.append(journal.REOPENED, 7_000_000_000, b"/dev/ttyACM0")
+    writer.append(journal.RECEIVED, 8_000_000_000, lines(1000, 1000))
+    writer.sync()
+    run.look()
+    assert last(run)["trouble"] == ""
+    assert not run.ended
+
+
+def test_a_recorder_that_is_gone_ends_the_view(writer: journal.Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = LiveRun(writer.path)
+    writer.append(journal.RECEIVED, 1_000_000_000, lines(0, 100))
+    writer.close()
+    run.look()
+    clock = run._last_new + 4.0
+    monkeypatch.setattr(publisher.time, "monotonic", lambda: clock)
+    run.look()
+    assert run.ended == "the recording process is gone: daq recover run.h5.part"
+
+
+def test_an_hour_takes_no_more_memory_than_some_minutes_and_can_be_looked_at_again(
+    writer: journal.Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a thirtieth of all limits, two minutes are to twenty seconds what an hour is to ten minutes."""
+    monkeypatch.setattr(publisher, "HISTORY_S", 4.0)
+    monkeypatch.setattr(publisher, "MOST_PLACES", 16)
+    monkeypatch.setattr("daq.live.overview.ROWS", 1024)
+    monkeypatch.setattr("daq.live.analysis.MEMORY_S", 1.0)
+    monkeypatch.setattr("daq.live.sticks.MOST_OF_SLIP", 2048)
+    run = LiveRun(writer.path)
+    sizes = {}
+    tracemalloc.start(1)
+    for k in range(0, 120_000, 1000):
+        writer.append(journal.RECEIVED, (k + 1000) * 1_000_000, lines(k, 1000))
+        writer.tick()
+        run.look()
+        sizes[k + 1000] = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert sizes[120_000] < 1.2 * sizes[20_000] + 100_000
+    writer.append(journal.END, 120_000_000_000, b'{"reason": "stopped"}')
+    writer.sync()
+    whole, _ = run_data(journal.read(writer.path))
+    for begin in (0.5, 60.0, 117.0):
+        found = json.loads(run.stretch(begin, begin + 2.0))
+        own = (whole.time >= begin - 1e-7) & (whole.time <= begin + 2.0 + 1e-7)
+        np.testing.assert_allclose(found["t"], whole.time[own], atol=1e-6)
+        np.testing.assert_array_equal(found["x"], whole.position[own])
+    everything = json.loads(run.stretch(0.0, 120.0))
+    assert 250 < len(everything["t"]) < 2000
+    assert not everything["exact"]
+    assert max(np.diff(everything["t"])) < 2.0
+    assert (min(everything["x"]), max(everything["x"])) == (-4000, 4000)
+
+
+def test_what_nothing_connects_is_told_with_a_row_without_a_position(writer: journal.Writer) -> None:
+    run = LiveRun(writer.path)
+    for first, stop in ((0, 1500), (2000, 3000), (3000, 4000)):
+        writer.append(journal.RECEIVED, stop * 1_000_000, lines(first, stop - first))
+        writer.sync()
+        run.look()
+    told = [json.loads(event.data) for event in run._events]
+    t, x = (np.array([value for event in told for value in event[name]], float) for name in "tx")
+    (hole,) = np.flatnonzero(np.isnan(x))
+    assert t[hole - 1] < t[hole] < t[hole + 1] == pytest.approx(t[hole - 1] + 0.501)
+    assert np.all(np.diff(t) > 0)
+    again = json.loads(run.stretch(1.0, 3.0))
+    np.testing.assert_array_equal(np.isnan(np.array(again["x"], float)), np.isnan(x[(t >= 1.0) & (t <= 3.0)]))
+    everything = json.loads(run.stretch(0.0, 1e6))
+    assert everything["x"].count(None) == 1
+
+
+def test_blocks_of_a_program_are_analysed_and_can_be_looked_at_again(tmp_path: Path) -> None:
+    motion = stick_slip(8, 1000.0, 2e-6)
+    kept = tmp_path / "kept.h5.part"
+    finish = journal.Writer.remove
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(journal.Writer, "remove", lambda self: (shutil.copy(self.path, kept), finish(self))[1])
+        cuts = range(0, motion.time.size, 250)
+        daq.record(
+            ((motion.time[k : k + 250], motion.x[k : k + 250]) for k in cuts),
+            tmp_path / "run.h5",
+            rate_hz=1000,
+            mass=0.5,
+        )
+    run = LiveRun(kept)
+    run.look()
+    assert run.ended == "the recording has ended: complete"
+    told = [json.loads(event.data) for event in run._events]
+    assert told[0]["unit"] == "m"
+    assert told[0]["summary"]["cycles"] >= 5
+    assert told[0]["summary"]["balance"]["mass"] == 0.5
+    found = json.loads(run.stretch(2.0, 3.0))
+    own = (motion.time >= 2.0 - 1e-9) & (motion.time <= 3.0)
+    np.testing.assert_allclose(found["x"], motion.x[own], rtol=1e-6)

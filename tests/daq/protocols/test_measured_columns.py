@@ -1,0 +1,217 @@
+"""Text lines with measured numbers: positions and forces with decimals and signs, as counts of their last decimal."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daq.base.errors import DeviceError, InputError
+from daq.base.measured import Measured
+from daq.protocols import session as session_module
+from daq.protocols import text
+from daq.protocols.columns import columns, with_decimals
+from daq.protocols.line_parser import LineParser
+from daq.protocols.lines import Other
+from daq.protocols.request import RecordRequest
+from daq.recorder import ports, record
+from daq.runfile import store
+from tests.daq.protocols.test_lines import OneByOne, Sketch, xor_of
+
+
+@pytest.mark.parametrize(
+    ("declared", "line", "count"),
+    [
+        ("t_us,x_mm:2", b"1000,21.04", 2104),
+        ("t_us,x_mm:2", b"(1000, 21.04)", 2104),
+        ("t_us,x_mm:2", b"[1000 -21.04]\r", -2104),
+        ("t_us,x_mm:2", b"1000;+0.5", 50),
+        ("t_us,x_mm:2", b"1000 -.05", -5),
+        ("t_us,x_mm:2", b"1000 -0.05", -5),
+        ("t_us,x_mm:2", b"1000 3", 300),
+        ("t_us,x_mm:2", b"1000 3.14159", 314),
+        ("t_us,x_m:6", b"1000 -1.5e-05", -15),
+        ("t_us,x_um:0", b"1000 -17", -17),
+        ("seq,t_us,F_N:3", b"7,1000,-0.125", -125),
+        ("t_us,x_mm:2", b"t=1000 pos=21.04", 2104),
+        ("t_us,x_mm:2", b"t: 1000, x: -21.04, y: 3", -2104),
+        ("t_us,x_mm:2", b"t=1000 x=1 pos_mm=21.04", 2104),
+        ("t_us,F_N:3", b"us=1000 load=1.5", 1500),
+    ],
+)
+def test_a_measured_number_counts_its_last_decimal(declared, line, count):
+    row = LineParser(columns(declared)).read(line)
+    assert row[:2] == (1000, count % 2**32)
+
+
+@pytest.mark.parametrize(
+    ("declared", "line"),
+    [
+        ("t_us,x_mm:2", b"1000,nan"),
+        ("t_us,x_mm:2", b"1000,21.0.4"),
+        ("t_us,x_mm:2", b"1000,21,04"),
+        ("t_us,x_mm:6", b"1000,2148.0"),  # beyond 32 bits
+        ("t_us,x_mm:2", b"t=1000 x_m=0.02"),  # another unit than the declared one
+        ("t_us,x_mm:2", b"1000,1e99"),
+    ],
+)
+def test_what_is_no_such_number_is_damage(declared, line):
+    assert LineParser(columns(declared)).read(line) == Other.DAMAGED
+
+
+@pytest.mark.parametrize(
+    ("declared", "said"),
+    [
+        ("t_us,x_in", "unknown column 'x_in'"),
+        ("t_us,x_mm:12", "'x_mm:12' is no number of decimals; write x_mm:2 for two, at most 9"),
+        ("t_us,x_mm,F_N", "which columns are the counts?"),
+        ("t_us,count,x_mm", "such as x_mm or F_N"),
+    ],
+)
+def test_columns_that_cannot_be_read_are_refused(declared, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        columns(declared)
+
+
+@pytest.mark.parametrize(
+    ("declared", "lines", "decimals"),
+    [
+        ("t_us,x_mm", [b"1,21.04", b"2,21.1", b"3,20.999"], 3),
+        ("t_us,x_mm", [b"1,21", b"2,22", b"3,23"], 0),
+        ("t_us,x_m", [b"1,0.021", b"2,1e-05", b"3,-2.5e-4"], 5),
+        ("t_us,x_mm", [b"1,21.040000000000003", b"2,21.1", b"3,20.9"], 5),  # as Python prints a float
+        ("t_us,x_mm:1", [b"1,21.04", b"2,21.1", b"3,20.9"], 1),
+        ("t_us,x_mm", [b"t=1 pos=21.04", b"t=2 pos=21.1", b"t=3 pos=20.9"], 2),
+    ],
+)
+def test_decimals_that_are_not_declared_are_those_of_the_first_lines(declared, lines, decimals):
+    form = with_decimals(declared, b"\n".join([b"cut", *lines, b""]))
+    assert form.decimals == decimals
+    assert columns(form.declared).decimals == decimals
+
+
+# Declared columns, and a line of sample k with a number in thousandths.
+ALIKE = {
+    "t_us,x_mm:3": lambda k, n: f"{2000 * k},{n / 1000:.3f}\n",
+    "t_s,x_mm:3": lambda k, n: f"({2 * k // 1000}.{2 * k % 1000:03d}, {n / 1000:+.3f})\r\n",
+    "seq,t_us,F_N:3": lambda k, n: f"{k}\t{2000 * k}\t{n / 1000:.3f}\n",
+    "t_us,x_um:0": lambda k, n: f"us: {2000 * k}, x_um: {n}\n",
+    "t_us,x_mm:4": lambda k, n: f"{2000 * k} {n / 1000:.3f}\n",  # not the declared decimals: read one by one
+    "t_us,-,x_mm:3": lambda k, n: f"{2000 * k} {k / 10} {n / 1000:.3f}\n",
+    "t_us,x_mm:3,xor": lambda k, n: (s := f"{2000 * k},{n / 1000:.3f}") + f",{xor_of(s.encode()):02X}\n",
+    "t_us,x_mm:3,a,b": lambda k, n: f"t={2000 * k} pos={n / 1000:.3f} a={k & 1} b=1\n",
+}
+
+
+@settings(max_examples=20)
+@given(
+    st.integers(0, 2**32),
+    st.sampled_from([0.0, 0.03, 0.3]),
+    st.lists(st.sampled_from([0, 1, -1, 999, -999, 123456, -(10**9), 2**31 - 1, 2**31]), min_size=1, max_size=40),
+    st.integers(1, 3000),
+)
+@pytest.mark.parametrize("declared", ALIKE)
+def test_lines_read_together_are_read_as_one_by_one(damaged, declared, seed, share, numbers, cut):
+    fast, slow = (text.reader(text.columns(declared)) for _ in range(2))
+    slow._parser = OneByOne(slow._parser)
+    lines = [ALIKE[declared](k, numbers[k % len(numbers)]).encode() for k in range(200)]
+    data = b"".join(damaged(lines, seed, share)[0])
+    whole = slow.feed(data)
+    rows, behind = [], []
+    for at in range(0, len(data), cut):
+        batch = fast.feed(data[at : at + cut])
+        behind += [(len(rows) + place, other) for place, other in batch.others]
+        rows += batch.rows.tolist()
+    assert (rows, behind) == (whole.rows.tolist(), whole.others)
+
+
+@pytest.mark.parametrize("declared", [form for form in ALIKE if form not in ("t_us,x_mm:4", "t_us,-,x_mm:3")])
+def test_sound_lines_are_read_together_and_give_their_numbers(declared, monkeypatch):
+    reader = text.reader(text.columns(declared))
+    taken = []
+    read = type(reader._parser).read
+    monkeypatch.setattr(type(reader._parser), "read", lambda self, line: taken.append(line) or read(self, line))
+    numbers = 1000 * np.sin(np.arange(100) / 9) // 1
+    batch = reader.feed(b"".join(ALIKE[declared](k, int(n)).encode() for k, n in enumerate(numbers)))
+    assert len(taken) <= 18
+    found = batch.rows[:, 1]
+    np.testing.assert_array_equal(np.where(found >= 2**31, found - 2**32, found), numbers[1:])
+    np.testing.assert_array_equal(batch.rows[:, 0], 2000 * np.arange(1, 100))
+
+
+def x_mm(k):
+    return 21.04 + 5 * np.sin(np.asarray(k) * 0.01)
+
+
+def recorded(tmp_path, monkeypatch, line, **wish):
+    """Record lines of a sketch, and return the quality and the run."""
+    monkeypatch.setattr(ports, "open_port", lambda url, baud: sketch)
+    sketch = Sketch(line)
+    sketch.close = lambda: None
+    request = RecordRequest(port="fake", output=tmp_path / "run.h5", protocol="text", duration_s=2.0, **wish)
+    return record.record(request), store.load(tmp_path / "run.h5")
+
+
+@pytest.mark.parametrize(
+    ("line", "declared"),
+    [
+        (lambda k: f"{2000 * k},{x_mm(k):.2f}\n", "t_us,x_mm"),
+        (lambda k: f"({2000 * k}, {x_mm(k):.2f})\n", "t_us,x_mm"),
+        (lambda k: f"t={2000 * k} pos={x_mm(k):.2f}\n", "t_us,x_mm"),
+        (lambda k: f"t={2000 * k} pos_mm={x_mm(k):.2f} temp=20.5\n", None),
+        (lambda k: f"t={2000 * k} distance_mm={x_mm(k):.2f}\n", None),
+    ],
+)
+def test_positions_are_recorded_in_metres(tmp_path, monkeypatch, line, declared):
+    found, run = recorded(tmp_path, monkeypatch, lambda k: line(k).encode(), columns=declared)
+    assert (found.samples, found.lost, found.crc_errors, found.unit, run.rate_hz) == (1000, 0, 0, "m", 500)
+    k = np.rint(run.raw.device_time / 2000).astype(int)
+    np.testing.assert_allclose(run.position, 1e-3 * np.round(x_mm(k), 2), atol=1e-9)
+    assert run.rig.metres_per_count == Measured(pytest.approx(1e-5))
+
+
+def test_a_force_is_the_stretch_of_its_spring(tmp_path, monkeypatch):
+    line = lambda k: f"{2000 * k} {x_mm(k) / 10:.3f}\n".encode()  # noqa: E731
+    with pytest.raises(InputError, match="the stiffness of its spring is not known"):
+        recorded(tmp_path, monkeypatch, line, columns="t_us,F_N")
+    stiffness = {"stiffness": Measured(100.0, 1.0)}
+    _, run = recorded(tmp_path, monkeypatch, line, columns="t_us,F_N", stated=stiffness)
+    k = np.rint(run.raw.device_time / 2000).astype(int)
+    np.testing.assert_allclose(run.position, np.round(x_mm(k) / 10, 3) / 100, atol=1e-9)
+    assert run.rig.metres_per_count == Measured(pytest.approx(1e-5), pytest.approx(1e-7))
+    assert run.rig.stiffness == Measured(100.0, 1.0)
+
+
+def test_decimals_without_a_unit_are_counts_and_said_to_be(tmp_path, monkeypatch):
+    line = lambda k: f"t={2000 * k} pos={x_mm(k):.2f}\n".encode()  # noqa: E731
+    found, run = recorded(tmp_path, monkeypatch, line)
+    assert run.unit == "count"
+    assert np.ptp(run.count) == pytest.approx(1000, abs=2)
+    assert any(
+        "the positions have no unit, and are recorded as counts of 0.01 of it" in text for text in found.warnings
+    )
+    assert any("--columns t_us,x_mm:2" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("t={t} x={x:.2f} y=3\n", "the unit of the position is not stated; give it by --columns t_us,x_mm"),
+        ("({t}, {x:.2f})\n", "no columns are declared; one is .* as in --columns t_us,x_mm"),
+    ],
+)
+def test_a_position_without_a_declared_unit_is_asked_about(monkeypatch, line, said):
+    monkeypatch.setattr(session_module, "ANSWER_S", 0.05)
+    sketch = Sketch(lambda k: line.format(t=2000 * k, x=x_mm(k)).encode())
+    with pytest.raises(DeviceError) as caught:
+        text.session(sketch, "fake", RecordRequest()).identify()
+    assert re.search(said, caught.value.as_line())
+
+
+def test_metres_per_count_beside_a_unit_are_refused(tmp_path, monkeypatch):
+    stated = {"metres_per_count": Measured(1e-5)}
+    with pytest.raises(InputError, match="the columns give positions with a unit"):
+        recorded(
+            tmp_path, monkeypatch, lambda k: f"{2000 * k} {x_mm(k):.2f}\n".encode(), columns="t_us,x_mm", stated=stated
+        )

@@ -1,0 +1,366 @@
+"""Blocks of samples that a program hands over: the same journal, safety, live view and quality as of a board."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import daq
+from daq.base.errors import DataError, DeviceError, InputError
+from daq.base.measured import Measured
+from daq.live.tail import JournalTail
+from daq.protocols import blocks as packing
+from daq.recorder.record import RecordingInterruptedError
+from daq.runfile import journal
+
+RATE = 1000
+TIME = np.arange(2000) / RATE
+X = 0.01 * np.sin(6 * TIME) + 0.1
+
+
+def card(x=X, t=TIME, size=100, after=lambda k: None):
+    """Yield blocks as a data acquisition card gives them; ``after`` is called before each with its number."""
+    for k in range(len(t) // size):
+        after(k)
+        own = slice(k * size, (k + 1) * size)
+        yield t[own], x[own]
+
+
+def taken(tmp_path, source, **how):
+    found = daq.record(source, tmp_path / "run.h5", **({"rate_hz": RATE} | how))
+    return found, daq.load(tmp_path / "run.h5")
+
+
+def test_positions_are_kept_to_the_last_bit(tmp_path):
+    found, run = taken(tmp_path, card(), mass="300 g +- 1 g", x0="-5 mm", title="a card", sample="steel")
+    np.testing.assert_array_equal(run.position, X)
+    np.testing.assert_array_equal(run.time, TIME)
+    assert (run.count, run.raw, run.unit, run.rate_hz) == (None, None, "m", RATE)
+    assert (run.rig.mass, run.rig.x0) == (Measured(0.3, 0.001), Measured(-0.005))
+    assert (run.title, run.sample_name) == ("a card", "steel")
+    assert (found.samples, found.lost, found.segments, found.warnings) == (2000, 0, 1, ())
+    assert (found.ended, found.asked_s, found.short, found.file) == ("complete", None, False, tmp_path / "run.h5")
+    assert not list(tmp_path.glob("*.part*"))
+    assert repr(found) == "<RecordingQuality run.h5: 2000 samples, 2 s at 1000 Hz, no sample lost>"
+
+
+def test_integers_are_counts(tmp_path):
+    count = np.rint(X / 1e-6).astype(np.int32)
+    _, run = taken(tmp_path, card(count), metres_per_count="1 um")
+    np.testing.assert_array_equal(run.count, count)
+    np.testing.assert_allclose(run.position, count * 1e-6, rtol=1e-15)
+    found = daq.record(card(count.astype(np.int64) + 2**40), tmp_path / "bare.h5", rate_hz=RATE)
+    assert found.warnings == ("no metres per count are known, so positions are counts",)
+    bare = daq.load(tmp_path / "bare.h5")
+    np.testing.assert_array_equal(bare.count, count.astype(np.int64) + 2**40)
+    assert bare.unit == "count"
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        lambda: ([t, x] for t, x in zip(TIME.tolist(), X.tolist(), strict=True)),
+        lambda: [(TIME[:7].tolist(), X[:7].tolist()), ([], []), (TIME[7:], X[7:])],
+        lambda: iter([np.array([TIME, X])]),
+        lambda: ((TIME[k], X[k]) for k in range(2000)),
+    ],
+    ids=["single samples", "lists, and an empty block", "an array of two rows", "numbers of numpy"],
+)
+def test_any_iterable_of_blocks_is_a_source(tmp_path, source):
+    _, run = taken(tmp_path, source())
+    np.testing.assert_array_equal(run.position, X)
+
+
+def test_times_of_another_clock_begin_with_0_and_a_long_block_is_cut_into_records(tmp_path):
+    n = 2 * packing.MOST + 5
+    time_s = 1.7e9 + np.arange(n) / RATE
+    found, run = taken(tmp_path, [(time_s, np.arange(n, dtype=float))])
+    assert (found.samples, found.lost) == (n, 0)
+    np.testing.assert_array_equal(run.time, time_s - time_s[0])
+    np.testing.assert_array_equal(run.position, np.arange(n))
+
+
+def test_missing_samples_are_counted_and_marked_and_never_filled(tmp_path):
+    keep = np.ones(2000, bool)
+    keep[[250, 251, 900]] = False
+    parts = [(TIME[own][keep[own]], X[own][keep[own]]) for own in (slice(0, 300), slice(300, 900), slice(900, 2000))]
+    found, run = taken(tmp_path, parts)
+    assert (found.samples, found.lost, found.sparse) == (1997, 3, False)
+    assert found.warnings == ("3 samples were lost in 2 places",)
+    assert run.event_kind == ("gap", "gap")
+    assert run.time[run.event_sample].tolist() == [0.252, 0.901]
+    np.testing.assert_array_equal(run.position, X[keep])
+
+
+def test_a_source_that_ends_early_is_a_short_run(tmp_path):
+    found, _ = taken(tmp_path, card(), seconds=5)
+    assert (found.ended, found.short, found.asked_s) == ("source ended", True, 5.0)
+    assert found.warnings == ("the run holds 2 s of samples of the 5 s asked for: the source ended",)
+
+
+def test_enough_samples_end_the_recording_and_close_the_generator(tmp_path):
+    closed = []
+
+    def source():
+        try:
+            yield from card()
+        finally:
+            closed.append(True)
+
+    found, run = taken(tmp_path, source(), seconds=0.55)
+    assert (found.samples, found.ended, closed) == (550, "complete", [True])
+    np.testing.assert_array_equal(run.position, X[:550])
+
+
+def test_a_stop_from_elsewhere_keeps_what_came(tmp_path):
+    stop = threading.Event()
+    found, _ = taken(tmp_path, card(after=lambda k: k == 9 and stop.set()), stop=stop)
+    assert (found.samples, found.ended) == (1000, "stopped")
+
+
+def test_ctrl_c_in_the_source_keeps_what_came(tmp_path):
+    def interrupt(k):
+        if k == 7:
+            raise KeyboardInterrupt
+
+    found, run = taken(tmp_path, card(after=interrupt), seconds=2)
+    assert (found.samples, found.ended, found.short) == (700, "stopped", False)
+    np.testing.assert_array_equal(run.position, X[:700])
+    with pytest.raises(RecordingInterruptedError, match="before the first block"):
+        daq.record(card(after=lambda k: signal.raise_signal(signal.SIGINT)), tmp_path / "none.h5", rate_hz=RATE)
+    assert not list(tmp_path.glob("none*"))
+
+
+def test_an_error_of_the_source_is_raised_and_what_came_before_is_in_the_file(tmp_path):
+    class CardError(OSError):
+        pass
+
+    def fail(k):
+        if k == 7:
+            raise CardError("buffer overflow")
+
+    with pytest.raises(DeviceError, match=r"the source failed: CardError: buffer overflow; .* 700 samples") as caught:
+        taken(tmp_path, card(after=fail))
+    assert isinstance(caught.value.__cause__, CardError)
+    run = daq.load(tmp_path / "run.h5")
+    np.testing.assert_array_equal(run.position, X[:700])
+    with pytest.raises(DeviceError, match="failed before its first block: CardError: none"):
+        daq.record(card(after=lambda k: (_ for _ in ()).throw(CardError("none"))), tmp_path / "n.h5", rate_hz=RATE)
+    assert not (tmp_path / "n.h5.part").exists()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ((TIME[700:800], X[700:799]), "block 8 holds 100 times and 99 values"),
+        ((TIME[650:750], X[700:800]), "time does not increase at sample 0 in block 8: 0.65 s after 0.699 s"),
+        ((TIME[700:800], np.where(TIME[700:800] == 0.75, np.inf, X[700:800])), "value of sample 50 in block 8 is inf"),
+        ((TIME[700:800], np.arange(100)), "block 8 holds counts (integers) after positions (floats)"),
+        (TIME[700:800], "block 8 is a ndarray of shape (100,), not two arrays"),
+        ((TIME[700:800], ["a"] * 100), "the values of block 8 are <U1 of shape (100,)"),
+        (None, "block 8 is a NoneType, not two arrays"),
+    ],
+)
+def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, words):
+    with pytest.raises(InputError, match=re.escape(words)) as caught:
+        taken(tmp_path, [*card(t=TIME[:700]), wrong])
+    assert "the 700 samples before it are in" in str(caught.value)
+    assert daq.load(tmp_path / "run.h5").time.size == 700
+
+
+@pytest.mark.parametrize(
+    ("source", "how", "words"),
+    [
+        (lambda: (1e3 * TIME, X), {}, "block 1 is a ndarray of shape (2000,)"),
+        (
+            lambda: [(1e3 * TIME, X)],
+            {},
+            "the times step at 1 Hz, and rate_hz is 1000; give rate_hz=1, or the times in s",
+        ),
+        (lambda: card(t=TIME * 2, size=5), {}, "the times step at 500 Hz, and rate_hz is 1000"),
+        (lambda: 5, {}, "the source is a int; give a port, a URL, or an iterable of blocks (t, x)"),
+        (lambda: {"t": TIME, "x": X}, {}, "the source is a dict"),
+        (card, {"rate_hz": None}, "rate_hz is None; give the samples per second"),
+        (card, {"rate_hz": 0}, "rate_hz is 0"),
+        (card, {"mass": "3 m"}, "mass: 'm' is not a unit of mass"),
+        (card, {"seconds": -1}, "the duration is -1 s"),
+        (card, {"tags": {"a b": "c"}}, "'a b=c' is not a tag"),
+        (lambda: "rig://rig", {"rate_hz": 0.5}, "a port takes whole Hz"),
+        (lambda: "nowhere://rig", {}, "nowhere:// is no kind of port"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_leaves_nothing(tmp_path, source, how, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        taken(tmp_path, source(), **how)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_source_without_a_block_is_said_to_be_that(tmp_path):
+    with pytest.raises(DataError, match="the source gave no block"):
+        taken(tmp_path, iter([]))
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_file_is_replaced_unless_forced(tmp_path):
+    taken(tmp_path, card())
+    with pytest.raises(InputError, match="exists"):
+        taken(tmp_path, card())
+    found, _ = taken(tmp_path, card(t=TIME[:500]), force=True)
+    assert found.samples == 500
+    with pytest.raises(InputError, match="CSV"):
+        daq.record(card(), tmp_path / "run.csv", rate_hz=RATE)
+
+
+KILLED = """
+import os, signal, sys, time
+import numpy as np
+import daq
+
+def blocks():
+    for k in range(40):
+        if k == 25:
+            time.sleep(float(sys.argv[2]))
+            os.kill(os.getpid(), signal.SIGKILL)
+        t = (50 * k + np.arange(50)) / 1000
+        yield t, 0.01 * np.sin(6 * t) + 0.1
+
+daq.record(blocks(), sys.argv[1], rate_hz=1000, stiffness="10 N/m")
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
+@pytest.mark.parametrize("wait", [0.0, 0.3], ids=["at once", "while the journal is synced"])
+def test_a_killed_recording_gives_all_blocks_by_recover(tmp_path, wait):
+    run = tmp_path / "run.h5"
+    done = subprocess.run([sys.executable, "-c", KILLED, str(run), str(wait)], cwd=tmp_path, check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert not run.exists()
+    recover = [sys.executable, "-m", "daq.cli.app", "recover", f"{run}.part", "--json"]
+    root = str(Path(daq.__file__).resolve().parents[1])
+    said = subprocess.run(
+        recover, capture_output=True, text=True, check=True, env=os.environ | {"PYTHONPATH": root}
+    ).stdout
+    assert json.loads(said)["samples"] == 1250
+    found = daq.load(run)
+    np.testing.assert_array_equal(found.position, X[:1250])
+    np.testing.assert_array_equal(found.time, TIME[:1250])
+    assert found.rig.stiffness == Measured(10.0)
+
+
+def test_a_recovered_file_is_the_finished_one_up_to_who_finished_it(tmp_path):
+    class StopError(BaseException):
+        pass
+
+    def leave(k):
+        if k == 19:
+            raise StopError
+
+    with pytest.raises(StopError):
+        daq.record(card(after=leave), tmp_path / "run.h5", rate_hz=RATE)
+    part = tmp_path / "run.h5.part"
+    with part.open("ab") as file:
+        file.write(b"R\xff")  # a record that was cut short
+    from daq.finalise.run import finalise
+
+    found = finalise(part, tmp_path / "run.h5", finished_by="daq recover")
+    assert found.samples == 1900
+    np.testing.assert_array_equal(daq.load(tmp_path / "run.h5").position, X[:1900])
+    assert any("cut short" in text for text in found.warnings)
+
+
+def test_a_damaged_record_costs_its_own_samples(tmp_path):
+    parts = []
+
+    def copy(k):
+        if k == 19:
+            parts.append((tmp_path / "run.h5.part").read_bytes())
+
+    taken(tmp_path, card(after=copy))
+    content = bytearray(parts[0])
+    at = content.index(X[500:501].tobytes())
+    content[at + 3] ^= 0x10
+    part = tmp_path / "damaged.h5.part"
+    part.write_bytes(content)
+    from daq.finalise.run import finalise
+
+    found = finalise(part, tmp_path / "damaged.h5", finished_by="daq recover")
+    assert (found.samples, found.lost, found.crc_errors) == (1800, 100, 1)
+    np.testing.assert_array_equal(daq.load(tmp_path / "damaged.h5").position, np.delete(X[:1900], slice(500, 600)))
+    assert part.exists()
+
+
+def test_the_live_view_sees_each_block_and_a_marker_becomes_an_event(tmp_path):
+    part = tmp_path / "run.h5.part"
+    seen = []
+
+    def look(k):
+        if k == 1:
+            seen.append(JournalTail(part))
+        if k in (1, 2, 10):
+            new = seen[0].poll()
+            seen.append((sum(one.time.size for one in new), seen[0].counts.lost, seen[0].unit))
+            if k == 10:
+                with journal.markers_path(part).open("a") as file:
+                    file.write(f"{time.monotonic_ns()} here\n")
+                time.sleep(0.01)
+
+    keep = (TIME < 0.15) | (TIME >= 0.16)
+    parts = (
+        (t[keep[(t * RATE).round().astype(int)]], x[keep[(t * RATE).round().astype(int)]]) for t, x in card(after=look)
+    )
+    _, run = taken(tmp_path, parts)
+    assert seen[1:] == [(100, 0, "m"), (90, 10, "m"), (800, 10, "m")]
+    assert [kind for kind in run.event_kind if kind == "marker"] == ["marker"]
+    assert run.markers[0][1] == "here"
+    assert 0.9 <= run.markers[0][0] <= 1.1
+
+
+def test_a_port_is_recorded_as_the_command_records_it(tmp_path):
+    found = daq.record("rig://rig", tmp_path / "run.h5", rate_hz=500, seconds=1, mass="400 g +- 1 g", operator="Ada")
+    run = daq.load(tmp_path / "run.h5")
+    assert (found.samples, run.rate_hz, run.operator) == (500, 500, "Ada")
+    assert run.rig.mass == Measured(0.4, 0.001)
+    assert run.rig.metres_per_count.value == pytest.approx(7.67e-6, rel=1e-3)  # as the board sends it
+
+
+def test_a_rig_toml_is_taken_and_what_is_stated_replaces_it(tmp_path):
+    toml = tmp_path / "rig.toml"
+    toml.write_text("[rig]\nmass = 0.3\nstiffness = 10.0\n[encoder]\ndatum = 0.1\n")
+    _, run = taken(tmp_path, card(), rig=toml, mass=0.5, x0=0.01)
+    assert (run.rig.mass, run.rig.stiffness, run.rig.x0, run.rig.datum) == (
+        Measured(0.5),
+        Measured(10.0),
+        Measured(0.01),
+        None,
+    )
+
+
+def test_the_clock_of_a_source_is_compared_with_this_machines(tmp_path):
+    held = []  # the header as the recorder makes it
+    daq.record(
+        card(after=lambda k: held.append(journal.beginning(tmp_path / "run.h5.part")) if k == 1 else None),
+        tmp_path / "run.h5",
+        rate_hz=RATE,
+    )
+    part = tmp_path / "clock.h5.part"
+    writer = journal.Writer(part, held[0])
+    t = np.arange(60 * RATE) / RATE
+    for k in range(120):  # blocks of 0.5 s by a clock that is fast by 500 ppm, up to 3 ms late
+        own = slice(k * 500, (k + 1) * 500)
+        (data,) = packing.packed(t[own], t[own])
+        stamp = held[0]["monotonic_ns"] + round(1e9 * t[own][-1] / 1.0005) + k * 7919 % 31 * 100_000
+        writer.append(journal.RECEIVED, stamp, data)
+    writer.close()
+    from daq.finalise.run import finalise
+
+    found = finalise(part, tmp_path / "clock.h5", finished_by="daq recover")
+    assert found.clock_ppm == pytest.approx(500, abs=10)
+    assert abs(found.clock_ppm - 500) <= (found.clock_ppm_error or 10)

@@ -1,0 +1,2 @@
+class Pin:
+    IN, PULL_UP = 0, 1

@@ -1,0 +1,308 @@
+"""Laws of one's own beside the six: the same answers where they are the same curve, and what is said of them."""
+
+import csv
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+
+import fitting
+from daq.base.console import application
+from daq.base.errors import InputError
+from daq.base.measured import Measured
+from daq.runfile import listing
+from daq.runfile.recording import Recording
+from daq.runfile.rig import Rig
+from fitting import job
+from fitting.competitors import restated
+from fitting.estimation.derived import RUNS_OWN
+from fitting.report import page
+from fitting.selection.ranking import rank
+from processing.smoothing import smooth
+from processing.statistics import from_kinematics
+from rig_sim.motion.play import events
+from rig_sim.scenes.scene import scene
+
+from .. import command
+
+VISCOUS = {"curve": "stribeck", "Fc": 0.6, "v_s": 0.08, "Fv": 0.15, "c": 0.01, "scatter": 0.03, "duration": 12.0}
+MINE = "Fc + (Fs - Fc)*exp(-s/v_s) + Fv*s"
+COUNT = 50e-6
+
+
+def recorded(contacts, **changes):
+    """Return a contact, and its record by an encoder."""
+    contact = contacts.Contact(**VISCOUS | {"seed": 4} | changes)
+    time, position = contacts.recorded(contact, count=COUNT, jitter=30e-6)
+    rig = Rig(
+        name="encoder",
+        metres_per_count=Measured(COUNT),
+        mass=Measured(contact.m, 1e-3 * contact.m),
+        datum=Measured(0.0, 5e-4),
+        damping=Measured(contact.c, 4e-3),
+    )
+    recording = Recording(
+        source=Path("mine.h5"),
+        title="a contact",
+        started="2026-01-01T00:00:00+00:00",
+        ended="2026-01-01T00:00:12+00:00",
+        time=time,
+        position=position,
+        rate_hz=1000.0,
+        rig=rig,
+    )
+    return contact, recording
+
+
+@pytest.fixture(scope="module")
+def won(contacts):
+    """Give a contact that a formula of one's own describes, and its ranking beside laws 5 and 6."""
+    contact, recording = recorded(contacts)
+    motion = smooth(recording)
+    ranking = fitting.rank(motion, laws=(5, 6, fitting.Law("mine", MINE)))
+    return SimpleNamespace(contact=contact, recording=recording, motion=motion, ranking=ranking)
+
+
+@pytest.mark.parametrize("law", [pytest.param(law, marks=pytest.mark.slow) if law != 6 else law for law in range(1, 7)])
+def test_a_law_typed_as_a_formula_gives_the_answers_of_the_law(synthetic, law):
+    ranking = rank(smooth(synthetic.recording(law=law, duration=10.0)), laws=(law, restated(law)))
+    own, formula = ranking.row(law), ranking.row(f"law{law}")
+    assert formula.rms_m == pytest.approx(own.rms_m, rel=1e-4)
+    assert own.in_set
+    assert formula.in_set
+    known = own.parameters["k/m"]
+    # weights of cycles and noise are estimated by each fit for itself
+    assert abs(formula.parameters["k/m"].value - known.value) < 0.02 * known.stderr
+    assert (formula.law, formula.formula, formula.asked) == (f"law{law}", restated(law).formula, True)
+    assert job.exit_code(ranking.as_json()) == 5  # the same curve twice
+
+
+def test_without_a_rest_position_a_formula_finds_it_as_its_law_does(synthetic, tmp_path):
+    """It was held where the measured curve assumes it, which a hyperbola that falls towards 0 contradicts."""
+    time, position = synthetic.camera(5, 2e-4, duration=20.0, scatter=0.0)
+    ranking = rank(smooth(synthetic.imported(tmp_path / "t.csv", time, position, 6)), laws=(5, restated(5)))
+    own, formula = ranking.row(5), ranking.row("law5")
+    assert formula.rms_m == pytest.approx(own.rms_m, rel=1e-3)
+    for name in ("x0", "Fs/m", "gamma"):
+        assert abs(formula.parameters[name].value - own.parameters[name].value) < 0.5 * own.parameters[name].stderr
+
+
+def test_a_named_law_that_wins_ends_with_exit_code_0(won):
+    document = application.plain(won.ranking.as_json())
+    assert (document["set"], document["rivals"]) == ([], ["mine"])
+    assert document["adequacy"]["verdict"] == "adequate"
+    assert job.exit_code(document) == 0
+    assert document["verdict"].startswith(f"law mine ({MINE}): ")
+    assert "law 5 (friction falling hyperbolically) is behind by" in document["verdict"]
+    row = document["ranking"][0]
+    assert (row["law"], row["formula"], row["asked"], row["in_set"]) == ("mine", MINE, True, True)
+    assert won.ranking.best is won.ranking.row("mine")
+    contact = won.contact
+    true = {"Fs": contact.Fs, "Fc": contact.Fc, "v_s": contact.v_s, "Fv": contact.Fv, "k": contact.k}
+    for name, value in true.items():
+        item = row["parameters"][name]
+        assert abs(item["value"] - value) < 4 * item["stderr"]
+    assert row["parameters"]["Fv"]["unit"] == "N s/m"
+    assert row["parameters"]["Fv/m"]["unit"] == "s^-1"
+
+
+def test_levels_and_ageing_are_those_of_the_law_that_wins(won):
+    """They would be those of the best of the six, whose Fs is half of the contact's."""
+    levels = [event.break_away_level / event.kinetic_scale for event in won.ranking.events if not event.flag]
+    assert np.median(levels) == pytest.approx(1.0, abs=0.02)
+    assert won.ranking.adequacy.departures == ()
+    assert won.ranking.findings == ()
+
+
+def test_a_law_that_nobody_named_is_marked(won):
+    ranking = rank(won.motion, laws=(5,))
+    document = ranking.as_json()
+    assert document["rivals"] == ["stribeck-viscous"]
+    assert document["ranking"][0]["asked"] is False
+    assert job.exit_code(document) == 6
+    named = rank(won.motion, laws=(5, "stribeck-viscous")).as_json()
+    assert (named["rivals"], named["ranking"][0]["asked"]) == (["stribeck-viscous"], True)
+    assert job.exit_code(named) == 0
+
+
+def test_formulas_alone_may_compete(won):
+    document = rank(won.motion, laws=("stribeck-viscous", "logarithmic")).as_json()
+    assert [row["law"] for row in document["ranking"]] == ["stribeck-viscous", "logarithmic"]
+    assert (document["set"], document["rivals"]) == ([], ["stribeck-viscous"])
+    assert job.exit_code(document) == 0
+
+
+def test_parameters_are_fixed_and_bounded(won):
+    law = fitting.Law("mine", MINE, bounds={"Fv": (0.0, None)})
+    ranking = rank(won.motion, laws=(5, law), fix={"v_s": 0.08, "Fc": 0.6, "k/m": 35.184}, bounds={"5.gamma": (0, 2.0)})
+    found = ranking.as_json()["ranking"]
+    mine = next(row["parameters"] for row in found if row["law"] == "mine")
+    five = next(row["parameters"] for row in found if row["law"] == 5)
+    for row, name, value in ((mine, "v_s", 0.08), (mine, "Fc", 0.6), (mine, "k/m", 35.184), (five, "k/m", 35.184)):
+        assert (row[name]["value"], row[name]["fixed"]) == (value, True)
+        assert row[name]["stderr"] in (0.0, None)
+    assert "fixed" not in mine["Fs"]
+    assert mine["Fs"]["stderr"] > 0
+    assert five["gamma"]["value"] <= 2.0
+    free = rank(won.motion, laws=(5, law))
+    assert ranking.row("mine").fit.law_parameters == free.row("mine").fit.law_parameters - 3
+    assert ranking.row(5).fit.law_parameters == free.row(5).fit.law_parameters - 1
+
+
+def test_what_is_given_of_the_six_holds_in_the_fit(ranked, synthetic):
+    motion = smooth(synthetic.recording(law=6, duration=10.0))
+    free = rank(motion, laws=(5, 6))
+    given = {"gamma": 9.618, "d": 0.03, "v_dr": 0.22, "x0": 0.0, "c/m": 0.0, "Fs/m": 4.6}
+    held = rank(motion, laws=(5, 6), fix=given, start={"k/m": 36.0})
+    assert held.laws_in_set == (6,)
+    for name, value in given.items():
+        item = held.row(6).parameters[name]
+        assert (item.value, item.stderr, item.fixed) == (value, 0.0, True)
+    assert held.row(6).parameters["k/m"].stderr < 0.7 * free.row(6).parameters["k/m"].stderr
+    assert held.row(6).rms_m < 1.02 * free.row(6).rms_m
+    # what is wrong is seen in the fit
+    wrong = rank(motion, laws=(6,), fix={"gamma": 8.0})
+    assert wrong.row(6).parameters["gamma"].value == 8.0
+    assert not wrong.adequacy.adequate
+
+
+def test_the_slope_of_law_3_is_fixed_in_newtons(synthetic):
+    motion = smooth(synthetic.recording(law=3, duration=10.0))
+    ranking = rank(motion, laws=(3, 5), fix={"G_slip": 0.6})
+    assert (ranking.laws_in_set, ranking.rivals) == ((3,), ())
+    row = ranking.as_json()["ranking"][0]
+    assert (row["law"], row["name"]) == (3, "friction falling linearly")
+    assert "formula" not in row
+    assert row["parameters"]["G_slip"] == {**row["parameters"]["G_slip"], "value": 0.6, "stderr": 0.0, "fixed": True}
+    assert row["parameters"]["Fs"]["value"] == pytest.approx(1.3793, rel=3e-3)
+
+
+def test_parameters_that_enter_only_as_a_product_are_said_to_be_undetermined(won):
+    ranking = rank(won.motion, laws=(5, fitting.Law("two", "Fc + a*b*exp(-s/v_s) + Fv*s")))
+    assert any("a and b enter only as a product" in text for text in ranking.warnings)
+    found = ranking.as_json()["ranking"][0]["parameters"]
+    assert found["a"]["stderr"] is found["b"]["stderr"] is None
+    assert found["v_s"]["stderr"] > 0
+    assert found["a"]["value"] * found["b"]["value"] == pytest.approx(1.379 - 0.6, rel=0.05)
+    assert (
+        ranking.row("two").fit.law_parameters
+        == rank(won.motion, laws=(5, "stribeck-viscous")).row("stribeck-viscous").fit.law_parameters
+    )
+    fixed = rank(won.motion, laws=(fitting.Law("two", "Fc + a*b*exp(-s/v_s) + Fv*s"),), fix={"b": 1.0})
+    assert not any("product" in text for text in fixed.warnings)
+
+
+def test_a_formula_that_is_no_friction_is_refused_with_the_reason(won):
+    with pytest.raises(InputError, match="division by 0"):
+        rank(won.motion, laws=(5, fitting.Law("mine", "Fs/(s - s)")))
+    with pytest.raises(InputError, match="friction is negative"):
+        rank(won.motion, laws=(5, fitting.Law("mine", "-abs(Fs)")))
+
+
+def test_a_force_in_newtons_needs_a_mass(won):
+    stiff = replace(won.recording.rig, mass=None, stiffness=Measured(10.5552, 0.01))
+    with pytest.raises(InputError, match="depends on k/m"):
+        rank(won.motion, stiff, laws=(5, fitting.Law("mine", MINE)), fix={"mine.Fc": 0.6})
+
+
+def test_a_mass_that_grazes_the_belt_may_have_a_formula(synthetic):
+    ranking = rank(smooth(synthetic.recording(law=1, duration=10.0)), laws=(1, 2, fitting.Law("level", "F0")))
+    assert ranking.row("level").in_set
+    assert ranking.laws_in_set == (1,)
+    assert ranking.verdict.startswith("no sustained stick")
+
+
+def test_runs_are_fitted_together_with_a_formula(contacts):
+    runs = [smooth(recorded(contacts, belt=belt, seed=seed)[1]) for belt, seed in ((0.18, 1), (0.28, 2))]
+    ranking = rank(runs, laws=(5, fitting.Law("mine", MINE)))
+    row = ranking.row("mine")
+    assert row.in_set
+    for number, belt in enumerate((0.18, 0.28), start=1):
+        item = row.parameters[f"v_dr ({number})"]
+        assert abs(item.value - belt) < 4 * item.stderr
+        side = ranking.sides[number - 1].row("mine")
+        assert not {name for name in side.parameters if "(1)" in name}
+        assert len(side.fit.cycles) < len(row.fit.cycles)
+    assert not set(RUNS_OWN) & row.parameters.keys()
+    assert abs(row.parameters["v_s"].value - 0.08) < 4 * row.parameters["v_s"].stderr
+    document = application.plain(ranking.as_json())
+    assert "mine" in document["runs"][0]["rms_by_law"]
+    with pytest.raises(InputError, match="one belt speed for several runs"):
+        rank(runs, laws=(5,), fix={"v_dr": 0.2})
+
+
+def test_the_report_draws_a_formula_in_every_picture(won):
+    text = page.render(won.ranking, [won.motion], [from_kinematics(won.motion)], 0.05)
+    assert "Does law mine describe the record?" in text
+    assert "Parameters of law mine" in text
+    assert text.count("<math>") >= 4  # in the ranking, and with every formula
+    pictures = text.split("<svg ")[1:]
+    named = [one for one in pictures if "law mine" in one or ">mine" in one]
+    # all but the break-away levels, which are of the record
+    assert len(named) >= 6
+
+
+@pytest.fixture
+def run(won, synthetic, tmp_path):
+    return synthetic.written(tmp_path / "run.h5", won.recording)
+
+
+def test_files_hold_a_formula(run, tmp_path):
+    curve, table, file = tmp_path / "curve.csv", tmp_path / "ranking.csv", tmp_path / "rig.toml"
+    answer = command.fit(
+        run, laws="5", law=[f"mine: {MINE}"], csv=table, curve_csv=curve, save_scene=file, no_report=True
+    )
+    assert answer.exit_code == 0
+    found = application.plain(answer.data)["ranking"][0]["parameters"]
+    with table.open() as opened:
+        rows = list(csv.DictReader(opened))
+    assert [(row["law"], row["formula"]) for row in rows] == [("mine", MINE), ("5", "")]
+    with curve.open() as opened:
+        columns = next(csv.reader(opened))
+    assert columns[-1] == "law mine (N)"
+    with h5py.File(run) as opened:
+        assert list(opened["entry/fit/formulas/law_name"].asstr()) == ["mine"]
+        assert opened["entry/fit_law_mine/parameters/v_s"][()] == found["v_s"]["value"]
+        assert "friction_curve" in opened["entry/fit_law_mine"]
+    (row,) = listing.runs([run.parent])
+    assert row.part == "law 5; with law mine"
+    friction = tomllib.loads(file.read_text())["friction"]
+    assert friction["formula"] == MINE
+    assert friction["Fs"] == found["Fs"]["value"]
+    played = events(scene(file), 20.0)
+    assert played.outcome == "completed"
+    assert len(played.events) > 10
+    # fitted again without the formula, its group is gone
+    command.fit(run, laws="5", no_report=True)
+    with h5py.File(run) as opened:
+        assert "fit_law_mine" not in opened["entry"]
+
+
+def test_a_scene_has_other_names_for_what_its_section_calls_its_own(run, tmp_path):
+    file = tmp_path / "rig.toml"
+    text = "Fc + d*exp(-s/static) + Fv*s"
+    answer = command.fit(run, laws="5", law=[f"mine: {text}"], save_scene=file, no_report=True)
+    friction = tomllib.loads(file.read_text())["friction"]
+    assert friction["formula"] == "Fc + d_*exp(-s/static_) + Fv*s"
+    found = application.plain(answer.data)["ranking"][0]["parameters"]
+    assert (friction["d_"], friction["static_"]) == (found["d"]["value"], found["static"]["value"])
+    assert events(scene(file), 5.0).outcome == "completed"
+
+
+def test_a_syntax_fault_is_shown_with_a_caret_and_exit_code_2(run, capsys):
+    assert application.run(command.cli.app, [str(run), "--law", "mine: Fs/(1 + gamma*s"]) == 2
+    *_, line, caret = capsys.readouterr().err.splitlines()
+    assert line[caret.index("^")] == "("
+
+
+def test_a_batch_compares_formulas(run, won, synthetic, tmp_path):
+    other = synthetic.written(tmp_path / "other.h5", synthetic.recording(law=5, duration=10.0))
+    answer = command.fit(run, other, laws="5", law=[f"mine: {MINE}"], each=True, report=tmp_path / "r.html")
+    assert answer.exit_code in (0, 5)
+    text = Path(application.plain(answer.data)["comparison"]).read_text()
+    assert "law mine" in text
+    assert ">v_s" in text

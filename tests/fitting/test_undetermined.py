@@ -1,0 +1,39 @@
+"""Parameters that a formula has only together are named, with the way in which it has them."""
+
+import pytest
+
+from fitting.law import PUBLISHED, Law
+from fitting.undetermined import undetermined
+
+
+@pytest.mark.parametrize(
+    ("formula", "said"),
+    [
+        ("a*b/(1 + gamma*s)", ["a and b enter only as a product"]),
+        ("Fs*a*b*exp(-c*d*s)", ["Fs, a and b enter only as a product", "c and d enter only as a product"]),
+        ("Fs - (a + b)*s", ["a and b enter only as a sum"]),
+        ("Fs - (a - b)*s", ["a and b enter only as a difference"]),
+        ("Fs/(1 + s*a/b)", ["a and b enter only as a quotient"]),
+        ("Fs*exp(-s/v) + a*exp(-s/v)", ["Fs and a enter only as a sum"]),
+        ("a*b**2 - G*s", ["a and b enter only together"]),
+        ("Fs + 0*a", ["a does not change friction"]),
+        ("Fc + (Fs - Fc)*exp(-(s/v_s)**p) + b*s", []),
+    ],
+)
+def test_parameters_that_are_known_only_together_are_named(formula, said):
+    assert [str(one) for one in undetermined(Law("mine", formula), 4.6, 0.5)] == said
+
+
+def test_a_fixed_parameter_leaves_the_other_determined():
+    assert undetermined(Law("mine", "a*b/(1 + gamma*s)", fix={"b": 1.0}), 4.6, 0.5) == ()
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_published_forms_are_determined(name):
+    assert undetermined(PUBLISHED[name], 4.6, 0.5) == ()
+
+
+def test_as_many_are_free_as_the_formula_has_too_many():
+    (group,) = undetermined(Law("mine", "Fs*a*b/(1 + s/v)"), 4.6, 0.5)
+    assert group.names == ("Fs", "a", "b")
+    assert group.free == 2

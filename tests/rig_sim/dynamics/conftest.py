@@ -1,0 +1,107 @@
+"""Textbook systems, each once, for the analyses that name no system."""
+
+import math
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from rig_sim.dynamics.system.formula import FormulaMap
+
+
+@pytest.fixture(scope="session")
+def textbook() -> ModuleType:
+    """Return the classes of this module by name."""
+    return sys.modules[__name__]
+
+
+class Logistic(FormulaMap):
+    """x' = (r + u) x (1 - x)."""
+
+    def __init__(self, r):
+        super().__init__(1.0, interval=(0.0, 1.0), strength=r)
+        self.r = r
+
+    def step(self, x, change=0.0):
+        r = self.r + change
+        return r * x * (1.0 - x), r * (1.0 - 2.0 * x), 1.0
+
+
+class OnInterval(FormulaMap):
+    """x' = formula(x) on an interval, without its derivative."""
+
+    def __init__(self, formula, lo, hi):
+        super().__init__(hi - lo, interval=(lo, hi), start=lo + 0.1 * (hi - lo))
+        self.formula = formula
+
+    def step(self, x, change=0.0):
+        return self.formula(x), None, 1.0
+
+
+class Circle(FormulaMap):
+    """theta -> theta + turn - (K/2 pi) sin(2 pi theta); its time is the angle."""
+
+    def __init__(self, w, K):
+        super().__init__(1.0, turn=1.0, start=0.1)
+        self.w, self.K = w, K
+
+    def step(self, theta, change=0.0):
+        turned = self.w - self.K / (2.0 * math.pi) * np.sin(2.0 * math.pi * theta)
+        return (theta + turned) % 1.0, 1.0 - self.K * np.cos(2.0 * math.pi * theta), float(turned[0])
+
+
+class BouncingBall(FormulaMap):
+    """A ball on a table that moves far less than it flies: phase, v -> phase + v, e v + (A + u) cos(phase + v)."""
+
+    def __init__(self, e, A):
+        super().__init__([2.0 * math.pi, 10.0], turn=[2.0 * math.pi, math.inf], strength=abs(A))
+        self.e, self.A = e, A
+
+    def step(self, state, change=0.0):
+        A = self.A + change
+        phase = (state[0] + state[1]) % (2.0 * math.pi)
+        kick = -A * math.sin(phase)
+        jacobian = [[1.0, 1.0], [kick, self.e + kick]]
+        return [phase, self.e * state[1] + A * math.cos(phase)], jacobian, 1.0
+
+
+class Henon(FormulaMap):
+    """x' = a + u - x^2 + b y, y' = x."""
+
+    def __init__(self, a=1.4, b=0.3):
+        super().__init__([2.0, 2.0], strength=a)
+        self.a, self.b = a, b
+
+    def step(self, state, change=0.0):
+        x, y = state
+        return [self.a + change - x * x + self.b * y, x], [[-2.0 * x, self.b], [1.0, 0.0]], 1.0
+
+
+class Duffing(FormulaMap):
+    """x'' + delta x' - x + x^3 = f cos(omega t), with its variational equation, by Runge and Kutta's formula."""
+
+    steps = 50
+
+    def __init__(self, f, delta=0.3, omega=1.2):
+        super().__init__([1.0, 1.0])
+        self.f, self.delta, self.omega = f, delta, omega
+
+    def slopes(self, t, y):
+        x, v, *rest = y
+        pull = 1.0 - 3.0 * x * x
+        base = [v, self.f * math.cos(self.omega * t) - self.delta * v + x - x**3]
+        for dx, dv in zip(rest[::2], rest[1::2], strict=True):
+            base += [dv, pull * dx - self.delta * dv]
+        return base
+
+    def step(self, state, change=0.0):
+        y = [*state.tolist(), 1.0, 0.0, 0.0, 1.0]
+        h = 2.0 * math.pi / self.omega / self.steps
+        for i in range(self.steps):
+            k1 = self.slopes(i * h, y)
+            k2 = self.slopes((i + 0.5) * h, [a + 0.5 * h * b for a, b in zip(y, k1, strict=True)])
+            k3 = self.slopes((i + 0.5) * h, [a + 0.5 * h * b for a, b in zip(y, k2, strict=True)])
+            k4 = self.slopes((i + 1.0) * h, [a + h * b for a, b in zip(y, k3, strict=True)])
+            y = [a + h / 6.0 * (b + 2.0 * c + 2.0 * d + e) for a, b, c, d, e in zip(y, k1, k2, k3, k4, strict=True)]
+        return y[:2], np.array(y[2:]).reshape(2, 2).T, 1.0

@@ -1,0 +1,246 @@
+"""A driven mass: sections, periods and exponents, against published numbers and a general solver."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from daq.base.console import application
+from rig_sim.cli import app as cli
+from rig_sim.dynamics.analyses.exponent import exponent
+from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.control import dither
+from rig_sim.dynamics.rig import driven as driven_mass
+from rig_sim.dynamics.rig.driven import DrivenMap, with_starts
+from rig_sim.flow.flow import Flow
+from rig_sim.friction.curve import CONSTANT, LINEAR
+
+REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter6"]
+EXPONENTS = REFERENCE["lambda_per_landing"]
+
+
+def thesis(omega=1.6, **changes):
+    return Flow(**{"v_belt": 0.085, "u0": 0.2, "omega": omega, **changes})
+
+
+def answer(capsys, *words):
+    assert application.run(cli.app, [*words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def general_solver(flow, x, v, until, tolerance=1e-12):
+    """Return (t, x) of each break-away, and (x, v) at phase 0, by scipy with events: laws 1, 3, 5 with static 1."""
+    belt, period = flow.v_belt, 2.0 * math.pi / flow.omega
+
+    def drive(t):
+        return flow.u0 * math.cos(flow.omega * t)
+
+    def friction(s):
+        return {CONSTANT: flow.Fs, LINEAR: flow.Fs - flow.G_slip * s}.get(flow.curve, flow.Fs / (1.0 + flow.gamma * s))
+
+    def slip(side):
+        def field(t, y):
+            pull = side * friction(max(side * (belt - y[1]), 0.0))
+            return [y[1], (pull + drive(t) - flow.c * y[1] - flow.k * y[0]) / flow.m]
+
+        return field
+
+    def event(function, direction=1.0):
+        function.terminal, function.direction = True, direction
+        return function
+
+    t, broken, strobes = 0.0, [], {}
+    load = flow.k * x + flow.c * v - drive(0.0)
+    side = 0 if v == belt and abs(load) <= flow.Fs else (1 if v < belt or (v == belt and load > 0.0) else -1)
+    while t < until:
+        if side == 0:
+            fields = lambda t, y: [belt, 0.0]  # noqa: E731
+            ends = [event(lambda t, y: abs(flow.k * y[0] + flow.c * belt - drive(t)) - flow.Fs)]
+            first = 0.0
+        else:
+            fields = slip(side)
+            ends = [event(lambda t, y, side=side: side * (y[1] - belt))]
+            first = 1e-6  # past the instant at which slip has begun and its relative velocity is still 0
+        state = [x, belt] if side == 0 else [x, v]
+        settings = {"method": "DOP853", "rtol": tolerance, "atol": tolerance, "dense_output": True, "max_step": 0.2}
+        if first:
+            state = solve_ivp(fields, (t, t + first), state, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        run = solve_ivp(fields, (t + first, until), state, events=ends, **settings)
+        for n in range(math.ceil((t + first) / period), math.floor(run.t[-1] / period) + 1):
+            strobes[n] = run.sol(n * period)
+        t, (x, v) = float(run.t[-1]), (float(run.y[0, -1]), float(run.y[1, -1]))
+        if run.status == 0:
+            break
+        load = flow.k * x + flow.c * belt - drive(t)
+        if side == 0:
+            broken.append((t, x))
+            side = 1 if load > 0.0 else -1
+        else:
+            side = 0 if abs(load) <= flow.Fs else int(math.copysign(1.0, load))
+        v = belt
+    return np.array(broken), np.array([strobes[n] for n in sorted(strobes) if n > 0])
+
+
+@pytest.mark.parametrize(
+    ("flow", "start"),
+    [
+        (thesis(1.6), (0.0, 0.0)),
+        (thesis(0.41), (0.3, 0.085)),
+        (thesis(2.3, u0=1.4, c=0.1, m=1.3, k=0.8), (0.0, 0.0)),  # sticks in both directions of slip
+        (thesis(1.1, curve=LINEAR, G_slip=0.1, v_belt=0.3), (0.5, 0.0)),
+        (thesis(0.7, curve=CONSTANT, u0=0.6), (0.0, 0.0)),
+    ],
+)
+def test_sections_are_those_of_a_general_solver(flow, start):
+    until = 25.0 if flow.omega == 1.6 else 40.0  # of a chaotic motion no longer
+    broken, strobes = general_solver(flow, *start, until)
+    slip = DrivenMap(flow, "slip").motion(start).follow(len(broken))
+    assert len(broken) >= 2
+    assert slip.times * 2.0 * math.pi / flow.omega == pytest.approx(broken[:, 0], abs=1e-7)
+    assert slip.states[:, 0] == pytest.approx(broken[:, 1], abs=1e-7)
+    strobe = DrivenMap(flow).motion(start).follow(len(strobes))
+    assert strobe.states == pytest.approx(strobes, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "flow",
+    [
+        thesis(1.6),
+        thesis(1.6, static=1.3),
+        thesis(1.6, ramp=1, d=0.02),
+        thesis(1.6, ramp=1, d=0.05, static=1.2),
+        thesis(2.0, u0=1.5, c=0.1),
+        thesis(1.6, droop=0.01, gamma=2.0),
+        thesis(-1.3, v_belt=-0.085, curve=LINEAR),
+    ],
+    ids=["stick", "drop at break-away", "ramp", "ramp with a drop", "both directions", "droop", "backwards"],
+)
+def test_growth_is_that_of_two_neighbouring_motions(flow):
+    """The variational equation with its jumps at events, against the difference of two motions."""
+    passages, h = 6, 1e-6
+    mass = DrivenMap(flow).motion((0.1, 0.0))
+    total = float(np.sum(mass.follow(passages, tangent=True).growth))
+    ends = [DrivenMap(flow).motion((0.1 + side * h, 0.0)).follow(passages).states[-1] for side in (1.0, -1.0)]
+    omega0 = math.sqrt(flow.k / flow.m)
+    difference = (ends[0] - ends[1]) / (2.0 * h)
+    assert total == pytest.approx(math.log(math.hypot(omega0 * difference[0], difference[1]) / omega0), abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["1.6_1", "1.1_1"])
+def test_growth_on_an_unstable_orbit_is_its_multiplier(name):
+    case = REFERENCE["unstable_orbits"][name]
+    flow = thesis(float(name[:3]))
+    (x,) = case["X_A"]
+    for phase in (math.acos((x - 1.0) / flow.u0), 2.0 * math.pi - math.acos((x - 1.0) / flow.u0)):
+        start = x - flow.v_belt * phase / flow.omega, flow.v_belt  # in stick at phase 0
+        broken = DrivenMap(flow, "slip").motion(start).follow(2)
+        if broken.times[1] - broken.times[0] == pytest.approx(case["K"], abs=1e-6):
+            break
+    assert broken.states[:, 0] == pytest.approx([x, x], abs=1e-8)
+    growth = DrivenMap(flow, "landing").motion(start).follow(1, tangent=True).growth[0]
+    assert math.exp(growth) == pytest.approx(abs(case["mult"]), abs=1e-6)
+
+
+def test_exponent_of_a_mass_that_never_sticks_is_that_of_its_damper(capsys):
+    """Without friction it is -c T/2m per drive period; the growth of a single period used to be taken for it."""
+    words = ("--set", "friction.Fs=0", "--set", "damper.c=0.1", "--set", "mass.m=1.7", "--events", "2000")
+    found = answer(capsys, "lyapunov", "forced", *words)
+    assert (found["per"], found["stderr"], found["period"]) == ("drive period", 0.0, 1)
+    assert found["exponent"] == pytest.approx(-0.1 / (2.0 * 1.7) * 2.0 * math.pi / 1.6, abs=1e-9)
+
+
+def test_exponent_without_a_drive_is_zero_the_motion_may_only_be_late():
+    found = exponent(DrivenMap(thesis(u0=0.0), "landing").motion((0.0, 0.0)), 1000)
+    assert found.exponent == pytest.approx(0.0, abs=1e-8)
+
+
+@pytest.mark.parametrize("omega", EXPONENTS)
+def test_exponents_of_the_thesis_s_case(capsys, omega):
+    found = answer(capsys, "lyapunov", "forced", "--events", "10000", "--set", f"drive.omega={omega}")
+    assert found["exponent"] == pytest.approx(EXPONENTS[omega]["value"], abs=EXPONENTS[omega]["tol"])
+    assert (found["per"], found["period"]) == ("landing", None)
+    assert found["stderr"] < 0.02
+
+
+def test_periods_of_the_thesis_s_case(capsys):
+    found = answer(capsys, "sweep", "forced", "--over", "drive.omega=0.3:0.41:2", "--section", "slip")
+    (one, two) = found["rows"]
+    assert (one["period"], one["drive_periods"], len(one["points"])) == (1, 1, 1)
+    assert (two["period"], two["drive_periods"], len(two["points"])) == (2, 3, 2)
+    strobe = answer(capsys, "sweep", "forced", "--over", "drive.omega=0.3:0.41:2")
+    assert [row["period"] for row in strobe["rows"]] == [1, 3]
+
+
+def test_break_away_lies_where_spring_and_drive_balance_the_level(capsys):
+    found = answer(capsys, "sweep", "forced", "--over", "drive.omega=1.1:1.6:2", "--section", "slip")
+    lowest, highest = REFERENCE["X_A_range"]["value"]
+    for row in found["rows"]:
+        assert (row["attractor"], row["period"], row["drive_periods"]) == (1, None, None)
+        assert lowest - 1e-9 <= min(row["points"]) < lowest + 0.01
+        assert 1.0 < max(row["points"]) <= highest + 1e-9
+
+
+def test_a_sweep_over_the_belt_draws_its_diagram(capsys, tmp_path):
+    path = tmp_path / "sweep.png"
+    words = ["sweep", "forced", "--over", "belt.speed=0.25:0.5:2", "--section", "slip", "--plot", str(path)]
+    found = answer(capsys, *words)
+    assert {row["parameter"] for row in found["rows"]} == {0.25, 0.5}
+    assert path.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("flow", "outcomes"),
+    [
+        (thesis(1.0, u0=2.0), {"growing"}),  # resonance: friction cannot take up the power
+        (thesis(1.0, curve=CONSTANT), {"completed"}),
+        (thesis(v_belt=2.0, curve=CONSTANT, c=0.3), {"no passage"}),  # Coulomb, and never sticks again
+        (thesis(u0=3.0, curve=LINEAR, G_slip=1.0), {"force reversal"}),
+        (thesis(v_belt=0.0), {"no passage"}),
+        (thesis(gamma=1e4), {"completed"}),
+        (thesis(Fs=0.0), {"no passage"}),
+        (thesis(u0=0.0, Fs=0.0, v_belt=0.0), {"no passage"}),  # nothing moves the mass: its scale used to be 0
+        (thesis(0.0005), {"step limit"}),
+        (thesis(ramp=1, d=1e-12), {"completed"}),
+        (thesis(c=50.0), {"no passage"}),
+        (thesis(c=-1.0, v_belt=1e-6), {"no passage"}),  # in stick, far from its end: not growing
+    ],
+    ids=str,
+)
+def test_every_motion_ends_in_a_named_outcome(flow, outcomes):
+    rows = attractors(*with_starts(flow, 0.0, 0.0, "slip", 1), 0.0)
+    assert {row.outcome for row in rows} == outcomes
+    assert all(bool(row.points) == (row.outcome == "completed") for row in rows)
+
+
+def test_a_drive_far_faster_than_the_mass_ends_by_name(monkeypatch):
+    """Its motions were followed for thousands of millions of drive periods, all of which were kept."""
+    monkeypatch.setattr(driven_mass, "STEPS_OF_VALUE", 200_000)
+    monkeypatch.setattr(dither, "STEPS_IN_ALL", 200_000)
+    fast = thesis(1e6)
+    (row,) = attractors(*with_starts(fast, 0.0, 0.0, "slip"), 0.0)
+    assert (row.attractor, row.points, row.outcome) == (0, (), "step limit")
+    found = dither.quench(fast, 0.0, 0.0)
+    assert (found.outcome, found.quenched, found.simulated_threshold) == ("step limit", False, None)
+    assert found.threshold == pytest.approx(0.085 * 1e6)
+
+
+def test_a_sweep_names_a_drive_without_force_and_one_without_period(capsys):
+    (still, _) = answer(capsys, "sweep", "forced", "--over", "drive.u0=0:0.6:2", "--section", "slip")["rows"]
+    assert (still["outcome"], still["points"], still["drive_periods"]) == ("no drive", [1.0], None)
+    (none, _) = answer(capsys, "sweep", "forced", "--over", "drive.omega=0:0.3:2")["rows"]
+    assert (none["outcome"], none["points"], none["attractor"]) == ("no drive period", [], 0)
+
+
+def test_what_a_driven_mass_needs_is_named(capsys):
+    for words, named in (
+        (("sweep", "base", "--over", "belt.speed=0.1:0.2:2"), "drive.u0"),
+        (("sweep", "forced", "--over", "drive.omega=1:2:2", "--section", "map"), "two masses"),
+        (("sweep", "two-mass", "--over", "belt.speed=0.1:0.2:2", "--section", "slip"), "driven mass"),
+        (("lyapunov", "forced", "--set", "drive.omega=0"), "drive.omega"),
+        (("lyapunov", "forced", "--events", "3"), "--events"),
+    ):
+        assert application.run(cli.app, list(words)) == 2
+        assert named in capsys.readouterr().err

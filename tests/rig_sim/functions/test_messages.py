@@ -1,0 +1,124 @@
+"""What a caller from Python is told: the call to make, never a flag."""
+
+import ast
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import rig_sim
+from daq.base.errors import InputError
+
+SOURCES = Path(rig_sim.__file__).parent
+FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)")
+KEYWORDS = {
+    keyword
+    for name in rig_sim.__all__
+    if inspect.isfunction(getattr(rig_sim, name))
+    for keyword in inspect.signature(getattr(rig_sim, name)).parameters
+}
+
+
+def raised_errors():
+    """Yield every call that makes an error outside the command line: where, its texts, whether it has ``python``."""
+    for path in sorted(SOURCES.rglob("*.py")):
+        if path.relative_to(SOURCES).parts[0] in ("cli", "atlas", "protocol_rig.py"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "").endswith("Error"):
+                texts = [part.value for part in ast.walk(node) if isinstance(part, ast.Constant)]
+                spoken = " ".join(text for text in texts if isinstance(text, str))
+                yield (
+                    f"{path.relative_to(SOURCES)}:{node.lineno}",
+                    spoken,
+                    any(k.arg == "python" for k in node.keywords),
+                )
+
+
+def test_every_flag_that_an_error_names_is_a_keyword_or_the_error_has_words_for_python():
+    lacking = [
+        f"{where}: --{flag}"
+        for where, spoken, has_python in raised_errors()
+        for flag in FLAG.findall(spoken)
+        if flag.replace("-", "_") not in KEYWORDS and not has_python
+    ]
+    assert lacking == []
+
+
+def test_remedies_put_together_beforehand_name_no_flag_but_where_the_error_has_words_for_python():
+    found = {
+        (path.relative_to(SOURCES).as_posix(), flag)
+        for path in sorted(SOURCES.rglob("*.py"))
+        if path.relative_to(SOURCES).parts[0] not in ("cli", "atlas", "protocol_rig.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Assign)
+        for part in ast.walk(node.value)
+        if isinstance(part, ast.Constant) and isinstance(part.value, str)
+        for flag in FLAG.findall(part.value)
+        if flag.replace("-", "_") not in KEYWORDS
+    }
+    spoken = {(where.split(":")[0], has_python) for where, _, has_python in raised_errors()}
+    assert all((path, True) in spoken for path, _ in found)
+    assert {flag for _, flag in found} == {"set", "save-scene"}
+
+
+def said(call):
+    with pytest.raises(InputError) as refused:
+        call()
+    line = str(refused.value)
+    assert not FLAG.search(line), line
+    assert "\n" not in line
+    return line
+
+
+MISTAKES = [
+    (lambda: rig_sim.cycle("rigg"), "did you mean 'rig'?"),
+    (lambda: rig_sim.cycle("none.toml"), "none.toml: no such file"),
+    (lambda: rig_sim.scene("rig", **{"friction.gama": 9}), "unknown key 'friction.gama'; did you mean 'gamma'?"),
+    (lambda: rig_sim.scene("rig", friction=9), "write rig_sim.scene('rig', **{'friction.KEY': VALUE})"),
+    (lambda: rig_sim.events("base", until=-1), "until: is -1; give a positive number"),
+    (lambda: rig_sim.events("base", until="soon"), "until: 'soon'"),
+    (lambda: rig_sim.events("base", until=None), "until: is None; give a number"),
+    (lambda: rig_sim.events("base", until=10, max_steps=2.5), "max_steps: is 2.5, not a whole number"),
+    (lambda: rig_sim.run("base", until=10, rate=0), "rate: is 0; give a positive number"),
+    (lambda: rig_sim.run("base", until=10, rate=10, method="exat"), "method: unknown method 'exat'; take one of exact"),
+    (
+        lambda: rig_sim.run("base", until=10, rate=10, step=0.1),
+        "step: exact has no step; drop it, or take method='rk4-henon'",
+    ),
+    (lambda: rig_sim.run("base", until=10, rate=10, output="a.pdf"), "give a name in .h5 or .csv (output)"),
+    (lambda: rig_sim.floquet("damped", orbit="unstabel"), "orbit: unknown orbit 'unstabel'; did you mean 'unstable'?"),
+    (
+        lambda: rig_sim.continue_("damped", over="c=1:2"),
+        "write over='damper.c=0.3:0.6:31', or over=('damper.c', values)",
+    ),
+    (lambda: rig_sim.continue_("damped", over=("damper.c", [1.0])), "over: 1 values; give 2 to"),
+    (lambda: rig_sim.continue_("damped", over="damper.c=0.3:0.6", draws=5), "fitting.rank(run).save_scene(path)"),
+    (lambda: rig_sim.map("base", d=0.1), "write rig_sim.scene('base', coupling={'a': 1.2, 'b': 1.3})"),
+    (lambda: rig_sim.map("two-mass", d="much"), "d: 'much' holds something that is no number"),
+    (lambda: rig_sim.basins("two-mass", cells=1), "cells: is 1; give 2 to"),
+    (lambda: rig_sim.basins(rig_sim.FormulaMap([1.0, 1.0])), "write super().__init__(..., interval=(lo, hi))"),
+    (lambda: rig_sim.lyapunov("two-mass", events=3), "events: is 3; give 20 to"),
+    (lambda: rig_sim.lyapunov("base"), "write rig_sim.scene('base', **{'drive.u0': 0.2, 'drive.omega': 1.6})"),
+    (
+        lambda: rig_sim.sweep("forced", over="drive.omega=1:2", section="map"),
+        "section: is map, which is for two masses",
+    ),
+    (lambda: rig_sim.sweep("two-mass", over="belt.speed=0.1:0.2:3", jobs=0), "jobs: is 0; give 1 or more"),
+    (lambda: rig_sim.cycle("two-mass"), "use rig_sim.events, run, fixed_point"),
+    (
+        lambda: rig_sim.quench(rig_sim.scene("forced", **{"drive.omega": 0})),
+        "write rig_sim.scene('forced', **{'drive.omega': 1.6})",
+    ),
+    (lambda: rig_sim.lock("forced", period=0, budget=0.1), "period: is 0; give 1 to 100 landings"),
+    (lambda: rig_sim.lock("forced", period=1, budget="little"), "budget: is 'little'; give a number"),
+    (lambda: rig_sim.shaker(m=-1, k=1, c=0, gamma=0, a=0, phi=0), "m: is -1; give a number above 0"),
+    (lambda: rig_sim.shaker(m=1, k=1, c=0, gamma=0, a=0, phi=0, band=3), "give (low, high) in rad/s"),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), MISTAKES, ids=range(len(MISTAKES)))
+def test_a_mistake_is_answered_with_the_call_to_make(call, words):
+    """The functions used to raise the errors of the commands: "write --set friction.KEY=VALUE"."""
+    assert words in said(call)
