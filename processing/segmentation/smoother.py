@@ -25,6 +25,7 @@ import numpy as np
 from daq.base.compute.arrays import HOLE, Array, Mask, runs
 from daq.base.compute.compile import compiled
 from processing.kalman import white_jerk
+from processing.kalman.corner_kernel import BETWEEN
 from processing.kalman.stick_slip import (
     KICK,
     LAND,
@@ -155,7 +156,7 @@ def learn(
     _straighten(series, stick, times.unit, levels, motion, 1.0)
     sticks = sticks_at_corners(series, _corners(series, times))
     speed = speed_of_sticks(series, sticks, motion[1], pilot.window)
-    lined = _shifted(times, -1.0)  # the lines are those of `_averaged`
+    lined = _shifted(series, times, -1.0)  # the lines are those of `_averaged`
     for stretch in stretches(series, lined):
         stick[stretch.own] = label_stretch(series, lined, stretch) == STICK
     line = _line_factor(_straighten(series, stick, times.unit, levels, motion, 1.0))
@@ -252,9 +253,9 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model
     H = 1/(1 + w^8), the two variances are the integrals of w^(2d) H^2 and of w^(2d) H, and their ratio is
     1 - (2 d + 1)/8 in the d-th derivative.
     """
-    early, stick = _run(series, workspace, _shifted(times, -1.0), model.levels)
+    early, stick = _run(series, workspace, _shifted(series, times, -1.0), model.levels)
     _straighten(series, stick, times.unit, model.levels, early, model.line)
-    late, stick_late = _run(series, workspace, _shifted(times, 1.0), model.levels)
+    late, stick_late = _run(series, workspace, _shifted(series, times, 1.0), model.levels)
     line = stick & stick_late
     for derivative in range(3):  # one at a time, so that what is computed on the way stays in the processor's cache
         share = 1 - (2 * derivative + 1) / 8
@@ -284,9 +285,13 @@ def _corners(series: Series, times: SwitchingTimes) -> list[Corner]:
     return sorted(found, key=lambda corner: corner.time)
 
 
-def _shifted(times: SwitchingTimes, shift: float) -> SwitchingTimes:
-    """Return the switching times moved by ``shift`` standard deviations, in order still."""
-    return replace(times, at=np.maximum.accumulate(times.at + shift * times.sd))
+def _shifted(series: Series, times: SwitchingTimes, shift: float) -> SwitchingTimes:
+    """Return the switching times moved by ``shift`` standard deviations, in order still, each within its piece."""
+    at, aside = times.at + shift * times.sd, BETWEEN * series.interval
+    for stretch in stretches(series, times):
+        own = series.time[stretch.own]
+        at[stretch.corners] = np.clip(at[stretch.corners], own[0] + aside, own[-1] - aside)
+    return replace(times, at=np.maximum.accumulate(at))
 
 
 def _run(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> tuple[Array, Mask]:
