@@ -31,6 +31,9 @@ from processing.segmentation.switching_times import KERNELS, SwitchingTimes, sta
 # Empirical: widens the standard deviation of a landing's likelihood, whose noise levels were fitted with it in place,
 # so that about 95 % of the true velocities near landings lie within two errors (benchmarks/velocity_seeds.py).
 SHARP = 1.7
+# Samples on either side of where a corner is looked for, that its likelihood is told by: with 2, corners of slips of 25
+# samples stay where plateaus showed them; 8 reach past the neighbours of those of 10.
+LEAST = 4
 
 
 def refine_switching_times(
@@ -73,6 +76,7 @@ def refine_switching_times(
                 if state == RIDE:
                     edges, parts, corner = np.concatenate(([-far[0]], edges)), [RIDE, LEAVING, *onset], 1
             half = max(width * half, series.interval)
+            back, on = (max(own, LEAST * series.interval) for own in (back, on))
             at, own = now[pick], bounds[pick]
             reach = np.stack((np.maximum(at - half - back, own[:, 0]), np.minimum(at + half + on, own[:, 1])), axis=1)
             found = np.empty((pick.size, 2))
