@@ -11,7 +11,19 @@ import numpy as np
 
 from daq.base.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
-from processing.kalman.stick_slip import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK, NoiseLevels
+from processing.kalman.stick_slip import (
+    KICK,
+    LABELS,
+    LAND,
+    LEAVE,
+    MEET,
+    RIDE,
+    SLIP,
+    START,
+    STICK,
+    STOP,
+    NoiseLevels,
+)
 from processing.record.series import Series
 from processing.segmentation.noise_levels import (
     Workspace,
@@ -105,10 +117,10 @@ def learn_gate(
         riding = replace(
             levels, mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
         )
-        other = _as_rides(corners.first)
+        other = _as_rides(corners)
         for width in WIDTHS:
             riding = reestimate_noise(series, workspace, other, riding, 2)
-            other = refine_switching_times(series, workspace, other, riding, width)
+            other = _refined_rides(series, workspace, other, riding, width)
         riding = reestimate_noise(series, workspace, other, riding, 2)
         gate = replace(gate, uneven=riding)
         judged = judged.with_rides(series, workspace, other, riding)
@@ -160,9 +172,9 @@ def accept_sticks(
         return times
     judged = _Judged.of(series, workspace, times, even, gate, needed)
     if gate.uneven is not None:
-        other = _as_rides(corners.first)
+        other = _as_rides(corners)
         for width in WIDTHS:
-            other = refine_switching_times(series, workspace, other, gate.uneven, width)
+            other = _refined_rides(series, workspace, other, gate.uneven, width)
         judged = judged.with_rides(series, workspace, other, gate.uneven)
     dropped = judged.dropped(lenient=gate.lenient)
     misfit = dropped & judged.long
@@ -246,11 +258,29 @@ class _Judged:
         return np.asarray(self.gained < 0) if lenient else self.in_doubt
 
 
-def _as_rides(first: SwitchingTimes) -> SwitchingTimes:
-    """Return the corners as those of sticks on an uneven belt."""
+def _as_rides(corners: PlacedCorners) -> SwitchingTimes:
+    """Return the corners as those of sticks on an uneven belt: the sticks' before the first refinement."""
+    first = corners.first
     kinds = np.where(first.kind == LAND, MEET, first.kind).astype(np.uint8)
     firsts = tuple(RIDE if label == STICK else label for label in first.first)
-    return replace(first, kind=kinds, first=firsts)
+    return _with_rest_of(corners.times, replace(first, kind=kinds, first=firsts))
+
+
+def _refined_rides(
+    series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, width: float
+) -> SwitchingTimes:
+    """Return the corners of sticks on an uneven belt where they are most likely; those of rest stay where they are.
+
+    What an uneven belt does to a stick would move the start of the belt, too.
+    """
+    return _with_rest_of(times, refine_switching_times(series, workspace, times, levels, width))
+
+
+def _with_rest_of(known: SwitchingTimes, times: SwitchingTimes) -> SwitchingTimes:
+    """Return the times with the ends of rest, and kicks, of the same corners ``known``."""
+    own = np.isin(times.kind, (START, STOP, KICK))
+    at, sd = np.where(own, known.at, times.at), np.where(own, known.sd, times.sd)
+    return replace(times, at=np.maximum.accumulate(at), sd=sd)
 
 
 def _with_times_of(times: SwitchingTimes, other: SwitchingTimes, sticks: list[list[int]]) -> SwitchingTimes:
