@@ -244,10 +244,12 @@ def apply(
                 for kick in checked.kicks
                 if own.start <= kick.sample < own.stop
             ),
-            # A board's sample numbers show where samples are missing.
+            # A board's sample numbers show where samples are missing.  Steps may be frames lost where the mass is fast.
             step_sums=np.zeros(frames.SUMS)
             if numbered
-            else frames.step_sums(sound, own, model.faults.noise, model.faults.step),
+            else frames.step_sums(
+                replace(sound, position=sound.position + checked.offset), own, model.faults.noise, model.faults.step
+            ),
             means=[(float(recorded[k].mean()), float(columns["position"][k].mean())) for k in parts],
             samples=own.stop - own.start,
             window=motion.window,
