@@ -37,12 +37,13 @@ def one_name_each(app: Any, what: str, name: str, obj: object, options: object, 
     lines[:] = text.split("\n")
 
 
-def write_command_pages(app: Any) -> None:
-    """Write the pages of the commands, in a process of its own: their usage names the program that runs."""
-    subprocess.run([sys.executable, Path(__file__).with_name("command_pages.py")], check=True)
+def write_pages(app: Any) -> None:
+    """Write the pages made from the source, each in a process of its own: usage lines name the program that runs."""
+    for script in ("command_pages.py", "constants_page.py"):
+        subprocess.run([sys.executable, Path(__file__).with_name(script)], check=True)
 
 
 def setup(app: Any) -> None:
-    """Write the pages of the commands before Sphinx reads the sources, and prepare docstrings before napoleon."""
-    app.connect("builder-inited", write_command_pages)
+    """Write the pages made from the source before Sphinx reads the sources, and prepare docstrings before napoleon."""
+    app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", one_name_each, priority=400)

@@ -173,7 +173,9 @@ def sweep(
         find, name, ordinate = OwnAttractors(scene), type(scene(span.start)).__name__, "first coordinate of the state"
         content: dict[str, Any] = {"name": name}
         if jobs > 1 or scheduler is not None:
-            _check_sendable(find)
+            from daq.base.compute.cluster import check_sendable
+
+            check_sendable(find)
     else:
         find, name, ordinate, content = _of_scene(scene, span, section)
     if resume is None:
@@ -206,17 +208,6 @@ def _of_scene(given: SceneLike, span: ParameterRange, section: str) -> tuple[Fin
     find: Find = TwoMassAttractors(swept, section) if coupled else DrivenAttractors(swept, section)
     content = first.model_dump(exclude={"name", "title"}, exclude_unset=True)
     return find, first.name, ORDINATES[section, not coupled], content
-
-
-def _check_sendable(find: Find) -> None:
-    """Refuse a system that no other process can be handed: a function within a function, or a lambda."""
-    import pickle
-
-    try:
-        pickle.dumps(find)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        python = "define the function in a module, outside any other function, or leave out jobs and scheduler"
-        raise InputError(f"cannot be handed to another process ({error})", "--jobs", python, python=python) from None
 
 
 def _swept(

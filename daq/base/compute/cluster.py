@@ -141,6 +141,15 @@ def _check_workers(client: Any, address: str, function: Callable[[Any], Any]) ->
         raise InputError(f"the workers cannot load the work: {lacks}", where, do)
 
 
+def check_sendable(work: Callable[..., Any]) -> None:
+    """Refuse work that no other process can be handed: a function within a function, or a lambda."""
+    try:
+        pickle.dumps(work)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        do = "define the function in a module, outside any other function, or leave out jobs and scheduler"
+        raise InputError(f"cannot be handed to another process ({error})", "--jobs", do, python=do) from None
+
+
 def _version() -> str:
     return VERSION
 
