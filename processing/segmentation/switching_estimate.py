@@ -31,9 +31,9 @@ from processing.segmentation.switching_times import KERNELS, SwitchingTimes, sta
 # Empirical: widens the standard deviation of a landing's likelihood, whose noise levels were fitted with it in place,
 # so that about 95 % of the true velocities near landings lie within two errors (benchmarks/velocity_seeds.py).
 SHARP = 1.7
-# Samples on either side of where a corner is looked for, that its likelihood is told by: with 2, corners of slips of 25
-# samples stay where plateaus showed them; 8 reach past the neighbours of those of 10.
-LEAST = 4
+# Samples on either side of where a corner is looked for: with 3, some corners of slips of 10 to 17 samples stay where
+# plateaus showed them; with 8 the velocity is as accurate.
+LEAST = 6
 
 
 def refine_switching_times(
