@@ -1,15 +1,17 @@
-"""Which friction law was it: ``fitting.rank(kinematics, rig=...)`` fits six laws and ranks them."""
+"""Which friction law was it: ``fitting.rank(run)`` fits six laws, and laws of one's own, and ranks them."""
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fitting.entry import rank as rank
     from fitting.law import Law as Law
-    from fitting.selection.ranking import Ranking as Ranking
-    from fitting.selection.ranking import rank as rank
+    from fitting.ranked import Ranking as Ranking
 
     __version__: str
 
 __all__ = ["Law", "Ranking", "__version__", "rank"]
+
+_HOME = {"Law": "fitting.law", "Ranking": "fitting.ranked", "rank": "fitting.entry"}
 
 
 def __getattr__(name: str) -> Any:
@@ -18,12 +20,8 @@ def __getattr__(name: str) -> Any:
         from daq.base.version import VERSION
 
         return VERSION
-    if name == "Law":
-        from fitting.law import Law
+    if name in _HOME:
+        from importlib import import_module
 
-        return Law
-    if name in __all__:
-        from fitting.selection import ranking
-
-        return getattr(ranking, name)
+        return getattr(import_module(_HOME[name]), name)
     raise AttributeError(f"module 'fitting' has no attribute {name!r}")

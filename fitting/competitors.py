@@ -26,7 +26,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from daq.base.errors import InputError, check_known, nearest
-from fitting.law import Bound, Law, read_law
+from fitting.law import Bound, Law, check_values, read_law
 from rig_sim.friction.law import LAWS
 
 ALL_LAWS = (1, 2, 3, 4, 5, 6)
@@ -121,7 +121,8 @@ class Competitors:
             own_numbers, own_formulas = ([], [one]) if isinstance(one, Law) else _read(str(one), "--laws")
             numbers += own_numbers
             formulas += [law for law in own_formulas if law not in formulas]
-        return cls(tuple(dict.fromkeys(numbers)), tuple(formulas), fix or {}, bounds or {}, start or {})
+        given = [check_values(own, kind) for own, kind in ((fix, "fix"), (bounds, "bounds"), (start, "start"))]
+        return cls(tuple(dict.fromkeys(numbers)), tuple(formulas), *given)
 
     @classmethod
     def typed(

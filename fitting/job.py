@@ -133,8 +133,8 @@ def exit_code(document: Mapping[str, Any]) -> int:
     return EXIT_DONE if len(document["set"]) + len(rivals) == 1 else EXIT_UNDECIDED
 
 
-def load_run(path: Path, options: FitOptions) -> LoadedRun:
-    """Read a run.
+def load_run(path: Path, options: FitOptions, rig: Rig | None = None) -> LoadedRun:
+    """Read a run, with another calibration than its own where one is given.
 
     Raises
     ------
@@ -147,7 +147,8 @@ def load_run(path: Path, options: FitOptions) -> LoadedRun:
     kinematics = stage.load(path) if own == EVERY else None  # of a part, the smoothing is its own
     recording = runfile.load(path, own) if kinematics is None else kinematics.recording
     time = runfile.times(path)
-    return LoadedRun(recording, kinematics, _rig(recording.rig, options), beside, (float(time[0]), float(time[-1])))
+    known = calibrated(recording.rig if rig is None else rig, options)
+    return LoadedRun(recording, kinematics, known, beside, (float(time[0]), float(time[-1])))
 
 
 def fit_runs(
@@ -220,7 +221,7 @@ def _fitted_laws(competitors: Competitors) -> list[str]:
     return said
 
 
-def _rig(rig: Rig, options: FitOptions) -> Rig:
+def calibrated(rig: Rig, options: FitOptions) -> Rig:
     """Return a run's calibration with the values of the options in place of its own."""
     for name in ("mass", "stiffness"):
         found = getattr(options, name)

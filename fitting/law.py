@@ -19,6 +19,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
+from typing import Any
 
 from daq.base.errors import InputError, nearest
 from rig_sim.friction.formula import SPEED, Formula
@@ -26,6 +28,22 @@ from rig_sim.friction.formula import SPEED, Formula
 NAME = re.compile(r"[A-Za-z][\w-]*")
 DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
 Bound = tuple[float | None, float | None]
+
+
+def check_values(given: Any, kind: str) -> Mapping[str, Any]:
+    """Return what a caller gives of parameters; InputError, which names the keyword, for what is no such mapping."""
+    example = "{'gamma': (0, 20)}, with None for no bound" if kind == "bounds" else "{'gamma': 9.6}"
+    do = f"give a dictionary, as in {kind}={example}"
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+        raise InputError(f"is {given!r:.40}", kind, do)
+    for name, value in given.items():
+        pair = kind == "bounds" and isinstance(value, tuple | list) and len(value) == 2
+        parts = [part for part in value if part is not None] if pair else [value]
+        if pair != (kind == "bounds") or not all(isinstance(one, Real) and not math.isnan(one) for one in parts):
+            raise InputError(f"of {name} is {value!r:.40}", kind, do)
+    return given
 
 
 @dataclass(frozen=True)
@@ -52,6 +70,13 @@ class Law:
     InputError
         For a name or a formula that cannot be read, the place marked by a caret; for values that are not finite, not
         within their bounds, or of no parameter.
+
+    Examples
+    --------
+    >>> import fitting
+    >>> law = fitting.Law("mine", "Fc + (Fs - Fc)*exp(-(s/v_s)**2)", bounds={"v_s": (0, None)}, fix={"Fc": 1.5})
+    >>> law.free, law.unit("v_s")
+    (('Fs', 'v_s'), 'm/s')
     """
 
     name: str
@@ -63,13 +88,16 @@ class Law:
 
     def __post_init__(self) -> None:
         """Read the formula, and refuse values that cannot be."""
+        if not (isinstance(self.name, str) and isinstance(self.formula, str)):
+            what = f"name and formula are {self.name!r:.40} and {self.formula!r:.40}"
+            raise InputError(what, "law", 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")')
         if not NAME.fullmatch(self.name):
             raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
         known = self.curve.parameters
         if not known:
             raise InputError(f"law {self.name} has no parameter", "formula", "name at least the friction level")
         for kind in ("start", "bounds", "fix"):
-            for name in getattr(self, kind) or {}:
+            for name in check_values(getattr(self, kind), kind):
                 if name not in known:
                     what = f"{name} is no parameter of law {self.name}"
                     raise InputError(what, kind, nearest(name, list(known)))

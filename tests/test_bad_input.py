@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import io
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -248,3 +249,62 @@ def test_counters_that_may_have_rolled_over_are_warned_about(folder):
     changes = ["--set", "encoder.vibration=1e-3", "--set", "encoder.vibration_hz=1e6"]
     done = run("daq", "record", "--duration", "0.05", "-o", "fast.h5", "--json", *changes, cwd=folder)
     assert any("rolled over" in warning for warning in json.loads(done.stdout)["warnings"])
+
+
+MISTAKES = [
+    ("process smoth run.h5", ["smoth", "Did you mean", "smooth"]),
+    ("process smooth", ["FILE", "process smooth --help"]),
+    ("process smooth folder", ["folder", "give the run file in it"]),
+    ("process smooth table.csv", ["table.csv", "daq import"]),
+    ("process smooth run.h5 --method kalman", ["--method", "kalman", "segment"]),
+    ("process smooth run.h5 --window 0.02", ["--window", "0.02", "20ms"]),
+    ("process smooth run.h5 --method rts --window 21", ["--method rts", "no window", "--method sg"]),
+    ("process smooth run.h5 --belt-speed fast", ["--belt-speed", "fast", "22 cm/s"]),
+    ("process smooth run.h5 --from 5 --to 2", ["from 5 to 2 s", "the run lasts", "--from and --to"]),
+    ("process smooth run.h5 --times even", ["--times", "even", "nominal"]),
+    ("process export run.h5", ["nothing to write", "--csv FILE"]),
+    ("process export run.h5 --csv out.xlsx", ["out.xlsx", "spreadsheet", "out.csv"]),
+    ("process inspect run.h5 --plot out.bmp", ["out.bmp", ".png"]),
+    ("process inspect run.h5 more.h5", ["nothing takes 'more.h5'", "process inspect --help"]),
+    ("fit-friction", ["FILE", "fit-friction --help"]),
+    ("fit-friction table.csv", ["table.csv", "daq import"]),
+    ("fit-friction run.h5 --laws 7", ["--laws", "unknown law 7", "1 to 6"]),
+    ("fit-friction run.h5 --law stribek", ["--law", "stribek", "did you mean 'stribeck'"]),
+    ("fit-friction run.h5 --mass '0.3 N'", ["--mass", "'N' is not a unit of mass", "kg"]),
+    ("fit-friction run.h5 --mass -1kg", ["--mass", "-1", "positive"]),
+    ("fit-friction run.h5 --mass 1kg --stiffness 2N/m", ["--mass and --stiffness together", "give one"]),
+    ("fit-friction run.h5 --x0 '5 kg'", ["--x0", "'kg' is not a unit of length"]),
+    ("fit-friction run.h5 --datum 1mm --x0 1mm", ["--x0 and --datum together", "give --x0 alone"]),
+    ("fit-friction run.h5 --alpha 5", ["--alpha", "5", "such as 0.05"]),
+    ("fit-friction run.h5 --fix gamma", ["--fix", "NAME=VALUE", "gamma=9.6"]),
+    ("fit-friction run.h5 --bound gamma=5:1", ["--bound", "gamma", "lower one first"]),
+    ("fit-friction run.h5 run.h5", ["named twice", "once"]),
+    ("fit-friction run.h5 --report out.pdf", ["out.pdf", "PDF", "out.html"]),
+    ("fit-friction run.h5 --report none/out.html", ["none/out.html", "folder does not exist"]),
+    ("fit-friction run.h5 --jobs 0", ["--jobs", "0", "1 or more"]),
+    ("rig-sim cycles base", ["cycles", "Did you mean", "cycle"]),
+    ("rig-sim cycle none.toml", ["none.toml", "no such file", "base"]),
+    ("rig-sim cycle run.h5", ["run.h5", "no text file", "--save-scene"]),
+    ("rig-sim cycle base --set friction.law", ["--set", "friction.law", "section.key=value"]),
+    ("rig-sim cycle base --set friction.law=9", ["friction.law is 9", "1, 2, 3"]),
+    ("rig-sim events base", ["--until", "rig-sim events --help"]),
+    ("rig-sim events base --until -5", ["--until", "-5", "positive"]),
+    ("rig-sim run base --until 10 --rate 100 -o out.xyz", ["out.xyz", ".h5 or .csv"]),
+    ("rig-sim run base --until 10 --rate 100 --method euler -o out.csv", ["euler", "exact"]),
+    ("rig-sim sweep forced --over drive.omega", ["--over", "START:STOP:N"]),
+    ("rig-sim sweep forced --over drive.omga=1:2:3", ["drive.omga", "did you mean 'omega'"]),
+    ("rig-sim continue base --over belt.speed=0.2:0.2", ["--over", "two different"]),
+    ("rig-sim map base --d 1", ["has one mass", "two-mass"]),
+    ("rig-sim lyapunov base --events 100", ["has no drive", "drive.u0"]),
+    ("rig-sim lock forced --period 2 --budget 10", ["--budget", "10", "from 0 to 1"]),
+    ("rig-sim atlas nofigure -o out", ["nofigure", "known"]),
+]
+
+
+@pytest.mark.parametrize(("line", "names"), MISTAKES, ids=[line for line, _ in MISTAKES])
+def test_a_mistake_at_the_terminal_is_one_line_that_says_what_to_do(folder, line, names):
+    (folder / "folder").mkdir(exist_ok=True)
+    (folder / "table.csv").write_text("t,x\n0,1\n1,2\n")
+    before = sorted(folder.iterdir()), (folder / "run.h5").read_bytes()
+    assert_refused(folder, 2, names, *shlex.split(line))
+    assert before == (sorted(folder.iterdir()), (folder / "run.h5").read_bytes())

@@ -1,4 +1,4 @@
-"""docs/notebooks: stored with their outputs, they run from a file of data_samples to a verdict, and to bifurcations."""
+"""docs/notebooks: stored with their outputs, they run from arrays to a verdict, and to bifurcations."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ import nbformat
 import pytest
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "notebooks"
-PICTURES = {"example.ipynb": 3, "bifurcations.ipynb": 5}
+PICTURES = {"example.ipynb": 4, "bifurcations.ipynb": 5}
 NOTEBOOKS = pytest.mark.parametrize("path", [FOLDER / name for name in PICTURES], ids=lambda path: path.stem)
 NOTEBOOK = FOLDER / "example.ipynb"
 LONGEST = 600  # characters of a value's short text
@@ -89,10 +89,12 @@ def test_bifurcations_of_a_fitted_contact_are_where_the_notebook_says():
 
 
 @pytest.mark.slow
-def test_the_notebook_runs_from_a_file_to_its_verdict():
+def test_the_notebook_runs_from_arrays_to_its_verdict():
     outputs = outputs_of_a_run(NOTEBOOK)
     shown = [output.data for output in outputs if output.output_type == "execute_result"]
-    assert sum("image/png" in data for data in shown) == 3  # plot() of the run, the motion and the ranking
+    assert (
+        sum("image/png" in data for data in shown) == 4
+    )  # of the run, the motion, the ranking, and the fit over the run
     assert sum("text/html" in data for data in shown) >= 5  # the three values and two tables
     values = [data["text/plain"] for data in shown if data["text/plain"].startswith("<") and "text/html" in data]
     assert len(values) == 3

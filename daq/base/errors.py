@@ -33,6 +33,16 @@ EXIT_UNDECIDED = 5
 EXIT_NO_LAW = 6
 EXIT_INTERRUPTED = 130
 
+# Flags whose keyword has another name.
+KEYWORDS = {
+    "bound": "bounds",
+    "law": "laws",
+    "exclude-cycles": "excluded",
+    "from": "begin",
+    "to": "end",
+    "report": "path",
+    "save-scene": "path",
+}
 _FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9]*(?:-[a-z0-9]+)*)(?:[= ]('[^']*')|=([^\s,;:()]*[^\s,;:().]))?")
 
 
@@ -116,7 +126,7 @@ def in_python(text: str) -> str:
 
 
 def _keyword(flag: "re.Match[str]") -> str:
-    name, quoted, value = flag[1].replace("-", "_"), flag[2], flag[3]
+    name, quoted, value = KEYWORDS.get(flag[1], flag[1].replace("-", "_")), flag[2], flag[3]
     if quoted is not None:
         return f"{name}={quoted}"
     if value is None:

@@ -222,6 +222,11 @@ class Recording(RunData):
         return storable(self.source.name) or "a run in memory"
 
     @property
+    def where(self) -> str:
+        """Its file for an error: the path, or the `name` of a run in memory."""
+        return str(self.source) if self.source.name else self.name
+
+    @property
     def when(self) -> str:
         """Time of the first sample, ISO 8601; "file of ..." where it is that at which an imported file was changed."""
         return ("file of " if self.provenance.get("start_time_from") == OF_FILE else "") + self.started

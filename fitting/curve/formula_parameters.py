@@ -12,7 +12,7 @@ from fitting.curve.formula_fit import FormulaFit
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation import derived
 from fitting.estimation.covariance import upper_bound
-from fitting.estimation.derived import Known
+from fitting.estimation.derived import IndependentParameters, Known
 from fitting.estimation.result import Correlations, Parameter
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
@@ -48,16 +48,7 @@ def formula_parameters(
 
 def formula_correlations(fit: FormulaFit, motion: MeasuredMotion) -> Correlations:
     """Return how the errors of the parameters go together: those of rig and contact, and the formula's."""
-    known, index = _known(fit, motion, 0), _slots(fit, 0)
-    hidden = derived.hidden(known)
-    shown: list[tuple[str, int, float]] = []  # name, unknown, sign
-    for row, _ in derived.given_rows("", motion, known):
-        slot = SLOTS.get(row.name)
-        if slot is not None and slot in known.active and row.name not in hidden:
-            shown.append((row.name, index[known.active.index(slot)], derived.sign_of(row, motion)))
-    unknown = {name for one in fit.together for name in one.names}
-    first = len(fit.places)
-    shown += [(name, first + k, 1.0) for k, name in enumerate(fit.curve.law.free) if name not in unknown]
+    shown = _each_once(fit, motion)
     columns = [place for _, place, _ in shown]
     spread = upper_bound(*(own[np.ix_(columns, columns)] for own in fit.spreads))
     error, sign = np.sqrt(np.maximum(np.diag(spread), 0.0)), np.array([one for _, _, one in shown])
@@ -65,6 +56,39 @@ def formula_correlations(fit: FormulaFit, motion: MeasuredMotion) -> Correlation
     matrix = spread[np.ix_(seen, seen)] / np.outer(error[seen], error[seen]) * np.outer(sign[seen], sign[seen])
     names = tuple(name for (name, _, _), own in zip(shown, seen, strict=True) if own)
     return Correlations(names, np.clip(matrix, -1.0, 1.0))
+
+
+def independent_formula_parameters(fit: FormulaFit, motion: MeasuredMotion) -> IndependentParameters:
+    """Return the parameters that `formula_correlations` compares, at any unknowns of the fit."""
+    shown, first, free = _each_once(fit, motion), len(fit.places), fit.curve.law.free
+    of_rig = {row.name: row.length for row in derived.TABLE if row.name in SLOTS}
+    lengths = [
+        of_rig[name] if place < first else sum(fit.asked_for.dimensions.get(free[place - first], (0, 0)))
+        for name, place, _ in shown
+    ]
+
+    def at(q: Array, unseen: float) -> Array:  # a formula's unknowns are all in the fit
+        own = fit.curve.values(fit.at.task.split(q)[1])
+        return np.array([sign * q[place] if place < first else own[free[place - first]] for _, place, sign in shown])
+
+    return IndependentParameters(tuple(name for name, _, _ in shown), np.array(lengths), at)
+
+
+def _each_once(fit: FormulaFit, motion: MeasuredMotion) -> list[tuple[str, int, float]]:
+    """Return the parameters of rig and contact, and the formula's: name, unknown, and sign in the record's frame."""
+    known, index = _known(fit, motion, 0), _slots(fit, 0)
+    hidden = derived.hidden(known)
+    shown: list[tuple[str, int, float]] = []
+    for row, _ in derived.given_rows("", motion, known):
+        slot = SLOTS.get(row.name)
+        if slot is not None and slot in known.active and row.name not in hidden:
+            shown.append((row.name, index[known.active.index(slot)], derived.sign_of(row, motion)))
+    unknown = {name for one in fit.together for name in one.names}
+    for place, name in enumerate(fit.curve.law.free, start=len(fit.places)):
+        if name not in unknown:
+            force = fit.asked_for.dimensions.get(name, (0, 0))[0]
+            shown.append((f"{name}/m" if force else name, place, 1.0))
+    return shown
 
 
 def formula_level_error(fit: FormulaFit, run: int = 0) -> float:

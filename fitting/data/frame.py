@@ -142,12 +142,13 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         When nothing in the record moves.
     """
     recording = kinematics.recording
-    source = str(recording.source)
+    source = recording.where
     if recording.unit != "m":
         raise InputError(
             "positions are in counts: this rig has no metres per count",
             source,
             f"add metres_per_count to a rig.toml, then: daq replay {recording.source.name} --rig rig.toml -o NEW.h5",
+            python="give metres_per_count: daq.Recording.from_arrays(time, counts, metres_per_count='7.67 um')",
         )
     given = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else belt_speed
     if isinstance(given, Measured) and given.value == 0:
@@ -265,7 +266,7 @@ def _channel(kinematics: Kinematics, belt_speed: Measured | str | None) -> BeltL
     if belt_speed == "channel" and kinematics.belt_velocity is None:
         raise InputError(
             "the run has no belt counts",
-            f"{kinematics.recording.source}, --belt-speed",
+            f"{kinematics.recording.where}, --belt-speed",
             "record with an encoder on the belt ([belt] channel = true on the simulated rig), or give a speed in m/s",
         )
     if belt_speed is not None and belt_speed != "channel":

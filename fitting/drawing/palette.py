@@ -1,10 +1,13 @@
 """Colours, dashes and widths of the pictures."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 
 COLOURS = {1: "#56B4E9", 2: "#0072B2", 3: "#E69F00", 4: "#D55E00", 5: "#009E73", 6: "#CC79A7"}
 # Of laws given as formulas, in the order of the ranking; from the sixth on they repeat.
 FORMULAS = ("#A03070", "#6B4226", "#5B6BBF", "#808000", "#1F7A7A")
+# Of the six laws, so that they are told apart without colours; and of formulas, as above.
+DASHES = {1: "1.5 3", 2: "3 2", 3: "8 3", 4: "8 3 2 3", 5: "", 6: "14 3 3 3"}
+FORMULA_DASHES = ("5 2 1 2 1 2", "10 2 2 2 2 2", "4 4", "1 2", "16 4")
 MEASURED = "#9a9a9a"
 INK = "#222222"
 DASH = "5 3"
@@ -20,12 +23,21 @@ def run_colour(number: int) -> str:
 
 def law_colours(laws: Iterable[int | str]) -> dict[int | str, str]:
     """Return the colour of each law: those of the six by their numbers, those of formulas in their order."""
+    return _by_law(laws, COLOURS, FORMULAS)
+
+
+def law_dashes(laws: Iterable[int | str]) -> dict[int | str, str]:
+    """Return the dashes of each law's line, as `law_colours` the colours."""
+    return _by_law(laws, DASHES, FORMULA_DASHES)
+
+
+def _by_law(laws: Iterable[int | str], six: Mapping[int, str], formulas: Sequence[str]) -> dict[int | str, str]:
     found: dict[int | str, str] = {}
     names = 0
     for law in laws:
         if isinstance(law, int):
-            found[law] = COLOURS[law]
+            found[law] = six[law]
         else:
-            found[law] = FORMULAS[names % len(FORMULAS)]
+            found[law] = formulas[names % len(formulas)]
             names += 1
     return found

@@ -2,12 +2,13 @@
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 
-from daq.base.output.plot import STYLE, PngFigure, figure
+from daq.base.output.plot import STYLE, figure
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.drawing import curves
@@ -25,7 +26,9 @@ MOST_POINTS = 12_000
 Shown = Sequence[tuple[FittedLaw, str]]  # laws, best first, each with what it is called
 
 
-def friction(laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, title: str) -> PngFigure:
+def friction(
+    laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, title: str, axes: "Axes | None" = None
+) -> Figure:
     """Return friction against relative speed (m/s), all speeds and the low ones.
 
     Parameters
@@ -38,31 +41,42 @@ def friction(laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None
         The curve without a law, with its band, in the unit of `curves.unit`.  None: the force balance of the first
         law at each sample is drawn as points.
     title : str
+    axes : Axes, optional
+        Where to draw all speeds; by default in a new figure.
     """
+    top = float(measured.speed[-1]) if measured is not None else float(np.abs(curves.speeds(motion)).max())
     with mpl.rc_context(fname=STYLE):
+        if axes is not None:
+            _draw(axes, laws, motion, measured, top)
+            axes.set_ylabel(f"friction ({curves.unit(motion)})")
+            axes.legend()
+            return axes.figure.figure
         drawn = figure(11.5, 4.6)
         whole, low = drawn.subplots(1, 2)
-        top = float(measured.speed[-1]) if measured is not None else float(np.abs(curves.speeds(motion)).max())
-        for axes, reach in ((whole, top), (low, ZOOM * top)):
-            _curves(axes, laws, motion, 1.02 * reach)
-            if measured is None:
-                w, force, _ = curves.points(laws[0][0], motion)
-                thin = slice(None, None, max(1, w.size // MOST_POINTS))
-                shown = {"color": MEASURED, "ms": 2.5, "alpha": 0.4, "zorder": 1, "rasterized": True}
-                axes.plot(-motion.sign * w[thin], motion.sign * force[thin], ".", label="measured", **shown)
-            else:
-                band = f"{100 * measured.confidence:g} % band"
-                speed = measured.speed
-                axes.fill_between(speed, measured.lo, measured.hi, color=INK, alpha=0.2, lw=0, zorder=1, label=band)
-                axes.plot(speed, measured.friction, color=INK, lw=2.2, zorder=1, label="measured, without a law")
-            axes.set(xlim=(0, 1.02 * reach), xlabel="relative speed (m/s)")
+        _draw(whole, laws, motion, measured, top)
+        _draw(low, laws, motion, measured, ZOOM * top)
         whole.set(title="all speeds", ylabel=f"friction ({curves.unit(motion)})")
         low.set(title="low speeds")
-        for axes in (whole, low):
-            axes.set_ylim(0, 1.06 * axes.dataLim.y1)
         whole.legend()
         drawn.suptitle(textwrap.fill(title, COLUMNS), parse_math=False, x=0.01, ha="left", fontsize=10.5)
     return drawn
+
+
+def _draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, reach: float) -> None:
+    """Draw the laws and what was measured up to a relative speed, m/s."""
+    _curves(axes, laws, motion, 1.02 * reach)
+    if measured is None:
+        w, force, _ = curves.points(laws[0][0], motion)
+        thin = slice(None, None, max(1, w.size // MOST_POINTS))
+        shown: dict[str, Any] = {"color": MEASURED, "ms": 2.5, "alpha": 0.4, "zorder": 1, "rasterized": True}
+        axes.plot(-motion.sign * w[thin], motion.sign * force[thin], ".", label="measured", **shown)
+    else:
+        band = f"{100 * measured.confidence:g} % band"
+        speed = measured.speed
+        axes.fill_between(speed, measured.lo, measured.hi, color=INK, alpha=0.2, lw=0, zorder=1, label=band)
+        axes.plot(speed, measured.friction, color=INK, lw=2.2, zorder=1, label="measured, without a law")
+    axes.set(xlim=(0, 1.02 * reach), xlabel="relative speed (m/s)")
+    axes.set_ylim(0, 1.06 * axes.dataLim.y1)
 
 
 def _curves(axes: "Axes", laws: Shown, motion: MeasuredMotion, reach: float) -> None:

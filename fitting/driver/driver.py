@@ -22,6 +22,7 @@ from fitting.driver.passes import (
     assumed_noise,
     finish,
     first_pass,
+    regressed_pass,
     regressed_start,
     restarted_windows,
     settle,
@@ -189,11 +190,10 @@ def _from_regression(task: Task) -> TaskFit | None:
     Much noise leads out of poor minima of single cycles; less lets a law that is wrong find its way along a valley that
     calibrations as strong as that noise close.
     """
-    start = regressed_start(task)
-    found = first_pass(task, start)
+    found = regressed_pass(task)
     if found is not None and found.geometric_mean_rms < NOISE_ALONE * _resolution(task):
         return found
-    other = first_pass(task, start, assumed_noise(task, LESS_NOISE))
+    other = regressed_pass(task, assumed_noise(task, LESS_NOISE))
     return other if found is None else _better(found, other)
 
 
@@ -348,7 +348,16 @@ def _is_closed(ramp: TaskFit, jump: TaskFit) -> bool:
 
 
 def _moved(pair: tuple[TaskFit, TaskFit], again: Callable[[TaskFit], TaskFit | None]) -> TaskFit | None:
-    """Return the first task fitted from where the second ended, with its noise; None where that cannot be followed."""
+    """Return the first task fitted from where the second ended, with its noise; None where that cannot be followed.
+
+    Of a law that is far off, settling takes the misfit for noise: where it then errs more than the second, the first
+    pass stays.
+    """
     one, inner = pair
     trial = first_pass(one.task, start_beside(one.task, inner, NARROW), inner.noise.without_fade)
-    return None if trial is None else again(trial)
+    if trial is None:
+        return None
+    settled = again(trial)
+    if settled is None or settled.geometric_mean_rms <= CONTAINED * inner.geometric_mean_rms:
+        return settled
+    return _better(settled, trial)

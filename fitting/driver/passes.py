@@ -23,7 +23,7 @@ from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.normal_equations import SchurComplement, normal_equations, scaled_inverse
 from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
-from fitting.model.parameters import PER_RUN, Global
+from fitting.model.parameters import PER_RUN, RIPPLE, Global
 from fitting.model.problem import coarse_stride
 from fitting.sensitivity import flow
 from fitting.sensitivity.path import Path
@@ -98,6 +98,20 @@ def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> T
     if at is None:
         return None
     return replace(_with_noise(at, first=True), cpu_s=clock.process_time() - begun)
+
+
+def regressed_pass(task: Task, noise: PassNoise | None = None) -> TaskFit | None:
+    """Return the first pass from the regression; a belt's ripple is free only once the rest has found its place.
+
+    Of the much noise that a first pass assumes any frequency is as good as the one that the sticks show.
+    """
+    steady = task.without(*RIPPLE)
+    if steady.places == task.places:
+        return first_pass(task, regressed_start(task), noise)
+    held = first_pass(steady, regressed_start(steady), noise)
+    if held is None:
+        return None
+    return first_pass(task, FitStart(_beside(task, held.u, held), held.local), held.noise)
 
 
 def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:

@@ -66,9 +66,9 @@ class Task:
         u[list(self.places)] = q[:p]
         return parameters.copy_shared(u), q[p : p + n], q[p + n :]
 
-    def without(self, slot: Global) -> "Task":
-        """Return the same with a shared unknown held where the regression has it."""
-        return replace(self, places=tuple(place for place in self.places if place % PER_RUN != slot))
+    def without(self, *slots: Global) -> "Task":
+        """Return the same with shared unknowns held where the regression has them."""
+        return replace(self, places=tuple(place for place in self.places if place % PER_RUN not in slots))
 
     @property
     def with_static(self) -> "Task":

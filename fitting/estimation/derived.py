@@ -129,12 +129,7 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
         Whose own parameters are wanted, beside those that all runs share.
     """
     known = _known(fit, motion, run)
-    left_out = {"Fs/k", *hidden(known)}
-    rows = [
-        row
-        for row, scale in given_rows(LAWS[fit.law].curve, motion, known)
-        if scale is None and row.name not in left_out
-    ]
+    rows = _rows_each_once(fit, motion, known)
     slopes = np.array([list(_slopes(row.formula, known.own, known.active)) for row in rows])
     slopes *= np.array([sign_of(row, motion) for row in rows])[:, None]
     lengths = np.array([row.length * row.formula(values(known.own)) * motion.length_error for row in rows])
@@ -144,6 +139,26 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
     error = np.sqrt(np.diag(spread)[shown])
     matrix = np.clip(spread[np.ix_(shown, shown)] / np.outer(error, error), -1.0, 1.0)
     return Correlations(tuple(row.name for row, own in zip(rows, shown, strict=True) if own), matrix)
+
+
+def _rows_each_once(fit: Fit, motion: MeasuredMotion, known: "Known") -> list[Derived]:
+    """Return the rows of what `correlations` compares: those per unit mass that follow from no others."""
+    rows = given_rows(LAWS[fit.law].curve, motion, known)
+    left_out = {"Fs/k", *hidden(known)}
+    return [row for row, scale in rows if scale is None and row.name not in left_out]
+
+
+def independent_parameters(fit: Fit, motion: MeasuredMotion) -> "IndependentParameters":
+    """Return the parameters of the first run that follow from no others, per unit mass, at any unknowns of the fit."""
+    known = _known(fit, motion, 0)
+    rows = _rows_each_once(fit, motion, known)
+
+    def at(q: Array, unseen: float) -> Array:
+        u = fit.at.task.split(q)[0][:PER_RUN].copy()
+        u[known.active] += unseen * known.unseen
+        return np.array([sign_of(row, motion) * row.formula(values(u)) for row in rows])
+
+    return IndependentParameters(tuple(row.name for row in rows), np.array([row.length for row in rows]), at)
 
 
 def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> float:
@@ -159,17 +174,30 @@ def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> fl
     return math.sqrt(max(float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max()), 0.0))
 
 
+class IndependentParameters(NamedTuple):
+    """Names of parameters, the power of the metre in each (k,), and their values (k,) at unknowns of the fit.
+
+    ``at(q, unseen)`` takes the unknowns q, and how many standard deviations what nothing in the record shows is off.
+    """
+
+    names: tuple[str, ...]
+    lengths: Array
+    at: Callable[[Array, float], Array]
+
+
 class Known(NamedTuple):
     """What a fit knows of one run.
 
     ``own`` (13,) are its unknowns, ``spreads`` (2, p, p) the covariances of the ``active`` ones by the sandwich and by
-    the curvature; ``undetermined`` are those that a default still decides.
+    the curvature; ``undetermined`` are those that a default still decides; ``unseen`` (p,) is how the active ones move
+    together, by a standard deviation, where nothing in the record shows it: ``spreads`` have it.
     """
 
     own: Array
     active: list[Global]
     spreads: Array
     undetermined: set[Global]
+    unseen: Array | float = 0.0
 
 
 def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
@@ -177,16 +205,16 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
     known = slots >= 0
     active = [Global(slot) for slot in slots[known]]
     spread = np.array(covariances(fit, fit.precision))[:, known][:, :, known]
-    law = LAWS[fit.law]
+    law, unseen = LAWS[fit.law], np.zeros(len(active))
     if law.curve == "constant":
         # The datum is held in the fit; Fs/k moves against it, and of a ramp its width and the belt's speed with that.
         rate = -fit.values.K / fit.values.F
         beside = {Global.DATUM: 1.0, Global.LOG_F: rate}
         if Global.D in active:
             beside |= {Global.D: rate * fit.values.d, Global.V_DR: rate * fit.values.d}
-        against = np.array([beside.get(slot, 0.0) for slot in active])
         datum_sd = datum_calibration(motion).sd
-        spread, known_datum = spread + datum_sd**2 * np.outer(against, against), spread
+        unseen = datum_sd * np.array([beside.get(slot, 0.0) for slot in active])
+        spread, known_datum = spread + np.outer(unseen, unseen), spread
         if Global.D in active:
             # The record knows d/Fs, so an error of the datum also scales the error of the width, which the product of
             # both derivatives leaves out; without a datum it is the larger part of it.
@@ -194,8 +222,8 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
             both = np.array([float(slot in (Global.D, Global.V_DR)) for slot in active])
             spread = spread + width * (rate * datum_sd) ** 2 * np.outer(both, both)
     elif law.curve == "linear" and motion.datum_prior is None:
-        hidden = _hidden_level(fit, run, active)
-        spread = spread + np.outer(hidden, hidden)
+        unseen = _hidden_level(fit, run, active)
+        spread = spread + np.outer(unseen, unseen)
     default = {
         Global.DATUM: motion.datum_prior is None,
         Global.DAMPING: motion.damping_prior is None or motion.per_mass,
@@ -213,7 +241,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
         undetermined.add(Global.V_DR)
         at = active.index(Global.V_DR)  # no better than its start, however sharply the mass bounds it from below
         spread[:, at, at] = np.maximum(spread[:, at, at], 1 / fit.precision[known][at])
-    return Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined)
+    return Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined, unseen)
 
 
 def _hidden_level(fit: Fit, run: int, active: list[Global]) -> Array:

@@ -14,7 +14,7 @@ from fitting.model import parameters, wear
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import EstimationProblem
 from fitting.model.windows import ShootingWindows
-from fitting.sensitivity.path import Path
+from fitting.sensitivity.path import Curve, Path
 from fitting.sensitivity.values import positions
 
 
@@ -150,6 +150,12 @@ class FittedLaw(ABC):
         """How many runs were fitted together."""
         return self.u.size // PER_RUN
 
+    @property
+    def curve_on_path(self) -> Curve | None:
+        """The friction that a path is followed with."""
+        task = self.at.task
+        return task.curve.on_path(task.split(self.at.q)[1], self.at.q[: len(task.places)])
+
     def path(self) -> Path | None:
         """Return the fitted motion along the windows, for tangents; None where it cannot be followed."""
         return self.at.path
@@ -163,8 +169,7 @@ class FittedLaw(ABC):
 
     def residual_in(self, windows: ShootingWindows, local: Array) -> Array | None:
         """Return what the law would leave of other windows of this run (N,), m; None where it cannot be followed."""
-        task = self.at.task
-        curve = task.curve.on_path(task.split(self.at.q)[1], self.at.q[: len(task.places)])
+        curve = self.curve_on_path
         found = None if curve is None else positions(windows, curve, self.u, local)
         return None if found is None else found - windows.position
 

@@ -1,6 +1,7 @@
 """Values that a fit returns: a parameter with its interval, and one break-away."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +42,16 @@ class Parameter:
         """Return the document's form; null for what is withheld."""
         error = {"stderr": self.stderr, "lo": self.lo, "hi": self.hi} if self.trusted else _WITHHELD
         return {"value": self.value, **error, "unit": self.unit} | ({"fixed": True} if self.fixed else {})
+
+
+def in_columns(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """Return parameters as cells of a table: value, "NAME stderr", "NAME lo", "NAME hi"; None for what is withheld."""
+    found: dict[str, Any] = {}
+    for name, item in parameters.items():
+        cells = item.as_json()
+        found[name] = cells["value"]
+        found |= {f"{name} {part}": cells[part] for part in ("stderr", "lo", "hi")}
+    return found
 
 
 _WITHHELD = dict.fromkeys(("stderr", "lo", "hi"))

@@ -5,19 +5,17 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
-from fitting.data.cycles import Cycle
 from fitting.drawing import curves
-from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE, law_colours
+from fitting.drawing.palette import COLOURS, INK, MEASURED, NARROW, WIDE, law_colours, law_dashes
 from fitting.report.chart import SMALL, Axes, legend_rows, picture, text_width
+from fitting.report.motion_plot import BROAD, PALE, fitted_motion, measured_motion, typical_cycle
 from fitting.report.scale import AxisScale
 from fitting.report.symbols import pretty
 from fitting.selection.result import LawResult, Ranking
 
 HALF, BESIDE = 560.0, 18.0  # px: of the picture of orbits, and for the name of its ordinate
-MM = 1e3  # positions are drawn in mm, speeds in m/s
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 
 
@@ -34,12 +32,13 @@ def colours_of(ranking: Ranking) -> dict[int | str, str]:
 def measured_curve(ranking: Ranking) -> str:
     """Draw friction against relative speed: the measured curve with its band, the laws behind it, and a zoom near 0.
 
-    Where the record hardly determines the level of friction, the laws are drawn at the level of the measured curve.
+    Each law has its own dashes; those of the set are heavier.  Where the record hardly determines the level of
+    friction, the laws are drawn at the level of the measured curve.
     """
     found = ranking.adequacy.curve
     if found is None:
         raise ValueError("no curve was measured")
-    height, drawn, colours = 320.0, [], colours_of(ranking)
+    height, drawn, colours, dashes = 320.0, [], colours_of(ranking), law_dashes(row.law for row in ranking.rows)
     lo, hi, band = found.lo, found.hi, f"{100 * found.confidence:g} % band"
     label = "measured, without a law"
     if not found.level_known:  # the band of every level would hide the shape
@@ -60,12 +59,13 @@ def measured_curve(ranking: Ranking) -> str:
             if not found.level_known:
                 at = np.abs(curves.curve(row.fit, ranking.motion, -found.speed))
                 force = force + np.mean(found.friction - at)
-            style = "" if row.in_set else DASH
-            axes.line(grid, force, colours[row.law], width=1.0, dash=style, label=row.label)
+            width = 1.8 if row.in_set else 1.0
+            axes.line(grid, force, colours[row.law], width=width, dash=dashes[row.law], label=row.label)
         axes.band(found.speed, lo, hi, INK, opacity=0.22, label=band)
         axes.line(found.speed, found.friction, INK, width=1.8, label=label)
         drawn.append(axes)
-    return picture("measured-curve", WIDE, height, drawn)
+    about = "Friction against relative speed: measured without a law, with its band, and the curves of the fitted laws."
+    return picture("measured-curve", WIDE, height, drawn, about)
 
 
 def orbits(ranking: Ranking) -> str:
@@ -76,13 +76,13 @@ def orbits(ranking: Ranking) -> str:
     rows, colours = by_law(ranking), colours_of(ranking)
     columns = min(len(rows), 3)
     lines = math.ceil(len(rows) / columns)
-    typical = [_typical_cycle(side.best) for side in ranking.sides]
-    measured = [measured_orbit(side, cycle) for side, cycle in zip(ranking.sides, typical, strict=True)]
+    typical = [typical_cycle(side.best) for side in ranking.sides]
+    measured = [measured_motion(side, cycle)[1:] for side, cycle in zip(ranking.sides, typical, strict=True)]
     fitted = [
         [
-            part
+            part[1:]
             for side, cycle in zip(ranking.sides, typical, strict=True)
-            for part in fitted_orbits(side.row(row.law), side.motion.sign, cycle.number)
+            for part in fitted_motion(side.row(row.law), side.motion.sign, cycle.number)
         ]
         for row in rows
     ]
@@ -97,36 +97,11 @@ def orbits(ranking: Ranking) -> str:
         axes.margin += 0.0 if first else -BESIDE
         axes.xlabel = "position (mm)" if place + columns >= len(rows) else ""
         axes.ylabel = "velocity (m/s)" if first else ""
-        axes.trace(measured, MEASURED, width=4.0, opacity=0.6)
+        axes.trace(measured, MEASURED, width=BROAD, opacity=PALE)
         axes.trace(fitted[place], colours[row.law], width=1.2)
         drawn.append(axes)
-    return picture("orbits", HALF, lines * height, drawn)
-
-
-def _typical_cycle(row: LawResult) -> Cycle:
-    order = np.argsort(row.fit.cycle_rms, kind="stable")
-    return row.fit.cycles[int(order[order.size // 2])]
-
-
-def measured_orbit(side: Ranking, cycle: Cycle | None = None) -> tuple[Array, Array]:
-    """Return position (mm) and velocity (m/s) of a run as recorded, or of one cycle of it."""
-    motion, own = side.motion, slice(None)
-    if cycle is not None:
-        parts = [part for part in (cycle.stick, cycle.slip) if part[1] > part[0]]
-        own = slice(min(first for first, _ in parts), max(end for _, end in parts))
-    return MM * motion.sign * motion.position[own], motion.sign * motion.velocity[own]
-
-
-def fitted_orbits(row: LawResult, sign: float, number: int | None = None) -> list[tuple[Array, Array]]:
-    """Return position (mm) and velocity (m/s) of a law in each window of its fit, or in those of one cycle."""
-    windows = row.fit.windows
-    model = windows.position + row.fit.residual
-    parts = [
-        slice(first, first + count)
-        for cycle, _, first, count, *_ in windows.table
-        if count > 2 and number in (None, row.fit.cycles[cycle].number)
-    ]
-    return [(MM * sign * model[own], sign * np.gradient(model[own], windows.time[own])) for own in parts]
+    about = "Phase portraits of one cycle: as measured, and over it each law as fitted."
+    return picture("orbits", HALF, lines * height, drawn, about)
 
 
 def departures(adequacy: Adequacy) -> str:
@@ -144,4 +119,5 @@ def departures(adequacy: Adequacy) -> str:
         edge = np.array([place - 0.3, place + 0.3])
         axes.band(np.array([0.0, one.sigmas]), edge[[0, 0]], edge[[1, 1]], COLOURS[2], opacity=0.8)
         axes.text(one.sigmas, place, f"{100 * one.explained:.0f} %")
-    return picture("departures", NARROW, height, [axes])
+    about = f"Bars of departures, in standard deviations, the largest {adequacy.departures[0].name}."
+    return picture("departures", NARROW, height, [axes], about)

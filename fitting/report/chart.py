@@ -19,7 +19,7 @@ FONT, SMALL = 11.0, 10.0  # sizes, px
 THIN, BROAD = frozenset(" !'()*,-./:;I[]fijlrt|"), frozenset("%MWmw")
 WIDTHS = 0.39, 0.63, 0.93  # of thin, other and broad characters over their size, in the broadest usual font (DejaVu)
 LEFT, RIGHT, BOTTOM = 54.0, 8.0, 38.0  # px beside the axes: tick labels
-TITLE, ROW = 19.0, 15.0  # px above them: title, a row of the legend
+TITLE, ROW, CLOSE = 19.0, 15.0, 4.0  # px above them: title, a row of the legend, nothing
 GRID, FRAME, QUIET = "#e3e3e3", "#444444", "#6b6b70"
 DENSITY, FINER = 2, 2  # image pixels per px; points drawn per image pixel, whose mean smooths the edges
 FAR = 4.0  # fields beyond the edge: there longer numbers help nobody
@@ -38,6 +38,10 @@ class Axes:
     title, xlabel, ylabel : str
     rows : int
         Rows that the legend may take.
+    margin : float
+        Left of the field.
+    over : bool
+        Whether other axes of the same x stand close below and bear its labels.
     """
 
     left: float
@@ -51,14 +55,20 @@ class Axes:
     ylabel: str = ""
     rows: int = 1
     margin: float = LEFT
+    over: bool = False
     _drawn: list[str] = field(default_factory=list)
     _legend: list[tuple[str, str]] = field(default_factory=list)
 
     @property
     def frame(self) -> tuple[float, float, float, float]:
         """Left, top, right and bottom of the field, px."""
-        top = self.top + (TITLE if self.title else 4.0) + ROW * self.rows
-        return self.left + self.margin, top, self.left + self.width - RIGHT, self.top + self.height - BOTTOM
+        top = self.top + (TITLE if self.title else CLOSE) + ROW * self.rows
+        return self.left + self.margin, top, self.left + self.width - RIGHT, self.top + self.height - self.foot
+
+    @property
+    def foot(self) -> float:
+        """Height below the field, px."""
+        return CLOSE if self.over else BOTTOM
 
     def _at(self, x: Array, y: Array) -> tuple[Array, Array]:
         left, top, right, bottom = self.frame
@@ -69,6 +79,10 @@ class Axes:
         )
         return left + (right - left) * px, bottom - (bottom - top) * py
 
+    def key(self, label: str, colour: str, dash: str = "") -> None:
+        """Name a line in the legend that is drawn elsewhere."""
+        self._key(label, f'<path {_stroke(colour, 0.8, dash)} d="M0,0h18"/>')
+
     def _key(self, label: str | None, sign: str) -> None:
         if label:
             self._legend.append((label, sign))
@@ -78,9 +92,7 @@ class Axes:
     ) -> None:
         """Draw a line through points (n,); it breaks where one is not finite."""
         px, py = self._at(x, y)
-        style = f'fill="none" stroke="{colour}" stroke-width="{width:g}"' + (
-            f' stroke-dasharray="{dash}"' if dash else ""
-        )
+        style = _stroke(colour, width, dash)
         self._drawn.append(f'<path {style} stroke-linejoin="round" d="{_path(px, py)}"/>')
         self._key(label, f'<path {style} d="M0,0h18"/>')
 
@@ -181,7 +193,7 @@ class Axes:
         for value, label in self.x.ticks(most[0]):
             at = left + (right - left) * float(self.x.place(np.array(value)))
             lines.append(f"M{at:.1f},{top:.1f}V{bottom:.1f}")
-            words.append(_text(at, bottom + 13, label, SMALL, "middle"))
+            words.append("" if self.over else _text(at, bottom + 13, label, SMALL, "middle"))
         for value, label in self.y.ticks(most[1]):
             at = bottom - (bottom - top) * float(self.y.place(np.array(value)))
             if not self.y.names:
@@ -239,16 +251,25 @@ def _legend_places(labels: Sequence[str], width: float) -> list[tuple[float, int
     return places
 
 
-def picture(name: str, width: float, height: float, axes: Sequence[Axes]) -> str:
-    """Return axes as an ``<svg>`` element; ``name`` is unlike that of any other picture of the page."""
+def picture(name: str, width: float, height: float, axes: Sequence[Axes], about: str) -> str:
+    """Return axes as an ``<svg>`` element; ``name`` is unlike that of any other picture of the page.
+
+    ``about`` says what is drawn, for those who cannot see it.
+    """
     inner = "".join(one.svg(f"{name}-{number}") for number, one in enumerate(axes))
-    head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" font-family="sans-serif" fill="#222222"'
+    named = f'role="img" aria-label="{html.escape(about)}"'
+    head = f'<svg viewBox="0 0 {width:g} {height:g}" {named} font-family="sans-serif" fill="#222222"'
     return f'{head} style="width:100%;height:auto;max-width:{1.35 * width:g}px">{inner}</svg>'
 
 
 def _text(x: float, y: float, words: str, size: float, anchor: str = "start", more: str = "") -> str:
     place = f'x="{x:.1f}" y="{y:.1f}" font-size="{size:g}" text-anchor="{anchor}"'
     return f"<text {place}{more}>{html.escape(words)}</text>" if words else ""
+
+
+def _stroke(colour: str, width: float, dash: str) -> str:
+    more = f' stroke-dasharray="{dash}"' if dash else ""
+    return f'fill="none" stroke="{colour}" stroke-width="{width:g}"{more}'
 
 
 def _path(px: Array, py: Array) -> str:

@@ -176,4 +176,5 @@ def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, 
             sign = "o" if run.decided else "c"
             axes.marks(np.array([item.value]), np.array([float(y)]), colour, sign=sign, size=3.6)
         drawn.append(axes)
-    return picture("comparison", WIDE, height * -(-len(names) // COLUMNS), drawn)
+    about = f"Values and intervals of {', '.join(names)} of each run."
+    return picture("comparison", WIDE, height * -(-len(names) // COLUMNS), drawn, about)

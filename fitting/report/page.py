@@ -14,6 +14,7 @@ from daq.base.output.lengths import format_length
 from daq.base.text import storable
 from daq.base.version import VERSION
 from daq.runfile import store
+from daq.runfile.recording import Recording
 from fitting.adequacy.result import Adequacy
 from fitting.drawing.palette import law_colours, run_colour
 from fitting.estimation.result import Parameter
@@ -74,7 +75,7 @@ def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[P
         if kept is None:
             return
         what += f", {kept.name}"
-    raise InputError(what, str(path), do)
+    raise InputError(what, str(path), do, python="give another name, or force=True to replace it")
 
 
 def _holder(digests: set[str], file: Path) -> Path | None:
@@ -179,10 +180,11 @@ def render(
         warnings=[symbols.pretty(warning) for warning in ranking.warnings],
         statistics=pooled(statistics).rows(motions[0].unit),
         adequacy=ranking.adequacy,
+        pretty=symbols.pretty,
         adequacy_facts=_adequacy_facts(ranking.adequacy),
         forms=_forms(ranking.adequacy),
         pictures={name: Markup(text) for name, text in plot.draw(ranking, statistics).items()},
-        cpu=f"{ranking.cpu_s:.2f} s for {len(ranking.rows)} laws",
+        cpu=f"{ranking.cpu_s:.2f} s",
     )
 
 
@@ -212,7 +214,7 @@ def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
     return {
         "number": number,
         "file": recording.source.name,
-        "started": moment(recording.started),
+        "when": _when(recording),
         "remarks": recording.remarks(),
         "digest": recording.digest,
         "colour": run_colour(number),
@@ -279,6 +281,12 @@ def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
         )
         for form in adequacy.curve.forms
     ]
+
+
+def _when(recording: Recording) -> str:
+    """Return when a run was recorded; of an imported table, when its file was changed, which is all that is known."""
+    said = recording.when.removesuffix(recording.started) or "recorded "
+    return said + moment(recording.started)
 
 
 def moment(stated: str) -> str:

@@ -10,10 +10,11 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.output.lengths import shown_length
 from fitting.drawing import curves
-from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE, run_colour
-from fitting.report import adequacy_plot
+from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE, law_dashes, run_colour
+from fitting.report import adequacy_plot, motion_plot
 from fitting.report.adequacy_plot import by_law, colours_of
 from fitting.report.chart import LEFT, SMALL, Axes, legend_rows, picture, text_width
+from fitting.report.motion_plot import BROAD, PALE, begins, fitted_motion, measured_motion, time_label
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, Ranking
 from processing.statistics import StickSlipStatistics, pooled
@@ -23,32 +24,29 @@ BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law t
 SPREAD = 99.5  # percentile of residuals and frictions, beyond which the axes may cut some off
 ALIKE = 0.045  # of the axes: points that near are named by one label
 RESIDUAL, NOISE = "model minus measurement", "noise, ±2 sd"
-GAP = 0.01  # between runs that are drawn one after another, of the time of all
 BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
 
 
 def portrait(ranking: Ranking) -> str:
     """Draw velocity against position: the whole record, or all, and the best law's motion in every window."""
-    runs = [adequacy_plot.measured_orbit(side) for side in ranking.sides]
+    runs = [measured_motion(side)[1:] for side in ranking.sides]
     x, v = (np.concatenate(own) for own in zip(*runs, strict=True))
     legend = _legend(ranking, MEASURED, "measured")
     fitted = [f"{ranking.best.label}, fitted"] if ranking.rows else []
     rows = legend_rows([label for _, label in legend] + (fitted and [*fitted, "belt speed"]), NARROW)
     axes = Axes(0, 0, NARROW, 350, AxisScale.around(x), AxisScale.around(v), rows=rows)
     axes.xlabel, axes.ylabel = "position (mm)", "velocity (m/s)"
-    width, opacity = (3.6, 0.8) if ranking.runs else (1.6, 0.6)  # several: seen beside the fitted line
     for orbit, (colour, label) in zip(runs, legend, strict=True):
-        axes.trace([orbit], colour, width=width, opacity=opacity, label=label)
+        axes.trace([orbit], colour, width=BROAD, opacity=PALE, label=label)
     if ranking.rows:
-        best = ranking.best
-        parts = [part for side in ranking.sides for part in adequacy_plot.fitted_orbits(side.best, side.motion.sign)]
-        colour, width = (INK, 0.7) if ranking.runs else (colours_of(ranking)[best.law], 1.0)
-        axes.trace(parts, colour, width=width, label=fitted[0])
+        parts = [part[1:] for side in ranking.sides for part in fitted_motion(side.best, side.motion.sign)]
+        axes.trace(parts, INK, width=0.7, label=fitted[0])
         named = "belt speed"
         for side, (colour, _) in zip(ranking.sides, _legend(ranking, INK, ""), strict=True):
             axes.level(side.best.parameters["v_dr"].value, colour, dash=DASH, label=named)
             named = ""
-    return picture("portrait", NARROW, 350, [axes])
+    about = "Velocity against position: as measured, and the motion of the best law."
+    return picture("portrait", NARROW, 350, [axes], about)
 
 
 def _legend(ranking: Ranking, colour: str, label: str) -> list[tuple[str, str]]:
@@ -58,22 +56,11 @@ def _legend(ranking: Ranking, colour: str, label: str) -> list[tuple[str, str]]:
     return [(run_colour(number), f"run {number}") for number in range(1, len(ranking.runs) + 1)]
 
 
-def _begins(ranking: Ranking) -> list[float]:
-    """Return what is added to the times of each run so that they follow one another, s; 0 for a single run."""
-    if not ranking.runs:
-        return [0.0]
-    spans = np.array([side.motion.span for side in ranking.runs])
-    firsts = np.array([side.motion.time[0] for side in ranking.runs])
-    gap = GAP * float(spans.sum())
-    return list(np.cumsum(spans + gap) - spans - gap - firsts)
-
-
-def _time_label(ranking: Ranking) -> str:
-    return "time, one run after another (s)" if ranking.runs else "time (s)"
-
-
 def friction(ranking: Ranking) -> str:
-    """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest."""
+    """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest.
+
+    Each law has its own dashes.
+    """
     motion = ranking.motion
     clouds = [curves.points(side.best.fit, side.motion)[:2] for side in ranking.sides]
     force = np.concatenate([own for _, own in clouds])
@@ -84,7 +71,7 @@ def friction(ranking: Ranking) -> str:
     legend = _legend(ranking, MEASURED, "measured")
     label = f"friction ({curves.unit(motion)})"
     rows = legend_rows([row.label for row in ranking.rows] + [named for _, named in legend], NARROW)
-    colours = colours_of(ranking)
+    colours, dashes = colours_of(ranking), law_dashes(row.law for row in ranking.rows)
     axes = Axes(0, 0, NARROW, 350, AxisScale.around(grid), AxisScale(-1.3 * top, 1.3 * top), rows=rows)
     axes.xlabel, axes.ylabel = "relative velocity: mass minus belt (m/s)", label
     axes.level(0, INK)
@@ -92,12 +79,13 @@ def friction(ranking: Ranking) -> str:
     for row in sorted(by_law(ranking), key=lambda row: row is ranking.best):
         values = np.where(grid == 0, np.nan, drawn[row.law])
         heavy = row is ranking.best
-        width, dash = (2.2, "") if heavy else (1.0, "" if row.in_set else DASH)
-        axes.line(grid, values, colours[row.law], width=width, dash=dash, label=row.label)
+        width = 2.4 if heavy else 1.6 if row.in_set else 1.0
+        axes.line(grid, values, colours[row.law], width=width, dash=dashes[row.law], label=row.label)
     for (w, own), (colour, label) in zip(clouds, legend, strict=True):
         thin = slice(None, None, max(1, w.size // most))
         axes.cloud(w[thin], own[thin], colour, opacity=0.35, label=label)
-    return picture("friction", NARROW, 350, [axes])
+    about = "Friction against relative velocity: points of the force balance, and the curves of the laws."
+    return picture("friction", NARROW, 350, [axes], about)
 
 
 def residuals(ranking: Ranking) -> str:
@@ -116,24 +104,24 @@ def residuals(ranking: Ranking) -> str:
     drawn = []
     for (row, whole), left, width in zip(panels, np.cumsum(widths) - widths, widths, strict=True):
         own = [side.row(row.law) for side in ranking.sides]
-        begins = _begins(ranking)
         times = [
             one.fit.windows.time + begin if whole else _since_break_away(one)
-            for one, begin in zip(own, begins, strict=True)
+            for one, begin in zip(own, begins(ranking), strict=True)
         ]
         noise = 1e6 * BAND * ranking.adequacy.noise_m
         reach = 1.4 * max(1e6 * float(np.percentile(np.abs(row.fit.residual), SPREAD)), noise)
         across = AxisScale.around(np.concatenate(times))
         axes = Axes(float(left), 0, float(width), 265, across, AxisScale(-reach, reach), rows=rows)
         axes.title = f"{row.label}, {_whole(ranking) if whole else 'all cycles'}"
-        axes.xlabel = _time_label(ranking) if whole else "time since break-away (s)"
+        axes.xlabel = time_label(ranking) if whole else "time since break-away (s)"
         axes.ylabel = "residual (µm)"
         for one, time, (colour, label) in zip(own, times, _legend(ranking, colours[row.law], RESIDUAL), strict=True):
             axes.cloud(time, 1e6 * one.fit.residual, colour, label=label)
         ends, level = np.array([axes.x.low, axes.x.high]), np.full(2, noise)
         axes.band(ends, -level, level, INK, opacity=0.16, label=NOISE)
         drawn.append(axes)
-    return picture("residuals", WIDE, 265, drawn)
+    about = "Residuals against time and against the time since the break-away, with the band of the noise."
+    return picture("residuals", WIDE, 265, drawn, about)
 
 
 def _whole(ranking: Ranking) -> str:
@@ -155,7 +143,8 @@ def evidence(ranking: Ranking) -> str:
     for place, (row, own) in enumerate(zip(rows, errors, strict=True)):
         axes.marks(own, np.full(own.size, place), colours[row.law], sign="|", size=8)
         axes.marks(np.exp([np.mean(np.log(own))]), np.array([place]), colours[row.law], size=4)
-    return picture("evidence", NARROW, height, [axes])
+    about = "Error of each cycle under each law."
+    return picture("evidence", NARROW, height, [axes], about)
 
 
 def cost(ranking: Ranking) -> str:
@@ -177,31 +166,33 @@ def cost(ranking: Ranking) -> str:
     for own in named:
         laws = ", ".join(str(law) for law in sorted((ranking.rows[k].law for k in own), key=numbered.index))
         axes.text(float(time[own].max()), float(error[own].max()), laws, (7.0, -4.0))
-    return picture("cost", NARROW, 230, [axes])
+    about = "Error of each law against the CPU time of its fit."
+    return picture("cost", NARROW, 230, [axes], about)
 
 
 def levels(ranking: Ranking) -> str:
     """Draw the friction level of each cycle at break-away and in the slip, against time."""
     runs = []
-    for side, begin in zip(ranking.sides, _begins(ranking), strict=True):
+    for side, begin in zip(ranking.sides, begins(ranking), strict=True):
         events = [event for event in side.events if np.isfinite(event.kinetic_scale)]
         columns = [(begin + event.t, event.break_away_level, event.kinetic_scale) for event in events]
         runs.append(np.array(columns).reshape(-1, 3))
     every = np.concatenate(runs)
     axes = Axes(0, 0, NARROW, 270, AxisScale.around(every[:, 0]), AxisScale.around(every[:, 1:].ravel()))
-    axes.xlabel, axes.ylabel = _time_label(ranking), "friction level / mean sliding level"
+    axes.xlabel, axes.ylabel = time_label(ranking), "friction level / mean sliding level"
     for column, colour, sign, label in ((1, COLOURS[4], "c", "break-away"), (2, COLOURS[2], "o", "sliding")):
         for own in runs:
             axes.line(own[:, 0], own[:, column], colour, width=0.5)
         axes.marks(every[:, 0], every[:, column], colour, sign=sign, label=label)
-    return picture("levels", NARROW, 270, [axes])
+    about = "Friction level of each cycle at break-away and in the slip, against time."
+    return picture("levels", NARROW, 270, [axes], about)
 
 
 def break_aways(statistics: Sequence[StickSlipStatistics], ranking: Ranking, unit: str) -> str:
     """Draw the break-away levels: their distribution, their trend, and level against stick time."""
     counted, shown_as = pooled(statistics), _legend(ranking, COLOURS[2], "")
     factor, shown = shown_length(unit)
-    times = [begin + own.column("t") for begin, own in zip(_begins(ranking), statistics, strict=True)]
+    times = [begin + own.column("t") for begin, own in zip(begins(ranking), statistics, strict=True)]
     time, level, stick = np.concatenate(times), factor * counted.column("break_away_m"), counted.column("stick_s")
     label, width, height = f"break-away level ({shown})", WIDE / 3, 260.0
     number, edges = np.histogram(level, int(np.clip(np.sqrt(level.size), *BINS)))
@@ -214,7 +205,7 @@ def break_aways(statistics: Sequence[StickSlipStatistics], ranking: Ranking, uni
     distribution.level(mean, COLOURS[4], dash=DASH, upright=True, label=f"mean {mean:.4g} {shown}")
     tall = AxisScale.around(level)
     trend = Axes(width, 0, width, height, AxisScale.around(time), tall, "against time", ylabel=label, rows=rows)
-    trend.xlabel = _time_label(ranking)
+    trend.xlabel = time_label(ranking)
     against = Axes(
         2 * width, 0, width, height, AxisScale.around(stick), tall, "against stick time", "stick time (s)", label, rows
     )
@@ -226,7 +217,8 @@ def break_aways(statistics: Sequence[StickSlipStatistics], ranking: Ranking, uni
     if summary is not None and summary["trend_per_s"] is not None:
         slope, reach = factor * summary["trend_per_s"], np.array([time.min(), time.max()])
         trend.line(reach, mean + slope * (reach - time.mean()), COLOURS[4], label=f"trend {slope:+.2g} {shown}/s")
-    return picture("break-aways", WIDE, height, [distribution, trend, against])
+    about = "Break-away levels: their distribution, and against time and stick time."
+    return picture("break-aways", WIDE, height, [distribution, trend, against], about)
 
 
 def _since_break_away(row: LawResult) -> Array:
@@ -237,15 +229,16 @@ def _since_break_away(row: LawResult) -> Array:
     return phase
 
 
-PICTURES = (portrait, friction, residuals, evidence, levels, cost)
+PICTURES = (motion_plot.cycle, motion_plot.record, portrait, friction, residuals, evidence, levels, cost)
+WITHOUT_LAW = (motion_plot.record, portrait)
 
 
 def draw(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
     """Return every picture of the report as an ``<svg>`` element, by name; ``statistics`` are those of each run.
 
-    `break_aways` where there are statistics; of a record that no law comes near the portrait alone besides.
+    `break_aways` where there are statistics; of a record that no law comes near the measured motion alone besides.
     """
-    shown = PICTURES if ranking.rows else (portrait,)
+    shown = PICTURES if ranking.rows else WITHOUT_LAW
     drawn = {one.__name__: one(ranking) for one in shown}
     if ranking.rows:
         drawn["orbits"] = adequacy_plot.orbits(ranking)

@@ -128,11 +128,12 @@ def without_law(reason: str, asked: Asked, runs: Sequence[Run], records: Sequenc
         adequacy = Adequacy(outcome, run.motion.resolution)
         warned = tuple(finding.text for finding in record.findings)
         cpu_s = clock.process_time() - begun
-        sides.append(Ranking(words, (), (), (), warned, run.motion, run.cut, adequacy, cpu_s, findings=record.findings))
+        side = Ranking(words, (), (), (), warned, run.motion, run.cut, adequacy, cpu_s, findings=record.findings)
+        sides.append(replace(side, records=(record,), alpha=asked.alpha))
     if len(sides) == 1:
         return sides[0]
     warnings, findings = _merged(sides, records)
-    return replace(sides[0], warnings=warnings, findings=findings, runs=tuple(sides))
+    return replace(sides[0], warnings=warnings, findings=findings, runs=tuple(sides), records=tuple(records))
 
 
 def _rows(decision: Decision) -> Rows:
@@ -153,11 +154,12 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
     parts = [fit.for_run(number) for number in range(len(runs))]
     parameters = [_parameters(fit, decision, number) for number in range(len(runs))]
     distances = [orbit.distance(part) for part, orbit in zip(parts, orbits, strict=True)]
+    motions = [run.motion for run in runs]
     if len(runs) > 1:
         together = {name: item for name, item in parameters[0].items() if name not in derived.RUNS_OWN}
         for number, own in enumerate(parameters, start=1):
             together |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
-        parts, parameters = [*parts, fit], [*parameters, together]
+        parts, parameters, motions = [*parts, fit], [*parameters, together], [*motions, motions[0]]
         distances.append(math.sqrt(float(np.mean(np.square(distances)))))
     formula = None if isinstance(fit, Fit) or fit.number is not None else fit.asked_for.formula
     return [
@@ -174,11 +176,12 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
             behind=found.behind[fit.law],
             orbit=distance,
             fit=part,
+            motion=motion,
             outside_band=_outside_band(fit, decision),
             formula=formula,
             asked=fit.law in found.asked,
         )
-        for part, own, distance in zip(parts, parameters, distances, strict=True)
+        for part, own, distance, motion in zip(parts, parameters, distances, motions, strict=True)
     ]
 
 
@@ -274,6 +277,8 @@ def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted:
         cut=run.cut,
         adequacy=adequacy,
         findings=findings,
+        records=(record,),
+        alpha=decision.asked.alpha,
     )
 
 
@@ -301,6 +306,8 @@ def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Rankin
         cpu_s=cpu_s,
         findings=findings,
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
+        records=tuple(decision.records),
+        alpha=decision.asked.alpha,
     )
 
 

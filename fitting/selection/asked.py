@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 from daq.base.errors import InputError
 from daq.base.measured import Measured
@@ -31,11 +32,11 @@ class Asked:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        if not LEAST_ALPHA <= self.alpha < 1:
+        if not (isinstance(self.alpha, Real) and LEAST_ALPHA <= self.alpha < 1):
             do = f"give a number from {LEAST_ALPHA:g} to 1, such as 0.05"
-            raise InputError(f"alpha is {self.alpha}", "--alpha", do)
-        if self.jobs < 1:
-            raise InputError(f"jobs is {self.jobs}", "--jobs", "give 1 or more")
+            raise InputError(f"alpha is {self.alpha!r}", "--alpha", do)
+        if not (isinstance(self.jobs, int) and self.jobs >= 1):
+            raise InputError(f"jobs is {self.jobs!r}", "--jobs", "give 1 or more")
 
     def given(self, law: int | str) -> dict[str, Given]:
         """Return what is given of a law's parameters; nothing of a rival that was not asked for."""

@@ -53,6 +53,9 @@ def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
     if beyond and cut.cycles:
         what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
         raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
+    if len(excluded) == len(cut.cycles) >= FEWEST_CYCLES:
+        what = f"all {len(cut.cycles)} cycles are left out; a verdict needs {FEWEST_CYCLES}"
+        raise InputError(what, "--exclude-cycles", "leave out fewer")
     run = Run(motion, cut)
     return _with_ripple(run) if cut.sustained else run
 
@@ -102,7 +105,7 @@ def fit_runs(
     if not sustained and not fits:
         raise DataError(
             "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
-            str(records[0].recording.source),
+            records[0].recording.where,
             "add --laws 1,2",
         )
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
@@ -197,7 +200,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     sustained = all(kinds)
     for run, kind, record in zip(runs, kinds, records, strict=True):
         refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
-    sources = [str(record.recording.source) for record in records]
+    sources = [record.recording.where for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
         raise DataError(
@@ -212,7 +215,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
         raise DataError(
             f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {FEWEST_CYCLES}",
             ", ".join(sources),
-            "record longer" if sustained or not left else "record longer, or exclude fewer cycles",
+            "leave out fewer (--exclude-cycles)" if any(map(_excluded, runs)) else "record longer",
         )
     for run, record in zip(runs, records, strict=True):
         if run.cut.shows_belt:

@@ -3,23 +3,40 @@
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import DataError
+import numpy as np
+
+from daq.base.compute.arrays import Array
+from daq.base.errors import DataError, InputError, in_python
 from fitting.adequacy.result import Adequacy
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.formula_parameters import formula_correlations
 from fitting.curve.result import BandExit
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
+from fitting.drawing import curves
 from fitting.estimation.derived import RUNS_OWN, correlations
 from fitting.estimation.fit import Fit
-from fitting.estimation.result import BreakAway, Correlations, Parameter
+from fitting.estimation.motion_at import motion_at
+from fitting.estimation.result import BreakAway, Correlations, Parameter, in_columns
 from fitting.law import TITLES
 from processing.record.finding import Finding
+from processing.record.kinematics import Kinematics
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
-    from daq.base.output.plot import PngFigure
+
+def numbers(values: "ArrayLike", name: str) -> Array:
+    """Return what a caller gives as numbers; InputError, which names the argument, for anything else."""
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        do = f"give numbers, as in {name}=np.linspace(0, 1, 101)"
+        raise InputError(f"{name} is {values!r:.40}", name, do) from None
+
 
 MOST_ERROR = 0.5  # of a parameter: with a larger standard error its value is not stated in words
 CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
@@ -53,7 +70,9 @@ class LawResult:
     orbit : float
         Distance of the law's orbit to the measured one, of the orbit's size (`fitting.selection.phase_distance`).
     fit : Fit or FormulaFit
-        The fit itself, for pictures.
+        The fit itself, in its frame: per unit mass, with a belt that runs towards +x.
+    motion : MeasuredMotion
+        Of the run; the first one's where there are several.
     outside_band : BandExit or None
         Where its curve leaves the band of the measured one the furthest.
     formula : str or None
@@ -74,6 +93,7 @@ class LawResult:
     behind: tuple[float, float]
     orbit: float
     fit: Fit | FormulaFit = field(repr=False, compare=False)
+    motion: MeasuredMotion = field(repr=False, compare=False)
     outside_band: BandExit | None = None
     formula: str | None = None
     asked: bool = True
@@ -112,6 +132,123 @@ class LawResult:
         own = name.removesuffix("/m")
         return name.startswith("(") or (own in self.fit.asked_for.free and f"{name}/m" not in self.parameters)
 
+    def position(self, t: "ArrayLike") -> Array:
+        """Return the fitted position, m, as the record reads it.
+
+        Parameters
+        ----------
+        t : array_like
+            Times of the record, s.
+
+        Returns
+        -------
+        array of the same shape
+            NaN outside the cycles that were fitted.  Steps of the position that smoothing found (lost counts) are not
+            in it.
+
+        Raises
+        ------
+        InputError
+            For the row of several runs together.
+        """
+        return self.motion.sign * self._motion_at(t)[0]
+
+    def velocity(self, t: "ArrayLike") -> Array:
+        """Return the fitted velocity, m/s, positive towards +x; arguments as of `position`."""
+        return self.motion.sign * self._motion_at(t)[1]
+
+    def friction(self, s: "ArrayLike") -> Array:
+        """Return friction at slip speeds, positive where it opposes the slip.
+
+        Parameters
+        ----------
+        s : array_like
+            Slip speeds, m/s; at 0 friction as slip begins, of a ramp 0.  Friction is odd in them.
+
+        Returns
+        -------
+        array of the same shape
+            N where the mass or the spring's stiffness is known, else N/kg; at the mean friction level of the record.
+        """
+        speed = numbers(s, "s")
+        if not self.fit.problem.ramp:
+            speed = np.where(speed == 0, np.finfo(float).tiny, speed)
+        return -curves.curve(self.fit, self.motion, speed)
+
+    @property
+    def residuals(self) -> "pd.DataFrame":
+        """The residuals, one row a sample that was fitted.
+
+        Columns: ``time_s``, ``cycle`` (1 is the first break-away), ``phase`` ("stick" or "slip"), ``position_m`` as
+        measured, ``fitted_m``, and ``residual_m``, the fitted position minus the measured one.
+
+        Raises
+        ------
+        InputError
+            For the row of several runs together.
+        """
+        import pandas as pd
+
+        self._refuse_several("residuals")
+        windows, sign = self.fit.windows, self.motion.sign
+        row = np.repeat(np.arange(windows.table.shape[0]), windows.table[:, 3])
+        measured, left = sign * windows.position, sign * self.fit.residual
+        number = np.array([cycle.number for cycle in self.fit.cycles])
+        return pd.DataFrame(
+            {
+                "time_s": windows.time,
+                "cycle": number[windows.table[row, 0]],
+                "phase": np.where(windows.table[row, 1] == 1, "stick", "slip"),
+                "position_m": measured,
+                "fitted_m": measured + left,
+                "residual_m": left,
+            }
+        )
+
+    def profile(self, name: str) -> "pd.DataFrame":
+        """Hold a parameter at values around the fitted one, and fit all others again.
+
+        The deviance is twice by how much the objective rises: where the problem is nearly linear the square of the
+        distance in standard errors, 3.84 at the ends of a 95 % interval.  A deviance that rises faster on one side
+        shows a bound there, as of a damping that cannot be negative.  The errors of the metres per count and of the
+        mass only scale the result, and are not in it.
+
+        Parameters
+        ----------
+        name : str
+            A parameter, by its name in ``parameters``, that follows from no others.
+
+        Returns
+        -------
+        DataFrame
+            ``value`` (``attrs["unit"]`` has its unit), ``deviance``, and ``rms_m``, the rms residual in m.
+
+        Raises
+        ------
+        InputError
+            For a parameter that the law does not have, that is fixed, or that follows from others, naming those that
+            can be taken; of one run among several.
+        """
+        import pandas as pd
+
+        from fitting.selection import resampling
+
+        if len(self.fit.at.task.problem.runs) > self.fit.runs:
+            do = "take ranking.best.profile(name), of all runs together"
+            raise InputError("one run of several that were fitted together", "profile", do)
+        found = pd.DataFrame(resampling.profile(self.fit, self.motion, self.parameters, name))
+        found.attrs["unit"] = self.parameters[name].unit
+        return found
+
+    def _motion_at(self, t: "ArrayLike") -> tuple[Array, Array]:
+        self._refuse_several("position and velocity")
+        return motion_at(self.fit, numbers(t, "t"))
+
+    def _refuse_several(self, what: str) -> None:
+        if self.fit.runs > 1:
+            do = f"take those of one run: ranking.runs[0].row({self.law!r})"
+            raise InputError(f"{self.fit.runs} runs together have no common time", what, do)
+
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""
         of_formula = () if self.formula is None else ("formula", "asked")
@@ -147,6 +284,10 @@ class Ranking:
     cpu_s : float
     runs : tuple of Ranking
         Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
+    records : tuple of Kinematics
+        The smoothed runs.
+    alpha : float
+        1 - confidence of the intervals.
     """
 
     verdict: str
@@ -160,6 +301,8 @@ class Ranking:
     cpu_s: float = 0.0
     findings: tuple[Finding, ...] = ()
     runs: "tuple[Ranking, ...]" = ()
+    records: tuple[Kinematics, ...] = field(default=(), repr=False)
+    alpha: float = 0.05
 
     @property
     def laws_in_set(self) -> tuple[int, ...]:
@@ -190,7 +333,7 @@ class Ranking:
         for row in self.rows:
             if row.law == law:
                 return row
-        raise KeyError(law)
+        raise KeyError(f"law {law} was not fitted; fitted: {', '.join(str(row.law) for row in self.rows)}")
 
     def as_json(self) -> dict[str, Any]:
         """Return the command's JSON document."""
@@ -249,28 +392,31 @@ class Ranking:
         """
         import pandas as pd
 
-        table, units = [], {}
+        table: list[dict[str, Any]] = []
+        units: dict[str, str] = {}
         for row in self.rows:
             flat = row.as_json()
-            del flat["outside_band"]
-            for name, item in flat.pop("parameters").items():
-                units[name] = item["unit"]
-                flat[name] = item["value"]
-                flat |= {f"{name} {part}": item[part] for part in ("stderr", "lo", "hi")}
-            table.append(flat)
+            del flat["outside_band"], flat["parameters"]
+            table.append(flat | in_columns(row.parameters))
+            units |= {name: item.unit for name, item in row.parameters.items()}
         frame = pd.DataFrame(table)
         frame.attrs["units"] = units
         return frame
 
-    def plot(self) -> "PngFigure":
+    def plot(self, ax: "Axes | None" = None) -> "Figure":
         """Draw friction against relative speed: the measured curve with its band, and the laws of the set over it.
 
         Where no curve was measured, the force balance of the best law at each sample is drawn instead.
 
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw all speeds; by default a new figure, with a second picture of the low ones.
+
         Returns
         -------
         matplotlib Figure
-            Two axes: all speeds, and the low ones.  ``figure.savefig(path)`` writes it, a notebook shows it.
+            ``figure.savefig(path)`` writes it, a notebook shows it.
 
         Raises
         ------
@@ -283,7 +429,7 @@ class Ranking:
 
         rows = [row for row in self.rows if row.in_set] or [self.best]
         shown = [(row.fit, row.called) for row in rows]
-        return plot.friction(shown, self.motion, self.adequacy.curve, self.verdict)
+        return plot.friction(shown, self.motion, self.adequacy.curve, self.verdict, ax)
 
     def __repr__(self) -> str:
         if not self.rows:
@@ -296,7 +442,7 @@ class Ranking:
     def _repr_html_(self) -> str:
         from daq.base.output import notebook
 
-        about = [("verdict", self.verdict), *(("warning", text) for text in self.warnings)]
+        about = [("verdict", self.verdict), *(("warning", in_python(text)) for text in self.warnings)]
         parts = [notebook.table("Ranking", about)]
         if self.rows:
             header = ("law", "", "rms (um)", "weight", "in the set")

@@ -76,7 +76,7 @@ def refusal(why: str, records: Sequence[Kinematics]) -> tuple[str, str, str]:
     records : sequence of Kinematics
         The records, as they were smoothed.
     """
-    where = ", ".join(str(record.recording.source) for record in records)
+    where = ", ".join(record.recording.where for record in records)
     if why == SINE_ALONE:
         do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
         return f"no belt stick-slip in this record: {why}", where, do
@@ -107,7 +107,7 @@ def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
     lasts = f"{slip_s:.3g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
     # one sample more than needed: how many a slip has is known to a sample (`fitting.data.slip_duration`)
     do = f"record at {_rounded_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts about {lasts}"
-    error = DataError(what, str(record.recording.source), do)
+    error = DataError(what, record.recording.where, do)
     found = Finding("samples-per-slip", f"{what}: {do}", float(samples), float(FEWEST_SAMPLES))
     error.add_result({"findings": [vars(found)]}, [])
     raise error
@@ -131,7 +131,7 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
     wrong = impossible(rest, low, high, motion.sign)
     if wrong:
         do = 'check its sign: x0 is the reading at the spring\'s rest, --x0 "60 mm +- 1 mm"'
-        raise InputError(wrong, str(record.recording.source), do)
+        raise InputError(wrong, record.recording.where, do)
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
@@ -147,8 +147,9 @@ def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
     return DataError(
         f"about {percent} % of the frames are {kind} although the times are even: the times are wrong, and every "
         "parameter with them",
-        str(record.recording.source),
+        record.recording.where,
         "import the track with the camera's own time stamps ('daq import --time NAME'), or record again and keep them",
+        python="load the track with the camera's own time stamps: daq.load(path, time='NAME')",
     )
 
 

@@ -23,8 +23,9 @@ from processing.record.position_steps import PositionStep, step_offsets
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-    from daq.base.output.plot import PngFigure
     from daq.runfile.recording import Recording
     from processing.record.plot import DrawnMotion
 
@@ -266,8 +267,13 @@ class Kinematics(SmoothingHeader):
             phase[found.first : found.last + 1] = found.kind
         return pd.DataFrame(columns | {"phase": phase, "segment": self.recording.segment})
 
-    def plot(self) -> "PngFigure":
+    def plot(self, ax: "Axes | None" = None) -> "Figure":
         """Draw position and velocity against time, over the first cycles, and the phase portrait of the whole record.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw the phase portrait alone; by default a new figure.
 
         Returns
         -------
@@ -276,7 +282,7 @@ class Kinematics(SmoothingHeader):
         """
         from processing.record.plot import figure_of
 
-        return figure_of(self.drawing())
+        return figure_of(self.drawing(), ax)
 
     def drawing(self) -> "DrawnMotion":
         """Return what `plot` shows."""

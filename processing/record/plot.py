@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array, pieces
 from daq.base.output.lengths import shown_length, shown_speed
-from daq.base.output.plot import STYLE, PngFigure, draw_markers, figure
+from daq.base.output.plot import STYLE, draw_markers, figure
 from processing.record.motion import Phase
 
 if TYPE_CHECKING:
@@ -54,9 +54,12 @@ class DrawnMotion:
     markers: tuple[tuple[float, str], ...] = ()
 
 
-def figure_of(motion: DrawnMotion) -> PngFigure:
-    """Return the motion as a figure of its own."""
+def figure_of(motion: DrawnMotion, axes: "Axes | None" = None) -> "Figure":
+    """Return the motion as a figure of its own; where there are axes, theirs, with the phase portrait in them."""
     with mpl.rc_context(fname=STYLE):
+        if axes is not None:
+            _portrait(axes, motion)
+            return axes.figure.figure
         drawn = figure(11.5, 5.6)
         draw_motion(drawn, drawn.add_gridspec(1, 1)[0], motion)
     return drawn

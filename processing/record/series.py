@@ -140,7 +140,7 @@ def from_recording(
         For an unknown time axis, fewer than 5 samples, a position or time that is not finite, or times that are
         repeated or decrease; the message names the sample.
     """
-    where = str(recording.source)
+    where = recording.where
     if times not in TIMES:
         raise InputError(f"times is {times!r}", "--times", f"known: {', '.join(TIMES)}")
     recorded, positions = recording.time, recording.position

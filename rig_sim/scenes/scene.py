@@ -180,8 +180,11 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
         content = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in _parsed(held, where).items()}
     except FileNotFoundError:
         raise InputError("no such file", where, f"check the path, or take a built-in scene: {_listed()}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where, "give the path of a TOML file") from None
+    except UnicodeDecodeError:
+        do = "give a scene's TOML file; of a run, fit-friction RUN.h5 --save-scene FILE.toml writes one"
+        raise InputError("cannot be read: it is no text file", where, do) from None
+    except OSError as error:
+        raise InputError(f"cannot be read ({error})", where, "give the path of a TOML file") from None
     content.setdefault("name", path.stem)
     return where, {OLD_NAMES.get(section, section): keys for section, keys in content.items()}
 

@@ -34,7 +34,7 @@ def test_the_report_has_no_outside_reference(report):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
-def test_the_first_screen_holds_verdict_ranking_and_six_orbits(report, chromium, width, height):
+def test_the_first_screen_holds_verdict_ranking_and_the_fitted_motion(report, chromium, width, height):
     # The ranking used to begin on the second screen, and the page was 722 px wide on a phone.
     need(find_spec("playwright"), "playwright is not installed")
     from playwright.sync_api import sync_playwright
@@ -44,9 +44,10 @@ def test_the_first_screen_holds_verdict_ranking_and_six_orbits(report, chromium,
         page = browser.new_page(viewport={"width": width, "height": height})
         page.goto(report.as_uri())
         lowest = {
-            name: page.locator(name).first.bounding_box() for name in (".verdict", ".top table", ".top figure svg")
+            name: page.locator(name).first.bounding_box()
+            for name in (".verdict", ".top table", ".top figure svg image")
         }
-        titles = page.locator(".top figure svg text", has_text=re.compile("^law [1-6]")).count()
+        titles = page.locator("svg[aria-label^=Phase] text", has_text=re.compile("^law [1-6]")).count()
         wide = page.evaluate("document.documentElement.scrollWidth")
         pictures = page.evaluate("[...document.querySelectorAll('.wide svg')].map(svg => svg.clientWidth)")
         browser.close()
@@ -55,6 +56,32 @@ def test_the_first_screen_holds_verdict_ranking_and_six_orbits(report, chromium,
     assert wide <= width
     for name, box in lowest.items():
         assert box["y"] + box["height"] <= height, name
+
+
+OUTSIDE = """() => [...document.querySelectorAll(".pair > *, .columns > *, .top > *, body > *")].flatMap(part =>
+    [...part.querySelectorAll("td, th, dd, figcaption, svg, p")].filter(one =>
+        one.getBoundingClientRect().right > part.getBoundingClientRect().right + 1).map(one => one.outerHTML))"""
+MM = 96 / 25.4  # px
+
+
+@pytest.mark.slow
+def test_nothing_overlaps_on_paper_and_dark_is_dark(report, chromium):
+    """Tables used to run into the column beside them in print."""
+    need(find_spec("playwright"), "playwright is not installed")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as browsers:
+        browser = browsers.chromium.launch(executable_path=chromium)
+        page = browser.new_page(color_scheme="dark")
+        page.goto(report.as_uri())
+        paper = "getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)"
+        assert max(page.evaluate(paper)) < 40
+        page.emulate_media(media="print")
+        assert min(page.evaluate(paper)) == 255  # on paper it is light all the same
+        for width in (210, 216):  # A4 and Letter, less the margins
+            page.set_viewport_size({"width": round((width - 30) * MM), "height": 1000})
+            assert page.evaluate(OUTSIDE) == [], width
+        browser.close()
 
 
 def browse(chromium: str, page: Path, *flags: str) -> str:

@@ -232,7 +232,7 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     except StickslipError as error:
         return _fail(name, error, error.exit_code, as_json)
     except cyclopts.CycloptsError as error:
-        what = " ".join(str(error).split()).removesuffix(".")
+        what = _unused(error) or " ".join(str(error).split()).removesuffix(".")
         command = " ".join([name, *(error.command_chain or ())])
         usage = StickslipError(what, "command line", f"see '{command} --help'")
         return _fail(name, usage, EXIT_INPUT, as_json)
@@ -251,6 +251,13 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
         do = "this is a bug: run it again without --json and report it"
         return _fail(name, StickslipError(f"{type(error).__name__}: {error}", name, do), EXIT_BUG, as_json)
     return _printed(name, answer, as_json)
+
+
+def _unused(error: cyclopts.CycloptsError) -> str:
+    """Return that a command takes no more words, and which; "" of another error."""
+    if not isinstance(error, cyclopts.UnusedCliTokensError):
+        return ""
+    return f"nothing takes {', '.join(repr(word) for word in error.unused_tokens or ())}"
 
 
 def _printed(name: str, answer: object, as_json: bool) -> int:

@@ -38,7 +38,7 @@ def test_a_scale_holds_all_finite_values_and_equal_ones():
 def test_a_line_breaks_where_a_value_is_missing_and_words_are_escaped():
     axes = Axes(0, 0, 200, 150, AxisScale(0.0, 3.0), AxisScale(0.0, 1.0), title="a < b")
     axes.line(np.arange(4.0), np.array([0.0, 1.0, np.nan, 0.5]), "#123456", label="x & y")
-    drawn = picture("one", 200, 150, [axes])
+    drawn = picture("one", 200, 150, [axes], "a < b")
     path = re.search('stroke="#123456"[^>]* d="([^"]+)"', drawn)[1]
     assert (path.count("M"), path.count("L")) == (2, 1)
     assert "a &lt; b" in drawn
@@ -49,7 +49,7 @@ def test_dots_and_traces_lie_where_their_values_are():
     axes = Axes(0, 0, 200, 150, AxisScale(0.0, 1.0), AxisScale(0.0, 1.0))
     axes.cloud(np.array([0.25, 7.0]), np.array([0.75, 0.5]), "#ff0000", opacity=1.0)
     axes.trace([(np.array([0.0, 1.0]), np.array([0.5, 0.5]))], "#0000ff", opacity=0.5)
-    found = re.findall('base64,([^"]+)"', picture("one", 200, 150, [axes]))
+    found = re.findall('base64,([^"]+)"', picture("one", 200, 150, [axes], "a < b"))
     cloud, trace = (np.asarray(Image.open(io.BytesIO(base64.b64decode(one))).convert("RGBA")) for one in found)
     rows, columns = cloud.shape[:2]
     y, x = np.nonzero(cloud[:, :, 3])

@@ -1,11 +1,14 @@
 """The page stands alone, gives the verdict, and never replaces a file that is not a report."""
 
 import re
+from dataclasses import replace
 
 import pytest
 
 from daq.base.errors import InputError
 from daq.runfile import store
+from daq.runfile.run_data import OF_FILE
+from fitting.drawing.palette import law_colours
 from fitting.estimation.result import Parameter
 from fitting.report import page as report
 from processing.smoothing import smooth
@@ -26,7 +29,7 @@ def test_the_page_asks_nothing_of_the_network(page):
 
 def test_the_page_holds_verdict_pictures_and_every_law(page, ranked):
     assert ranked(law=5).verdict in page
-    assert page.count("<svg") == 9
+    assert page.count("<svg") == 12
     assert len(page.encode()) < 500_000
     assert len(set(re.findall(r'clipPath id="([^"]+)"', page))) == page.count("<clipPath")
     assert "noise, ±2 sd" in page
@@ -93,7 +96,45 @@ def test_the_true_laws_orbit_is_the_nearest(ranked):
 
 def test_the_page_gives_orbits_beside_the_evidence(page, ranked):
     assert f">{100 * ranked(law=5).best.orbit:.2g} %</td>" in page
-    assert "Residual against CPU time" in page
+
+
+def test_the_first_picture_is_position_and_velocity_with_the_fit(page):
+    described = re.findall(r'<svg[^>]*aria-label="([^"]+)"', page)
+    assert len(described) == page.count("<svg"), "a picture without a description"
+    assert described[0] == "Position and velocity of one cycle: as measured and law 5, fitted."
+    assert described[1].startswith("Position and velocity of the record")
+
+
+def test_the_cost_stands_below_the_evidence_and_the_method(page):
+    """CPU times used to stand among the evidence."""
+    cost = page.index("For developers")
+    assert page.index("Method</h2>") < cost
+    assert "CPU" not in page[:cost]
+
+
+def test_rivals_and_published_forms_have_errors(ranked, synthetic, page):
+    forms = page[page.index("Published forms") :]
+    assert re.search(r"gamma = [\d.]+ ± [\d.]+ s/m", forms)
+
+
+def test_a_line_of_each_law_is_told_apart_without_its_colour(page):
+    friction = next(part for part in page.split("<svg") if "Friction against relative velocity" in part)
+    lines = re.findall(
+        r'<path fill="none" stroke="(#\w+)" stroke-width="[\d.]+"(?: stroke-dasharray="([^"]+)")?', friction
+    )
+    dashes = {colour: dash for colour, dash in lines if colour in law_colours(range(1, 7)).values()}
+    assert len(dashes) == 6
+    assert len(set(dashes.values())) == 6
+
+
+def test_an_imported_table_is_a_file_of_some_date(ranked, synthetic):
+    """The date of the file stood there as that of the recording."""
+    recording = synthetic.recording(law=5)
+    imported = replace(recording, provenance=recording.provenance | {"start_time_from": OF_FILE})
+    motion = replace(smooth(recording), recording=imported)
+    text = report.render(ranked(law=5), [motion], [from_kinematics(motion)], 0.05)
+    assert ", file of 2" in text
+    assert "recorded 2" not in text
 
 
 @pytest.mark.parametrize(

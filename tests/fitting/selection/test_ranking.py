@@ -1,6 +1,7 @@
 """The verdict: right on clean and on disturbed runs, silent where there is nothing to rank."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -174,10 +175,20 @@ def test_too_few_cycles_are_refused_with_their_number(synthetic):
         rank(smooth(synthetic.recording(law=5, duration=5.0)))
 
 
+def refused(called, *arguments, **options):
+    """Return what a call says that is refused as wrong usage."""
+    with pytest.raises(InputError) as raised:
+        called(*arguments, **options)
+    return str(raised.value)
+
+
 def test_excluding_too_many_cycles_is_refused(synthetic):
     kinematics = smooth(synthetic.recording(law=5))
-    with pytest.raises(DataError, match="8 more left out"):
+    with pytest.raises(DataError, match=r"8 more left out.*leave out fewer"):
         rank(kinematics, excluded=range(1, 9))
+    last = int(re.search(r"has (\d+)", refused(rank, kinematics, excluded=[99]))[1])
+    # it used to end with exit code 6: "stick-slip, but none of the six laws"
+    assert f"all {last} cycles are left out" in refused(rank, kinematics, excluded=range(1, last + 1))
 
 
 def test_a_gap_costs_its_cycle_and_no_more(synthetic):

@@ -1,0 +1,191 @@
+"""``fitting.rank``: of a run, a file, a smoothed motion, two arrays, or several runs of one contact."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import daq
+from daq.base import units
+from daq.base.errors import InputError
+from daq.base.output import suffix
+from daq.base.units import Stated
+from daq.runfile.recording import Recording
+from daq.runfile.rig import Rig
+from fitting import job
+from fitting.competitors import ALL_LAWS, Competitors
+from fitting.job import FitOptions, LoadedRun
+from fitting.law import Bound, Law
+from fitting.ranked import Ranking
+from processing.record.kinematics import Kinematics
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+Run = Recording | Kinematics | str | os.PathLike[str]
+RUNS = (Recording, Kinematics, str, os.PathLike)
+
+
+def rank(
+    run_or_time: "Run | Sequence[Run] | ArrayLike",
+    position: "ArrayLike | None" = None,
+    laws: int | str | Law | Sequence[int | str | Law] | Competitors = ALL_LAWS,
+    *,
+    mass: Stated | None = None,
+    stiffness: Stated | None = None,
+    x0: Stated | None = None,
+    damping: Stated | None = None,
+    belt_speed: Stated | None = None,
+    rig: Rig | Sequence[Rig] | None = None,
+    fix: Mapping[str, float] | None = None,
+    bounds: Mapping[str, Bound] | None = None,
+    start: Mapping[str, float] | None = None,
+    begin: float | str | None = None,
+    end: float | str | None = None,
+    excluded: int | Sequence[int] = (),
+    alpha: float = 0.05,
+    jobs: int = 1,
+    progress: Callable[[float], None] | None = None,
+    scheduler: str | None = None,
+) -> Ranking:
+    """Fit friction laws to a record, or to several records of one contact together, and rank them.
+
+    A quantity is a number in SI, ``(value, sd)``, or text with a unit: ``"500 g +- 1 g"``.  What is given here goes
+    before the calibration of the run.  The numbers are those that `fit-friction` prints; no file is written.
+
+    Parameters
+    ----------
+    run_or_time : Recording, Kinematics, path, sequence of them, or array_like of shape (n,)
+        A run; a smoothed motion (`processing.smooth`); a run file or a table that `daq.load` reads; or times, s, of
+        the ``position``.  Several runs are fitted as one contact: k/m, Fs/m, the curve, the ramp and the damping are
+        one for all; belt speed, rest position, wear and the belt's compliance are each run's own.
+    position : array_like of shape (n,), optional
+        Positions, m, beside times.
+    laws : int, str, Law, or sequence of them
+        Which laws compete: of the six by number or range (``"1-6"``), published ones by name (``"stribeck"``), and
+        laws of one's own (`fitting.Law`).
+    mass, stiffness, damping : quantity, optional
+        Moving mass, kg, or stiffness of the spring, N/m: one of the two; viscous damping, N s/m.
+    x0 : quantity, optional
+        Reading at the spring's rest, m.
+    belt_speed : quantity or "channel", optional
+        Speed of the belt, m/s, signed.  By default belt counts are used if the run contains them; "channel" requires
+        them.
+    rig : Rig or sequence of Rig, optional
+        The whole calibration instead of the run's: one for all, or one for each run.
+    fix, bounds, start : mapping, optional
+        Values of parameters that are known, bounds as (low, high), and first values, by the names that the results
+        give them and in their units: ``{"gamma": 9.6}``, of one law ``{"mine.v_s": 0.05}``.
+    begin, end : time, optional
+        Of a run file the part to fit: from, and up to, s or text with a unit.
+    excluded : int or sequence of int
+        Numbers of cycles to leave out (1 is the first break-away); of a run that is fitted alone.
+    alpha : float
+        1 - confidence of the intervals and of the set rule.
+    jobs : int
+        Processes to fit in: up to three are of use, one for each curve.  The result is the same to the last bit.
+    progress : callable, optional
+        Called with the number of laws done.
+    scheduler : str, optional
+        Address of a dask scheduler, ``tcp://host:8786``, whose workers fit instead of processes on this machine.
+
+    Returns
+    -------
+    Ranking
+
+    Raises
+    ------
+    InputError
+        For what is no run, unknown laws, parameters that no law has or values that they cannot have, a formula that is
+        no friction with any values, a record in counts, a belt speed of zero, belt counts asked for that are not
+        there, alpha outside (0, 1), fewer than one job, a scheduler that cannot be used, or a speed or cycles to
+        exclude beside several runs.
+    DataError
+        When a record shows no stick-slip, when a slip has fewer than eight samples, when there are fewer than four
+        complete cycles, when some of the runs stick and others do not, or when frames were lost or doubled among even
+        times.
+
+    Notes
+    -----
+    A belt that slows under load looks like a ramp.  With the belt's own counts its compliance is measured and part of
+    the flow; without, a ramp narrow enough to be such a belt brings its jump law into the set.
+
+    A belt whose speed ripples at one frequency is seen in the sticks, and its ripple is also fitted.
+
+    Not modelled: a ripple of several frequencies, friction that remembers, a mass or spring that changes between runs.
+
+    Examples
+    --------
+    >>> import daq, fitting
+    >>> run = daq.load("data_samples/law5.h5")
+    >>> ranking = fitting.rank(run, laws=(5, 6), mass="300 g +- 1 g")
+    >>> ranking.laws_in_set
+    (5,)
+    >>> fitting.rank(run.time, run.position, laws=5, fix={"gamma": 9.6}).best.parameters["gamma"]
+    Parameter(value=9.6, stderr=0.0, lo=9.6, hi=9.6, unit='s/m', trusted=True, fixed=True)
+    """
+    if isinstance(position, Rig) or (isinstance(position, list | tuple) and _are(position, Rig)):
+        rig, position = position, None
+    if mass is not None and stiffness is not None:
+        raise InputError("mass and stiffness together", "fitting.rank", "give one: the fit finds the other")
+    options = FitOptions(
+        competitors=laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start),
+        mass=units.stated(mass, "mass"),
+        stiffness=units.stated(stiffness, "stiffness"),
+        x0=units.stated(x0, "x0"),
+        damping=units.stated(damping, "damping"),
+        belt_speed=belt_speed if belt_speed == "channel" else units.stated(belt_speed, "belt_speed"),
+        excluded=(excluded,) if isinstance(excluded, int) else tuple(excluded),
+        alpha=alpha,
+        begin=_time(begin, "begin"),
+        end=_time(end, "end"),
+        report=False,
+    )
+    given = _runs(run_or_time, position)
+    rigs = [rig] * len(given) if rig is None or isinstance(rig, Rig) else list(rig)
+    if len(rigs) != len(given):
+        raise InputError(f"{len(rigs)} rigs for {len(given)} runs", "rig", "give one for all, or one for each run")
+    runs = [_loaded(one, own, options) for one, own in zip(given, rigs, strict=True)]
+    return Ranking.of(job.fit_runs(runs, options, jobs, scheduler, progress).ranking)
+
+
+def _runs(run_or_time: Any, position: Any) -> list[Run]:
+    """Return the runs that a caller gives."""
+    call = "fitting.rank"
+    if isinstance(run_or_time, RUNS):
+        if position is not None:
+            raise InputError("a position beside a run, which has its own", call, "give the run alone")
+        return [run_or_time]
+    if position is not None:
+        return [Recording.from_arrays(run_or_time, position)]
+    if isinstance(run_or_time, job.FitOutput | Ranking):
+        raise InputError("a ranking, which is fitted already", call, "give a run: fitting.rank(daq.load(path))")
+    if isinstance(run_or_time, list | tuple) and _are(run_or_time, RUNS):
+        if not run_or_time:
+            raise InputError("no run", call, "give at least one")
+        return list(run_or_time)
+    do = "give a run, a file, a smoothed motion, or two arrays: fitting.rank(time, position)"
+    raise InputError(f"a {type(run_or_time).__name__} and no position", call, do)
+
+
+def _are(values: Sequence[Any], kind: Any) -> bool:
+    return all(isinstance(one, kind) for one in values)
+
+
+def _time(value: float | str | None, name: str) -> float | None:
+    return None if value is None else units.in_si(value, "time", name).value
+
+
+def _loaded(run: Run, rig: Rig | None, options: FitOptions) -> LoadedRun:
+    """Return a run with the calibration to use; a run file as the command reads it, smoothed where it holds that."""
+    if isinstance(run, str | os.PathLike) and Path(run).suffix.lower() in suffix.RUN.suffixes:
+        return job.load_run(Path(run), options, rig)
+    if options.begin is not None or options.end is not None:
+        do = "name the file, as in fitting.rank('run.h5', begin=5), or cut the arrays"
+        raise InputError("begin or end of what is no run file", "fitting.rank", do)
+    motion = run if isinstance(run, Kinematics) else None
+    if isinstance(run, str | os.PathLike):
+        run = daq.load(run)
+    recording = run if isinstance(run, Recording) else run.recording
+    ends = float(recording.time[0]), float(recording.time[-1])
+    return LoadedRun(recording, motion, job.calibrated(recording.rig if rig is None else rig, options), "", ends)

@@ -1,0 +1,336 @@
+"""`Ranking`, as `fitting.rank` returns it: the laws in order, as tables, errors without a covariance, and files."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.base.compute.arrays import Array
+from daq.base.errors import DataError, InputError
+from daq.base.output import suffix
+from fitting.adequacy.result import Adequacy
+from fitting.curve.result import MeasuredCurve
+from fitting.estimation.result import Correlations, in_columns
+from fitting.report import page
+from fitting.rig_scene import fitted_scene, scene_file
+from fitting.selection import resampling, result
+from processing.statistics import from_kinematics
+
+if TYPE_CHECKING:
+    import os
+
+    import pandas as pd
+    import xarray as xr
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ranking(result.Ranking):
+    """The laws in order, with the verdict, the break-aways and the warnings.
+
+    Attributes
+    ----------
+    verdict : str
+        A sentence; the laws it names are `members`, unless it says that none describes the record.
+    members : tuple of int or str
+        Model confidence set: laws that the record cannot distinguish, best first.
+    rows : tuple of LawResult
+        Best first, those in the set before all others; none where the record is stick-slip that no law comes near.
+    events : tuple of BreakAway
+        The break-aways.
+    warnings : tuple of str
+        The texts of the findings among them.
+    findings : tuple of Finding
+        Contradictions between calibration and record, and the faults that smoothing found.
+    adequacy : Adequacy
+        Whether the best law describes the record, and what is known without a law.
+    runs : tuple of Ranking
+        Of several runs fitted together each run's own side.
+    records : tuple of Kinematics
+        The smoothed runs.
+    alpha : float
+        1 - confidence of the intervals.
+    cpu_s : float
+        CPU time, s.
+
+    Examples
+    --------
+    >>> import fitting
+    >>> ranking = fitting.rank("data_samples/law5.h5", laws=5)
+    >>> print(ranking.best.parameters["gamma"])
+    9.613 [9.562, 9.664] s/m
+    >>> float(ranking.correlation.loc["gamma", "c/m"].round(2))
+    -0.93
+    >>> float((1e6 * ranking.residuals.residual_m.std()).round(2))  # um
+    2.22
+    """
+
+    @classmethod
+    def of(cls, found: result.Ranking) -> "Ranking":
+        """Return a ranking with what Python adds to it."""
+        values = {field.name: getattr(found, field.name) for field in fields(found)}
+        return cls(**(values | {"runs": tuple(map(cls.of, found.runs))}))
+
+    @property
+    def correlation(self) -> "pd.DataFrame":
+        """How the errors of the best law's parameters go together, -1 to 1: a pandas table with their names.
+
+        The parameters are those that are fitted and follow from no others, per unit mass; of several runs v_dr and x0
+        are those of the first, ``v_dr (1)``.
+
+        Raises
+        ------
+        DataError
+            No law describes the record: the intervals are withheld.
+        """
+        found = self._correlations("correlation")
+        place = [found.names.index(name) for name in self._names]
+        return self._square(found.matrix[np.ix_(place, place)])
+
+    @property
+    def covariance(self) -> "pd.DataFrame":
+        """Covariance of the best law's parameters: `correlation` times the standard errors of ``best.parameters``.
+
+        ``attrs["units"]`` has the unit of each parameter.  For functions of several parameters it is a first-order
+        one; `bootstrap` takes none for granted.
+
+        Raises
+        ------
+        DataError
+            No law describes the record: the intervals are withheld.
+        """
+        self._correlations("covariance")
+        error = np.array([self.best.parameters[name].stderr for name in self._names])
+        return self._square(self.correlation.to_numpy() * np.outer(error, error))
+
+    @property
+    def residuals(self) -> "pd.DataFrame":
+        """The residuals of the best law, one row a sample that was fitted: see `LawResult.residuals`.
+
+        Of several runs fitted together a column ``run`` comes first, 1 for the first.
+        """
+        import pandas as pd
+
+        law = self._best("residuals").law
+        if not self.runs:
+            return self.best.residuals
+        parts = {number: side.row(law).residuals for number, side in enumerate(self.runs, start=1)}
+        return pd.concat(parts, names=["run", None]).reset_index(level=0).reset_index(drop=True)
+
+    @property
+    def curve(self) -> "pd.DataFrame":
+        """Friction against slip speed, measured without a law: a pandas table, one row a speed.
+
+        Columns: ``speed``, m/s, ``friction``, and ``lo`` and ``hi``, a band that holds the whole curve with the
+        confidence 1 - `alpha`; ``attrs["units"]``.  In N where the mass or the spring's stiffness is known, else per
+        kilogram.
+
+        Raises
+        ------
+        DataError
+            No curve could be measured.
+        """
+        import pandas as pd
+
+        found = self._measured("curve")
+        table = pd.DataFrame({name: getattr(found, name) for name in ("speed", "friction", "lo", "hi")})
+        table.attrs["units"] = {"speed": "m/s"} | dict.fromkeys(("friction", "lo", "hi"), self.adequacy.unit)
+        return table
+
+    @property
+    def forms(self) -> "pd.DataFrame":
+        """Published forms fitted to the measured curve: a pandas table, one row a form, best first.
+
+        Columns: ``name``, ``formula``, ``source``, ``chi`` (distance from the measured curve, of its errors),
+        ``inside_band``, and of each parameter its value, "NAME stderr", "NAME lo" and "NAME hi"; levels in the unit of
+        `curve`.
+
+        Raises
+        ------
+        DataError
+            No curve could be measured.
+        """
+        import pandas as pd
+
+        forms = self._measured("forms").forms
+        told = ("name", "formula", "source", "chi", "inside_band")
+        table = pd.DataFrame(
+            [{name: getattr(form, name) for name in told} | in_columns(form.parameters) for form in forms]
+        )
+        table.attrs["units"] = {name: item.unit for form in forms for name, item in form.parameters.items()}
+        return table
+
+    def bootstrap(self, n: int = 200, seed: int | None = None) -> "pd.DataFrame":
+        """Fit the best law again to drawn cycles, and return its parameters: a pandas table, one row a draw.
+
+        The standard deviation of a column is a standard error that takes neither a normal distribution nor a linear
+        problem for granted.  Cycles are drawn by exponential weights (Rubin, 1981), calibrations from their errors.
+        With few cycles the spread is too small, as that of every bootstrap: by 10 to 20 % with twenty cycles, by a
+        fourth with five.
+
+        Parameters
+        ----------
+        n : int
+            Draws; each costs about as much CPU time as 1/30 of `fitting.rank`.
+        seed : int, optional
+            The same draws for the same seed.
+
+        Returns
+        -------
+        DataFrame
+            Columns as of `covariance`; ``attrs["units"]``.
+
+        Raises
+        ------
+        DataError
+            No law describes the record, or more than a tenth of the draws cannot be fitted.
+        InputError
+            For fewer than two draws.
+        """
+        import pandas as pd
+
+        self._correlations("bootstrap")
+        found = resampling.bootstrap(self.best.fit, self.sides[0].motion, n, seed)
+        names = {name.removesuffix(" (1)"): name for name in self._names}
+        return self._with_units(pd.DataFrame({shown: found[name] for name, shown in names.items()}))
+
+    def to_xarray(self) -> "xr.Dataset":
+        """Return samples, parameters and measured curve as an xarray data set, with units as attributes.
+
+        Dimensions: ``sample`` (``time``, ``cycle``, ``phase``, ``position``, ``fitted``, ``residual``; of several runs
+        ``run``), ``law`` and ``parameter`` (``value``, ``stderr``, ``lo``, ``hi``, NaN where a law has no such
+        parameter or the interval is withheld), and ``speed`` (``friction``, ``friction_lo``, ``friction_hi``).
+
+        Raises
+        ------
+        InputError
+            xarray is not installed.
+        DataError
+            No law came near the record.
+        """
+        try:
+            import xarray as xr
+        except ImportError:
+            do = "install it: pip install xarray; or take residuals, curve and to_dataframe()"
+            raise InputError("xarray is not installed", "to_xarray", do) from None
+        samples, law_rows = self.residuals, [in_columns(row.parameters) for row in self.rows]
+        units = dict(self.to_dataframe().attrs["units"])
+        data: dict[str, tuple[str | tuple[str, str], Any]] = {
+            str(name).removesuffix("_s").removesuffix("_m"): ("sample", samples[name].to_numpy()) for name in samples
+        }
+        for part in ("value", "stderr", "lo", "hi"):
+            keys = [name if part == "value" else f"{name} {part}" for name in units]
+            cells = [[np.nan if row.get(key) is None else row[key] for key in keys] for row in law_rows]
+            data[part] = ("law", "parameter"), cells
+        in_units = {"time": "s", "position": "m", "fitted": "m", "residual": "m"}
+        if self.adequacy.curve is not None:
+            curve = self.curve
+            for name, column in {"friction": "friction", "friction_lo": "lo", "friction_hi": "hi"}.items():
+                data[name], in_units[name] = ("speed", curve[column].to_numpy()), self.adequacy.unit
+            data["speed"], in_units["speed"] = ("speed", curve["speed"].to_numpy()), "m/s"
+        data["law"] = "law", [str(row.law) for row in self.rows]
+        data["parameter"], data["unit"] = ("parameter", list(units)), ("parameter", list(units.values()))
+        made = xr.Dataset(data).set_coords([name for name in ("time", "cycle", "phase", "run", "unit") if name in data])
+        for name, unit in in_units.items():
+            made[name].attrs["units"] = unit
+        return made.assign_attrs(verdict=self.verdict, adequacy=self.adequacy.said)
+
+    def report(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
+        """Write the report that `fit-friction` writes, an HTML page.
+
+        Parameters
+        ----------
+        path : path
+            The page.
+        force : bool
+            Replace a file that is no report of these runs.
+
+        Returns
+        -------
+        Path
+            The page.
+
+        Raises
+        ------
+        InputError
+            The name has the suffix of another format, its folder does not exist, or what stands there is something
+            else and ``force`` is not given.
+        """
+        target, recordings = Path(path), [record.recording for record in self.records]
+        suffix.check(target, suffix.PAGE, "--report", {suffix.PDF: "then print the page from a browser"})
+        digests, files = [own.digest for own in recordings], self._files
+        page.refuse_foreign_file(target, digests, files=files, force=force)
+        counted = [from_kinematics(record) for record in self.records]
+        text = page.render(self, self.records, counted, self.alpha)
+        page.write(text, target, digests, files=files, force=force)
+        return target
+
+    def save_scene(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
+        """Write the fitted rig as a scene (.toml), which `rig_sim.scene` and every command of `rig-sim` take.
+
+        It has the best law or, where no law describes the record, the measured curve; and the covariance, for the
+        draws of `rig_sim.continue_`.
+
+        Parameters
+        ----------
+        path : path
+            The scene.
+        force : bool
+            Replace an existing file.
+
+        Returns
+        -------
+        Path
+            The scene.
+
+        Raises
+        ------
+        InputError
+            The name has the suffix of another format, or the file exists and ``force`` is not given.
+        DataError
+            Neither a law nor a friction curve describes the record.
+        """
+        target = Path(path)
+        suffix.check(target, suffix.TOML, "--save-scene", {})
+        scene_file.refuse_existing(target, self._files, force=force)
+        rig = fitted_scene.of_ranking(self, from_kinematics(self.records[0]))
+        scene_file.write(target, scene_file.text(rig, self, Path(self.records[0].recording.name)))
+        return target
+
+    @property
+    def _files(self) -> list[Path]:
+        """The files of the runs; a run in memory has none."""
+        return [record.recording.source for record in self.records if record.recording.source.name]
+
+    @property
+    def _names(self) -> list[str]:
+        """The parameters of the best law that are fitted and follow from no others."""
+        return [name for name in self._correlations("names").names if not self.best.parameters[name].fixed]
+
+    def _square(self, matrix: Array) -> "pd.DataFrame":
+        import pandas as pd
+
+        return self._with_units(pd.DataFrame(matrix, self._names, self._names))
+
+    def _with_units(self, table: "pd.DataFrame") -> "pd.DataFrame":
+        table.attrs["units"] = {name: self.best.parameters[name].unit for name in self._names}
+        return table
+
+    def _best(self, what: str) -> result.LawResult:
+        if not self.rows:
+            raise DataError("no law came near this record", what, "plot the kinematics: ranking.records[0].plot()")
+        return self.best
+
+    def _correlations(self, what: str) -> Correlations:
+        self._best(what)
+        found = self.correlations()
+        if found is None:
+            do = "take ranking.curve, which needs no law; ranking.adequacy.departures says what may be missing"
+            raise DataError("no law describes the record, and the intervals are withheld", what, do)
+        return found
+
+    def _measured(self, what: str) -> MeasuredCurve:
+        adequacy: Adequacy = self.adequacy
+        if adequacy.curve is None:
+            raise DataError("no friction curve could be measured", what, "record more cycles of stick-slip")
+        return adequacy.curve

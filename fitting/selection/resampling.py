@@ -1,0 +1,199 @@
+"""Errors of a fitted law without a covariance: fits of drawn cycles, and fits with one parameter held.
+
+Bootstrap.  Cycles are what is independent in a record: each break-away draws a new friction level, and what a slightly
+wrong model leaves is correlated within a cycle alone.  So cycles are drawn, not samples, by the weights of the Bayesian
+bootstrap (D. Rubin, Ann. Statist. 9 (1981) 130): exponential ones, since a cycle that is not drawn at all would leave a
+short record with too few.  Calibrations are drawn from their errors.  Each draw is fitted again from the fit's end.
+The spread is that of the sandwich covariance (`fitting.estimation.covariance`) where the problem is linear.
+
+Profile.  One parameter is held at a row of values and all others are fitted again.  The deviance is twice the rise of
+the objective: in a linear problem the square of the distance in standard errors, 3.84 at the ends of a 95 % interval.
+The errors of the metres per count and of the mass, which only scale what is fitted, are not in it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.base.compute.arrays import Array
+from daq.base.errors import DataError, InputError, nearest
+from fitting.competitors import PER_MASS
+from fitting.curve.formula_fit import FormulaFit
+from fitting.curve.formula_parameters import independent_formula_parameters
+from fitting.data.frame import MeasuredMotion
+from fitting.estimation.covariance import covariances
+from fitting.estimation.derived import independent_parameters
+from fitting.estimation.fit import Fit
+from fitting.estimation.result import Parameter
+from fitting.least_squares import levenberg_marquardt
+from fitting.least_squares.levenberg_marquardt import Solution
+from fitting.least_squares.problem import LeastSquaresProblem
+from fitting.model.parameters import PER_RUN, Global
+from fitting.selection.given import SIGNED, UNKNOWNS
+from rig_sim.friction.law import LAWS
+
+FIRST_DAMPING = 1e-6  # of the curvatures: each fit starts near its end, which does not depend on it
+# Of the draws that must be fitted: those that cannot are the odd ones, and without more of them the spread is too
+# small.  Of normal draws the outermost tenth has a third of the variance.
+FEWEST_FITTED = 0.9
+REACH, STEPS = 3.0, 6  # standard errors on either side, and fits on each: half as many leave a bent profile unseen
+
+
+def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int | None) -> dict[str, Array]:
+    """Return parameters of fits of drawn cycles: by name arrays (draws,), per unit mass, of the first run.
+
+    Parameters
+    ----------
+    fit : Fit or FormulaFit
+        Of all runs together.
+    motion : MeasuredMotion
+        Of the first run.
+    n : int
+        How many draws.
+    seed : int or None
+        The same draws for the same seed.
+
+    Raises
+    ------
+    InputError
+        For fewer than two draws.
+    DataError
+        More than a tenth of the draws cannot be fitted.
+    """
+    if not (isinstance(n, int) and n >= 2):
+        raise InputError(f"n is {n!r}", "bootstrap", "give 2 draws or more; 200 show a standard error to 5 %")
+    rng, problem = np.random.default_rng(seed), fit.at.problem
+    if isinstance(fit, FormulaFit):
+        shown = independent_formula_parameters(fit, motion)
+    else:
+        shown = independent_parameters(fit, motion)
+    spread = np.where(problem.precision > 0, 1 / np.sqrt(np.where(problem.precision > 0, problem.precision, 1.0)), 0.0)
+    found = []
+    for _ in range(n):
+        weight = rng.exponential(size=problem.weights.size)
+        prior = problem.prior + spread * rng.standard_normal(spread.size)
+        longer, unseen = 1 + motion.length_error * float(rng.standard_normal()), float(rng.standard_normal())
+        drawn = replace(
+            problem,
+            weights=problem.weights * weight,
+            local_precision=problem.local_precision * weight[:, np.newaxis],
+            prior=np.clip(prior, problem.lower, problem.upper),
+        )
+        solution = _fitted(drawn, fit.at.q, fit.at.local)
+        if solution is not None:
+            found.append(shown.at(solution.u, unseen) * longer**shown.lengths)
+    if len(found) < FEWEST_FITTED * n:
+        what = f"{n - len(found)} of {n} draws of cycles cannot be fitted"
+        raise DataError(what, "bootstrap", "use the covariance, or record more cycles")
+    return dict(zip(shown.names, np.array(found).T, strict=True))
+
+
+def profile(
+    fit: Fit | FormulaFit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], name: str
+) -> dict[str, Array]:
+    """Return ``value`` (k,) of a parameter, and with it held there ``deviance`` (k,) and ``rms_m`` (k,).
+
+    Parameters
+    ----------
+    fit : Fit or FormulaFit
+        Of all runs together.
+    motion : MeasuredMotion
+        Of the first run.
+    parameters : mapping of str to Parameter
+        Of the law.
+    name : str
+        Of an unknown of the fit: per unit mass or, where the mass is known, in newtons.
+
+    Raises
+    ------
+    InputError
+        For a parameter that the law does not have, that is fixed, or that follows from others.
+    DataError
+        The motion cannot be followed with other values.
+    """
+    if name not in parameters:
+        raise InputError(f"law {fit.law} has no parameter {name!r}", "profile", nearest(name, list(parameters)))
+    item, place = parameters[name], _unknown(fit, motion, name)
+    if place is None:
+        able = [other for other in parameters if _unknown(fit, motion, other) and not parameters[other].fixed]
+        raise InputError(f"{name} follows from other parameters", "profile", f"take one of {', '.join(able)}")
+    problem = fit.at.problem
+    if item.fixed or problem.lower[place.number] == problem.upper[place.number]:
+        raise InputError(f"{name} is fixed", "profile", "name a parameter that is fitted, or leave it out of fix")
+    least = _fitted(problem, fit.at.q, fit.at.local) or fit.at.solution
+    middle, sd = float(least.u[place.number]), _deviation(fit, place.number)
+    found = [(place.value(middle), least)]
+    for side in (-1.0, 1.0):
+        at = least
+        for step in range(1, STEPS + 1):
+            u = middle + side * REACH * step / STEPS * sd
+            if not problem.lower[place.number] <= u <= problem.upper[place.number]:
+                break
+            solution = _fitted(_held(problem, place.number, u), at.u, at.local)
+            if solution is None:
+                break
+            at = solution
+            found.append((place.value(u), solution))
+    if len(found) == 1:
+        raise DataError(f"the motion cannot be followed with other values of {name}", "profile", "use its interval")
+    found.sort(key=lambda one: one[0])
+    return {
+        "value": np.array([value for value, _ in found]),
+        "deviance": np.array([2 * (solution.cost - least.cost) for _, solution in found]),
+        "rms_m": np.array([float(np.sqrt(np.mean(solution.residual**2))) for _, solution in found]),
+    }
+
+
+class _Unknown(NamedTuple):
+    """Where a parameter stands among a fit's unknowns, and how it follows from that."""
+
+    number: int
+    value: Callable[[float], float]
+
+
+def _unknown(fit: Fit | FormulaFit, motion: MeasuredMotion, name: str) -> _Unknown | None:
+    """Return the unknown that a parameter is, None where it follows from others."""
+    plain = name.removesuffix(PER_MASS)
+    if isinstance(fit, FormulaFit) and plain in fit.curve.law.free:
+        k = fit.curve.law.free.index(plain)
+        factor = _newtons(motion, name, fit.asked_for.dimensions.get(plain, (0, 0))[0])
+        index = len(fit.at.task.places) + k
+        return None if factor is None else _scaled(index, factor, by_log=bool(fit.curve.by_log[k]))
+    per_mass = f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in UNKNOWNS else name
+    slot, places = UNKNOWNS.get(per_mass), [place % PER_RUN for place in fit.at.task.places]
+    curve = LAWS[fit.law].curve if isinstance(fit, Fit) else ""
+    if slot is None or slot not in places or (slot == Global.SHAPE and curve != "hyperbolic"):
+        return None
+    factor = _newtons(motion, name, int(per_mass != name))
+    sign = motion.sign if name in SIGNED else 1.0
+    return None if factor is None else _scaled(places.index(slot), sign * factor, by_log=slot == Global.LOG_F)
+
+
+def _newtons(motion: MeasuredMotion, name: str, power: int) -> float | None:
+    """Return a parameter over the same per unit mass, None where that is fitted."""
+    if power == 0 or name.endswith(PER_MASS) or motion.per_mass:
+        return 1.0
+    return None if motion.mass is None else motion.mass.value**power
+
+
+def _scaled(index: int, factor: float, *, by_log: bool) -> _Unknown:
+    return _Unknown(index, (lambda u: factor * math.exp(u)) if by_log else (lambda u: factor * u))
+
+
+def _deviation(fit: Fit | FormulaFit, index: int) -> float:
+    """Return the standard error of an unknown: of calibrations those that the fit takes part in."""
+    spreads = fit.spreads if isinstance(fit, FormulaFit) else np.array(covariances(fit, fit.precision))
+    return math.sqrt(float(spreads[:, index, index].max()))
+
+
+def _held(problem: LeastSquaresProblem, index: int, value: float) -> LeastSquaresProblem:
+    lower, upper = problem.lower.copy(), problem.upper.copy()
+    lower[index] = upper[index] = value
+    return replace(problem, lower=lower, upper=upper)
+
+
+def _fitted(problem: LeastSquaresProblem, u: Array, local: Array) -> Solution | None:
+    return levenberg_marquardt.minimise(problem, u, local, damping=FIRST_DAMPING)

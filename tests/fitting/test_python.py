@@ -1,0 +1,292 @@
+"""`fitting` from Python: arrays in, results out, the numbers of the command, and mistakes answered with what to do."""
+
+import ast
+import doctest
+import inspect
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import daq
+import fitting
+import processing
+from daq.base.console import application
+from daq.base.errors import StickslipError, in_python
+from daq.runfile.rig import Rig
+from fitting import cli
+from fitting.report import page
+
+ROOT = Path(__file__).resolve().parents[2]
+RUN = ROOT / "data_samples" / "law5.h5"
+MINE = "Fs/(1 + s/v_s)"
+ERRORS = ("InputError", "DataError")
+FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)")
+
+
+@pytest.fixture(scope="module")
+def run():
+    return daq.load(RUN)
+
+
+@pytest.fixture(scope="module")
+def ranking(run):
+    return fitting.rank(run, laws=(5, fitting.Law("mine", MINE)))
+
+
+@pytest.fixture(scope="module")
+def joint(run):
+    motion = processing.smooth(run)
+    return fitting.rank([motion, motion], laws=5)
+
+
+def test_the_reference_page_has_every_public_name():
+    page = (ROOT / "docs" / "reference" / "api.md").read_text()
+    assert set(re.findall(r"auto(?:function|class):: fitting\.(\w+)\b(?!\.)", page)) == {
+        name for name in fitting.__all__ if name != "__version__"
+    }
+
+
+@pytest.mark.parametrize("what", [fitting.rank, fitting.Ranking, fitting.Law], ids=lambda what: what.__name__)
+def test_its_example_does_what_it_says(what, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROOT / "data_samples", "data_samples")
+    (test,) = [found for found in doctest.DocTestFinder(recurse=False).find(what, what.__name__) if found.examples]
+    said: list[str] = []
+    result = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(test, out=said.append)
+    assert result.attempted > 0
+    assert result.failed == 0, "".join(said)
+
+
+def without_costs(document):
+    """Return a JSON document without CPU times and what only the command has."""
+    if isinstance(document, dict):
+        beside = ("cpu_s", "statistics", "report")
+        return {name: without_costs(item) for name, item in document.items() if name not in beside}
+    if isinstance(document, list):
+        return [without_costs(item) for item in document]
+    return None if document != document else document
+
+
+def test_function_and_command_give_the_same_numbers(tmp_path, capsys):
+    path = shutil.copy(RUN, tmp_path / "run.h5")
+    flags = ["--laws", "5", "--law", f"mine: {MINE}", "--fix", "gamma=9.6", "--bound", "mine.v_s=0.01:1"]
+    flags += ["--mass", "310 g +- 1 g", "--x0", "0.3 mm +- 0.1 mm", "--from", "0.2", "--exclude-cycles", "2"]
+    application.run(cli.app, [str(path), *flags, "--no-report", "--json"])
+    typed = json.loads(capsys.readouterr().out)
+    found = fitting.rank(
+        path,
+        laws=(5, f"mine: {MINE}"),
+        fix={"gamma": 9.6},
+        bounds={"mine.v_s": (0.01, 1)},
+        mass=(0.31, 1e-3),
+        x0="0.3 mm +- 0.1 mm",
+        begin=0.2,
+        excluded=2,
+    )
+    called = json.loads(json.dumps(found.as_json()))
+    assert without_costs(called) == without_costs(typed)
+
+
+def test_a_run_its_motion_and_its_arrays_give_one_answer(run, tmp_path):
+    of_arrays = fitting.rank(run.time, run.position, laws=5, mass=run.rig.mass, x0=(0, 5e-4))
+    assert "a run in memory" in of_arrays.save_scene(tmp_path / "arrays.toml").read_text()
+    of_motion = fitting.rank(processing.smooth(run), run.rig, 5)
+    assert of_motion.best.parameters == fitting.rank(run, laws=5).best.parameters
+    for name in ("k/m", "gamma"):  # without the length of a count the rounding is not known
+        known = of_motion.best.parameters[name]
+        assert abs(of_arrays.best.parameters[name].value - known.value) < 0.5 * known.stderr
+
+
+def test_callables_are_the_fit_at_any_time(run, ranking):
+    row, left = ranking.best, ranking.residuals
+    assert left.residual_m.std() == pytest.approx(row.rms_m, rel=1e-3)
+    time = left.time_s.to_numpy()
+    assert row.position(time) == pytest.approx(left.fitted_m.to_numpy(), abs=1e-7)
+    assert np.abs(left.fitted_m - left.position_m - left.residual_m).max() < 1e-12
+    middle, half = time[left.phase == "slip"][50:-50:7], 1e-4
+    steady = np.ptp(row.velocity(middle[:, None] + [-half, 0, half]), axis=1) < 0.01
+    slope = (row.position(middle + half) - row.position(middle - half)) / (2 * half)
+    assert row.velocity(middle)[steady] == pytest.approx(slope[steady], abs=1e-4)
+    assert np.isnan(row.position([-1.0, 1e3])).all()
+    assert row.position(time[100]).shape == ()
+
+
+@pytest.mark.parametrize("law", [5, "mine"])
+def test_friction_is_the_formula_at_the_fitted_parameters(ranking, law):
+    row, s = ranking.row(law), np.array([0.0, 0.01, 0.3])
+    found = {name: item.value for name, item in row.parameters.items()}
+    bend = found["gamma"] if law == 5 else 1 / found["v_s"]
+    assert row.friction(s) == pytest.approx(found["Fs"] / (1 + bend * s), rel=1e-5)
+    assert row.friction(-s[1:]) == pytest.approx(-row.friction(s[1:]))
+
+
+def test_covariance_has_the_standard_errors_of_the_parameters(ranking):
+    found = ranking.covariance
+    errors = {name: ranking.best.parameters[name].stderr for name in found}
+    assert np.sqrt(np.diag(found)) == pytest.approx(list(errors.values()))
+    assert found.attrs["units"]["gamma"] == "s/m"
+    assert np.linalg.eigvalsh(ranking.correlation).min() > 0
+    scale = np.outer(list(errors.values()), list(errors.values()))
+    assert (ranking.correlation * scale).to_numpy() == pytest.approx(found.to_numpy())
+    assert list(ranking.bootstrap(3, seed=1)) == list(found)
+
+
+def test_a_fixed_parameter_has_no_covariance_and_no_profile(run):
+    found = fitting.rank(run, laws=5, fix={"gamma": 9.6})
+    assert "gamma" not in found.covariance
+    with pytest.raises(StickslipError, match="gamma is fixed; name a parameter that is fitted"):
+        found.best.profile("gamma")
+
+
+def test_curve_and_forms_are_tables_with_errors(ranking):
+    curve, forms = ranking.curve, ranking.forms
+    assert ((curve.lo < curve.friction) & (curve.friction < curve.hi)).all()
+    assert curve.attrs["units"]["friction"] == "N"
+    hyperbolic = forms[forms.name == "hyperbolic"].iloc[0]
+    assert abs(hyperbolic["gamma"] - 9.6) < 3 * hyperbolic["gamma stderr"]
+
+
+def test_a_data_set_has_samples_parameters_and_curve(ranking):
+    found = ranking.to_xarray()
+    assert found.value.sel(law="5", parameter="gamma").item() == ranking.best.parameters["gamma"].value
+    assert np.isnan(found.value.sel(law="5", parameter="v_s"))
+    assert (found.fitted - found.position).values == pytest.approx(found.residual.values, abs=1e-12)
+    assert found.friction.attrs["units"] == "N"
+    assert found.sizes["speed"] == len(ranking.curve)
+
+
+@pytest.mark.slow
+def test_report_and_scene_are_those_of_the_command(ranking, tmp_path, capsys):
+    path = shutil.copy(RUN, tmp_path / "law5.h5")
+    line = [str(path), "--laws", "5", "--law", f"mine: {MINE}", "--save-scene", str(tmp_path / "typed.toml"), "--json"]
+    application.run(cli.app, line)
+    capsys.readouterr()
+    scene, page = ranking.save_scene(tmp_path / "rig.toml"), ranking.report(tmp_path / "page.html")
+    assert scene.read_text() == (tmp_path / "typed.toml").read_text()
+    changing = r"\d+\.\d+ s|\d{4}-\d\d-\d\d [\d:+]+"  # costs, and when it was made
+    pages = [re.sub(changing, "", made.read_text()) for made in (page, tmp_path / "law5.report.html")]
+    assert len(pages[0]) == pytest.approx(len(pages[1]), rel=0.01)
+    assert ranking.verdict.split(":")[0] in pages[0]
+
+
+def test_a_picture_goes_into_axes_that_are_given(ranking):
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_subplot()
+    assert ranking.plot(ax=axes) is axes.figure
+    assert len(axes.get_lines()) >= 2
+    assert axes.get_ylabel() == "friction (N)"
+
+
+def test_several_runs_have_residuals_each_and_no_common_time(joint):
+    left = joint.residuals
+    first, second = (left.residual_m[left.run == number].to_numpy() for number in (1, 2))
+    assert first == pytest.approx(second, abs=1e-9)
+    assert joint.runs[0].best.position(3.0) == pytest.approx(joint.runs[1].best.position(3.0))
+    with pytest.raises(StickslipError, match=r"take those of one run: ranking.runs\[0\].row\(5\)"):
+        joint.best.position(3.0)
+    with pytest.raises(StickslipError, match=r"ranking.best.profile\(name\)"):
+        joint.runs[0].best.profile("k/m")
+    assert "v_dr (1)" in joint.covariance
+    assert list(joint.bootstrap(2, seed=1)) == list(joint.covariance)
+    assert joint.best.profile("k/m").deviance.max() > 4
+
+
+def test_where_no_law_describes_the_record_tables_say_what_to_take(run):
+    found = fitting.rank(run, laws=3)
+    assert found.adequacy.rejected
+    for table in (lambda: found.covariance, lambda: found.correlation, lambda: found.bootstrap(2)):
+        with pytest.raises(StickslipError, match=r"take ranking.curve, which needs no law"):
+            table()
+    assert len(found.curve) > 100
+    assert found.residuals.residual_m.std() > 10 * found.adequacy.noise_m
+    assert np.isnan(found.to_xarray().stderr.sel(law="3", parameter="k/m"))
+
+
+def raised():
+    """Yield the place of each error of a fit, its texts, and whether it has another call for Python."""
+    for path in sorted((ROOT / "fitting").rglob("*.py")):
+        if path.stem in ("cli", "flags", "request", "batch", "table", "comparison", "joint"):  # of the command alone
+            continue
+        for call in ast.walk(ast.parse(path.read_text())):
+            if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id in ERRORS:
+                texts = [str(node.value) for node in ast.walk(call) if isinstance(node, ast.Constant)]
+                own = {keyword.arg for keyword in call.keywords}
+                yield f"{path.stem}:{call.lineno}", " ".join(texts), "python" in own
+
+
+def test_every_flag_that_an_error_names_is_a_keyword_or_has_another_call_beside_it():
+    keywords = {*inspect.signature(fitting.rank).parameters, "path", "force"}
+    found = list(raised())
+    assert len(found) > 80
+    flags = [(place, flag) for place, text, other in found if not other for flag in FLAG.findall(text)]
+    strange = [(place, flag) for place, flag in flags if in_python(f"--{flag}") not in keywords]
+    assert [each for each in strange if each[1] not in ("datum", "datum-sd", "ramp")] == []  # of the command alone
+
+
+# A mistake, and the words that say what to do.
+MISTAKES = [
+    (lambda run: fitting.rank(run.time), "fitting.rank(time, position)"),
+    (lambda run: fitting.rank(run, run.position), "give the run alone"),
+    (lambda run: fitting.rank(run.time, run.position[1:]), "time holds 6000 values and position 5999; give one each"),
+    (lambda run: fitting.rank("nowhere.h5"), "no such file; check the path"),
+    (lambda run: fitting.rank([]), "no run; give at least one"),
+    (lambda run: fitting.rank(run, laws=7), "laws: unknown law 7; choose 1 to 6"),
+    (lambda run: fitting.rank(run, laws="strybeck"), "laws: 'strybeck' is no published law; did you mean 'stribeck'?"),
+    (lambda run: fitting.rank(run, fix={"gama": 10}), "fix: no law that is fitted has a parameter gama; did you mean"),
+    (lambda run: fitting.rank(run, fix=[("gamma", 10)]), "give a dictionary, as in fix={'gamma': 9.6}"),
+    (lambda run: fitting.rank(run, fix={"gamma": "10"}), "fix: of gamma is '10'; give a dictionary"),
+    (lambda run: fitting.rank(run, bounds={"gamma": 10}), "as in bounds={'gamma': (0, 20)}"),
+    (lambda run: fitting.rank(run, bounds={"gamma": (10, 5)}), "bounds: bounds of gamma are 10 and 5"),
+    (lambda run: fitting.rank(run, bounds={"gamma": (5, 10)}, start={"gamma": 20}), "start: gamma is 20, not within"),
+    (lambda run: fitting.rank(run, mass="300 gram"), "mass: 'gram' is not a unit of mass"),
+    (lambda run: fitting.rank(run, mass=0.3, stiffness=10), "mass and stiffness together; give one"),
+    (lambda run: fitting.rank(run, x0="5 cm/s"), "x0: 'cm/s' is not a unit of length"),
+    (lambda run: fitting.rank(run, belt_speed=0), "belt_speed: belt speed is 0"),
+    (lambda run: fitting.rank(run, belt_speed="channel"), "belt_speed: the run has no belt counts"),
+    (lambda run: fitting.rank(run, alpha=5), "alpha: alpha is 5; give a number"),
+    (lambda run: fitting.rank(run, jobs=0), "jobs: jobs is 0; give 1 or more"),
+    (lambda run: fitting.rank(run, begin=3), "fitting.rank('run.h5', begin=5), or cut the arrays"),
+    (lambda run: fitting.rank(RUN, begin=30), "give other times with begin and end"),
+    (lambda run: fitting.rank([run, run], excluded=2), "excluded: cycles to exclude from several runs"),
+    (lambda run: fitting.rank([run, run], rig=[Rig()]), "rig: 1 rigs for 2 runs; give one for all"),
+    (lambda run: fitting.rank(run.time, np.arange(6000)), "daq.Recording.from_arrays(time, counts, metres_per_count="),
+    (lambda run: fitting.Law("mine", "Fs/(1 + s/v"), "formula: this bracket is not closed; add a )"),
+    (lambda run: fitting.Law("mine", "Fc + foo(s)"), "formula: unknown function foo; known: exp, log"),
+    (
+        lambda run: fitting.Law("mine", MINE, start={"v": 1}),
+        "start: v is no parameter of law mine; did you mean 'v_s'?",
+    ),
+    (lambda run: fitting.Law("mine", abs), 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")'),
+]
+OF_A_RANKING = [
+    (lambda found: fitting.rank(found), "give a run: fitting.rank(daq.load(path))"),
+    (lambda found: found.best.profile("gama"), "law 5 has no parameter 'gama'; did you mean 'gamma'?"),
+    (lambda found: found.best.profile("wear"), "wear follows from other parameters; take one of k/m"),
+    (lambda found: found.best.position("now"), "t: t is 'now'; give numbers, as in t=np.linspace(0, 1, 101)"),
+    (lambda found: found.bootstrap(1), "bootstrap: n is 1; give 2 draws or more"),
+    (lambda found: found.report("other.html"), "give another name, or force=True to replace it"),
+    (lambda found: found.report("run.pdf"), "name it run.html (path); then print the page from a browser"),
+    (lambda found: found.save_scene("rig.h5"), "this is a TOML file; name it rig.toml (path)"),
+    (lambda found: found.save_scene("there.toml"), "give another name, or force=True to replace it"),
+]
+
+
+@pytest.mark.parametrize(
+    ("mistake", "words", "of"),
+    [(*one, "run") for one in MISTAKES] + [(*one, "ranking") for one in OF_A_RANKING],
+    ids=[words[:40] for _, words in MISTAKES + OF_A_RANKING],
+)
+def test_a_mistake_names_keyword_and_cure(mistake, words, of, request, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("there.toml").write_text("mine = 1")
+    Path("other.html").write_text(f'{page.MARK} 0.2.0">{"1" * 64}')  # a report of another run
+    with pytest.raises(StickslipError) as caught:
+        mistake(request.getfixturevalue(of))
+    assert words in str(caught.value)
+    assert not re.search(r"(?<!\w)--\w", str(caught.value))
+    assert {path.name for path in tmp_path.iterdir()} == {"there.toml", "other.html"}
