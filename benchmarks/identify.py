@@ -1,7 +1,7 @@
 """Identification study on the simulated rig: accuracy of verdict and parameters, coverage and CPU time.
 
-``python benchmarks/identify.py [--seeds N] [--first SEED] [--scenes nominal,harsh,...] [--jobs N]``: every law is
-recorded (30 s at 1 kHz, the scene `rig`), smoothed and ranked N times (default 20) in each scene:
+``python benchmarks/identify.py [--seeds N] [--first SEED] [--scenes nominal,harsh,...] [--jobs N] [--write]``: every
+law is recorded (30 s at 1 kHz, the scene `rig`), smoothed and ranked N times (default 20) in each scene:
 
     nominal     scatter 3-10 %, wear 3-15 % over the run, joint kicks to 20 mm/s, jitter to 100 us, counts of 7.67 or
                 50 um, damping 0.1-1 % of critical; calibrations as the board sends them, datum to 0.5 mm (sd)
@@ -11,9 +11,10 @@ recorded (30 s at 1 kHz, the scene `rig`), smoothed and ranked N times (default 
     tachometer  the same with belt counts
     speeds      three runs of 16 s at 0.1, 0.2 and 0.3 m/s, nominal noise, fitted together
 
-``--scenes`` selects the scenes (default nominal).  Only the benchmark reads the true values; the commands do not.
-Errors are relative to them; the true Fs/m is its mean over the times of the cycles, with wear but without scatter.  CPU
-time is user and system time of the ranking alone, without compilation.
+``--scenes`` selects the scenes (default nominal).  ``--write`` puts the rows of these scenes into the tables of
+docs/identification.md and docs/explanation/how-sure.md; rows of others stay.  Only the benchmark reads the true
+values; the commands do not.  Errors are relative to them; the true Fs/m is its mean over the times of the cycles, with
+wear but without scatter.  CPU time is user and system time of the ranking alone, without compilation.
 """
 
 import argparse
@@ -49,6 +50,12 @@ DURATION, JOINT_DURATION = 30.0, 16.0
 SPEEDS = (0.1, 0.2, 0.3)
 LAWS_OF = {"droop": (5,), "tachometer": (5,)}
 SCENES = ("nominal", "harsh", "clean", "droop", "tachometer", "speeds")
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+TABLE = "<!-- begin: identify -->", "<!-- end: identify -->"
+SAID = {  # how the pages call the scenes
+    "nominal": "encoder, disturbances of a laboratory rig",
+    "harsh": "encoder, harsh: 12 % scatter, 25 % wear, 2 % ripple",
+}
 LIMITS = {"k/m": 0.5, "v_dr": 0.15, "Fs/m": 3.0, "gamma": 5.5, "G_slip/m": 5.5, "d": 6.0}  # %, p90, nominal
 
 
@@ -215,6 +222,38 @@ def table(rows: list[dict[str, Any]], scene: str) -> None:
         print(f"  rms over quantisation/sqrt(12): largest {max(rms) / quantised:.3f} of {len(rms)}")
 
 
+def page_rows(rows: list[dict[str, Any]]) -> dict[str, dict[str, list[str]]]:
+    """Return by page the rows of its table, by their first cell: of each scene all laws, and each law by itself."""
+    found: dict[str, dict[str, list[str]]] = {"identification.md": {}, "explanation/how-sure.md": {}}
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        of_scene = [row for row in rows if row["scene"] == scene]
+        laws = sorted({row["law"] for row in of_scene})
+        each = {f"law {law}": [law] for law in laws if len(laws) > 1}
+        for name, mine in ({"all laws": laws} | each).items():
+            own = [row for row in of_scene if row["law"] in mine]
+            alone = [row for row in own if len(row["set"]) == 1]
+            right = sum(row["set"] == [row["law"]] for row in alone)
+            truth = sum(row["law"] in row["set"] for row in own)
+            first = sum(row["set"][:1] == [row["law"]] for row in own)
+            counts = [f"{n}/{len(own)}" for n in (truth, first, right)]
+            found["identification.md"][f"{scene}, {name}"] = [*counts, f"{right}/{len(alone)}"]
+            if scene in SAID and name == "all laws":
+                counts = [f"{truth} of {len(own)}", f"{right} of {len(alone)}"]
+                found["explanation/how-sure.md"][SAID[scene]] = counts
+    return found
+
+
+def with_rows(text: str, rows: dict[str, list[str]]) -> str:
+    """Return a page whose marked table has these rows in place of those of the same first cell, new ones at its end."""
+    before, _, rest = text.partition(TABLE[0])
+    inside, found, after = rest.partition(TABLE[1])
+    if not found:
+        raise ValueError(f"the page has no {TABLE[0]} ... {TABLE[1]}")
+    lines = {line.split("|")[1].strip(): line for line in inside.strip().splitlines()}
+    lines |= {name: f"| {' | '.join([name, *cells])} |" for name, cells in rows.items()}
+    return "\n".join([before + TABLE[0], "", *lines.values(), "", TABLE[1] + after])
+
+
 def main() -> None:
     """Run the study, print its tables and write every row as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -224,7 +263,10 @@ def main() -> None:
     parser.add_argument("--laws", default="1,2,3,4,5,6")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--output", type=Path, default=RESULTS / "identify.json")
+    parser.add_argument("--write", action="store_true", help="put the results into the tables of the pages")
     given = parser.parse_args()
+    if given.write and given.laws != parser.get_default("laws"):
+        parser.error("--write takes all laws: leave out --laws")
     laws = [int(law) for law in given.laws.split(",")]
     cases = [
         (scene, law, seed)
@@ -244,6 +286,8 @@ def main() -> None:
                 )
     for scene in given.scenes.split(","):
         table(rows, scene)
+    for page, cells in page_rows(rows).items() if given.write else ():
+        (DOCS / page).write_text(with_rows((DOCS / page).read_text(), cells))
     given.output.parent.mkdir(exist_ok=True)
     given.output.write_text(json.dumps(rows, indent=1, default=float) + "\n")
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from daq.base import units
 from daq.base.errors import InputError
 from daq.base.output import suffix
 from daq.base.units import Stated
+from daq.runfile import schema
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting import job
@@ -187,5 +189,8 @@ def _loaded(run: Run, rig: Rig | None, options: FitOptions) -> LoadedRun:
     if isinstance(run, str | os.PathLike):
         run = daq.load(run)
     recording = run if isinstance(run, Recording) else run.recording
+    if not recording.digest:  # by which a report knows its runs
+        recording = replace(recording, digest=schema.digest(recording))
+        motion = None if motion is None else replace(motion, recording=recording)
     ends = float(recording.time[0]), float(recording.time[-1])
     return LoadedRun(recording, motion, job.calibrated(recording.rig if rig is None else rig, options), "", ends)

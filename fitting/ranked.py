@@ -73,7 +73,7 @@ class Ranking(result.Ranking):
 
     @property
     def correlation(self) -> "pd.DataFrame":
-        """How the errors of the best law's parameters go together, -1 to 1: a pandas table with their names.
+        """How the errors of the best law's parameters go together, -1 to 1, as a pandas table.
 
         The parameters are those that are fitted and follow from no others, per unit mass; of several runs v_dr and x0
         are those of the first, ``v_dr (1)``.
@@ -89,10 +89,9 @@ class Ranking(result.Ranking):
 
     @property
     def covariance(self) -> "pd.DataFrame":
-        """Covariance of the best law's parameters: `correlation` times the standard errors of ``best.parameters``.
+        """Covariance of the best law's parameters, a pandas table.
 
-        ``attrs["units"]`` has the unit of each parameter.  For functions of several parameters it is a first-order
-        one; `bootstrap` takes none for granted.
+        It is `correlation` times the standard errors of ``best.parameters``, whose units ``attrs["units"]`` has.
 
         Raises
         ------
@@ -105,9 +104,9 @@ class Ranking(result.Ranking):
 
     @property
     def residuals(self) -> "pd.DataFrame":
-        """The residuals of the best law, one row a sample that was fitted: see `LawResult.residuals`.
+        """The residuals of the best law, one row a sample that was fitted.
 
-        Of several runs fitted together a column ``run`` comes first, 1 for the first.
+        Columns as of `LawResult.residuals`; of several runs a column ``run`` before them, 1 for the first.
         """
         import pandas as pd
 
@@ -119,7 +118,7 @@ class Ranking(result.Ranking):
 
     @property
     def curve(self) -> "pd.DataFrame":
-        """Friction against slip speed, measured without a law: a pandas table, one row a speed.
+        """Friction against slip speed, measured without a law, a pandas table with one row a speed.
 
         Columns: ``speed``, m/s, ``friction``, and ``lo`` and ``hi``, a band that holds the whole curve with the
         confidence 1 - `alpha`; ``attrs["units"]``.  In N where the mass or the spring's stiffness is known, else per
@@ -139,7 +138,7 @@ class Ranking(result.Ranking):
 
     @property
     def forms(self) -> "pd.DataFrame":
-        """Published forms fitted to the measured curve: a pandas table, one row a form, best first.
+        """Published forms fitted to the measured curve, a pandas table with one row a form, best first.
 
         Columns: ``name``, ``formula``, ``source``, ``chi`` (distance from the measured curve, of its errors),
         ``inside_band``, and of each parameter its value, "NAME stderr", "NAME lo" and "NAME hi"; levels in the unit of
@@ -163,8 +162,8 @@ class Ranking(result.Ranking):
     def bootstrap(self, n: int = 200, seed: int | None = None) -> "pd.DataFrame":
         """Fit the best law again to drawn cycles, and return its parameters: a pandas table, one row a draw.
 
-        The standard deviation of a column is a standard error that takes neither a normal distribution nor a linear
-        problem for granted.  Cycles are drawn by exponential weights (Rubin, 1981), calibrations from their errors.
+        The standard deviation of a column is a standard error that assumes neither a normal distribution nor a linear
+        problem.  Cycles are drawn by exponential weights (Rubin, 1981), calibrations from their errors.
         With few cycles the spread is too small, as that of every bootstrap: by 10 to 20 % with twenty cycles, by a
         fourth with five.
 

@@ -214,11 +214,8 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
         data[known], data[:, known], prior[known, known], gradient[known] = 0.0, 0.0, 1.0, 0.0
     first = places + LOWEST
     others = data[:first, :first] + prior[:first, :first]
-    scale = 1 / np.sqrt(np.diag(others))
     cross = data[first:, :first]
-    # By a solution: an inverse left the weakest direction, 1e-8 of the strongest, to rounding, and forms that differed
-    # from the curve along it then cost nothing.
-    follow = scale[:, None] * np.linalg.solve(others * scale[:, None] * scale, scale[:, None] * cross.T)
+    follow = followed(others, cross)
     own = data[first:, first:] - np.einsum("ik,kj->ij", cross, follow)
     size, axes = eigen(0.5 * (own + own.T))
     # shown is what the record knows better than the prior
@@ -234,6 +231,21 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
     excess = max(fit.chi, 1.0)
     level_sd = 0.0 if fit.rest is None else fit.fit.values.K * fit.rest.sd
     return Metric(root / excess, aim / excess, fit.solution.residual.size, level_sd)
+
+
+def followed(curvature: Array, cross: Array) -> Array:
+    """Return by how much some unknowns (p,) follow others (n,): inv(curvature) cross', shape (p, n).
+
+    By a solution: an inverse left the weakest direction, 1e-8 of the strongest, to rounding, and forms that differed
+    from the curve along it then cost nothing.  An unknown that elimination left no curvature, as where the search for
+    the curve failed, does not move.
+    """
+    found = np.zeros(cross.T.shape)
+    seen = np.diag(curvature) > 0
+    scale = 1 / np.sqrt(np.diag(curvature)[seen])
+    scaled = curvature[np.ix_(seen, seen)] * scale[:, None] * scale
+    found[seen] = scale[:, None] * np.linalg.solve(scaled, scale[:, None] * cross.T[seen])
+    return found
 
 
 def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> FormFit:

@@ -165,12 +165,15 @@ def fit_all(
     for one in each(_from_regression, tasks):
         first.append(one)
         told(len(first))
-    first = list(each(partial(_from_donors, tasks=tasks, first=tuple(first)), range(len(tasks))))
-    found = _again([one for one in first if one is not None], each)
+    chosen = list(each(partial(_from_donors, tasks=tasks, first=tuple(first)), range(len(tasks))))
+    begun = [(one, own) for one, own in zip(chosen, first, strict=True) if one is not None]
+    found = _again([one for one, _ in begun], each)
     limit = GIVEN_UP * min((one.geometric_mean_rms for one in found), default=0.0)
     found = list(each(partial(_settled, limit=limit), found))
+    left = [own if own is not None and not np.array_equal(own.q, one.q) else None for one, own in begun]
+    found = from_left_starts(found, left, each)
     found = _overtaking(found, each)
-    found = _contained(_opened(found, each), settle, each)
+    found = _contained(beside_better(_opened(found, each), each), settle, each)
     limit = NEAR * min((one.geometric_mean_rms for one in found), default=0.0)
     found = list(each(partial(_with_static, limit=limit), found))
     for one in found:
@@ -264,6 +267,19 @@ def _again(found: list[TaskFit], each: Map) -> list[TaskFit]:
     return [_better(one, trials.get(id(one))) for one in found]
 
 
+def from_left_starts(found: list[TaskFit], left: Sequence[TaskFit | None], each: Map) -> list[TaskFit]:
+    """Settle tasks from their own regression too where even the best of them is lost: the first pass chose another.
+
+    ``left`` are these first passes, one for each fit, None where it was chosen.  Of few samples a slip the regression
+    is far off, and a search that starts there is not over when a wrong law's end seems the better start.
+    """
+    lowest = min((one.geometric_mean_rms for one in found), default=0.0)
+    if not found or lowest <= LOST * _resolution(found[0].task):
+        return found
+    trials = each(_resettled, left)
+    return [_better(one, trial) for one, trial in zip(found, trials, strict=True)]
+
+
 def _restarted(at: TaskFit) -> TaskFit | None:
     return first_pass(at.task, restarted_windows(at))
 
@@ -297,6 +313,21 @@ def _resettled(at: TaskFit | None) -> TaskFit | None:
 
 def _is_ramp_of(one: TaskFit, other: TaskFit) -> bool:
     return one.task.curve.is_ramp_of(other.task.curve)
+
+
+def beside_better(found: list[TaskFit], each: Map) -> list[TaskFit]:
+    """Let a curve that errs little more than another on the same contact start from there too.
+
+    Of a ramp without a datum, levels that do not scatter determine v_dr - d alone: a search stops anywhere in that
+    valley, whose floor is not quite level.
+    """
+    pairs = []
+    for one in found:
+        others = [other for other in found if other.task.curve.ramp == one.task.curve.ramp]
+        best = min(others, key=lambda other: other.geometric_mean_rms)
+        if CONTAINED * best.geometric_mean_rms < one.geometric_mean_rms < RIVAL * best.geometric_mean_rms:
+            pairs.append((one, best))
+    return _kept(found, pairs, each, settle)
 
 
 def _contained(found: list[TaskFit], again: Callable[[TaskFit], TaskFit | None], each: Map) -> list[TaskFit]:

@@ -1,8 +1,8 @@
 """Laws given as formulas beside the six: those that were named, and published ones that the measured curve prefers.
 
 A published form that was not named is fitted where its information criterion on the measured curve is below that of
-every form of the six.  What is evidence and who is in the set is decided as between the six
-(`fitting.selection.evidence`).
+every form of the six, or so little above that the set rule would not exclude it.  What is evidence and who is in the
+set is decided as between the six (`fitting.selection.evidence`).
 """
 
 import logging
@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from daq.base.errors import InputError
 from fitting.competitors import Competitors
 from fitting.curve.band import seen_speeds
 from fitting.curve.formula_fit import FormulaFit, fit_formula
@@ -96,10 +97,10 @@ class Competition:
 def preferred_forms(forms: Sequence[FormFit]) -> list[Law]:
     """Return the published laws whose forms the measured curve prefers to those of the six, best first.
 
-    Those that it hardly distinguishes from the best of them are among them.
+    Those that it hardly distinguishes from the best of them, or from the best of the six, are among them.
     """
     by_name = {form.name: form for form in forms}
-    limit = min(by_name[name].bic for name in OF_THE_SIX)
+    limit = min(by_name[name].bic for name in OF_THE_SIX) + OPEN
     found = [(PUBLISHED[name], by_name[form]) for name, form in FORM.items() if by_name[form].bic < limit]
     least = min((form.bic for _, form in found), default=0.0)
     return [law for law, form in sorted(found, key=lambda one: one[1].bic) if form.bic < least + OPEN]
@@ -138,7 +139,7 @@ def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rival
     for law in preferred_forms(curve.forms) if rivals else ():
         if law.name in {own.name for own in competitors.formulas}:
             continue  # it was named, perhaps with parameters given
-        one = _fitted(replace(law, ramp=bool(host.path.curve.ramp)), host)
+        one = _rival(replace(law, ramp=bool(host.path.curve.ramp)), host)
         found += [] if one is None or any(_draws(own, one, host) for own in named) else [one]
     for fit in found:
         logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
@@ -162,6 +163,15 @@ def _fitted(law: Law, host: SplineFit, number: int | None = None) -> FormulaFit 
     start = law.start or {}
     free = law.given(fix={name: start.get(name, natural_size(law, name, friction, fastest)) for name in held})
     return fit_formula(free, host, asked_for=law, number=number, together=together)
+
+
+def _rival(law: Law, host: SplineFit) -> FormulaFit | None:
+    """Fit a law that was not named; None too where it is no friction curve with any values near the measured one."""
+    try:
+        return _fitted(law, host)
+    except InputError as error:
+        logger.info("law %s is no rival: %s", law.name, error.what)
+        return None
 
 
 def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:

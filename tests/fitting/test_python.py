@@ -94,7 +94,11 @@ def test_function_and_command_give_the_same_numbers(tmp_path, capsys):
 def test_a_run_its_motion_and_its_arrays_give_one_answer(run, tmp_path):
     of_arrays = fitting.rank(run.time, run.position, laws=5, mass=run.rig.mass, x0=(0, 5e-4))
     assert "a run in memory" in of_arrays.save_scene(tmp_path / "arrays.toml").read_text()
+    page = of_arrays.report(tmp_path / "arrays.html")
+    assert of_arrays.report(page) == page  # its own again
     of_motion = fitting.rank(processing.smooth(run), run.rig, 5)
+    with pytest.raises(StickslipError, match="is the report of another run; give another name, or force=True"):
+        of_motion.report(page)
     assert of_motion.best.parameters == fitting.rank(run, laws=5).best.parameters
     for name in ("k/m", "gamma"):  # without the length of a count the rounding is not known
         known = of_motion.best.parameters[name]

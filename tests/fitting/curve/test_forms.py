@@ -1,11 +1,11 @@
-"""The search for the parameter in which a form is not linear."""
+"""The search for the parameter in which a form is not linear, and what follows a form."""
 
 import math
 
 import numpy as np
 import pytest
 
-from fitting.curve.forms import TRIED, best_bend
+from fitting.curve.forms import TRIED, best_bend, followed
 
 
 def test_a_narrow_valley_is_found_beside_a_wide_one():
@@ -20,3 +20,12 @@ def test_a_narrow_valley_is_found_beside_a_wide_one():
         return np.array([[math.cos(angle)], [math.sin(angle)], [0.0]])
 
     assert best_bend(columns, np.array([1.0, 0.0, 0.0]), 2e-3, 1e2) == pytest.approx(true, rel=1e-4)
+
+
+def test_an_unknown_without_curvature_does_not_follow_a_form():
+    """Where the search for the curve had failed (law 5, 10 samples a slip) a negative one made every form NaN."""
+    curvature = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, -1e-3]])
+    cross = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 3.0]])
+    found = followed(curvature, cross)
+    assert found[:2] == pytest.approx(np.linalg.inv(curvature[:2, :2]) @ cross[:, :2].T)
+    assert not found[2].any()

@@ -9,10 +9,13 @@ import pytest
 from daq.base.errors import InputError
 from daq.base.measured import Measured
 from fitting import job
+from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import fit_formula
 from fitting.curve.formula_parameters import formula_parameters
-from fitting.law import Law
+from fitting.law import PUBLISHED, Law
+from fitting.selection.evidence import OPEN
 from fitting.selection.ranking import rank
+from fitting.selection.rivals import OF_THE_SIX, fit_formulas, preferred_forms
 from processing.smoothing import smooth
 
 STRIBECK = {"curve": "stribeck", "Fs": 2.0, "Fc": 1.2, "v_s": 0.05, "Fv": 0.0, "m": 0.5, "k": 80.0, "c": 0.02}
@@ -105,3 +108,25 @@ def test_a_curve_that_is_negative_is_not_fitted(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
     with pytest.raises(InputError, match="friction is negative"):
         fit_formula(Law("mine", "Fs - 1000*s"), curve.spline_fit)
+
+
+def with_form_at(curve, name, lead):
+    """Give a curve on which a form leads the best of the six by so much in BIC."""
+    best = min(form.bic for form in curve.forms if form.name in OF_THE_SIX)
+    others = [replace(form, bic=best + 100.0) for form in curve.forms if form.name not in OF_THE_SIX]
+    led = [replace(form, bic=best - lead) if form.name == name else form for form in others]
+    return replace(curve, forms=(*led, *(form for form in curve.forms if form.name in OF_THE_SIX)))
+
+
+@pytest.mark.parametrize(("lead", "tried"), [(1.0, True), (1.0 - OPEN, True), (-1.0 - OPEN, False)])
+def test_a_form_as_good_as_those_of_the_six_is_a_rival(ranked, lead, tried):
+    # Law 5 was named alone for a logarithmic contact, whose form was 1.6 behind the hyperbola and was not fitted.
+    curve = with_form_at(ranked(law=5, duration=10.0).adequacy.curve, "logarithmic", lead)
+    assert [law.name for law in preferred_forms(curve.forms)] == ["logarithmic"] * tried
+
+
+def test_a_published_curve_that_is_no_friction_is_no_rival(ranked, monkeypatch):
+    # A record was refused with "law logarithmic is no friction curve", which nobody had asked for.
+    monkeypatch.setitem(PUBLISHED, "logarithmic", Law("logarithmic", "Fs - 1000*s"))
+    curve = with_form_at(ranked(law=5, duration=10.0).adequacy.curve, "logarithmic", 1.0)
+    assert fit_formulas(Competitors.of(ALL_LAWS), curve, rivals=True).fits == ()
