@@ -16,6 +16,7 @@ from processing.methods.method_model import MethodModel
 from processing.record.motion import BeltMotion, Motion
 from processing.record.noise import position_noise
 from processing.record.series import Series
+from processing.record.units import Units
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -35,18 +36,19 @@ class BeltRecord:
     relative: Series
 
     @classmethod
-    def of(cls, recording: "Recording", kept: Mask, series: Series) -> "BeltRecord | None":
+    def of(cls, recording: "Recording", kept: Mask, series: Series, units: Units) -> "BeltRecord | None":
         """Return the belt of a recording; None without a channel or a common unit.
 
-        ``kept`` is True for the samples of the run that are in ``series``, its positions made ready.
+        ``kept`` is True for the samples of the run that are in ``series``, its positions made ready, in these units.
         """
         pitch = recording.rig.belt_metres_per_count
         if not has_belt_encoder(recording) or recording.belt_count is None or pitch is None:
             return None
-        travel = (recording.belt_count[kept] - recording.belt_count[0]) * pitch.value
-        both = float(np.hypot(series.pitch, pitch.value))
+        count = pitch.value / units.length_unit
+        travel = (recording.belt_count[kept] - recording.belt_count[0]) * count
+        both = float(np.hypot(series.pitch, count))
         return cls(
-            replace(series, position=travel, origin=0.0, pitch=abs(pitch.value)),
+            replace(series, position=travel, origin=0.0, pitch=abs(count)),
             replace(series, position=series.position - travel, origin=0.0, pitch=both),
         )
 
@@ -83,9 +85,11 @@ def smooth_belt(record: BeltRecord, noise: BeltNoise, motion: Motion, model: Met
         Of the positions of the mass, m; 0 for a record without counts.
     """
     order = motion.order if motion.method == "sg" else 4
-    how = model if model.method == "fd" else MethodModel(method="sg", noise=0.0, window=motion.window, order=order)
+    how = model
+    if model.method != "fd":
+        how = MethodModel(method="sg", noise=0.0, jerk=model.jerk, window=motion.window, order=order)
     relative = registry.apply(record.relative, replace(how, noise=noise.relative))
-    if model.jerk is None:
+    if model.method not in registry.SMOOTHERS:
         belt = registry.apply(record.belt, replace(how, noise=noise.belt))
     else:
         finer = (record.belt.pitch / pitch) ** 2 if pitch else 1.0

@@ -17,18 +17,19 @@ import numpy as np
 from daq.base.compute.arrays import Array, Integers
 from daq.base.measured import Measured
 from processing.belt_motion import BeltNoise, BeltRecord, learn_noise, smooth_belt
-from processing.defects import frames, position_steps, sensor_faults, velocity_steps
+from processing.defects import faults, frames
 from processing.defects.findings import belt_findings, drift_finding, sensor_findings, step_findings
 from processing.kalman import white_jerk
-from processing.kalman.bridge import across_faults
 from processing.methods import registry
 from processing.methods.method_model import MethodModel
 from processing.model_values import values
 from processing.record.finding import Finding
-from processing.record.motion import ROWS, BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
-from processing.record.position_steps import PositionStep, step_offsets, without_steps
+from processing.record.motion import DERIVATIVES, BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
+from processing.record.position_steps import PositionStep
 from processing.record.series import Series
 from processing.record.setting import Setting
+from processing.record.stretches import Survey, moving_samples
+from processing.record.units import Units, measured_in, speed_in
 from processing.segmentation import plateaus
 from processing.segmentation.phase_layout import segment_at_corners
 
@@ -37,23 +38,22 @@ if TYPE_CHECKING:
 
 PARTS = 8  # of a block, whose means show a drift
 LONGEST = 2**16  # samples: no smoother's window counts as longer
-SOUND = 0.9  # share of the samples around a velocity step that must be positions; a bridged hole has a kink at its ends
 
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """The stretches that represent a record of ``samples`` samples, as one.
+    """The stretches that represent a record, as one.
 
-    ``number`` (m,) are the samples' numbers in the record, ``positions`` returns a slice of all its positions, m, and
-    ``travel`` is how far these go, m.
+    ``number`` (m,) are the samples' numbers in the record, ``positions`` returns a slice of all its positions, m,
+    ``seen`` is how these move, and ``units`` are those of the record.
     """
 
     recording: "Recording"
     data: Series
     number: Integers
     positions: Callable[[slice], Array]
-    samples: int
-    travel: float
+    seen: Survey
+    units: Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,32 +62,29 @@ class MotionModel:
 
     Attributes
     ----------
+    units : Units
+        Of the record: those of all that follows.
     interval : float
-        Median sample interval, s.
+        Median sample interval.
     moving : (int, int)
         Samples of the first motion of the record and of the last one.
-    limits : FaultLimits
-        What faults of the sensor are judged by.
-    step_unit : float
-        Of the test for steps of the position, m; 0: they are not looked for.
+    faults : FaultModel
+        What faults of the record are judged by.
     method : MethodModel
         The method that runs, and what it learned.
-    jerk : white_jerk.Noise
-        Of the record as a motion of white jerk: the motion across faults.
     rule : PlateauRule or None
         How sticks show in the motion that the method makes; None where the method finds them itself.
     belt_speed : float
-        Of the belt by its sticks, m/s, signed; NaN where there are none.
+        Of the belt by its sticks, signed; NaN where there are none.
     belt_noise : BeltNoise or None
         Of a belt with an encoder.
     """
 
+    units: Units
     interval: float
     moving: tuple[int, int]
-    limits: sensor_faults.FaultLimits
-    step_unit: float
+    faults: faults.FaultModel
     method: MethodModel
-    jerk: white_jerk.Noise
     rule: plateaus.PlateauRule | None
     belt_speed: float
     belt_noise: BeltNoise | None
@@ -95,12 +92,12 @@ class MotionModel:
     @property
     def window(self) -> int:
         """Samples that the method smooths over."""
-        return self.method.window or white_jerk.equivalent_window(self.jerk.rho(self.interval), LONGEST)
+        return self.method.window or white_jerk.equivalent_window(self.method.jerk.rho(self.interval), LONGEST)
 
     @property
     def plateau_speed(self) -> float:
         """Common speed of the plateaus, m/s; NaN without plateaus."""
-        return self.belt_speed if self.rule is None else self.rule.speed
+        return self.units.of(1, -1) * (self.belt_speed if self.rule is None else self.rule.speed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,25 +147,6 @@ class BlockMotion:
     found: BlockFindings
 
 
-@dataclass(frozen=True, eq=False)
-class _Cleaned:
-    """The m samples of a block and of its neighbourhood, without faults and without steps of the position.
-
-    Attributes
-    ----------
-    data, seen : Series
-        All m samples, with lines across faults, and those that are positions.
-    sound, steps, offset : SoundRecord, tuple of PositionStep, array of shape (m,)
-        Faults, steps, and the sum of the steps before each sample, m.
-    """
-
-    data: Series
-    seen: Series
-    sound: sensor_faults.SoundRecord
-    steps: tuple[PositionStep, ...]
-    offset: Array
-
-
 def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -> MotionModel:
     """Learn the model of a record.
 
@@ -183,17 +161,18 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
     steps : bool
         Whether to look for steps of the position.
     """
-    recording, data = stretches.recording, stretches.data
-    limits, sound = sensor_faults.learn(data)
-    slack = plateaus.slack_at_rest(data.pitch, stretches.travel, limits.noise)
-    moving = plateaus.motion_samples(stretches.positions, stretches.samples, slack, data.interval)
-    unit = position_steps.learn(sound.bridged, limits.noise) if steps else 0.0
-    seen = replace(_clean(recording, sound, unit).seen, moving=_span(data.time, stretches.number, moving))
-    how = registry.learn(method, seen, setting, limits.noise)
-    belt = BeltRecord.of(recording, sound.kept, seen)
+    recording, units, record = stretches.recording, stretches.units, stretches.seen
+    data, length = stretches.data.in_units(units), units.length_unit
+    known, checked = faults.learn(data, recording.segment, steps=steps)
+    slack = plateaus.slack_at_rest(data.pitch, record.travel / abs(length), known.noise)
+    moving = moving_samples(lambda part: stretches.positions(part) / length, record.n, slack)
+    setting = replace(setting, belt_speed=speed_in(units, setting.belt_speed))
+    sound = replace(checked.series, moving=_span(data.time, stretches.number, moving))
+    seen = sound.taken(checked.kept) if checked.faults else sound
+    how = registry.learn(method, seen, setting, known.noise)
+    belt = BeltRecord.of(recording, checked.kept, seen, units)
     noise = None if belt is None else learn_noise(belt)
-    jerk = white_jerk.fit(seen) if how.jerk is None else how.jerk
-    model = MotionModel(data.interval, moving, limits, unit, how, jerk, None, math.nan, noise)
+    model = MotionModel(units, data.interval, moving, known, how, None, math.nan, noise)
     if how.sticks is not None:
         return replace(model, belt_speed=how.sticks.speed)
     motion = registry.apply(seen, how)
@@ -222,51 +201,60 @@ def apply(
     before : float
         Sum of the steps of the position before the first of the m samples, in its segment, m.
     """
+    units, recorded = model.units, data.time[own]
+    data = data.in_units(units)
     span = _span(data.time, low + np.arange(data.time.size), model.moving)
-    sound = sensor_faults.without_faults(replace(data, interval=model.interval, moving=span), model.limits)
-    cleaned = _clean(recording, sound, model.step_unit)
-    data, seen, offset = cleaned.data, cleaned.seen, cleaned.offset
-    motion = registry.apply(seen, model.method)
-    belt = _belt_motion(BeltRecord.of(recording, sound.kept, seen), model, motion, seen)
-    found = _phases(recording, seen, motion, belt, model)
+    data = replace(data, interval=model.interval, moving=span)
+    checked = faults.find(data, recording.segment, model.faults, low)
+    sound = checked.series
+    motion = registry.apply(sound, model.method)
+    belt = _belt_motion(BeltRecord.of(recording, np.ones(sound.time.size, bool), sound, units), model, motion, sound)
+    found = _phases(recording, sound, motion, belt, model)
     phases = found.phases
-    if sound.faults:
-        number = np.flatnonzero(sound.kept)
-        phases = tuple(replace(phase, first=int(number[phase.first]), last=int(number[phase.last])) for phase in phases)
-        motion = across_faults(data.time, sound.kept, motion, model.jerk.jerk)
-    columns = {"time": data.time[own]} | {name: getattr(motion, name)[own] for name in ROWS}
+    columns = {"time": recorded}
+    for power, name in enumerate(DERIVATIVES):
+        unit = units.of(1, -power)
+        columns |= {name: getattr(motion, name)[own] * unit}
+        columns |= {f"{name}_errors": getattr(motion, f"{name}_errors")[own] * abs(unit)}
     if repair == "fix":
         segment = recording.segment
         columns["position"] = columns["position"] - np.where(segment[own] == segment[0], before, 0.0)
     else:
-        columns["position"] = columns["position"] + offset[own]
+        columns["position"] = columns["position"] + checked.offset[own] * units.length_unit
     if belt is not None:
-        for name, values in (("belt_velocity", belt.velocity), ("belt_velocity_errors", belt.velocity_errors)):
-            whole = np.interp(data.time, seen.time, values) if sound.faults else values
-            columns[name] = whole[own]
-    steps = tuple(step for step in cleaned.steps if own.start <= step.first < own.stop)
-    parts = [part for part in np.array_split(np.arange(own.start, own.stop), PARTS) if part.size]
+        columns["belt_velocity"] = belt.velocity[own] * units.of(1, -1)
+        columns["belt_velocity_errors"] = belt.velocity_errors[own] * abs(units.of(1, -1))
+    steps = tuple(step for step in checked.steps if own.start <= step.first < own.stop)
+    parts = [part for part in np.array_split(np.arange(recorded.size), PARTS) if part.size]
     numbered = recording.raw is not None
     return BlockMotion(
         columns,
         BlockFindings(
-            phases=tuple(_cut(phase, data, own, low) for phase in phases if _meets(phase, own)),
+            phases=tuple(_cut(phase, data, own, low, units) for phase in phases if _meets(phase, own)),
             continues=any(phase.first < own.start <= phase.last for phase in phases),
             faults=tuple(
                 Fault(max(fault.first, own.start) + low, min(fault.last, own.stop - 1) + low, fault.kind)
-                for fault in sound.faults
+                for fault in checked.faults
                 if _meets(fault, own)
             ),
-            steps=tuple(replace(step, first=step.first + low, last=step.last + low) for step in steps),
+            steps=tuple(_in_si(step, low, units) for step in steps),
             step_segments=tuple(int(recording.segment[step.first]) for step in steps),
-            kicks=_kicks(cleaned, own, low),
-            # A board's sample numbers show where samples are missing.
-            step_sums=np.zeros(frames.SUMS) if numbered else frames.step_sums(sound.bridged, own, model.limits.noise),
-            means=[(float(data.time[k].mean()), float(columns["position"][k - own.start].mean())) for k in parts],
+            kicks=tuple(
+                VelocityStep(kick.sample + low, kick.step * units.of(1, -1))
+                for kick in checked.kicks
+                if own.start <= kick.sample < own.stop
+            ),
+            # A board's sample numbers show where samples are missing.  Steps may be frames lost where the mass is fast.
+            step_sums=np.zeros(frames.SUMS)
+            if numbered
+            else frames.step_sums(
+                replace(sound, position=sound.position + checked.offset), own, model.faults.noise, model.faults.step
+            ),
+            means=[(float(recorded[k].mean()), float(columns["position"][k].mean())) for k in parts],
             samples=own.stop - own.start,
             window=motion.window,
             order=motion.order,
-            belt_speed=found.belt_speed,
+            belt_speed=found.belt_speed * units.of(1, -1),
         ),
     )
 
@@ -300,7 +288,7 @@ def join(
     windows = [(block.window, block.order) for block in blocks]
     window, order = max(set(windows), key=windows.count)
     steps = tuple(step for block in blocks for step in block.steps)
-    faults = tuple(fault for block in blocks for fault in block.faults)
+    every = tuple(fault for block in blocks for fault in block.faults)
     counted = frames.count_frames(np.sum([block.step_sums for block in blocks], axis=0))
     speeds = [block.belt_speed for block in blocks if math.isfinite(block.belt_speed)]
     return {
@@ -312,17 +300,17 @@ def join(
         "phases": tuple(phases),
         "losses": steps,
         "kicks": tuple(kick for block in blocks for kick in block.kicks),
-        "faults": faults,
+        "faults": every,
         "dropped_frames": counted.lost,
         "findings": (
-            *sensor_findings(faults, counted, sum(block.samples for block in blocks)),
+            *sensor_findings(every, counted, sum(block.samples for block in blocks)),
             *step_findings(list(steps), counted, unit, repaired=fixed),
             *([] if stuck > 1 else _drift(blocks, unit)),
             *belt_findings(stated, model.plateau_speed if stuck else math.nan, unit),
         ),
-        "noise": model.limits.noise,
+        "noise": model.faults.noise * abs(model.units.length_unit),
         "repaired": fixed and bool(steps),
-        "model": values(model),
+        "model": values(model, model.units),
     }
 
 
@@ -347,15 +335,6 @@ def _span(time: Array, number: Integers, moving: tuple[int, int]) -> tuple[float
     return begin, end
 
 
-def _clean(recording: "Recording", sound: sensor_faults.SoundRecord, unit: float) -> _Cleaned:
-    """Find steps of the position in a record without faults, and take them out."""
-    found = position_steps.position_steps(sound.bridged, unit) if unit else ()
-    steps = tuple(step for step in found if sound.kept[step.first : step.last + 1].all())
-    offset = step_offsets(recording.segment, steps)
-    seen = without_steps(sound.series, offset[sound.kept])
-    return _Cleaned(without_steps(sound.bridged, offset), seen, sound, steps, offset)
-
-
 def _belt_motion(belt: BeltRecord | None, model: MotionModel, motion: Motion, seen: Series) -> BeltMotion | None:
     if belt is None or model.belt_noise is None:
         return None
@@ -366,7 +345,7 @@ def _phases(
     recording: "Recording", seen: Series, motion: Motion, belt: BeltMotion | None, model: MotionModel
 ) -> PhaseSegmentation:
     """Return the sticks and slips of the samples ``seen``."""
-    measured = recording.rig.belt_speed if recording.unit == "m" else None
+    measured = measured_in(model.units, recording.rig.belt_speed if recording.unit == "m" else None)
     stated, level = model.method.stated, model.belt_speed
     if model.rule is not None:
         return plateaus.segment(seen, motion, model.rule, level, measured, stated, belt)
@@ -379,29 +358,25 @@ def _meets(found: Phase | Fault, own: slice) -> bool:
     return bool(found.first < own.stop and found.last >= own.start)
 
 
-def _cut(phase: Phase, data: Series, own: slice, low: int) -> Phase:
-    """Return the part of a phase that lies in a block."""
+def _cut(phase: Phase, data: Series, own: slice, low: int, units: Units) -> Phase:
+    """Return the part of a phase that lies in a block, in SI units."""
     first, last = max(phase.first, own.start), min(phase.last, own.stop - 1)
     cut_before, cut_behind = first > phase.first, last < phase.last
     return Phase(
         phase.kind,
-        float(data.time[first]) if cut_before else phase.start,
-        float(data.time[last]) if cut_behind else phase.end,
+        units.start + units.time_unit * (float(data.time[first]) if cut_before else phase.start),
+        units.start + units.time_unit * (float(data.time[last]) if cut_behind else phase.end),
         first + low,
         last + low,
-        math.inf if cut_before else phase.start_sd,
-        math.inf if cut_behind else phase.end_sd,
+        math.inf if cut_before else units.time_unit * phase.start_sd,
+        math.inf if cut_behind else units.time_unit * phase.end_sd,
     )
 
 
-def _kicks(cleaned: _Cleaned, own: slice, low: int) -> tuple[VelocityStep, ...]:
-    """Return the steps of the velocity in a block, where most of the samples around are positions."""
-    found = []
-    for step in velocity_steps.velocity_steps(cleaned.data):
-        near = slice(max(step.sample - velocity_steps.AROUND, 0), step.sample + velocity_steps.AROUND)
-        if own.start <= step.sample < own.stop and cleaned.sound.kept[near].mean() > SOUND:
-            found.append(VelocityStep(step.sample + low, step.step))
-    return tuple(found)
+def _in_si(step: PositionStep, low: int, units: Units) -> PositionStep:
+    """Return a step of the position of the record, by the record's numbers, in SI units."""
+    way = 1 if units.length_unit > 0 else -1
+    return PositionStep(step.first + low, step.last + low, way * step.counts, step.size * units.length_unit)
 
 
 def _drift(blocks: Sequence[BlockFindings], unit: str) -> list[Finding]:

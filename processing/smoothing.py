@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from daq.base.compute.arrays import Array
+from daq.base.compute.arrays import Array, Integers
 from daq.base.errors import InputError, nearest
 from daq.runfile import store
 from daq.runfile.nexus import EVERY
@@ -28,6 +28,7 @@ from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.series import Series
 from processing.record.setting import Setting, parse_belt_speed, parse_window
 from processing.record.stretches import survey
+from processing.record.units import Units
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -71,7 +72,7 @@ def smooth(
         the velocity.
     repair_counts : {"off", "flag", "fix"}
         What to do about steps of the position, as where counts are lost or the datum moves
-        (`processing.defects.position_steps`): not to look for them; to mark them, and leave
+        (`processing.defects.faults`): not to look for them; to mark them, and leave
         the position as it was counted; or to mark them and put them back.  Where they are looked for, velocity and
         acceleration are those of the motion on either side, without the jump of the count.
     model : mapping, optional
@@ -98,7 +99,7 @@ def smooth(
     data = series.from_recording(recording, times)
     n, asked = data.time.size, (method, window, order, belt_speed, repair_counts)
     if model:
-        known = restored(MotionModel, model)
+        known = restored(MotionModel, model, restored(Units, model["units"], Units()))
     else:
         known, _ = _learn(lambda own: _part(recording, data, own), recording.position.__getitem__, n, *asked)
     block = blocks.apply(recording, data, slice(0, n), 0, known, repair=repair_counts)
@@ -218,8 +219,9 @@ def _learn(
     wanted = Setting(None if window == "auto" else 0, order)
     for least in registry.samples_learned(method, wanted):
         picked = seen.stretches(least)
-        stretches = _joined([read(own) for own in picked], picked, positions, n, seen.travel)
-        recording, data = stretches.recording, stretches.data
+        recording, data, number = _joined([read(own) for own in picked], picked)
+        units = seen.units(data.interval, float(data.time[0]))
+        stretches = Stretches(recording, data, number, positions, seen, units)
         setting = _setting(window, order, belt_speed, data, recording.unit)
         model = blocks.learn(stretches, method, setting, steps=repair_counts != "off")
         if model.method.sticks is not None or data.time.size == n:
@@ -260,14 +262,8 @@ def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording,
     return part, data.taken(kept)
 
 
-def _joined(
-    parts: "list[tuple[Recording, Series]]",
-    own: list[slice],
-    positions: Callable[[slice], Array],
-    samples: int,
-    travel: float,
-) -> Stretches:
-    """Return parts of a record, its samples ``own``, as one record of as many pieces or more."""
+def _joined(parts: "list[tuple[Recording, Series]]", own: list[slice]) -> "tuple[Recording, Series, Integers]":
+    """Return parts of a record, its samples ``own``, as one of as many pieces or more, and the samples' numbers."""
     recording, data = parts[0]
     number = np.concatenate([np.arange(part.start, part.stop) for part in own])
     if len(parts) > 1:
@@ -291,7 +287,7 @@ def _joined(
             interval=float(np.median([part.interval for _, part in parts])),
             pieces=tuple(pieces),
         )
-    return Stretches(recording, data, number, positions, samples, travel)
+    return recording, data, number
 
 
 class _Reader:

@@ -35,6 +35,7 @@ from daq.base.compute.arrays import Array
 from daq.base.errors import InputError
 from daq.runfile import nexus, store, trust
 from daq.runfile.recording import Recording
+from processing.model_values import unit_of
 from processing.record import series
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics, SmoothingSummary
@@ -50,15 +51,6 @@ COUNTS = ("sticks", "slips", "spikes", "frozen")
 HASHED_AT_A_TIME = 1 << 20  # values, 8 MB
 ADDED = ("start_errors", "end_errors", "size")  # columns that the first stages did not have
 Column = tuple[Callable[[Any], float], type, str]  # of a row its value, the type and the units, {unit} for a length's
-MODEL_UNITS = {  # of the numbers in a model, by name
-    **dict.fromkeys(("interval", "shortest", "slip"), "s"),
-    **dict.fromkeys(("step", "spread", "noise", "step_unit", "belt", "relative"), "{unit}"),
-    **dict.fromkeys(("speed", "fastest", "belt_speed", "stated"), "{unit}/s"),
-    **dict.fromkeys(("tolerance", "peak"), "{unit}/s^2"),
-    **dict.fromkeys(("reading", "reading_variance"), "{unit}^2"),
-    **dict.fromkeys(("misfit", "corner", "line", "reset_variance"), ""),  # the last are of different derivatives
-    **{"jerk": "{unit}^2/s^5", "process_density": "{unit}^2/s^7", "mean_snap": "{unit}/s^4"},
-}
 TABLES: dict[str, tuple[str, str, str, dict[str, Column]]] = {  # title, axis, signal, columns
     "phases": (
         "sticks and slips",
@@ -284,7 +276,7 @@ def _write_model(made: h5py.Group, model: Mapping[str, Any], unit: str) -> None:
             nexus.field(made, name, value)
         else:
             numbers = np.asarray(value)
-            units = MODEL_UNITS[name].format(unit=unit) if numbers.dtype.kind == "f" else None
+            units = unit_of(name, unit) if numbers.dtype.kind == "f" else None
             nexus.field(made, name, numbers.astype(np.uint8) if numbers.dtype == bool else numbers, units)
 
 

@@ -14,10 +14,13 @@ from processing.record.setting import is_possible_speed, with_error
 
 
 def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int) -> list[Finding]:
-    """Return the findings of a record of so many samples: spikes, frozen stretches, frames lost or doubled."""
+    """Return the findings of a record of so many samples: spikes, frozen stretches, frames lost or doubled.
+
+    A frame that is lost or doubled puts others out of line: as many spikes are none.
+    """
     found = []
     spikes = sum(fault.samples for fault in faults if fault.kind == "spike")
-    if spikes:
+    if spikes > frames.lost + frames.doubled:
         text = f"{_count(spikes, 'sample')} out of line with the neighbours (spikes, drop-outs): left out"
         found.append(Finding("spikes", text, float(spikes), 0.0))
     held = [fault.samples for fault in faults if fault.kind == "frozen"]

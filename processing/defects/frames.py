@@ -15,12 +15,11 @@ import numpy as np
 
 from daq.base.compute.arrays import Array, runs
 from daq.base.compute.compile import compiled
-from processing.defects import fault_kernel
+from processing.defects import frame_kernel
 from processing.polynomial.even_grid import is_even
-from processing.record.noise import smallest_step
 from processing.record.series import Series
 
-KERNELS = ("processing.defects.fault_kernel",)
+KERNELS = ("processing.defects.frame_kernel",)
 
 CLEAR = 5.0  # standard deviations of a step that the usual step must have to be compared
 NEAR = 0.35  # of the usual step: how near a multiple a step must lie
@@ -60,24 +59,32 @@ class FrameCount:
         return self.lost / (self.compared + self.lost) if self.lost else 0.0
 
 
-def step_sums(series: Series, own: slice, noise: float) -> Array:
-    """Return the sums that `count_frames` needs, (16,), over the samples ``own`` of a record without spikes.
+def step_sums(series: Series, own: slice, noise: float, step: float) -> Array:
+    """Return the sums that `count_frames` needs, (16,), over the samples ``own`` of a record.
 
-    They are 0 for a piece whose times are not even: there the times show where frames are missing.  ``noise`` is the
-    standard deviation of one position, m.
+    They are 0 for a piece whose times are not even: there the times show where frames are missing.  Where readings are
+    missing (NaN) a line stands for them.
+
+    Parameters
+    ----------
+    noise, step : float
+        Standard deviation of one position, and the step that readings are rounded to (0: none), m.
     """
     sums = np.zeros(SUMS)
+    known = ~np.isnan(series.position)
     parts = [slice(max(piece.start, own.start), min(piece.stop, own.stop)) for piece in series.pieces]
     even = [part for part in parts if part.stop - part.start > 2 * SHORT and is_even(series.time[part])]
-    step = smallest_step(series.position[own]) if even else 0.0
+    reading = series.position
+    bridged = reading if known.all() else np.interp(series.time, series.time[known], reading[known])
     for part in even:
         least = CLEAR * math.sqrt(2) * noise
         found = np.zeros(OF_KERNEL)
-        compiled(fault_kernel.count_steps, KERNELS)(series.position[part], noise, least, NEAR, found)
+        compiled(frame_kernel.count_steps, KERNELS)(bridged[part], noise, least, NEAR, found)
         valid = OF_KERNEL if noise >= DITHERED * step else UNCLEAR
         sums[:valid] += found[:valid]
         if noise >= REPEATED * step > 0:
-            sums[OF_KERNEL:] += _equal_readings(np.rint(np.abs(np.diff(series.position[part])) / step))
+            steps = np.rint(np.abs(np.diff(reading[part])) / step)
+            sums[OF_KERNEL:] += _equal_readings(steps[~np.isnan(steps)])
     return sums
 
 

@@ -31,6 +31,10 @@ from processing.kalman.stick_slip import (
 
 Labels = NDArray[np.uint8]
 
+# Of a sample interval: how far from a sample a corner is put whose time is only known to be beside it.  On a sample,
+# rounding of its time would decide on which side the corner lies; a simple fraction meets the grid of times tried.
+BETWEEN = 0.381966
+
 
 def label_samples(time: Array, at: Array, kind: Labels, first: int, unit: float, label: Labels) -> None:
     """Name the part of the motion every sample lies in (the interval that ends there), for `forward`.
@@ -90,7 +94,7 @@ def refine_switching_times(
     Parameters
     ----------
     time, position : array of shape (n,)
-        s and m.
+        s and m, NaN where a reading is missing.
     stored : array of shape (n, STORED)
         What the filter expected of each sample.
     what : int
@@ -120,7 +124,8 @@ def refine_switching_times(
         found[k, 0], found[k, 1] = middle, n * step
         if end - begin < 8:
             continue
-        least, most = max(bounds[k, 0], time[begin]), min(bounds[k, 1], time[end - 1])
+        least = max(bounds[k, 0], time[begin] + BETWEEN * (time[begin + 1] - time[begin]))
+        most = min(bounds[k, 1], time[end - 1] - BETWEEN * (time[end - 1] - time[end - 2]))
         for _ in range(12):
             best = 0
             for g in range(2 * n + 1):
@@ -149,6 +154,8 @@ def refine_switching_times(
                     else:
                         predict(order, order, time[i] - last, q[b], u[b], x, p)
                     last = time[i]
+                    if math.isnan(position[i]):
+                        continue
                     s = 1.0 / (p[0] + r[b])
                     e = position[i] - x[0]
                     total -= e * e * s

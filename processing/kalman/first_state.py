@@ -1,4 +1,4 @@
-"""The state of a filter before its first sample: about as fast as over the first nine, else unknown."""
+"""The state of a filter before its first sample: about as fast as over the first nine readings, else unknown."""
 
 import math
 
@@ -6,14 +6,16 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 
+FIRST = 8  # samples behind the first one
+
 
 def first_state(time: Array, position: Array, variance: float, derivatives: int) -> Array:
     """Return the state of a filter of the first ``derivatives`` derivatives before its first sample.
 
     Parameters
     ----------
-    time, position : array of shape (n,), n >= 2
-        s and m.
+    time, position : array of shape (n,)
+        s and m, NaN where a reading is missing; at least two are not.
     variance : float
         Of a reading, m^2.
     derivatives : int
@@ -24,8 +26,11 @@ def first_state(time: Array, position: Array, variance: float, derivatives: int)
     array
         The state, the upper triangle of its covariance row by row, and the time it holds for, s.
     """
-    k = min(time.size - 1, 8)
-    t, x = time[: k + 1].tolist(), position[: k + 1].tolist()  # so few are faster as plain numbers
+    t, x = time[: FIRST + 1].tolist(), position[: FIRST + 1].tolist()  # so few are faster as plain numbers
+    if any(math.isnan(reading) for reading in x):
+        known = np.flatnonzero(~np.isnan(position))[: FIRST + 1]
+        t, x = time[known].tolist(), position[known].tolist()
+    k = len(x) - 1
     h = (t[k] - t[0]) / k
     slope = (x[k] - x[0]) / (t[k] - t[0])
     spread = 2 * math.sqrt(variance) / h
@@ -33,7 +38,7 @@ def first_state(time: Array, position: Array, variance: float, derivatives: int)
         spread = max(spread, 2 * abs((x[i + 1] - x[i]) / (t[i + 1] - t[i]) - slope))
     size = 3 if derivatives == 2 else 4
     state = np.zeros(size + size * (size + 1) // 2 + 1)
-    state[0], state[1], state[-1] = x[0], slope, t[0]
+    state[0], state[1], state[-1] = x[0] + slope * (time[0] - t[0]), slope, time[0]
     diagonal = size
     for d in range(derivatives + 1):
         state[diagonal] = (spread * h ** (1 - d)) ** 2

@@ -18,9 +18,15 @@ constants of the compiled code, so that the loops unroll, and the state lives in
 stack.  Of p the upper triangle is kept, of m the lower one: each is carried in place.  Every function runs as written
 or compiled (`daq.base.compute.compile`).
 
+A reading that is NaN is a missing one: its variance is infinite, and s and e/s are 0.
+
+The adjoint state tells what the motion does not explain (auxiliary residuals): just before a sample l_d^2/m_dd is the
+square of the t statistic of a step of the d-th derivative there, and l_d/m_dd the estimate of that step; u^2/d is that
+of an outlying reading, of size u/d, with the score u of the sample and its variance d.
+
 Source: G. J. Bierman, Automatica 9 (1973) 503 (the modified Bryson-Frazier smoother); Q of the integrated Wiener
 process: Wahba, J. R. Stat. Soc. B 40 (1978) 364; the fixed point: J. Burridge, Commun. Stat. 16 (1987); D. MacKay,
-Neural Comput. 4 (1992) 415.
+Neural Comput. 4 (1992) 415; auxiliary residuals: P. de Jong and J. Penzer, J. Am. Stat. Assoc. 93 (1998) 796.
 """
 
 import math
@@ -34,7 +40,7 @@ from daq.base.compute.compile import stack, stack_square
 
 Labels = NDArray[np.uint8]
 Order = tuple[float, ...]
-Sums = tuple[float, float, float]
+Sums = tuple[float, float, float, float]
 
 LINE = (0.0, 0.0)  # order of a motion of which x and v alone are alive
 SETTLED = 36.0  # natural logarithm of how far a start must have faded: 2e-16
@@ -200,6 +206,9 @@ def forward(
         last = time[i]
         w = stored[i]
         pack(order, w, x, p)
+        if math.isnan(position[i]):
+            w[end], w[end + 1] = 0.0, 0.0
+            continue
         s = 1.0 / (p[0] + r[b])
         e = position[i] - x[0]
         w[end], w[end + 1] = s, e * s
@@ -293,12 +302,14 @@ def backward(
     begin: int,
     noise: Array,
     steps: Array,
+    scores: Array,
 ) -> None:
     """Smooth from the last sample back.
 
     ``motion`` (6, n) gets x v a and their variances of the first ``wanted`` samples, from its column ``begin`` on;
     ``noise`` (labels, 4) is added sum(l^2) and sum(m) of the last derivative, and the same for the readings; ``steps``
-    (kinds, n, 2) likewise for what each derivative gains at corners.
+    (kinds, n, 2) likewise for what each derivative gains at corners.  ``scores`` (k, 2 + 2 n) gets, of its first k
+    samples, the score of the reading and its variance, then those of a step of each derivative just before the sample.
     """
     n = len(order)
     alive, keep = process.alive, process.keep
@@ -318,6 +329,10 @@ def backward(
             u, d = take_in(order, order, w, adjoint, information, row, v)
         noise[b, 2] += u * u
         noise[b, 3] += d
+        if i < scores.shape[0]:
+            scores[i, 0], scores[i, 1] = u, d
+            for m in range(n):
+                scores[i, 2 + 2 * m], scores[i, 3 + 2 * m] = -adjoint[m], information[m * n + m]
         if i < wanted:
             if two:
                 write_motion(order, LINE, w, adjoint, information, row, motion, begin + i)
@@ -354,21 +369,23 @@ def backward(
 
 
 def sum_likelihood(
-    order: Order, time: Array, position: Array, edges: Integers, every: int, q: float, states: Array
+    order: Order, time: Array, position: Array, edges: Integers, every: int, q: float, states: Array, most: float
 ) -> Sums:
     """Filter the stretches of samples edges[k]..edges[k + 1] - 1 of every ``every``-th k, for readings of variance 1.
 
     Each begins in its own of the ``states``, (k, state_size).  Returned are sums over all samples but the first four of
     a stretch, which only set its filter up: of the logarithm of the innovation's variance, of its square over that
-    variance, and of 1.
+    variance, of 1, and of 1 where the square is more than ``most``.  It then counts as that, and the reading is left
+    out of the filter, but never more than three in a row: outliers, not a motion that turns.
     """
     n = len(order)
-    logarithms = squares = samples = 0.0
+    logarithms = squares = samples = clipped = 0.0
     product = 1.0
     x, p = stack(order), stack_square(order)
     for k in range(0, edges.size - 1, every):
         unpack(order, states[k], x, p)
         last = states[k, n + n * (n + 1) // 2]
+        out = 0
         for i in range(edges[k], edges[k + 1]):
             predict(order, order, time[i] - last, q, 0.0, x, p)
             last = time[i]
@@ -376,10 +393,15 @@ def sum_likelihood(
             e = position[i] - x[0]
             if i >= edges[k] + 4:
                 product *= s
-                squares += e * e * s
+                squares += min(e * e * s, most)
+                clipped += e * e * s > most
                 samples += 1.0
                 if product < 1e-200:
                     logarithms -= math.log(product)
                     product = 1.0
+            if e * e * s > most and out < 3:
+                out += 1
+                continue
+            out = 0
             update(order, order, e, s, 1.0, x, p)
-    return logarithms - math.log(product), squares, samples
+    return logarithms - math.log(product), squares, samples, clipped

@@ -14,7 +14,8 @@ samples lie corners:
     OVERTAKE  the mass comes up to the belt's speed and runs ahead of it: as MEET; it lands behind that
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,8 @@ JUMP_KIND = np.array([LEAVE, LEAVE, MEET, MEET, KICK, KICK, KICK, START, START])
 JUMP_DERIVATIVE = np.array([2, 3, 2, 3, 1, 2, 3, 2, 3])
 
 
-class NoiseLevels(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class NoiseLevels:
     """Noise of each part of the motion, by its label, and of the resets at corners.
 
     Attributes
@@ -59,16 +61,16 @@ class NoiseLevels(NamedTuple):
     reset_variance: Array
     peak: float
 
-
-def process(levels: NoiseLevels) -> Process:
-    """Return the noise as `processing.kalman.motion_kernel` takes it."""
-    alive, keep = np.full(LABELS, len(SNAP)), np.full(KINDS, len(SNAP))
-    alive[[STICK, REST]] = 2
-    keep[[LAND, STOP]] = 2
-    jump = np.zeros((KINDS, len(SNAP)))
-    jump[JUMP_KIND, JUMP_DERIVATIVE] = levels.reset_variance
-    jump[OVERTAKE] = jump[MEET]
-    return Process(levels.process_density, levels.mean_snap, levels.reading_variance, alive, keep, jump)
+    @cached_property
+    def process(self) -> Process:
+        """The noise as `processing.kalman.motion_kernel` takes it."""
+        alive, keep = np.full(LABELS, len(SNAP)), np.full(KINDS, len(SNAP))
+        alive[[STICK, REST]] = 2
+        keep[[LAND, STOP]] = 2
+        jump = np.zeros((KINDS, len(SNAP)))
+        jump[JUMP_KIND, JUMP_DERIVATIVE] = self.reset_variance
+        jump[OVERTAKE] = jump[MEET]
+        return Process(self.process_density, self.mean_snap, self.reading_variance, alive, keep, jump)
 
 
 def summed_by_jump(steps: Array) -> Array:

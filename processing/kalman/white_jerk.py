@@ -15,6 +15,7 @@ Source: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965) 1445.
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -31,10 +32,18 @@ from processing.record.stretches import representative_stretches
 KERNELS = ("processing.kalman.motion_kernel",)
 JERK = (0.0, 0.0, 0.0)  # order of the motion: x, v, a
 STORED = motion_kernel.stored_size(len(JERK))
+SCORES = 2 + 2 * len(JERK)  # numbers of a sample: `motion_kernel.backward`
 SHORT = 8  # samples: pieces below are one parabola
 BLOCK = 4096  # samples smoothed at a time
 FIT_SAMPLES = 12_288  # samples the noise levels are fitted to
 STRETCH = 2**8  # samples of one stretch of them, at first
+ROBUST_STRETCH = 2**10  # likewise of the fit without corners and outlying readings
+# Standard deviations of an innovation beyond which it is one of these: with 20, spikes of 2 to 30 mm in 1 mm of noise
+# pass for jerk, and one in five of them is found.
+CLIP = 5.0
+# Of the samples: the most that are such.  Where sticks are read without noise, all of every slip may be; 19 spikes a
+# second are a twentieth of 400 readings.  At half, frozen stretches count as motion, at twice a fifth of a record.
+OUTLYING = 0.1
 LOG_RHO = (-48.0, 12.0)  # of q interval^5/r: from what hardly bends to interpolation
 # Times the standard deviation of a reading that a record of less than four windows may lie off its smoothed motion.
 # The likelihood is that of the record from its first motion on: a mass that rests and is then dragged evenly is a
@@ -50,6 +59,13 @@ class Noise:
 
     jerk: float
     reading: float
+
+    @cached_property
+    def process(self) -> motion_kernel.Process:
+        """The noise as the kernel takes it: one label, no corner."""
+        n = len(JERK)
+        density, reading = np.array([self.jerk]), np.array([self.reading])
+        return motion_kernel.Process(density, np.zeros(1), reading, np.full(1, n), np.full(1, n), np.zeros((1, n)))
 
     def rho(self, interval: float) -> float:
         """Return what decides how much is smoothed: q interval^5/r."""
@@ -110,26 +126,53 @@ def _moving(series: Series, parts: Iterable[slice]) -> list[tuple[Array, Array]]
 
 def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
     """Return log rho of the greatest likelihood and the variance of a reading there."""
-    edges = np.cumsum([0, *(time.size for time, _ in stretches)])
-    time, position = (np.concatenate(own) for own in zip(*stretches, strict=True))
-    states = np.array([first_state(*stretch, 1.0, 2) for stretch in stretches])
-    run = compiled(motion_kernel.sum_likelihood, KERNELS)
+    sums = _summed(stretches, math.inf)
 
     def cost(log_rho: float, every: int) -> tuple[float, float]:
         """Return minus the log likelihood, up to a constant, and the variance of a reading at which it is least."""
-        logarithms, squares, samples = run(JERK, time, position, edges, every, math.exp(log_rho), states)
+        logarithms, squares, samples, _ = sums(log_rho, every)
         variance = max(squares / samples, 1e-30)
         return 0.5 * (samples * math.log(variance) + logarithms), variance
 
     few = max(len(stretches) // 16, 1)
     middle = lowest(lambda log_rho: cost(log_rho, few)[0], LOG_RHO, 6.0, 1.5)
     log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
-    grid = np.arange(LOG_RHO[0], LOG_RHO[1] + 3.0, 6.0).tolist()
-    if min(cost(value, 1)[0] for value in grid) < cost(log_rho, 1)[0]:
+    above = np.arange(log_rho + 4.0, LOG_RHO[1], 4.0).tolist()
+    if above and min(cost(value, 1)[0] for value in above) < cost(log_rho, 1)[0]:
         # Where the mass moves fast for a few per cent of the time, the few stretches may hold none of that.
         middle = lowest(lambda log_rho: cost(log_rho, 1)[0], LOG_RHO, 6.0, 1.5)
         log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
     return log_rho, cost(log_rho, 1)[1]
+
+
+def _summed(stretches: list[tuple[Array, Array]], most: float) -> Callable[[float, int], motion_kernel.Sums]:
+    """Return what gives the sums of `motion_kernel.sum_likelihood` for a log rho, over every so many-th stretch."""
+    edges = np.cumsum([0, *(time.size for time, _ in stretches)])
+    time, position = (np.concatenate(own) for own in zip(*stretches, strict=True))
+    states = np.array([first_state(*stretch, 1.0, 2) for stretch in stretches])
+    run = compiled(motion_kernel.sum_likelihood, KERNELS)
+    return lambda log_rho, every: run(JERK, time, position, edges, every, math.exp(log_rho), states, most)
+
+
+def robust_fit(series: Series, sigma: float, widest: int) -> Noise:
+    """Find the density of the jerk of greatest likelihood, corners and outlying readings left out.
+
+    ``sigma`` is the standard deviation of a position; the equivalent window has ``widest`` samples at most.
+    """
+    reading = max(sigma**2, least_variance(series))
+    stretches = _stretches(series, ROBUST_STRETCH)
+    log_rho = least = 6 * math.log(EQUIVALENT / widest)
+    if stretches:
+        sums = _summed([(time, position / math.sqrt(reading)) for time, position in stretches], CLIP**2)
+        few = max(len(stretches) // 4, 1)
+        middle = lowest(lambda log_rho: sum(sums(log_rho, few)[:2]), (least, LOG_RHO[1]), 4.0, 1.5)
+        log_rho = max(vertex(lambda log_rho: sum(sums(log_rho, 1)[:2]), middle, 1.5), least)
+        while log_rho < LOG_RHO[1]:
+            _, _, samples, clipped = sums(log_rho, 1)
+            if clipped <= OUTLYING * samples:
+                break
+            log_rho += 1.0
+    return Noise(math.exp(log_rho) * reading / series.interval**5, reading)
 
 
 def innovations(time: Array, position: Array, noise: Noise, stored: Array) -> Array:
@@ -139,15 +182,8 @@ def innovations(time: Array, position: Array, noise: Noise, stored: Array) -> Ar
     """
     state = first_state(time, position, noise.reading, 2)
     label, *none = _unmarked(time.size)
-    compiled(motion_kernel.forward, KERNELS)(JERK, time, position, label, *none, process(noise), state, stored)
+    compiled(motion_kernel.forward, KERNELS)(JERK, time, position, label, *none, noise.process, state, stored)
     return stored[:, STORED - 2 :]
-
-
-def process(noise: Noise) -> motion_kernel.Process:
-    """Return the noise as the kernel takes it: one label, no corner."""
-    density, reading = np.array([noise.jerk]), np.array([noise.reading])
-    n = len(JERK)
-    return motion_kernel.Process(density, np.zeros(1), reading, np.full(1, n), np.full(1, n), np.zeros((1, n)))
 
 
 def _unmarked(n: int) -> tuple[motion_kernel.Labels, Array, motion_kernel.Labels]:
@@ -220,19 +256,28 @@ def smooth(series: Series, noise: Noise) -> Motion:
 
 
 def smooth_piece(
-    time: Array, position: Array, noise: Noise, block: int, behind: int, motion: Array, first: int = 0
+    time: Array,
+    position: Array,
+    noise: Noise,
+    block: int,
+    behind: int,
+    motion: Array,
+    first: int = 0,
+    scores: Array | None = None,
 ) -> None:
     """Write x, v, a and their variances of one piece into ``motion``, from its column ``first`` on.
 
     Memory for the filter grows with the block alone: the smoother of a block starts ``behind`` samples after it, and
-    what lies further on has faded by then.
+    what lies further on has faded by then.  ``scores`` (n, SCORES) gets those of the samples, where it is given;
+    ``motion`` may then have no columns.
     """
     forward, backward = compiled(motion_kernel.forward, KERNELS), compiled(motion_kernel.backward, KERNELS)
     n = time.size
     stored = np.empty((min(block + behind, n), STORED))
-    known = process(noise)
+    known = noise.process
     sums = np.zeros((1, 4)), np.zeros((1, len(JERK), 2))  # how well the noise levels fit: not asked for
     state = first_state(time, position, noise.reading, 2)
+    scored = np.empty((0, SCORES)) if scores is None else scores
     for begin in range(0, n, block):
         end = min(begin + block, n)
         far = min(end + behind, n)
@@ -240,12 +285,15 @@ def smooth_piece(
         k = end - begin
         forward(JERK, time[begin:end], position[begin:end], label[:k], *none, known, state, stored)
         forward(JERK, time[end:far], position[end:far], label[k:], *none, known, state.copy(), stored[k:])
-        backward(JERK, time[begin:far], label, *none, known, stored[: far - begin], k, motion, first + begin, *sums)
+        backward(
+            *(JERK, time[begin:far], label, *none, known, stored[: far - begin], k if motion.shape[1] else 0),
+            *(motion, first + begin, *sums, scored[begin:end]),
+        )
 
 
-def reach(rho: float) -> int:
-    """Return after how many samples what a smoother starts from has faded."""
-    return math.ceil(2 * motion_kernel.SETTLED / float(rho ** (1 / 6))) + 8
+def reach(rho: float, faded: float = motion_kernel.SETTLED) -> int:
+    """Return after how many samples what a smoother starts from has faded, by e to the power of ``faded``."""
+    return math.ceil(2 * faded / float(rho ** (1 / 6))) + 8
 
 
 def equivalent_window(rho: float, n: int) -> int:
@@ -255,9 +303,17 @@ def equivalent_window(rho: float, n: int) -> int:
 
 
 def parabola(time: Array, position: Array, variance: float) -> Array:
-    """Return motion and variances, (6, n), of a piece too short to filter: one polynomial, of degree 2 at most."""
-    n = time.size
+    """Return motion and variances, (6, n), of a piece too short to filter: one polynomial, of degree 2 at most.
+
+    Where a reading is missing it is a line between those beside it, of unknown error.
+    """
+    known = ~np.isnan(position)
+    n = int(np.count_nonzero(known))
     degree = min(2, n - 1)
-    values, norms = uneven.fit(time, position, n, degree)
+    values, norms = uneven.fit(time[known], position[known], n, degree)
     norms[degree + 1 :] = np.inf
-    return np.concatenate((values, variance * norms**2))
+    found = np.concatenate((values, variance * norms**2))
+    if known.all():
+        return found
+    values = np.array([np.interp(time, time[known], row) for row in found[:3]])
+    return np.concatenate((values, np.full((3, time.size), np.inf)))

@@ -6,6 +6,7 @@ a piece repeats the one before it.  One count over one interval is already pitch
 
 import numpy as np
 
+from processing.kalman import white_jerk
 from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
 from processing.record.series import Series
@@ -23,7 +24,8 @@ def learn(method: str, series: Series, setting: Setting, noise: float) -> Method
         When a window or an order was asked for: two points and a straight line are the method.
     """
     refuse_window(setting, method, "finite differences have no window")
-    return MethodModel(method=method, noise=noise, window=WINDOW, order=1, stated=setting.belt_speed)
+    jerk = white_jerk.fit(series)
+    return MethodModel(method=method, noise=noise, jerk=jerk, window=WINDOW, order=1, stated=setting.belt_speed)
 
 
 def apply(series: Series, model: MethodModel) -> Motion:

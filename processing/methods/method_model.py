@@ -19,8 +19,8 @@ class MethodModel:
         Standard deviation of a position, m.
     window, order : int
         Of Savitzky-Golay; 0 for the others.
-    jerk : white_jerk.Noise or None
-        Of the smoothers.
+    jerk : white_jerk.Noise
+        Of the record as a motion of white jerk: of the smoothers, and of the motion where readings are missing.
     rule : PlateauRule or None
         How sticks show in the motion that ``jerk`` gives; None for a method without sticks.
     sticks : StickSlip or None
@@ -31,9 +31,9 @@ class MethodModel:
 
     method: str
     noise: float
+    jerk: white_jerk.Noise
     window: int = 0
     order: int = 0
-    jerk: white_jerk.Noise | None = None
     rule: PlateauRule | None = None
     sticks: StickSlip | None = None
     stated: float | None = None

@@ -14,6 +14,7 @@ from typing import Protocol, cast
 import numpy as np
 
 from daq.base.errors import InputError, nearest
+from processing.kalman import white_jerk
 from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
 from processing.record.noise import position_noise
@@ -28,6 +29,7 @@ METHODS = {
     "sg": "processing.methods.savgol",
     "fd": "processing.methods.differences",
 }
+SMOOTHERS = ("segment", "rts")  # they take missing readings as they are
 
 
 class Method(Protocol):
@@ -65,8 +67,18 @@ def learn(name: str, series: Series, setting: Setting, noise: float | None = Non
 
 
 def apply(series: Series, model: MethodModel) -> Motion:
-    """Rebuild the motion of the record that the model was learned from, or of a block of it."""
-    return _module(model.method).apply(series, model)
+    """Rebuild the motion of the record that the model was learned from, or of a block of it.
+
+    Where readings are missing (NaN) the smoothers know what to do; for the others the motion there is one of white
+    jerk.
+    """
+    method, known = _module(model.method), ~np.isnan(series.position)
+    if model.method in SMOOTHERS or known.all():
+        return method.apply(series, model)
+    found = method.apply(series.taken(known), model)
+    rows = white_jerk.smooth(series, model.jerk).rows()
+    rows[:, known] = found.rows()
+    return found.with_rows(rows)
 
 
 def estimate(name: str, series: Series, setting: Setting) -> Motion:

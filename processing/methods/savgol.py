@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from processing.kalman import white_jerk
 from processing.methods import window_choice
 from processing.methods.method_model import MethodModel
 from processing.polynomial import savgol
@@ -35,7 +36,8 @@ def learn(method: str, series: Series, setting: Setting, noise: float) -> Method
     else:
         length, order = setting.window, DEFAULT_ORDER if setting.order is None else setting.order
     check_window(length, order)
-    return MethodModel(method=method, noise=noise, window=length, order=order, stated=setting.belt_speed)
+    jerk = white_jerk.fit(series)
+    return MethodModel(method=method, noise=noise, jerk=jerk, window=length, order=order, stated=setting.belt_speed)
 
 
 def apply(series: Series, model: MethodModel) -> Motion:

@@ -51,8 +51,6 @@ def apply(series: Series, model: MethodModel) -> Motion:
         ``window`` is that of the equivalent Savitzky-Golay filter of order 4, ``order`` the spline's.  With its corners
         where sticks and slips are smoothed apart.
     """
-    if model.jerk is None:
-        raise ValueError(f"a model of {model.method} holds no noise levels of a smoother")
     pilot = white_jerk.smooth(series, model.jerk)
     if model.sticks is None or model.rule is None:
         return replace(pilot, method=model.method)

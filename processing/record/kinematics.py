@@ -52,11 +52,11 @@ class SmoothingHeader:
         Sticks and slips in order of time; rest before the belt starts belongs to neither.
     losses : tuple of PositionStep
         Where the position steps: ten or more counts went missing, or the datum moved
-        (`processing.defects.position_steps`).
+        (`processing.defects.faults`).
     kicks : tuple of VelocityStep
-        Where the velocity stepped (`processing.defects.velocity_steps`); marked, and smoothed over.
+        Where the velocity stepped (`processing.defects.faults`); marked, and smoothed over.
     faults : tuple of Fault
-        Samples that are no positions (`processing.defects.sensor_faults`), left out of the smoothing: the motion there
+        Samples that are no positions (`processing.defects.faults`), left out of the smoothing: the motion there
         is estimated from the samples on either side, with its errors.
     dropped_frames : int
         Frames lost among even times (`processing.defects.frames`), as counted or estimated; the times are as recorded.

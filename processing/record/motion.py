@@ -10,7 +10,8 @@ import numpy as np
 from daq.base.compute.arrays import Array, Mask
 from processing.record.series import Series
 
-ROWS = ("position", "velocity", "acceleration", "position_errors", "velocity_errors", "acceleration_errors")
+DERIVATIVES = ("position", "velocity", "acceleration")
+ROWS = (*DERIVATIVES, *(f"{name}_errors" for name in DERIVATIVES))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers, Mask
 from processing.record.series import Series, computed_once
 
 ORDER = 4  # of the differences: the third leave motion of 30 samples a second, the fifth gain nothing
@@ -29,6 +29,7 @@ ULPS = 2.0  # of the largest reading: by how much a decimal, and the difference 
 # Of a step: rounding beyond which decimals are not seen.  Readings of any digits are as near whole steps as that one in
 # ten times, and hundreds of them never; at 0.5 everything is a multiple.
 SHOWN = 0.05
+DECIMALS = 16  # powers of five that numbers hold
 GOLDEN = 0.6180339887498949  # its multiples modulo 1 are spread evenly
 NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal number
 
@@ -70,20 +71,29 @@ def reading_step(series: Series) -> float:
 
 
 def last_decimal(series: Series) -> float:
-    """Return the power of ten (m) of which all changes are multiples; 0 where numbers hold no such one, or at rest.
+    """Return the power of ten of which all changes are multiples; 0 where numbers hold no such one, or at rest.
 
-    A reading printed to 1e-9 m errs by 0.3e-9 m, however smooth the motion is.
+    A reading printed to 1e-9 m errs by 0.3e-9 m, however smooth the motion is.  In units of the record, which are
+    powers of two, a power of ten is one of two over one of five: the largest of these is looked for.
     """
     x = series.position
     farthest = float(np.abs(x).max())
     if farthest == 0:
         return 0.0
     rounding = ULPS * float(np.spacing(max(farthest, abs(series.origin))))
-    for power in range(math.floor(math.log10(farthest)), math.floor(math.log10(rounding / SHOWN)), -1):
-        number = x * 10.0**-power if power < 0 else x / 10.0**power
-        if np.all(np.abs(number - np.rint(number)) <= rounding / 10.0**power + np.spacing(np.abs(number))):
-            return 10.0**power
-    return 0.0
+    fives = 5.0 ** np.arange(DECIMALS)
+    least, most = math.frexp(rounding / SHOWN)[1], math.frexp(farthest * fives[-1])[1]
+    steps = (2.0 ** np.arange(least, most)[:, None] / fives).ravel()
+    steps = -np.sort(-steps[(steps > rounding / SHOWN) & (steps <= farthest)])
+    some = x[np.linspace(0, x.size - 1, min(FEW, x.size)).astype(int)]
+    likely = steps[_whole(some, steps[:, None], rounding).all(axis=1)]
+    return next((float(step) for step in likely if _whole(x, step, rounding).all()), 0.0)
+
+
+def _whole(x: Array, step: Array | float, rounding: float) -> Mask:
+    """Return where numbers are multiples of a step, as nearly as their rounding shows."""
+    number = x / step
+    return np.asarray(np.abs(number - np.rint(number)) <= rounding / step + np.spacing(np.abs(number)))
 
 
 def smallest_step(position: Array) -> float:

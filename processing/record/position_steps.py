@@ -45,11 +45,12 @@ def step_offsets(segment: NDArray[np.integer], steps: tuple[PositionStep, ...]) 
         In the unit of the position, m (or counts).
     """
     offset = np.zeros(segment.size)
-    edges = np.append(np.flatnonzero(np.diff(segment.astype(np.int64)) != 0) + 1, segment.size)
+    edges = np.append(np.flatnonzero(np.diff(segment.astype(np.int64)) != 0) + 1, segment.size) if steps else ()
     for step in steps:
         end = int(edges[np.searchsorted(edges, step.first, side="right")])
-        since = np.arange(end - step.first) + 1.0
-        offset[step.first : end] += step.size * step_profile(since, step.last - step.first + 1.0)
+        behind = min(step.last + 1, end)
+        offset[step.first : behind] += step.size * step_profile(step.last - step.first + 1)[: behind - step.first]
+        offset[behind:end] += step.size
     return offset
 
 
@@ -60,7 +61,6 @@ def without_steps(series: Series, offset: Array) -> Series:
     return replace(series, position=series.position - offset)
 
 
-def step_profile(since: NDArray[np.floating], width: Array | float) -> Array:
-    """Return the share of a step that has happened ``since`` samples after the last one before it, 0 to 1: a cubic."""
-    s = np.clip(since / width, 0.0, 1.0)
-    return np.asarray(s * s * (3 - 2 * s))
+def step_profile(width: int) -> Array:
+    """Return the share of a step over so many samples that has happened at each of them."""
+    return np.arange(1, width + 1) / width

@@ -8,16 +8,16 @@ A shorter hole (a lost sample or two) stays inside its piece: the recorded times
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, wraps
+from functools import wraps
 from itertools import pairwise
 from typing import TYPE_CHECKING, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask, pieces
+from daq.base.compute.arrays import HOLE, Array, Integers, Mask, pieces
 from daq.base.errors import InputError
-from processing.polynomial.even_grid import even_grid
+from processing.record.units import Units
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -63,21 +63,43 @@ class Series:
     source: str = ""
     moving: tuple[float, float] | None = None
 
-    @cached_property
-    def even_counts(self) -> tuple[Array, ...]:
-        """Positions of each piece on its even grid, in counts; empty for a lone sample.  Needs a pitch."""
-        own = [(self.time[piece], self.position[piece] / self.pitch) for piece in self.pieces]
-        return tuple(even_grid(time, count) if time.size > 1 else np.empty(0) for time, count in own)
+    def in_units(self, units: Units) -> "Series":
+        """Return the record in the units of a record, one that is in SI units."""
+        length, time = units.length_unit, units.time_unit
+        return replace(
+            self,
+            time=(self.time - units.start) / time,
+            position=self.position / length,
+            origin=self.origin / length,
+            pitch=self.pitch / abs(length),
+            interval=self.interval / time,
+        )
 
-    def taken(self, kept: Mask, hole: float = 0.0) -> "Series":
-        """Return the samples ``kept``, (n,); a hole left longer than ``hole``, s, ends a piece."""
+    def taken(self, kept: Mask) -> "Series":
+        """Return the samples ``kept``, (n,); a hole that is left ends a piece where it is longer than `HOLE`."""
         own = np.flatnonzero(kept)
         time = self.time[own]
-        cut = (np.diff(own) > 1) & (np.diff(time) > hole)
+        cut = (np.diff(own) > 1) & (np.diff(time) > HOLE * self.interval)
         starts = {int(np.searchsorted(own, piece.start)) for piece in self.pieces}
         edges = sorted({0, own.size} | starts | set((np.flatnonzero(cut) + 1).tolist()))
         taken = tuple(slice(i, j) for i, j in pairwise(edges))
         return replace(self, time=time, position=self.position[own], pieces=taken)
+
+    def parted(self, longest: float) -> "Series":
+        """Return the record with pieces that end at holes of missing readings (NaN) longer than ``longest``, s.
+
+        Samples in such holes, and missing ones at the ends of a piece, are in no piece.
+        """
+        known = np.flatnonzero(~np.isnan(self.position))
+        if known.size == self.time.size:
+            return self
+        parts = []
+        for piece in self.pieces:
+            own = known[np.searchsorted(known, piece.start) : np.searchsorted(known, piece.stop)]
+            cut = np.flatnonzero((np.diff(own) > 1) & (np.diff(self.time[own]) > longest)) + 1
+            for first, last in pairwise([0, *cut.tolist(), own.size]):
+                parts.append(slice(int(own[first]), int(own[last - 1]) + 1))
+        return replace(self, pieces=tuple(parts))
 
 
 def computed_once(function: Callable[[Series], Result]) -> Callable[[Series], Result]:

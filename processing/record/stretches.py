@@ -1,5 +1,6 @@
 """Representative stretches of a long record, for what is learned from it without reading all of it."""
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,15 +11,18 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from daq.base.compute.arrays import Array, Integers
 from processing.record.series import Series
+from processing.record.units import Units, power_of_two
 
 WINDOW = 2**11  # samples: stretches are so long, or multiples of it
-LEAST, MOST = 11 * 2**11, 2**17  # samples that the model of a longer record is learned from
+LEAST, MOST = 2**14, 2**17  # samples that the model of a longer record is learned from
 PART = 2**15  # samples of one stretch of them at least: the sticks that its ends cut are odd ones
 SHARE = 1 / 8  # of a record, between those: it costs little, and a record changes
-SWINGS = 8  # slips, or swings to and fro, that they hold where the record has them: fewer make no usual one
+SWINGS = 12  # slips, or swings to and fro, that they hold where the record has them: of fewer, landings are told late
 ACTIVE = 0.2  # of the travel within the most active stretches: less is rest, and says nothing about sticks
 STRIDE = 4  # of the samples whose percentiles are a window's travel
 READ = 2**15  # samples read at a time
+REST = 8  # samples: the medians of five of a shorter rest are few
+FARTHER, TURNING = 4.0, 1.5  # times the slack; times as long: twice for a mass that turns, four times in a stick
 SHORTEST = 16  # samples: a stretch below this is left out (third differences of fewer say little)
 
 
@@ -67,17 +71,29 @@ def representative_stretches(series: Series, most: int, parts: int = 8) -> list[
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """How a record of n samples moves: the percentiles 1 and 99 of the positions in each window, m, and its swings."""
+    """How a record of n samples moves: the percentiles 1 and 99 of the positions in each window, m, and its swings.
+
+    ``way`` is the sum of the cubes of its steps: its sign is the way in which it moves fast.
+    """
 
     low: Array
     high: Array
     swings: int
+    way: float
     n: int
 
     @property
     def travel(self) -> float:
         """How far the record travels, m."""
         return float(self.high.max() - self.low.min())
+
+    def units(self, interval: float, start: float) -> Units:
+        """Return the units of the record, of this sample interval, s, whose time is counted from about ``start``, s.
+
+        That is a multiple of the unit of time: no time is rounded.
+        """
+        unit = power_of_two(interval)
+        return Units(math.copysign(power_of_two(self.travel), -self.way), unit, math.floor(start / unit) * unit)
 
     def stretches(self, least: int) -> list[slice]:
         """Return the stretches that the model of the record is learned from, in order of time.
@@ -102,14 +118,21 @@ class Survey:
 
 def survey(positions: Callable[[slice], Array], n: int) -> Survey:
     """Look through a record; ``positions`` returns those of a slice of its n samples, m."""
-    ends, swings = [], 0
+    ends, swings, way = [], 0, 0.0
     for at in range(0, n, READ):
         x = positions(slice(at, min(at + READ, n)))[::STRIDE]
         whole = x[: x.size // (WINDOW // STRIDE) * (WINDOW // STRIDE)].reshape(-1, WINDOW // STRIDE)
-        ends += [np.percentile(own, (1, 99), axis=-1).T for own in (whole, x[whole.size :]) if own.size]
-        swings += _swings(x, *np.percentile(x, (1, 99)))
+        ends += [_ends(own) for own in (whole, x[None, whole.size :]) if own.size]
+        swings += _swings(x, *_ends(x[None])[0])
+        way += float(np.sum(np.diff(x) ** 3))
     low, high = np.vstack(ends).T
-    return Survey(low, high, swings, n)
+    return Survey(low, high, swings, way, n)
+
+
+def _ends(x: Array) -> Array:
+    """Return about the percentiles 1 and 99 of each row of (k, m): of the mirror image the same, (k, 2)."""
+    few = x.shape[1] // 100
+    return np.partition(x, (few, x.shape[1] - 1 - few), axis=1)[:, [few, x.shape[1] - 1 - few]]
 
 
 def _swings(x: Array, low: float, high: float) -> int:
@@ -122,16 +145,27 @@ def _swings(x: Array, low: float, high: float) -> int:
 def moving_samples(positions: Callable[[slice], Array], n: int, slack: float) -> tuple[int, int]:
     """Return the first and the last sample between rest at the beginning and at the end; (n, -1) if nothing moves.
 
-    At rest the medians of five positions differ by ``slack``, m, at most.
+    At rest the medians of five positions differ by ``slack`` at most.  A mass that turns round stays as near its place
+    for a while, too, and needs twice as long to leave it four times as far; one that rested hardly longer.
     """
     starts = list(range(0, max(n - 4, 1), WINDOW))
 
-    def away(at: int, rest: float) -> Integers:
+    def away(at: int, place: float, least: float) -> Integers:
         x = positions(slice(at, min(at + WINDOW + 4, n)))
         middle = np.median(sliding_window_view(x, 5), axis=1) if x.size >= 5 else x
-        return np.flatnonzero(np.abs(middle - rest) > slack) + at + 2
+        return np.flatnonzero(np.abs(middle - place) > least) + at + 2
+
+    def leaves(place: float, ahead: list[int], nearest: int, least: float) -> int | None:
+        return next((int(found[nearest]) for at in ahead if (found := away(at, place, least)).size), None)
 
     begin, end = float(np.median(positions(slice(0, 5)))), float(np.median(positions(slice(max(n - 5, 0), n))))
-    first = next((int(found[0]) for at in starts if (found := away(at, begin)).size), n)
-    last = next((int(found[-1]) for at in reversed(starts) if (found := away(at, end)).size), -1)
+    first, last = leaves(begin, starts, 0, slack), leaves(end, starts[::-1], -1, slack)
+    if first is None or last is None or first > last:
+        return n, -1
+    far = leaves(begin, starts[first // WINDOW :], 0, FARTHER * slack)
+    if first <= REST or (far is not None and far > TURNING * first):
+        first = 0
+    far = leaves(end, starts[last // WINDOW :: -1], -1, FARTHER * slack)
+    if n - 1 - last <= REST or (far is not None and n - 1 - far > TURNING * (n - 1 - last)):
+        last = n - 1
     return first, last

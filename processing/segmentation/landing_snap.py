@@ -8,12 +8,14 @@ What is expected of a sample moves in proportion to the means, so those of great
 The time of each landing is left open by what it is uncertain by: it shifts the velocity behind it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from daq.base.compute.compile import compiled
 from processing.kalman import mean_snap_kernel
 from processing.kalman.first_state import first_state
-from processing.kalman.stick_slip import LAND, LANDING, NEAR_LANDING, OVERTAKE, SLIP, SNAP, STICK, NoiseLevels, process
+from processing.kalman.stick_slip import LAND, LANDING, NEAR_LANDING, OVERTAKE, SLIP, SNAP, STICK, NoiseLevels
 from processing.record.series import Series
 from processing.segmentation.switching_times import SwitchingTimes
 
@@ -35,7 +37,7 @@ def with_mean_snap(series: Series, times: SwitchingTimes, levels: NoiseLevels) -
     if landings.size < 2:
         return levels
     loose = np.array([0.0, (OPEN * levels.peak * float(np.median(times.sd[landings]))) ** 2, 0.0, 0.0])
-    noise = process(levels)
+    noise = levels.process
     edges = np.concatenate((-unit * np.array(NEAR_LANDING)[::-1], [0.0]))
     parts = np.array([SLIP, *range(LANDING + PARTS - 1, LANDING - 1, -1), STICK], np.uint8)
     gram, rhs = np.zeros((PARTS, PARTS)), np.zeros(PARTS)
@@ -64,4 +66,4 @@ def with_mean_snap(series: Series, times: SwitchingTimes, levels: NoiseLevels) -
     means = np.linalg.solve(full + np.diag(np.diag(full) / (seen - 1) + 1e-300), rhs)
     mean_snap = levels.mean_snap.copy()
     mean_snap[LANDING : LANDING + PARTS] = means[::-1]
-    return levels._replace(mean_snap=mean_snap)
+    return replace(levels, mean_snap=mean_snap)

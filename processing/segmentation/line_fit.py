@@ -8,7 +8,11 @@ differ scales the errors.
 The kernel runs as written or compiled (`daq.base.compute.compile`).
 """
 
+import math
+
 from daq.base.compute.arrays import Array
+
+FEWEST = 3  # readings of a line
 
 
 def fit_lines(time: Array, position: Array, begin: int, end: int, window: int, variance: float, motion: Array) -> float:
@@ -17,7 +21,7 @@ def fit_lines(time: Array, position: Array, begin: int, end: int, window: int, v
     Parameters
     ----------
     time, position : array of shape (n,)
-        Of the record, s and m.
+        Of the record, s and m, NaN where a reading is missing.
     begin, end : int
         The stick's samples: begin..end-1.
     window : int
@@ -25,8 +29,8 @@ def fit_lines(time: Array, position: Array, begin: int, end: int, window: int, v
     variance : float
         Of a reading, m^2.
     motion : array of shape (6, n)
-        Gets x, v, a and their variances of the stick's samples.  The acceleration is 0; its error is the slope's over
-        the length of the window.
+        Gets x, v, a and their variances of the stick's samples, but for those around which fewer than three readings
+        are there.  The acceleration is 0; its error is the slope's over the length of the window.
 
     Returns
     -------
@@ -36,38 +40,54 @@ def fit_lines(time: Array, position: Array, begin: int, end: int, window: int, v
     """
     n = end - begin
     size = min(window, n)
-    t0, x0 = time[begin + n // 2], position[begin + n // 2]
-    speed = (position[end - 1] - position[begin]) / (time[end - 1] - time[begin])
+    low, middle_one, high = begin, begin + n // 2, end - 1
+    while low < high and math.isnan(position[low]):
+        low += 1
+    while high > low and math.isnan(position[high]):
+        high -= 1
+    while middle_one > low and math.isnan(position[middle_one]):
+        middle_one -= 1
+    if high == low:
+        return 0.0
+    t0, x0 = time[middle_one], position[middle_one]
+    speed = (position[high] - position[low]) / (time[high] - time[low])
     first, last = begin, begin  # samples in the sums; they sum what is left of a chord, small, to keep their digits
     st = sx = stt = stx = 0.0
-    differing = pairs = slope_before = known_before = 0.0
+    known = 0
+    differing = pairs = slope_before = error_before = 0.0
     for i in range(begin, end):
         low = min(max(i - size // 2, begin), end - size)
         while last < low + size:
-            t = time[last] - t0
-            x = position[last] - x0 - speed * t
-            st, sx, stt, stx = st + t, sx + x, stt + t * t, stx + t * x
+            if not math.isnan(position[last]):
+                t = time[last] - t0
+                x = position[last] - x0 - speed * t
+                st, sx, stt, stx = st + t, sx + x, stt + t * t, stx + t * x
+                known += 1
             last += 1
         while first < low:
-            t = time[first] - t0
-            x = position[first] - x0 - speed * t
-            st, sx, stt, stx = st - t, sx - x, stt - t * t, stx - t * x
+            if not math.isnan(position[first]):
+                t = time[first] - t0
+                x = position[first] - x0 - speed * t
+                st, sx, stt, stx = st - t, sx - x, stt - t * t, stx - t * x
+                known -= 1
             first += 1
-        middle = st / size
+        if known < FEWEST:
+            continue
+        middle = st / known
         spread = stt - st * middle
         slope = (stx - middle * sx) / spread
-        known = variance / spread
+        error = variance / spread
         t = time[i] - t0
         away = t - middle
-        motion[0, i] = x0 + speed * t + sx / size + slope * away
+        motion[0, i] = x0 + speed * t + sx / known + slope * away
         motion[1, i] = speed + slope
         motion[2, i] = 0.0
-        motion[3, i] = variance / size + known * away * away
-        motion[4, i] = known
-        motion[5, i] = known * size / spread
+        motion[3, i] = variance / known + error * away * away
+        motion[4, i] = error
+        motion[5, i] = error * known / spread
         if (i - begin) % size == size // 2 and low == i - size // 2:
-            if known_before > 0.0:
-                differing += (slope - slope_before) ** 2 / (known + known_before)
+            if error_before > 0.0:
+                differing += (slope - slope_before) ** 2 / (error + error_before)
                 pairs += 1
-            slope_before, known_before = slope, known
+            slope_before, error_before = slope, error
     return differing / pairs if pairs else 0.0

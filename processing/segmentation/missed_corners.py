@@ -20,7 +20,7 @@ from daq.base.compute.arrays import Array
 from processing.kalman.stick_slip import LAND, LEAVE, OVERTAKE, RIDE, SLIP, STICK, NoiseLevels
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED
-from processing.segmentation.noise_levels import Workspace, filter_stretch
+from processing.segmentation.noise_levels import Workspace, filter_stretch, log_likelihood
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import (
     FilterStretch,
@@ -133,7 +133,7 @@ def _corner_near_end(
         off /= CLOSER
         if not i + SHORTEST <= m <= j - SHORTEST:
             continue
-        first, last = (m, j - 1) if late else (i, m - 1)  # of the part that is cut off
+        first, last = _ends(position, m, j) if late else _ends(position, i, m)  # of the part that is cut off
         slope = float((position[last] - position[first]) / (time[last] - time[first]))
         if other == STICK and not abs(slope - speed) <= SAME_SPEED * abs(speed):
             continue
@@ -142,6 +142,12 @@ def _corner_near_end(
         if likelihood > best:
             best, found = likelihood, (at, kind)
     return found
+
+
+def _ends(position: Array, i: int, j: int) -> tuple[int, int]:
+    """Return the first and the last of the samples i..j - 1 whose readings are there, at least two."""
+    known = i + np.flatnonzero(~np.isnan(position[i:j]))
+    return (int(known[0]), int(known[-1])) if known.size > 1 else (i, j - 1)
 
 
 def _likelihood(
@@ -155,15 +161,14 @@ def _likelihood(
 ) -> float:
     """Return the log likelihood of a stretch with the corners given, up to a constant."""
     part = replace(times, at=np.array(at), kind=np.array(kind, np.uint8), sd=np.full(len(at), series.interval))
-    s, scaled = filter_stretch(series, part, levels, stretch, workspace)[1][:, 14:].T
-    return float(0.5 * (np.log(s) - scaled**2 / s).sum())
+    return float(log_likelihood(*filter_stretch(series, part, levels, stretch, workspace)[1][:, 14:].T).sum())
 
 
 def _read_alike(levels: NoiseLevels) -> NoiseLevels:
     """Return the levels with readings that err in sticks as they do in slips."""
     reading = levels.reading_variance.copy()
     reading[STICK] = reading[SLIP]
-    return levels._replace(reading_variance=reading)
+    return replace(levels, reading_variance=reading)
 
 
 def with_overtaking(
@@ -245,9 +250,9 @@ def _usual(misfit: list[dict[int, float]]) -> float:
 def _squares(
     series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, stretch: FilterStretch
 ) -> Array:
-    """Return the square of every innovation over its variance."""
+    """Return the square of every innovation over its variance, 0 where a reading is missing."""
     s, scaled = filter_stretch(series, times, levels, stretch, workspace)[1][:, 14:].T
-    return np.asarray(scaled**2 / s)
+    return np.asarray(scaled**2 / np.where(s > 0, s, 1.0))
 
 
 def _time_ahead(

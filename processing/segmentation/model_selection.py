@@ -11,9 +11,28 @@ import numpy as np
 
 from daq.base.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
-from processing.kalman.stick_slip import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK, NoiseLevels
+from processing.kalman.stick_slip import (
+    KICK,
+    LABELS,
+    LAND,
+    LEAVE,
+    MEET,
+    RIDE,
+    SLIP,
+    START,
+    STICK,
+    STOP,
+    NoiseLevels,
+)
 from processing.record.series import Series
-from processing.segmentation.noise_levels import Workspace, filter_stretch, merged, null_model, reestimate_noise
+from processing.segmentation.noise_levels import (
+    Workspace,
+    filter_stretch,
+    log_likelihood,
+    merged,
+    null_model,
+    reestimate_noise,
+)
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import SwitchingTimes, spans_of, sticks_of, stretches, without
 
@@ -95,13 +114,13 @@ def learn_gate(
     gate = Gate(jerk, snap, uneven=None, lenient=False)
     judged = _Judged.of(series, workspace, times, levels, gate, needed)
     if levels.reading_variance[STICK] > 1.3 * levels.reading_variance[SLIP] or judged.in_doubt.any():
-        riding = levels._replace(
-            mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
+        riding = replace(
+            levels, mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
         )
-        other = _as_rides(corners.first)
+        other = _as_rides(corners)
         for width in WIDTHS:
             riding = reestimate_noise(series, workspace, other, riding, 2)
-            other = refine_switching_times(series, workspace, other, riding, width)
+            other = _refined_rides(series, workspace, other, riding, width)
         riding = reestimate_noise(series, workspace, other, riding, 2)
         gate = replace(gate, uneven=riding)
         judged = judged.with_rides(series, workspace, other, riding)
@@ -153,9 +172,9 @@ def accept_sticks(
         return times
     judged = _Judged.of(series, workspace, times, even, gate, needed)
     if gate.uneven is not None:
-        other = _as_rides(corners.first)
+        other = _as_rides(corners)
         for width in WIDTHS:
-            other = refine_switching_times(series, workspace, other, gate.uneven, width)
+            other = _refined_rides(series, workspace, other, gate.uneven, width)
         judged = judged.with_rides(series, workspace, other, gate.uneven)
     dropped = judged.dropped(lenient=gate.lenient)
     misfit = dropped & judged.long
@@ -239,11 +258,29 @@ class _Judged:
         return np.asarray(self.gained < 0) if lenient else self.in_doubt
 
 
-def _as_rides(first: SwitchingTimes) -> SwitchingTimes:
-    """Return the corners as those of sticks on an uneven belt."""
+def _as_rides(corners: PlacedCorners) -> SwitchingTimes:
+    """Return the corners as those of sticks on an uneven belt: the sticks' before the first refinement."""
+    first = corners.first
     kinds = np.where(first.kind == LAND, MEET, first.kind).astype(np.uint8)
     firsts = tuple(RIDE if label == STICK else label for label in first.first)
-    return replace(first, kind=kinds, first=firsts)
+    return _with_rest_of(corners.times, replace(first, kind=kinds, first=firsts))
+
+
+def _refined_rides(
+    series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, width: float
+) -> SwitchingTimes:
+    """Return the corners of sticks on an uneven belt where they are most likely; those of rest stay where they are.
+
+    What an uneven belt does to a stick would move the start of the belt, too.
+    """
+    return _with_rest_of(times, refine_switching_times(series, workspace, times, levels, width))
+
+
+def _with_rest_of(known: SwitchingTimes, times: SwitchingTimes) -> SwitchingTimes:
+    """Return the times with the ends of rest, and kicks, of the same corners ``known``."""
+    own = np.isin(times.kind, (START, STOP, KICK))
+    at, sd = np.where(own, known.at, times.at), np.where(own, known.sd, times.sd)
+    return replace(times, at=np.maximum.accumulate(at), sd=sd)
 
 
 def _with_times_of(times: SwitchingTimes, other: SwitchingTimes, sticks: list[list[int]]) -> SwitchingTimes:
@@ -289,7 +326,7 @@ def _better_rounded(
     """
     reading = levels.reading_variance.copy()
     reading[STICK] = reading[SLIP]
-    more = np.maximum(_gains(series, times, levels._replace(reading_variance=reading), workspace, spans) - even, 0.0)
+    more = np.maximum(_gains(series, times, replace(levels, reading_variance=reading), workspace, spans) - even, 0.0)
     more[-1] = more[:-1].sum()
     return even + more
 
@@ -308,7 +345,7 @@ def _jerk_gains(series: Series, noise: white_jerk.Noise, workspace: Workspace, s
 def _log_likelihood(innovations: Array) -> Array:
     """Return the log likelihood of each sample, up to a constant, from 1/s and e/s, (n, 2)."""
     s, scaled = np.ascontiguousarray(innovations.T)  # else every step reads the filter's whole memory
-    return np.asarray(0.5 * (np.log(s) - scaled**2 / s))
+    return log_likelihood(s, scaled)
 
 
 def _summed(gain: Array, spans: Integers) -> Array:

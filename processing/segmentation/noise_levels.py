@@ -5,6 +5,7 @@ Each level is brought to its greatest likelihood by a fixed point of its own, wh
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,7 +29,6 @@ from processing.kalman.stick_slip import (
     STICK,
     STORED,
     NoiseLevels,
-    process,
     summed_by_jump,
 )
 from processing.record.motion import Motion
@@ -50,6 +50,7 @@ READING_GROUPS = ([label for label in range(LABELS) if label not in (STICK, REST
 # the covariance that it takes over from the slip.  Of 150 records without noise that made variances negative in 9; at
 # 1e-11 in 2, from 1e-10 to 1e-6 in none.
 DIGITS = 1e-8
+UNSCORED = np.empty((0, 2 + 2 * len(SNAP)))
 
 
 class Workspace:
@@ -103,8 +104,14 @@ def filter_stretch(
     label, stored = label_stretch(series, times, stretch), workspace.array(time.size, STORED)
     known = 1 if stretch.first in (STICK, REST) else 3
     state = first_state(time, position, float(levels.reading_variance[stretch.first]), known)
-    compiled(motion_kernel.forward, KERNELS)(SNAP, time, position, label, at, kind, process(levels), state, stored)
+    compiled(motion_kernel.forward, KERNELS)(SNAP, time, position, label, at, kind, levels.process, state, stored)
     return label, stored
+
+
+def log_likelihood(s: Array, scaled: Array) -> Array:
+    """Return the log likelihood of each sample, up to a constant, from 1/s and e/s, (n,); of a missing reading 0."""
+    known = s > 0
+    return np.asarray(0.5 * (np.log(np.where(known, s, 1.0)) - scaled**2 / np.where(known, s, 1.0)))
 
 
 def smooth_stretch(
@@ -135,8 +142,8 @@ def smooth_stretch(
     if motion is None:
         motion = np.empty((6, 0))
     back, time = compiled(motion_kernel.backward, KERNELS), series.time[stretch.own]
-    known = process(levels)
-    back(SNAP, time, label, at, kind, known, stored, wanted, motion, stretch.own.start, noise, steps)
+    known = levels.process
+    back(SNAP, time, label, at, kind, known, stored, wanted, motion, stretch.own.start, noise, steps, UNSCORED)
     return label, noise, summed_by_jump(steps)
 
 
@@ -177,7 +184,7 @@ def reestimate_noise(
                 reading[group] = max(reading[group][0] * noise[group, 2].sum() / noise[group, 3].sum(), least)
         reading = np.maximum(reading, DIGITS * reading.max())
         reset = levels.reset_variance * _ratio(levels.reset_variance, steps[:, 0], steps[:, 1])
-        levels = levels._replace(process_density=density, reading_variance=reading, reset_variance=reset)
+        levels = replace(levels, process_density=density, reading_variance=reading, reset_variance=reset)
     return levels
 
 
@@ -192,7 +199,8 @@ def _ratio(level: Array, square: Array, expected: Array) -> Array:
 
 def null_model(levels: NoiseLevels) -> NoiseLevels:
     """Return levels with one process density, for a record without corners."""
-    return levels._replace(
+    return replace(
+        levels,
         process_density=np.full(LABELS, levels.process_density[LANDING + 1]),
         mean_snap=np.zeros(LABELS),
         reading_variance=np.full(LABELS, levels.reading_variance[SLIP]),
@@ -204,4 +212,4 @@ def merged(even: NoiseLevels, riding: NoiseLevels) -> NoiseLevels:
     density, reading, reset = even.process_density.copy(), even.reading_variance.copy(), even.reset_variance.copy()
     density[UNEVEN], reading[UNEVEN] = riding.process_density[UNEVEN], riding.reading_variance[UNEVEN]
     reset[2:4] = riding.reset_variance[2:4]
-    return even._replace(process_density=density, reading_variance=reading, reset_variance=reset)
+    return replace(even, process_density=density, reading_variance=reading, reset_variance=reset)

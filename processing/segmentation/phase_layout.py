@@ -88,9 +88,12 @@ def _common(velocity: list[Array], window: int) -> float:
 
 
 def corners_of_plateau(
-    run: tuple[int, int], series: Series, size: Array, window: int, tolerance: float, moving: Mask
+    run: tuple[int, int], series: Series, size: Array, window: int, reach: int, tolerance: float, moving: Mask
 ) -> tuple[float, float]:
-    """Return start and end of a stick, s, between samples, from the size of the acceleration."""
+    """Return start and end of a stick, between samples, from the size of the acceleration.
+
+    ``reach`` is for how many samples behind the plateau the acceleration may rise.
+    """
     piece = next(own for own in series.pieces if own.start <= run[0] < own.stop)
     time = series.time
     first, last = run
@@ -102,7 +105,7 @@ def corners_of_plateau(
         if half > tolerance:
             crossing = peak + int(np.argmax(size[peak:first] <= half)) if (size[peak:first] <= half).any() else first
             start = _crossing(time, size, crossing, half)
-    high = min(last + max(window, round(0.25 / series.interval)), piece.stop - 1)
+    high = min(last + max(window, reach), piece.stop - 1)
     beyond = np.flatnonzero(size[last + 1 : high + 1] > 2 * tolerance)
     if last + 1 < piece.stop and beyond.size:
         one = _crossing(time, size, last + 1, tolerance)

@@ -1,6 +1,7 @@
 """Plateaus of the velocity: where the mass stuck and where it slipped, and how fast the belt ran.
 
-A stick is a plateau of the velocity: the acceleration stays near zero for 30 ms or more, at the belt's speed.
+A stick is a plateau of the velocity: the acceleration stays near zero for a sixtieth of a cycle or more, at the belt's
+speed.
 Four rules distinguish it from similar stretches:
 
 - the turning points of a swing are flat for a moment too, but their flat stretch grows fourfold when the tolerance
@@ -19,7 +20,7 @@ when they exceed the tolerance.
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,11 +49,13 @@ from processing.segmentation.phase_layout import (
     without_creep,
 )
 
-LEAST_STICK = 0.03  # s: shorter plateaus are no sticks; and
-SHARE = 0.1  # of a cycle, where that is less: a slider that slips 15 times a second sticks for 7 to 20 ms
 FLAT = 0.05  # of the largest accelerations (95th percentile): what counts as none; not swept
+# Of a cycle: shorter plateaus are no sticks.  The turning points of a swing are flat for FLAT/pi = 0.016 of it.
+SHARE = 0.017
+BROAD = 0.25  # of the window of the smoother: what is flat for less is not resolved
 ROUNDING = 1e-9  # of the fastest speed, gained in a sample: what rounded numbers make of a straight line
 RESOLVED = 0.15  # of the largest accelerations: five standard errors must stay below it, else smooth more; not swept
+REACH = 8  # times the shortest stick, behind a plateau: how long the acceleration may take to rise at a break-away
 WIDER = 4.0  # the second tolerance of the plateau test
 PLATEAU = 0.5  # share of the wider stretch that must be flat already: 1/4 for a swing, near 1 for a plateau
 
@@ -96,6 +99,7 @@ class _Search:
     rides: Motion
     size: Array
     plateaus: Runs
+    reach: int
     tolerance: float
     stated: float | None
     belt: BeltMotion | None
@@ -118,7 +122,7 @@ class _Search:
                 aim, slack = 0.0 * aim, median_value(self.belt.velocity[run[0] : run[1] + 1])
             if abs(speed - aim) <= SAME_SPEED * abs(slack):
                 start, end = corners_of_plateau(
-                    run, self.series, self.size, self.seen.window, self.tolerance, self.moving
+                    run, self.series, self.size, self.seen.window, self.reach, self.tolerance, self.moving
                 )
                 found.append((start, end, math.inf, math.inf))
         return found
@@ -206,7 +210,7 @@ def _searched(
     rides = seen if belt is None else motion
     candidates = _joined(runs_in_pieces(flat, series.pieces), runs_in_pieces(wide, series.pieces))
     found = [run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, rides)]
-    return _Search(series, moving, motion, seen, rides, size, found, rule.tolerance, stated, belt)
+    return _Search(series, moving, motion, seen, rides, size, found, REACH * least, rule.tolerance, stated, belt)
 
 
 def _is_overtaken(search: _Search, common: float, sticks: Sequence[Stick]) -> bool:
@@ -237,22 +241,10 @@ def in_motion(series: Series) -> Mask:
         return np.asarray((series.time >= begin) & (series.time <= end))
     x, n = series.position, series.time.size
     slack = slack_at_rest(series.pitch, float(np.ptp(x)), 0.0 if series.pitch else position_noise(series))
-    first, last = motion_samples(x.__getitem__, n, slack, series.interval)
+    first, last = moving_samples(x.__getitem__, n, slack)
     mask = np.zeros(n, bool)
     mask[first : last + 1] = True
     return mask
-
-
-def motion_samples(positions: Callable[[slice], Array], n: int, slack: float, interval: float) -> tuple[int, int]:
-    """Return the first and last of n samples between rest at the beginning and at the end; (n, -1) if nothing moves.
-
-    ``slack`` is what positions at rest differ by, m (`slack_at_rest`); rest shorter than a stick is none.
-    """
-    first, last = moving_samples(positions, n, slack)
-    least = LEAST_STICK / interval
-    if first > last:
-        return n, -1
-    return first if first > least else 0, last if n - 1 - last > least else n - 1
 
 
 def slack_at_rest(pitch: float, travel: float, noise: float) -> float:
@@ -282,11 +274,11 @@ def _noise(motion: Motion, moving: Mask) -> float:
 
 
 def _shortest_stick(series: Series, seen: Motion, moving: Mask) -> float:
-    """Return how long a plateau must last to be a stick, s: by the number of fast swings in the faster direction."""
+    """Return how long a plateau must last to be a stick: by the number of fast swings in the faster direction."""
     forth, back = np.percentile(seen.velocity[moving], (99, 1)) if moving.any() else (0.0, 0.0)
     speed = seen.velocity if forth > -back else -seen.velocity
-    swings = len(runs(moving & (speed > 0.5 * max(forth, -back))))
-    return min(LEAST_STICK, SHARE * series.interval * float(moving.sum()) / swings) if swings else LEAST_STICK
+    swings = max(len(runs(moving & (speed > 0.5 * max(forth, -back)))), 1)
+    return series.interval * max(SHARE * float(moving.sum()) / swings, BROAD * seen.window)
 
 
 def _smooth_until_resolved(

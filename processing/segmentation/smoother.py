@@ -22,9 +22,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, runs
+from daq.base.compute.arrays import HOLE, Array, Mask, runs
 from daq.base.compute.compile import compiled
 from processing.kalman import white_jerk
+from processing.kalman.corner_kernel import BETWEEN
 from processing.kalman.stick_slip import (
     KICK,
     LAND,
@@ -155,7 +156,7 @@ def learn(
     _straighten(series, stick, times.unit, levels, motion, 1.0)
     sticks = sticks_at_corners(series, _corners(series, times))
     speed = speed_of_sticks(series, sticks, motion[1], pilot.window)
-    lined = _shifted(times, -1.0)  # the lines are those of `_averaged`
+    lined = _shifted(series, times, -1.0)  # the lines are those of `_averaged`
     for stretch in stretches(series, lined):
         stick[stretch.own] = label_stretch(series, lined, stretch) == STICK
     line = _line_factor(_straighten(series, stick, times.unit, levels, motion, 1.0))
@@ -175,6 +176,7 @@ def apply(
     """
     if not series.time.size:
         return pilot
+    series = series.parted(max(HOLE * series.interval, rule.shortest))
     workspace = Workspace()
     first = initial_switching_times(series, plateaus.segment(series, pilot, rule, model.speed, stated=stated).phases)
     _, early = _looked_for(series, workspace, replace(first, unit=model.slip), model.first, model.misfit)
@@ -192,7 +194,7 @@ def apply(
             both = tuple(sorted((*found.corners, *odd), key=lambda corner: corner.time))
             return replace(found.with_rows(rows), corners=both, method="segment", order=ORDER)
         times = kept
-    return _averaged(series, workspace, times, model, pilot.window)
+    return _averaged(series, workspace, times, model, pilot)
 
 
 def _outside(series: Series, spans: list[Span]) -> Mask:
@@ -243,7 +245,7 @@ def _estimated(series: Series, workspace: Workspace, times: SwitchingTimes, leve
     return reestimate_noise(series, workspace, times, with_mean_snap(series, times, levels), 1)
 
 
-def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model: StickSlip, window: int) -> Motion:
+def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model: StickSlip, pilot: Motion) -> Motion:
     """Smooth, averaging over the uncertainty of the switching times: each a standard deviation early, and late.
 
     The smoother's variance has a share of the readings and one of the process noise.  A slip is smooth but for its
@@ -251,9 +253,9 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model
     H = 1/(1 + w^8), the two variances are the integrals of w^(2d) H^2 and of w^(2d) H, and their ratio is
     1 - (2 d + 1)/8 in the d-th derivative.
     """
-    early, stick = _run(series, workspace, _shifted(times, -1.0), model.levels)
+    early, stick = _run(series, workspace, _shifted(series, times, -1.0), model.levels)
     _straighten(series, stick, times.unit, model.levels, early, model.line)
-    late, stick_late = _run(series, workspace, _shifted(times, 1.0), model.levels)
+    late, stick_late = _run(series, workspace, _shifted(series, times, 1.0), model.levels)
     line = stick & stick_late
     for derivative in range(3):  # one at a time, so that what is computed on the way stays in the processor's cache
         share = 1 - (2 * derivative + 1) / 8
@@ -264,7 +266,13 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model
         np.copyto(variance, share * (variance + late[3 + derivative]) / 2 + half**2, where=~line)
         np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
     corners = tuple(_corners(series, times))
-    return Motion.from_rows(series, early[:3], early[3:], window=window, order=ORDER, method="segment", corners=corners)
+    found = Motion.from_rows(
+        series, early[:3], early[3:], window=pilot.window, order=ORDER, method="segment", corners=corners
+    )
+    outside = np.ones(series.time.size, bool)
+    for piece in series.pieces:
+        outside[piece] = False
+    return found.with_rows(np.where(outside, pilot.rows(), found.rows())) if outside.any() else found
 
 
 def _corners(series: Series, times: SwitchingTimes) -> list[Corner]:
@@ -277,9 +285,13 @@ def _corners(series: Series, times: SwitchingTimes) -> list[Corner]:
     return sorted(found, key=lambda corner: corner.time)
 
 
-def _shifted(times: SwitchingTimes, shift: float) -> SwitchingTimes:
-    """Return the switching times moved by ``shift`` standard deviations, in order still."""
-    return replace(times, at=np.maximum.accumulate(times.at + shift * times.sd))
+def _shifted(series: Series, times: SwitchingTimes, shift: float) -> SwitchingTimes:
+    """Return the switching times moved by ``shift`` standard deviations, in order still, each within its piece."""
+    at, aside = times.at + shift * times.sd, BETWEEN * series.interval
+    for stretch in stretches(series, times):
+        own = series.time[stretch.own]
+        at[stretch.corners] = np.clip(at[stretch.corners], own[0] + aside, own[-1] - aside)
+    return replace(times, at=np.maximum.accumulate(at))
 
 
 def _run(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> tuple[Array, Mask]:
@@ -291,7 +303,7 @@ def _run(series: Series, workspace: Workspace, times: SwitchingTimes, levels: No
         x, v, a and their variances.
     stick : array of bool, shape (n,)
     """
-    motion, stick = np.empty((6, series.time.size)), np.zeros(series.time.size, bool)
+    motion, stick = np.zeros((6, series.time.size)), np.zeros(series.time.size, bool)
     for piece in series.pieces:
         if piece.stop - piece.start < white_jerk.SHORT:
             motion[:, piece] = white_jerk.parabola(

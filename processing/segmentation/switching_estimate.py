@@ -23,7 +23,6 @@ from processing.kalman.stick_slip import (
     STICK,
     STOP,
     NoiseLevels,
-    process,
 )
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Workspace, filter_stretch
@@ -32,6 +31,9 @@ from processing.segmentation.switching_times import KERNELS, SwitchingTimes, sta
 # Empirical: widens the standard deviation of a landing's likelihood, whose noise levels were fitted with it in place,
 # so that about 95 % of the true velocities near landings lie within two errors (benchmarks/velocity_seeds.py).
 SHARP = 1.7
+# Samples on either side of where a corner is looked for: with 3, some corners of slips of 10 to 17 samples stay where
+# plateaus showed them; with 8 the velocity is as accurate.
+LEAST = 6
 
 
 def refine_switching_times(
@@ -42,7 +44,7 @@ def refine_switching_times(
     ``width`` scales how far from its place it is looked for: 1 at first, less when it is nearly known.
     """
     run = compiled(corner_kernel.refine_switching_times, KERNELS)
-    unit, noise = times.unit, process(levels)
+    unit, noise = times.unit, levels.process
     finest = series.interval / 4 if width >= 1 else 0.0
     new_at, new_sd = times.at.copy(), times.sd.copy()
     near, far = unit * np.array(NEAR_LANDING), unit * np.array(NEAR_ONSET)
@@ -74,6 +76,7 @@ def refine_switching_times(
                 if state == RIDE:
                     edges, parts, corner = np.concatenate(([-far[0]], edges)), [RIDE, LEAVING, *onset], 1
             half = max(width * half, series.interval)
+            back, on = (max(own, LEAST * series.interval) for own in (back, on))
             at, own = now[pick], bounds[pick]
             reach = np.stack((np.maximum(at - half - back, own[:, 0]), np.minimum(at + half + on, own[:, 1])), axis=1)
             found = np.empty((pick.size, 2))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
+from processing.kalman.corner_kernel import BETWEEN
 from processing.kalman.stick_slip import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
 from processing.record.motion import Phase
 from processing.record.series import Series
@@ -18,6 +19,7 @@ from processing.record.series import Series
 Labels = NDArray[np.uint8]
 
 KERNELS = ("processing.kalman.motion_kernel", "processing.kalman.stick_slip", "processing.kalman.corner_kernel")
+TIED = 1e-6  # sample intervals: a corner nearer to a sample is on it
 FIT_SAMPLES = 9_000  # samples the noise levels are fitted to: about a dozen slips of the bench; chosen, not swept
 
 
@@ -83,6 +85,9 @@ def initial_switching_times(series: Series, phases: Sequence[Phase]) -> Switchin
     unit = float(np.median(lengths or rides or [(time[-1] - time[0]) / 4]))
     order = np.argsort(at, kind="stable")
     ordered = np.array(at, float)[order]
+    behind = np.clip(np.searchsorted(time, ordered), 1, time.size - 1)
+    apart = np.minimum(np.abs(time[behind] - ordered), np.abs(time[behind - 1] - ordered))
+    ordered[apart < TIED * series.interval] -= BETWEEN * series.interval
     return SwitchingTimes(
         ordered, np.full(ordered.size, series.interval), np.array(kind, np.uint8)[order], tuple(first), unit
     )

@@ -72,7 +72,7 @@ def shape_slope(curve: int, s: Real, Fs: float, gamma: float = 0.0) -> Real:
     if curve == LINEAR:
         rate = -Fs * speed
     elif curve == HYPERBOLIC:
-        rate = -Fs * speed / (1.0 + gamma * speed) ** 2
+        rate = -Fs * speed / (1.0 + gamma * speed) / (1.0 + gamma * speed)  # a square would overflow
     else:
         rate = 0.0 * speed
     return rate  # type: ignore[return-value]

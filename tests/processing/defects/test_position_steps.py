@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 import processing
-from processing.defects import position_steps
+from processing.defects import faults
 from processing.record import series
-from processing.record.noise import position_noise
 
 
 def steps_of(data):
-    return position_steps.position_steps(data, position_steps.learn(data, position_noise(data)))
+    return faults.learn(data, np.zeros(data.time.size, int), steps=True)[1].steps
 
 
-@pytest.mark.parametrize("size", [10, -12, 40, -300])
+@pytest.mark.parametrize("size", [6, 10, -12, 40, -300])
 def test_a_loss_within_one_sample_is_marked_where_it_happened(motion, recorded, size):
     run = recorded(motion(5, 20.0))
     at = [700, 5000, 9001, 14321]
@@ -54,24 +53,6 @@ def test_a_datum_that_moves_in_a_camera_track_is_found_and_kept_out_of_the_veloc
     assert np.sqrt(np.mean((found.velocity - sound.velocity) ** 2)) < np.median(sound.velocity_errors)
     assert np.abs(found.measured - moved).max() == 0
     assert found.lost_counts == 0
-
-
-def test_steps_do_not_depend_on_how_many_suspects_are_tested_together(monkeypatch, imported):
-    # One by one they cost half the CPU time of a published record, which has 40 suspects a second.
-    rng = np.random.default_rng(3)
-    time = np.arange(20_000) / 2000.0
-    position = 1e-3 * time + rng.normal(0, 1e-6, time.size) + np.cumsum(rng.normal(0, 2e-7, time.size))
-    at = rng.choice(time.size, 400, replace=False)
-    position[at] += rng.normal(0, 8e-6, at.size)
-    for k in rng.choice(time.size, 20, replace=False):
-        position[k:] += 3e-5
-    data = series.from_recording(imported(time, position))
-    found = steps_of(data)
-    monkeypatch.setattr(position_steps, "TOGETHER", 1)
-    alone = steps_of(data)
-    assert len(found) > 10
-    assert [(step.first, step.last) for step in alone] == [(step.first, step.last) for step in found]
-    assert [step.size for step in alone] == pytest.approx([step.size for step in found], rel=1e-9)
 
 
 def test_slips_over_within_a_sample_are_no_steps_of_the_datum(imported):

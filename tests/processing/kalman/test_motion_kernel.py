@@ -112,8 +112,71 @@ def test_the_smoother_of_every_order_is_the_conditional_normal_distribution(orde
     shape = (0.0,) * n
     motion_kernel.forward(shape, time, position, label, at, kind, process, state, stored)
     sums = np.zeros((1, 4)), np.zeros((1, n, 2))
-    motion_kernel.backward(shape, time, label, at, kind, process, stored, 12, found, 0, *sums)
+    motion_kernel.backward(shape, time, label, at, kind, process, stored, 12, found, 0, *sums, np.empty((0, 2 + 2 * n)))
     for d in range(min(n, 3)):
         own = [k + d for k in seen]
         assert found[d] == pytest.approx(smoothed[own], abs=1e-10 * np.abs(smoothed).max())
         assert found[3 + d] == pytest.approx(left[own, own], rel=1e-9)
+
+
+def prior_of(time, order, q, first):
+    """Return the covariance of the positions at ``time`` of a motion that starts with the covariance ``first``."""
+    carried = [np.eye(order)]
+    covariance = [first]
+    for h in np.diff(time):
+        step = np.array(
+            [[h ** (j - i) / math.factorial(j - i) if j >= i else 0 for j in range(order)] for i in range(order)]
+        )
+        carried.append(step)
+        covariance.append(step @ covariance[-1] @ step.T + noise_of(order, h, q))
+    found = np.empty((time.size, time.size))
+    for i, own in enumerate(covariance):
+        row = own[0]
+        for k in range(i, time.size):
+            if k > i:
+                row = carried[k] @ row
+            found[i, k] = found[k, i] = row[0]
+    return found
+
+
+def scored(time, position, q, r, first):
+    """Return the scores of all samples of a motion of white jerk."""
+    n = time.size
+    process = motion_kernel.Process(
+        *(np.array([value]) for value in (q, 0.0, r)), np.array([3]), np.array([3]), np.zeros((1, 3))
+    )
+    state, stored, scores = np.zeros(10), np.empty((n, 11)), np.empty((n, 8))
+    state[[3, 6, 8]], state[-1] = np.diag(first), time[0]
+    none = np.zeros(n, np.uint8), np.empty(0), np.empty(0, np.uint8)
+    motion_kernel.forward((0.0,) * 3, time, position, *none, process, state, stored)
+    sums = np.zeros((1, 4)), np.zeros((1, 3, 2))
+    motion_kernel.backward((0.0,) * 3, time, *none, process, stored, 0, np.empty((6, 0)), 0, *sums, scores)
+    return scores
+
+
+def test_scores_are_those_of_generalised_least_squares():
+    """Of an outlier, and of a step of x, v and a before every sample: estimate and variance, by one dense solution."""
+    rng = np.random.default_rng(5)
+    time, q, r, first = np.cumsum(rng.uniform(0.1, 0.3, 12)), 0.7, 0.4, np.diag([2.0, 1.5, 1.0])
+    position = rng.standard_normal(12)
+    inverse = np.linalg.inv(prior_of(time, 3, q, first) + r * np.eye(12))
+    found = scored(time, position, q, r, first)
+    for i in range(12):
+        since = np.maximum(time - time[i], 0.0)
+        after = np.arange(12) >= i
+        changes = [np.arange(12) == i, *(after * since**d / math.factorial(d) for d in range(3))]
+        for k, change in enumerate(changes):
+            assert found[i, 2 * k] == pytest.approx(change @ inverse @ position, rel=1e-9, abs=1e-12)
+            assert found[i, 2 * k + 1] == pytest.approx(change @ inverse @ change, rel=1e-9)
+
+
+def test_a_missing_reading_is_one_that_was_not_taken():
+    rng = np.random.default_rng(6)
+    time, q, r, first = np.cumsum(rng.uniform(0.1, 0.3, 14)), 0.7, 0.4, np.diag([2.0, 1.5, 1.0])
+    position = rng.standard_normal(14)
+    missing = np.array([3, 4, 9])
+    position[missing] = np.nan
+    known = np.delete(np.arange(14), missing)
+    found = scored(time, position, q, r, first)
+    assert found[known] == pytest.approx(scored(time[known], position[known], q, r, first), rel=1e-9)
+    assert not found[missing, :2].any()

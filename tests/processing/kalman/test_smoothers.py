@@ -197,18 +197,20 @@ def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
     outcomes = []
     for make in (lambda function: function, lambda function: compiled(function, (*KERNELS, *white_jerk.KERNELS))):
         found, state = np.empty((6, time.size)), first.copy()
-        order, process = stick_slip.SNAP, stick_slip.process(levels)
+        order, process = stick_slip.SNAP, levels.process
         label, corners = np.zeros(time.size, np.uint8), (at, kind)
         if kernel == "jerk":
             order, corners = white_jerk.JERK, (at[:0], kind[:0])
-            process = white_jerk.process(white_jerk.Noise(100.0, 5e-12))
+            process = white_jerk.Noise(100.0, 5e-12).process
         else:
             make(corner_kernel.label_samples)(time, at, kind, stick_slip.REST, 0.1, label)
         stored = np.empty((time.size, motion_kernel.stored_size(len(order))))
         make(motion_kernel.forward)(order, time, position, label, *corners, process, state, stored)
         sums = np.zeros((stick_slip.LABELS, 4)), np.zeros((stick_slip.KINDS, len(order), 2))
         whole = time.size
-        make(motion_kernel.backward)(order, time, label, *corners, process, stored, whole, found, 0, *sums)
+        make(motion_kernel.backward)(
+            order, time, label, *corners, process, stored, whole, found, 0, *sums, np.empty((0, 10))
+        )
         outcomes.append(found)
     one, two = outcomes
     scale = np.abs(one).max(axis=1, keepdims=True)
@@ -224,7 +226,7 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
     outcomes = []
     state = first_state(data.time[i:j], data.position[i:j], 5e-12, 3)
     kernel = mean_snap_kernel.accumulate_normal_equations
-    noise, loose = stick_slip.process(levels), np.array([0.0, 1e-6, 0.0, 0.0])
+    noise, loose = levels.process, np.array([0.0, 1e-6, 0.0, 0.0])
     for run in (kernel, compiled(kernel, landing_snap.KERNELS)):
         gram, rhs = np.zeros((2, 2)), np.zeros(2)
         run(stick_slip.SNAP, data.time[i:j], data.position[i:j], state, landing, edges, parts, noise, loose, gram, rhs)

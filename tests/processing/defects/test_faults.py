@@ -8,16 +8,22 @@ import pytest
 import daq
 from daq.runfile import store
 from processing import smoothing, stage
+from processing.defects.faults import learn
 from processing.defects.frames import count_frames, step_sums
-from processing.defects.sensor_faults import learn
 from processing.record import series
-from processing.record.noise import position_noise
 from processing.smoothing import smooth
 
 
 def found_in(recording):
     data = series.from_recording(recording)
-    return learn(data)[1]
+    return learn(data, recording.segment, steps=True)[1]
+
+
+def frames_of(recording):
+    """Count the frames lost and doubled in a record whose faults were left out."""
+    data = series.from_recording(recording)
+    model, checked = learn(data, recording.segment, steps=True)
+    return count_frames(step_sums(checked.series, slice(0, data.time.size), model.noise, model.step))
 
 
 @pytest.fixture
@@ -85,9 +91,16 @@ def test_a_fault_is_found_and_left_out(seen, kind, sensor):
 def test_clean_records_have_no_faults(seen, sensor, law):
     recording, _ = seen(sensor, law)
     assert found_in(recording).faults == ()
-    data = series.from_recording(recording)
-    frames = count_frames(step_sums(data, slice(0, data.time.size), position_noise(data)))
+    frames = frames_of(recording)
     assert (frames.lost, frames.doubled) == (0, 0)
+
+
+@pytest.mark.parametrize("rate", [1000 / 60, 20.0])
+def test_slips_of_few_samples_beside_sticks_without_noise_are_no_faults(motion, imported, rate):
+    """Sticks read to a nanometre made the jerk next to nothing: every slip was a row of outlying readings."""
+    true = motion(5, 40.0, 0.0, scatter=0.0, belt=0.1)
+    thin = slice(None, None, round(1000 / rate))
+    assert found_in(imported(np.round(true.time[thin], 9), np.round(true.x[thin], 9), rate)).faults == ()
 
 
 @pytest.mark.parametrize("second", [-1.0, -0.8, 0.9, 1.0])
@@ -203,9 +216,7 @@ def few_a_slip(samples, noise, slower, keep=1.0):
 def test_few_samples_a_slip_are_no_lost_frames(imported, samples, noise, slower):
     """In a slip of 12 samples the fastest step is twice the mean of those beside it: half of the frames were "lost"."""
     time, position = few_a_slip(samples, noise, slower)
-    data = series.from_recording(imported(time, position, 1 / slower))
-    limits, sound = learn(data)
-    frames = count_frames(step_sums(sound.bridged, slice(0, time.size), limits.noise))
+    frames = frames_of(imported(time, position, 1 / slower))
     assert (frames.lost, frames.doubled) == (0, 0)
 
 
@@ -213,9 +224,7 @@ def test_few_samples_a_slip_are_no_lost_frames(imported, samples, noise, slower)
 @pytest.mark.parametrize("samples", [12.2, 16.1, 20.3, 45.2])
 def test_frames_lost_at_few_samples_a_slip_are_found_all_the_same(imported, samples, slower):
     time, position = few_a_slip(samples, 1e-4, slower, keep=0.95)
-    data = series.from_recording(imported(time, position, 1 / slower))
-    limits, sound = learn(data)
-    frames = count_frames(step_sums(sound.bridged, slice(0, time.size), limits.noise))
+    frames = frames_of(imported(time, position, 1 / slower))
     assert frames.share == pytest.approx(0.05, rel=0.4)
 
 
@@ -225,6 +234,5 @@ def test_counts_that_change_by_one_or_none_a_sample_are_no_lost_frames(imported,
     pitch = 1.0371e-5
     x = half_sines(220.3) * counts * pitch * 220.3 / 0.01
     recording = imported(np.arange(x.size) / 8000, np.floor(x / pitch) * pitch, 8000.0)
-    data = series.from_recording(recording)
-    frames = count_frames(step_sums(data, slice(0, data.time.size), position_noise(data)))
+    frames = frames_of(recording)
     assert (frames.lost, frames.doubled) == (0, 0)
