@@ -19,8 +19,8 @@ from processing.record.motion import Motion
 from processing.record.series import Series
 from processing.record.setting import Setting, parse_window
 
-WINDOWS = (11, 21, 41, 81, 161)
-ORDER = 4
+WINDOWS = (11, 21, 41, 81, 161)  # samples: what a table of windows shows
+ORDER = 4  # of the polynomials in that table
 
 
 @dataclass(frozen=True)

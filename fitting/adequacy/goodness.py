@@ -26,7 +26,7 @@ from fitting.model.windows import SPOILT, ShootingWindows
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13
 MOST_AT_ONCE = 2_000_000  # residuals held at a time: 16 MB an array
-FEWEST_SLIPS = 2
+FEWEST_SLIPS = 2  # at least: what repeats needs two
 # Probability below which noise is not what made the residuals.  The tails are those of a gamma distribution with the
 # moments of 60 repetitions of a linearised refit, so small probabilities are rough; 1e-6 is five standard deviations.
 REJECTED = 1e-6

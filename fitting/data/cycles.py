@@ -19,15 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.base.compute.arrays import Array, runs
-from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion
+from fitting.data.frame import REST_FRACTION, SHORTEST, SLIPPING, MeasuredMotion
 
 # Times below are in slips (`MeasuredMotion.slip_s`).
-BEFORE_BREAK_AWAY = (
-    0.1  # at half the smoothed corner is still random in camera tracks; twice loses the end of short sticks
-)
-SHORTEST = (
-    0.06  # of a stick or slip; at half noise beside a corner is one, twice is half a stick at the end of stick-slip
-)
+# At half the smoothed corner is still random in camera tracks; twice loses the end of short sticks.
+BEFORE_BREAK_AWAY = 0.1
 LEFT_THE_BELT = 0.05  # of the belt's speed
 OVERTAKING = 0.02  # of the belt's speed, above the plateau
 REST = 1.0  # a mass at rest for longer stands on a belt that stands; a sliding mass only turns there

@@ -21,12 +21,14 @@ from fitting.data.belt_line import BeltLine
 from fitting.data.slip_duration import slip_duration
 from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
-from processing.record.series import LONG
 from processing.record.setting import is_possible_speed
 
 SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
 REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
-FEWEST_STICKS = 4
+FEWEST_STICKS = 4  # whose median is the belt's speed; of fewer one misplaced stick moves it
+# Slips (`MeasuredMotion.slip_s`) that the shortest stick or slip lasts; a hole as long may hide one.  At half noise
+# beside a corner is a stick, twice is half a stick at the end of stick-slip.
+SHORTEST = 0.06
 FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
 
 
@@ -183,7 +185,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         position=sign * position,
         velocity=sign * velocity,
         acceleration=sign * kinematics.acceleration[kept],
-        broken=_broken(kinematics, usual),
+        broken=_broken(kinematics, usual, slip),
         belt_speed=abs(speed),
         stated_speed=stated,
         belt_prior=None if prior is None else Measured(abs(prior.value), prior.sd),
@@ -249,13 +251,16 @@ def _kept(kinematics: Kinematics) -> NDArray[np.bool_]:
     return kept
 
 
-def _broken(kinematics: Kinematics, usual: float) -> NDArray[np.bool_]:
-    """Return which of the samples kept do not follow the one before, where samples are ``usual`` seconds apart."""
+def _broken(kinematics: Kinematics, usual: float, slip: float) -> NDArray[np.bool_]:
+    """Return which of the samples kept do not follow the one before.
+
+    Samples are usually ``usual`` seconds apart, slips last ``slip`` seconds.
+    """
     time, kept = kinematics.time, _kept(kinematics)
     new = (np.diff(time) > FASTER_GAP * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
     piece = np.r_[0, np.cumsum(new)][kept]
     broken = np.ones(piece.size, np.bool_)
-    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[kept]) > max(HOLE * usual, LONG))
+    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[kept]) > max(HOLE * usual, SHORTEST * slip))
     return broken
 
 

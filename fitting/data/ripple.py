@@ -33,7 +33,7 @@ VISIBLE = 0.25
 # faster, smoothing has taken it away.  When 0.1 was the slowest, a ripple of half of it was missed, or taken for one
 # that the sticks meet at the same phases.
 SLOWEST, ANYHOW, FASTEST = 0.025, 0.1, 12.5
-FEWEST_PERIODS = 2.0
+FEWEST_PERIODS = 2.0  # of the slowest, in the time that the sticks span: one cannot be told from a drift
 GRID = 50.0  # samples a slip of the thinned record that is transformed: four of the fastest period
 FINER = 4  # times the transform's own grid of frequencies
 CANDIDATES = 5  # the gaps between sticks make false peaks beside the true one

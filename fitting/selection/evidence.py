@@ -31,14 +31,14 @@ from fitting.law import LIMITS
 from fitting.model.problem import Run
 from fitting.model.windows import ShootingWindows
 
-FEWEST_CYCLES = 4
-DRAG_PIECES = 8
+FEWEST_CYCLES = 4  # trusted: of fewer, all count
+DRAG_PIECES = 8  # equal pieces of a start-up drag, where it is all the evidence
 RELATED_FACTOR = 2.0  # times the best law's error: a limit of it that is further off is no near relative
 # Constant friction leaves 2 of an encoder's error (0.6 of a count), even with 200 us of jitter and a belt that ripples;
 # the shortest sticks tested leave 170 (test_ranking): half or twice the limit changes neither.  Of white noise it
 # leaves 1.0: a fit's rms over 400 samples and more is known to 4 %.
 COUNTING_LIMIT = 8.0
-NOISE_LIMIT = 1.25
+NOISE_LIMIT = 1.25  # times the resolution
 PIECE = 16  # correlation times: twice as many lose evidence on a start-up drag, half as many have skewed log errors
 NOISE_ALONE = 1.2  # times the noise: with an error below it a law is taken to leave white noise alone
 LONGEST_WHITE = 3.0  # samples: with a longer correlation time residuals are not white

@@ -51,7 +51,7 @@ LEAST_FRICTION = 1e-3  # of the spring's pull over a slip: with less, nothing ho
 # at most 0.004 of a slip on five sample runs and a rippled one; noise, drives and hands left 0.04 to 0.4 by the best
 # law, a triangular wave 0.007.  Half the bound would still pass those runs; at twice more noise reaches the full fits.
 SCREENED_MISFIT = 0.03
-SCREENED_CYCLES = 8
+SCREENED_CYCLES = 8  # of the record, evenly spread
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
 WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
 NONE_NEAR = "no law comes near it"

@@ -63,7 +63,7 @@ PART_OF_TURN = 0.5
 # Of the time in which a creep changes: its rate errs by so much of itself, and by rounding, 1e-12 m/s over d.
 DIFFERENCE = 1e-4
 MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays on an edge
-MOST_BISECTIONS = 60
+MOST_BISECTIONS = 60  # of an event time: a double has 53 binary digits
 
 # Rows of the table of points.
 TIME, POSITION, VELOCITY, RELATIVE, BELT, LEVEL, FRICTION, SLOPE, SPEED, RESISTANCE = range(10)

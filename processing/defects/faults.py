@@ -66,7 +66,7 @@ BLIND = 3  # samples beside such a hole at which nothing is looked for
 BESIDE = 8  # steps on either side of a frozen stretch, of which most on one side are some
 UNDONE = 0.3  # of the smaller of the largest steps up and down: the most that is left of steps that undo each other
 FEWEST = 40  # samples of a piece
-NO_MOTION = np.empty((6, 0))
+NO_MOTION = np.empty((6, 0))  # statistics of no sample
 LESS = 0.95  # of the noise before: where it falls below that without the faults, more of them show
 SLACK = 0.5  # of the sum of steps: by how much a record may be wider without them; without slips it is by all of it
 

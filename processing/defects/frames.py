@@ -23,8 +23,8 @@ KERNELS = ("processing.defects.frame_kernel",)
 
 CLEAR = 5.0  # standard deviations of a step that the usual step must have to be compared
 NEAR = 0.35  # of the usual step: how near a multiple a step must lie
-SHARE = 1e-3  # of the steps compared, at least; and
-FEWEST = 5
+SHARE = 1e-3  # of the steps compared, at least
+FEWEST = 5  # steps, at least, in a short record
 SUMS, OF_KERNEL, UNCLEAR = 16, 11, 5  # numbers; those of the kernel; the first of its steps that are not clear
 # Printed steps of noise, at least: with less, rounding skews the steps of a slow motion, which are mostly 0 or 1 count.
 # What is left of that falls as exp(-2 pi^2 n^2) with n steps of noise (B. Widrow, I. Kollar, Quantization Noise, 2008,

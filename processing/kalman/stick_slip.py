@@ -30,13 +30,13 @@ STORED = stored_size(len(SNAP))
 LAND, LEAVE, MEET, KICK, START, STOP, OVERTAKE = 1, 2, 3, 4, 5, 6, 7
 STICK, LANDING, SLIP, ONSET, RIDE, MET, LEAVING, REST = 0, 1, 5, 6, 10, 11, 12, 13  # LANDING and ONSET: four each
 CUT = 14  # four: where a slip is cut off
-LABELS = 18
+LABELS = 18  # all of them
 NEAR_LANDING = (1 / 128, 1 / 48, 1 / 24, 1 / 8)  # of a slip's length: where its parts near a landing begin
-NEAR_ONSET = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
+NEAR_ONSET = (1 / 32, 1 / 16, 1 / 8, 1 / 4)  # of a slip's length: where its parts near a break-away end
 KINDS = 8  # of corners, one more than the last
 JUMPS = 9  # variances: LEAVE a j, MEET a j, KICK v a j, START a j
 JUMP_KIND = np.array([LEAVE, LEAVE, MEET, MEET, KICK, KICK, KICK, START, START])
-JUMP_DERIVATIVE = np.array([2, 3, 2, 3, 1, 2, 3, 2, 3])
+JUMP_DERIVATIVE = np.array([2, 3, 2, 3, 1, 2, 3, 2, 3])  # of x: which derivative jumps
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array
 
-LANES = 32
+LANES = 32  # windows whose sums run side by side
 
 
 def fit(

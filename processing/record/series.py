@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from daq.runfile.recording import Recording
 
 
-LONG = 0.03  # s: a hole left by faults, as long as the shortest stick, may hide one: nothing is smoothed across it
 LEAST = 5  # samples: a local parabola and its error need as many
 TIMES = ("recorded", "nominal")
 

@@ -90,7 +90,7 @@ def test_a_run_smooths_to_the_same_motion(files: Path, name: str) -> None:
     motion, wanted = processing.smooth(daq.load(files / f"{name}.h5")), NUMBERS[name]["motion"]
     assert motion.method == wanted["method"]
     assert sum(phase.kind == "stick" for phase in motion.phases) == wanted["sticks"]
-    # Landings lie elsewhere by parts of a sample, and the acceleration jumps there; at some the mass overtakes the belt.
+    # Landings lie elsewhere by parts of a sample, where the acceleration jumps; at some the mass overtakes the belt.
     assert motion.belt_speed == pytest.approx(wanted["belt_speed"], rel=4e-6)
     assert float(np.sqrt(np.mean(motion.velocity**2))) == pytest.approx(wanted["rms_velocity"], rel=4e-6)
     assert float(np.sqrt(np.mean(motion.acceleration**2))) == pytest.approx(wanted["rms_acceleration"], rel=2e-3)
