@@ -91,7 +91,7 @@ def draw(path: Path) -> None:
     rows = {package: [n for n in sizes if n[0] == package] for package in PACKAGES}
     widest = {p: max(sum(height[n] == f for n in nodes) for f in range(12)) for p, nodes in rows.items()}
     top = 1.6 * max(height.values())
-    figure, axes = plt.subplots(figsize=(21, 10.5))
+    figure, axes = plt.subplots(figsize=(21, 0.58 * (top + 3.7)))  # a floor has room for a name and its lines
     left, place = 0.0, {}
     for package, nodes in rows.items():
         for floor in sorted({height[n] for n in nodes}):
@@ -126,9 +126,9 @@ def draw(path: Path) -> None:
             facecolor="#dce9f5" if folder else "#fdf3dc", edgecolor="0.3",
         )  # fmt: skip
         axes.add_patch(box)
-        axes.text(x, y + 0.08, node[1], ha="center", va="center", fontsize=8.5, weight="bold", zorder=3)
+        axes.text(x, y + 0.1, node[1], ha="center", va="center", fontsize=8.5, weight="bold", zorder=3)
         note = f"{files} files, {lines}" if folder else f"{lines} lines"
-        axes.text(x, y - 0.14, note, ha="center", va="center", fontsize=7, color="0.3", zorder=3)
+        axes.text(x, y - 0.13, note, ha="center", va="center", fontsize=7, color="0.3", zorder=3)
     axes.set_xlim(-0.3, left - 0.4)
     axes.set_ylim(-2.4, top + 1.3)
     axes.axis("off")
