@@ -26,6 +26,7 @@ from fitting.driver.passes import (
     regressed_start,
     restarted_windows,
     settle,
+    unmoved,
     with_cycles_of,
     with_own_static,
 )
@@ -381,14 +382,14 @@ def _is_closed(ramp: TaskFit, jump: TaskFit) -> bool:
 def _moved(pair: tuple[TaskFit, TaskFit], again: Callable[[TaskFit], TaskFit | None]) -> TaskFit | None:
     """Return the first task fitted from where the second ended, with its noise; None where that cannot be followed.
 
-    Of a law that is far off, settling takes the misfit for noise: where it then errs more than the second, the first
-    pass stays.
+    Of a law that is far off, a fit takes the misfit for noise: where it then errs more than the second, the first pass
+    stays, or the start.
     """
     one, inner = pair
-    trial = first_pass(one.task, start_beside(one.task, inner, NARROW), inner.noise.without_fade)
-    if trial is None:
-        return None
-    settled = again(trial)
-    if settled is None or settled.geometric_mean_rms <= CONTAINED * inner.geometric_mean_rms:
+    start, noise = start_beside(one.task, inner, NARROW), inner.noise.without_fade
+    trial = first_pass(one.task, start, noise)
+    settled = None if trial is None else again(trial)
+    if settled is not None and settled.geometric_mean_rms <= CONTAINED * inner.geometric_mean_rms:
         return settled
-    return _better(settled, trial)
+    ends = [settled, trial, unmoved(one.task, start, inner)]
+    return min((end for end in ends if end is not None), key=lambda end: end.geometric_mean_rms, default=None)

@@ -44,6 +44,7 @@ FIRST_NOISE = 30.0
 # Of each pass on the thinned record.  Half the steps end before a bent valley's floor; twice the steps cost laws that
 # are wrong twice the time.  A wrong law's noise is large and its gain small: its rms says whether it still moves.
 SEARCH = Limits(12, 1e-3, 1e-3)
+AT_START = Limits(0, 1e-3, 1e-3)  # no step at all
 WHOLE = Limits(30, 1e-5, np.inf)  # of every sample: at half, a level that fades is not at its end
 MOST_PASSES = 4  # after the first; the noise of a true law stays after two
 SETTLED = 0.8  # of the noise assumed: a pass that shows no less was the last.  At 0.9 each law takes one pass more
@@ -114,6 +115,12 @@ def regressed_pass(task: Task, noise: PassNoise | None = None) -> TaskFit | None
     return first_pass(task, FitStart(_beside(task, held.u, held), held.local), held.noise)
 
 
+def unmoved(task: Task, start: FitStart, at: TaskFit) -> TaskFit | None:
+    """Return a task where it starts, before the first step, on the samples and with the noise of another's end."""
+    model = Model(task, at.windows, at.model.longest_step)
+    return _one_pass(model, start, at.noise.without_fade, AT_START, FIRST_DAMPING)
+
+
 def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
     """Fit again with the noise and the weights that the pass before showed, until these no longer change.
 
@@ -157,11 +164,12 @@ def with_own_static(at: TaskFit) -> TaskFit:
     """Return the fit of a ramp with a break-away level of its own where that gains something on the thinned record.
 
     Asked first is what a small change of the level would gain; then the fit is settled again from levels above that of
-    slip, from others too where the first gains something, and the best stays.  A level that is free from the first pass
-    on ends in a poor minimum where the ramp has none.
+    slip, from others too where the first gains something or the small change would, and the best stays.  A level that
+    is free from the first pass on ends in a poor minimum where the ramp has none.
     """
     begun, task = clock.process_time(), at.task.with_static
-    if task is at.task or _static_score(at, task) < STATIC_HINT:
+    score = 0.0 if task is at.task else _static_score(at, task)
+    if score < STATIC_HINT:
         return at
     best, gain = at, 0.0
     for level in STATIC_STARTS:
@@ -171,9 +179,9 @@ def with_own_static(at: TaskFit) -> TaskFit:
         found = None if first is None else settle(first)
         if found is not None and found.geometric_mean_rms < best.geometric_mean_rms:
             best, gain = found, at.residual.size * math.log(at.geometric_mean_rms / found.geometric_mean_rms)
-        if gain < STATIC_GAIN:
-            best = at
+        if max(gain, score) < STATIC_GAIN:
             break
+    best = best if gain >= STATIC_GAIN else at
     return replace(best, cpu_s=at.cpu_s + clock.process_time() - begun)
 
 

@@ -70,7 +70,8 @@ def test_intervals_under_a_millimetre_of_noise_contain_the_truth(track, seed):
 @pytest.mark.parametrize(("law", "noise"), [(2, 2e-4), (3, 1e-3)])
 def test_printed_decimals_do_not_change_the_set(track, law, noise):
     sets = [set(rank(smooth(track(law, noise, decimals=decimals))).laws_in_set) for decimals in (4, 6)]
-    assert sets[0] == sets[1]
+    # Under a millimetre of noise the widest ramp that law 4 may have is 0.009 to 0.09 m/s: it may join or not.
+    assert sets[0] ^ sets[1] <= ({4} if law == 3 else set())
 
 
 def test_constant_friction_is_judged_by_noise_where_noise_hides_the_step(track):
