@@ -89,7 +89,7 @@ def fit_runs(
 
     Where ``formulas`` are fitted too, a record that none of the six comes near is not refused yet: one of these may.
     """
-    sustained = _check(runs, records)
+    sustained = _check(laws, runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
     doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
     if not formulas or doubt == screening.SINE_ALONE:
@@ -194,7 +194,7 @@ def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
     return alone and not describes(fits, [run.motion for run in runs])
 
 
-def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
+def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     """Return whether the mass sticks in the long run; raise DataError unless there are enough cycles of one kind."""
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
@@ -210,6 +210,8 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     if count < FEWEST_CYCLES:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
             refuse(screening.swings_alone(count), records)
+        if count:  # a longer record of another motion would be none either
+            refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
         left = sum(len(run.cut.cycles) for run in runs) - count
         out = f", {left} more left out" if left else ""
         raise DataError(
