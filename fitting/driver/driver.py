@@ -175,6 +175,7 @@ def fit_all(
     found = from_left_starts(found, left, each)
     found = _overtaking(found, each)
     found = _contained(beside_better(_opened(found, each), each), settle, each)
+    found = _opened(found, each)  # a ramp that started from its jump may have ended below it
     limit = NEAR * min((one.geometric_mean_rms for one in found), default=0.0)
     found = list(each(partial(_with_static, limit=limit), found))
     for one in found:
