@@ -1,4 +1,4 @@
-"""Functions and commands of `daq` and `processing` give the same numbers; `fitting` and `rig_sim` have their own test."""
+"""Functions and commands of daq and processing give the same numbers; fitting and rig_sim have their own tests."""
 
 import json
 import shutil
