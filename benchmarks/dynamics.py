@@ -65,7 +65,7 @@ def map_speed(events):
     expected = exact.images(STARTS)
     for name, precision in (("exact", EXACT), ("fine", FINE), ("coarse", COARSE)):
         f = StickMap(FLOW, precision)
-        f(STARTS[:2])
+        f.images(STARTS[:2])
         cost = min(cpu_of(partial(f.images, STARTS))[0] for _ in range(REPEATS)) / len(STARTS)
         rows.append(
             row(name, f"degree {precision[0]}, tolerance {precision[1]:.0e}", cost, f.images(STARTS) - expected)

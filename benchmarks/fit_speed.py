@@ -36,12 +36,16 @@ from daq.recorder.record import record
 from daq.runfile import store
 from fitting.adequacy.assess import Assessment
 from fitting.data import cycles, frame
+from fitting.driver.model import Model
+from fitting.driver.task import law_task
 from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.problem import LeastSquaresProblem
-from fitting.model import shooting
+from fitting.model import starts
 from fitting.model.parameters import Global, PerCycle
-from fitting.model.problem import EstimationProblem, Run
+from fitting.model.problem import Run
+from fitting.model.windows import ShootingWindows
 from fitting.selection import ranking
+from fitting.sensitivity import flow
 from processing.record.kinematics import Kinematics
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -127,25 +131,26 @@ class OneWindow:
         cut = cycles.segment_cycles(motion)
         cycle = next(cycle for cycle in cut.used[2:] if not cycle.overtakes)
         cycle = replace(cycle, stick=(cycle.slip[0], cycle.slip[0]))
-        problem = EstimationProblem.build(5, [Run(motion, replace(cut, cycles=cut.used))])
-        self.windows = shooting.ShootingWindows.from_cycles(motion, (cycle,))
-        self.problem, self.index = (
-            problem,
-            [Global.K, Global.LOG_F, Global.V_DR, Global.SHAPE, Global.DATUM, Global.DAMPING],
-        )
+        self.windows = ShootingWindows.from_cycles(motion, (cycle,))
+        self.index = [Global.K, Global.LOG_F, Global.V_DR, Global.SHAPE, Global.DATUM, Global.DAMPING]
+        task = replace(law_task(5, [Run(motion, replace(cut, cycles=cut.used))]), places=tuple(self.index))
+        self.model, self.problem = Model(task, self.windows, flow.LONGEST_STEP), task.problem
+        problem = task.problem
         self.own = [PerCycle.X_SLIP, PerCycle.V_SLIP, PerCycle.LEVEL]
-        self.local = self.windows.starting_values([motion])
+        self.local = starts.cycle_starts(self.windows, [motion], [cycle], problem.start)
         self.weight = 1 / motion.resolution**2
         sd = np.array([[0.1 * motion.travel, motion.belt_speed, 0.05, 0.05, 1.0, 1.0]])
         self.local_precision = 1 / sd**2
         self.start = np.r_[problem.start[self.index], self.local[0, self.own]]
+        shared = problem.start[self.index]
+        self.scale = np.r_[np.where(shared == 0, 0.01, np.abs(shared)), sd[0, self.own]]
 
     def ours(self) -> tuple[np.ndarray, float, float]:
         """Return unknowns, cost and CPU seconds of this project's minimiser."""
         s = self.problem
         begun = clock.process_time()
         problem = LeastSquaresProblem(
-            evaluate=shooting.evaluator(s.curve, s.ramp, self.windows, s.start, self.index, s.scale, s.local_scale),
+            evaluate=self.model.evaluate,
             rows=self.windows.rows, weights=np.array([self.weight]),
             lower=s.lower[self.index], upper=s.upper[self.index],
             prior=s.prior[self.index], precision=s.precision[self.index],
@@ -196,10 +201,9 @@ class OneWindow:
         s = self.problem
         lower = np.r_[s.lower[self.index], np.full(3, -np.inf)]
         upper = np.r_[s.upper[self.index], np.full(3, np.inf)]
-        scale = np.r_[s.scale[self.index], s.local_scale[self.own]]
         begun = clock.process_time()
-        found = least_squares(counted, np.clip(self.start, lower + 1e-12, upper), bounds=(lower, upper), x_scale=scale,
-                              ftol=1e-9, xtol=1e-12, gtol=1e-12, max_nfev=200)  # fmt: skip
+        found = least_squares(counted, np.clip(self.start, lower + 1e-12, upper), bounds=(lower, upper),
+                              x_scale=self.scale, ftol=1e-9, xtol=1e-12, gtol=1e-12, max_nfev=200)  # fmt: skip
         return found.x, float(found.cost), clock.process_time() - begun, shots
 
 
@@ -214,8 +218,7 @@ def against_scipy(folder: str) -> dict[str, Any]:
         theirs = [one.scipys() for _ in range(3)]
         found, other, _, shots = theirs[0]
         seconds = float(np.median([run[2] for run in theirs]))
-        scale = np.r_[one.problem.scale[one.index], one.problem.local_scale[one.own]]
-        gap = float(np.max(np.abs(mine - found) / scale))
+        gap = float(np.max(np.abs(mine - found) / one.scale))
         rows.append({"solver": one.solver, "scipy_s": seconds, "ratio": seconds / spent, "shots": shots,
                      "scipy_cost": other, "largest_difference": gap})  # fmt: skip
     return {"ours_s": spent, "cost": cost, "samples": one.windows.time.size, "scipy": rows}

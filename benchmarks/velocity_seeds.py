@@ -14,7 +14,6 @@ import numpy as np
 from velocity import CASES, Bench, chosen_windows, scenes
 
 import processing
-from processing.defects import velocity_steps
 from processing.methods import registry
 from processing.record.setting import Setting
 
@@ -140,7 +139,7 @@ def kicked(seed: int) -> tuple[Row, Limits]:
     for kick in KICKS:
         bench = Bench(seed, 7.67e-6, 30e-6, 60.0, **{"joint.kick": kick})
         data = bench.series()
-        seen = np.array([bench.time[own.sample] for own in velocity_steps.velocity_steps(data)])
+        seen = np.array([bench.time[own.sample] for own in processing.smooth(bench.run(), "fd").kicks])
         hit = [bool(seen.size) and np.abs(seen - at).min() < 4e-3 for at in bench.kicks]
         true = [np.abs(bench.kicks - at).min() < 4e-3 for at in seen] if bench.kicks.size else []
         row[f"{1e3 * kick:g} mm/s: recall"] = float(np.mean(hit))
