@@ -418,6 +418,8 @@ def progress(description: str, total: float | None, unit: str = "") -> Iterator[
             return Text(printable(task.fields["words"], sys.stderr.encoding) or each)
 
     class TimeLeft(TimeRemainingColumn):
+        max_refresh = 0.0  # rich keeps a text for half a second: a new stage would show that of the one before
+
         def render(self, task: Task) -> Text:
             unknown = task.finished or task.total is None
             return Text("") if unknown else Text("ETA ") + super().render(task)
