@@ -57,42 +57,13 @@ def smooth(
     ----------
     recording : Recording
         Positions in metres (or counts) at times in seconds.
-    method : {"auto", "segment", "rts", "sg", "fd"}
-        "segment" smooths sticks and slips apart, with fitted corners; "rts" smooths all alike; "auto" takes "segment"
-        where its sticks are beyond doubt, else "rts" ("sg" where a window or an order is asked for); "sg" is
-        Savitzky-Golay; "fd" the plain two-point difference, a baseline.
-    window : int, "auto" or a duration such as "20ms"
-        Length of the Savitzky-Golay window: an odd number of samples above the order, or chosen from the record.
-    order : int, optional
-        Degree of the local polynomial; by default chosen with the window, or 4 beside a window that was given.
-    times : {"recorded", "nominal"}
-        Whether to trust the board's sample times or to assume an even grid.
-    belt_speed : float or "auto"
-        m/s, signed; "auto" takes it from the belt's own counts where there are any, else finds it in the plateaus of
-        the velocity.
-    repair_counts : {"off", "flag", "fix"}
-        What to do about steps of the position, as where counts are lost or the datum moves
-        (`processing.defects.faults`): not to look for them; to mark them, and leave
-        the position as it was counted; or to mark them and put them back.  Where they are looked for, velocity and
-        acceleration are those of the motion on either side, without the jump of the count.
-    model : mapping, optional
-        `Kinematics.model` of an earlier smoothing, applied as it is: nothing is learned, and method, window, order and
-        belt speed are its own.
+    method, window, order, times, belt_speed, repair_counts, model
+        As of `processing.smooth`, which also says what is raised.  Steps of the position are looked for as
+        `processing.defects.faults` says.
 
     Returns
     -------
     Kinematics
-
-    Raises
-    ------
-    InputError
-        For an unknown method or repair, an even window, an order that the window cannot carry, a record with a number
-        that is not finite or with times that do not increase (naming the sample), fewer than 5 samples, or a belt
-        speed beside positions in counts.
-
-    Notes
-    -----
-    Gaps and segments are never smoothed across: each piece ends in one-sided fits, with their larger errors.
     """
     begun = clock.process_time()
     _check(method, repair_counts)

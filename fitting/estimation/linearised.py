@@ -110,18 +110,6 @@ class LinearisedFit:
             local_gradient=task.local_precision * (fit.local - task.local_prior),
         )
 
-    def with_shared(self, columns: Array) -> "LinearisedFit":
-        """Return the same with more shared unknowns, of which nothing is known before; ``columns`` (N, k)."""
-        p, k = self.shared.shape[1], columns.shape[1]
-        precision = np.zeros((p + k, p + k))
-        precision[:p, :p] = self.prior_precision
-        return replace(
-            self,
-            shared=np.ascontiguousarray(np.concatenate([self.shared, columns], axis=1)),
-            prior_precision=precision,
-            prior_gradient=np.concatenate([self.prior_gradient, np.zeros(k)]),
-        )
-
     @cached_property
     def first(self) -> Integers:
         """First residual of each cycle, and how many there are, shape (cycles + 1,)."""

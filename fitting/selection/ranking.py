@@ -55,52 +55,15 @@ def rank(
         all; belt speed, rest position, wear and the belt's compliance are each run's own.
     rig : Rig or sequence of Rig, optional
         Calibration; the recording's own by default, one for all, or one for each run.
-    laws : int, str, Law, or sequence of them
-        Which laws compete: of the six by number or range ("1-6"), published ones by name ("stribeck"), and laws of
-        one's own (`fitting.Law`).
-    fix, bounds, start : mapping, optional
-        Values of parameters that are known, bounds as (low, high), and first values, by the names that the results
-        give them and in their units: ``{"gamma": 9.6}``, of one law ``{"mine.v_s": 0.05}``
-        (`fitting.competitors`).
     belt_speed : Measured, float or "channel", optional
-        m/s, signed, if known better than from the calibration.  By default belt counts are used if the run contains
-        them; "channel" requires them.
-    excluded : sequence of int
-        Numbers of cycles to leave out (1 is the first break-away); of a run that is fitted alone.
-    alpha : float
-        1 - confidence of the intervals and of the set rule.
-    jobs : int
-        Processes to fit in: up to three are of use, one for each curve.  The result is the same to the last bit.
-    progress : callable, optional
-        Called with the number of laws done.
-    scheduler : str, optional
-        Address of a dask scheduler, ``tcp://host:8786``, whose workers fit instead of processes on this machine.
+        m/s, signed, if known better than from the calibration.
+    laws, fix, bounds, start, excluded, alpha, jobs, progress, scheduler
+        As of `fitting.rank`, which also says what is raised and what is not modelled (`fitting.competitors`,
+        `fitting.selection.equivalence`, `fitting.data.ripple`).
 
     Returns
     -------
     Ranking
-
-    Raises
-    ------
-    InputError
-        For no or unknown laws, parameters that no law has, a formula that is no friction with any values, alpha
-        outside (0, 1), fewer than one job, a scheduler that cannot be used, a record in counts, a belt speed of zero,
-        belt counts asked for that are not there, or a speed or cycles to exclude beside several runs.
-    DataError
-        When a record shows no stick-slip, when a slip has fewer than eight samples, when there are fewer than four
-        complete cycles, when some of the runs stick and others do not, or when frames were lost or doubled among even
-        times.
-
-    Notes
-    -----
-    A belt that slows under load looks like a ramp.  With the belt's own counts its compliance is measured and part of
-    the flow; without, a ramp narrow enough to be such a belt brings its jump law into the set
-    (`fitting.selection.equivalence`).
-
-    A belt whose speed ripples at one frequency is seen in the sticks, and its ripple is also fitted
-    (`fitting.data.ripple`).
-
-    Not modelled: a ripple of several frequencies, friction that remembers, a mass or spring that changes between runs.
     """
     begun = clock.process_time()
     competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
