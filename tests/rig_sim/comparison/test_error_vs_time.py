@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import sys
 from functools import partial
 
@@ -202,9 +203,10 @@ def test_lists_of_other_lengths_part_at_the_first_event_that_is_not_in_both():
 
 
 def test_the_exact_method_has_an_error_where_a_rival_finds_other_events():
+    """Whether DOP853 finds one landing twice at its tightest tolerance depends on the processor's dot products."""
     found = compare(scene("rig"), 20.0, methods=("exact", "dop853"))
     exact = next(row for row in found.rows if row.method == "exact")
     assert exact.error < 1e-9
-    assert "; compared: exact with dop853 rtol 1e-12; dop853 with exact interpreted; dop853 rtol 2.3e-14 is no" in (
-        found.reference
-    )
+    peer = re.search(r"; compared: exact with dop853 rtol (\S+); dop853 with exact interpreted", found.reference)
+    assert peer
+    assert ("; dop853 rtol 2.3e-14 is no reference: other events" in found.reference) == (peer[1] != "2.3e-14")
