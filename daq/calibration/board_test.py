@@ -63,7 +63,7 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
     parked = stretch(run, 0.0, parked_s)
     moved = stretch(run, parked_s, float("inf"))
     pace = summary.measured_rate_hz / summary.rate_hz - 1
-    found = [
+    checks = [
         BoardCheck(
             "rate",
             abs(pace) <= RATE_TOLERANCE,
@@ -85,13 +85,13 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
         ),
     ]
     if parked_s > 0:
-        found.append(_parked(parked, run))
+        checks.append(_parked(parked, run))
     if moved.seconds > 0:
-        found.append(_moved(moved, run))
+        checks.append(_moved(moved, run))
         levels = _levels(run, parked_s, moved)
         if levels is not None:
-            found.append(levels)
-    return found
+            checks.append(levels)
+    return checks
 
 
 def _clock(summary: RecordingQuality) -> BoardCheck:

@@ -248,9 +248,9 @@ def _solve(
     best = None
     n = len(x)
     for begin in starts:
-        found = least_squares(misfit, (begin / scale)[:free], method="lm", diff_step=[1e-4], max_nfev=25 * free)
-        if best is None or found.cost < best.cost:
-            best = found
+        solution = least_squares(misfit, (begin / scale)[:free], method="lm", diff_step=[1e-4], max_nfev=25 * free)
+        if best is None or solution.cost < best.cost:
+            best = solution
         if 2 * best.cost < n * (NOISE_FLOOR * resolution) ** 2:
             break
     if best is None:

@@ -41,13 +41,13 @@ def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Strea
         The journal is in a protocol that this version does not know.
     """
     backend = protocols.load(taken.header["protocol"], str(taken.path))
-    found = []
+    shelves = []
     for reads in _reads(taken.records):
         shelf: Shelf[decode.Stream] = Shelf(spill)
         for stream in backend.pieces(reads, taken.header):
             shelf.append(clock_leaps.cut(believed(stream), float(taken.header["rate_hz"])))
-        found.append(shelf)
-    return found
+        shelves.append(shelf)
+    return shelves
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,10 @@ def units(idents: Sequence[wire.Ident | None], rig: Rig) -> CountUnits:
         scale=np.maximum(edges // finest, 1),
         edges=edges,
         phase=np.array(
-            [each == "x4" and wire.Capability.LEVELS in own for each, own in zip(decoders, has, strict=True)],
+            [
+                each == "x4" and wire.Capability.LEVELS in capabilities
+                for each, capabilities in zip(decoders, has, strict=True)
+            ],
             dtype=np.bool_,
         ),
         illegal=np.array([wire.Capability.ILLEGAL in each for each in has], dtype=np.bool_),
@@ -154,31 +157,33 @@ def contradictions(idents: Sequence[wire.Ident | None], configs: Sequence[str], 
 
     ``configs`` are the calibrations that the boards sent, in order; ``rig`` is the run's own.
     """
-    found = []
+    sentences = []
     known = [ident for ident in idents if ident is not None]
     if len(known) > 1:
         changes = "; then ".join(words(ident) for ident in known)
-        found.append(f"the board identified itself anew, as another: {changes}; each segment is read as it was sent")
+        sentences.append(
+            f"the board identified itself anew, as another: {changes}; each segment is read as it was sent"
+        )
     decoders = list(dict.fromkeys(ident.decoder for ident in known))
     unrelated = [decoder for decoder in decoders if decoder not in EDGES_PER_COUNT]
     if len(decoders) > 1 and unrelated:
-        found.append(
+        sentences.append(
             f"the decoder changed between {' and '.join(decoders)}, and how their counts compare is not known: "
             f"positions of segments other than {decoders[0]} may have another scale"
         )
     elif len({EDGES_PER_COUNT[decoder] for decoder in decoders if decoder not in unrelated}) > 1:
-        found.append(
+        sentences.append(
             f"the decoder changed between {' and '.join(decoders)}: all counts are in those of {rig.decoder}, and the "
             f"metres per count are those of {decoders[0]}, divided accordingly"
         )
     pitches = [pitch for config in dict.fromkeys(configs) if (pitch := _pitch(config)) is not None]
     other = next((each for each in pitches if _contradict(each, pitches[0])), None)
     if other is not None:
-        found.append(
+        sentences.append(
             f"the board sent another calibration, {other.value:g} m per count where it was {pitches[0].value:g}: "
             "positions are made with the first of them, or with the one given"
         )
-    return found
+    return sentences
 
 
 def _contradict(one: Measured, other: Measured) -> bool:
@@ -206,12 +211,12 @@ def stored(
     """Return for the run file from which segment on which identification holds; None where there is only one."""
     if len(source) < 2:
         return None
-    own = units(idents, rig)
+    per_ident = units(idents, rig)
     which = np.array(source, dtype=np.int64)
     text = ["no identification" if ident is None else words(ident) for ident in idents]
     return SentAs(
         segment=np.array(segment, dtype=np.uint32),
-        counter_bits=own.bits[which].astype(np.uint8),
-        counts=own.scale[which].astype(np.uint8),
+        counter_bits=per_ident.bits[which].astype(np.uint8),
+        counts=per_ident.scale[which].astype(np.uint8),
         ident=tuple(text[each] for each in source),
     )

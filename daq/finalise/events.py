@@ -88,11 +88,11 @@ class RunEvents:
 
     def sorted(self) -> list[RunEvent]:
         """Return all events in order of their samples."""
-        found = list(self._found)
+        events = list(self._found)
         for name, stretches in self._runs.items():
-            found += [(first, EVENTS[name], f"{end - first} samples") for first, end in stretches]
-        found += [(self._samples - 1, EVENTS[name], note) for _, name, note in self._frames]
-        return sorted(found)
+            events += [(first, EVENTS[name], f"{end - first} samples") for first, end in stretches]
+        events += [(self._samples - 1, EVENTS[name], note) for _, name, note in self._frames]
+        return sorted(events)
 
 
 def _begun(why: str, gap_s: float, leap_s: float) -> str:

@@ -211,8 +211,8 @@ def _rate(device: dict[str, str], where: str) -> float | None:
     text = device.get("samplerate", "").strip()
     if not text or text == "0":
         return None
-    found = _RATE.fullmatch(text)
-    rate = float(found[1]) * _PREFIX[found[2].lower()] if found else 0.0
+    parts = _RATE.fullmatch(text)
+    rate = float(parts[1]) * _PREFIX[parts[2].lower()] if parts else 0.0
     if not SLOWEST_HZ <= rate <= FASTEST_HZ:
         raise InputError(f"has samplerate = {text[:40]!r} in its metadata", where, "copy the capture again")
     return rate

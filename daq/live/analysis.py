@@ -256,13 +256,13 @@ class LiveAnalysis:
 
     def _statistics(self, balance: ForceBalance) -> dict[str, dict[str, float | int | None]]:
         offset = {"break_away": math.copysign(1.0, self.belt.value) * balance.x0}
-        found: dict[str, dict[str, float | int | None]] = {}
+        statistics: dict[str, dict[str, float | int | None]] = {}
         for name, of in self._of.items():
             less = offset.get(name, 0.0)
             values = {"last": of.last, "mean": of.mean, "min": of.low, "max": of.high}
-            found[name] = {key: number(value - less) if of.n else None for key, value in values.items()}
-            found[name] |= {"n": of.n, "sd": number(of.sd)}
-        return found
+            statistics[name] = {key: number(value - less) if of.n else None for key, value in values.items()}
+            statistics[name] |= {"n": of.n, "sd": number(of.sd)}
+        return statistics
 
     def _friction_curve(self, balance: ForceBalance) -> dict[str, Any] | None:
         curve = self._friction.curve(balance.k_over_m, balance.x0, balance.c_over_m, self.belt.value)

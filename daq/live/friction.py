@@ -79,14 +79,14 @@ class QuickFriction:
         The median of the slips, each corrected for the rounding of its parabolas: one that a hand has touched does not
         move it.  The error is that of the median by the scatter between slips, and the correction itself.
         """
-        found = np.array(self._k_over_m).reshape(-1, 2)
-        found = found[np.isfinite(found[:, 0])]
-        if len(found) < FEWEST_SLIPS:
+        estimates = np.array(self._k_over_m).reshape(-1, 2)
+        estimates = estimates[np.isfinite(estimates[:, 0])]
+        if len(estimates) < FEWEST_SLIPS:
             return math.nan, math.nan
-        corrected, correction = found.sum(axis=1), float(np.median(found[:, 1]))
+        corrected, correction = estimates.sum(axis=1), float(np.median(estimates[:, 1]))
         middle = float(np.median(corrected))
         spread = 1.4826 * float(np.median(np.abs(corrected - middle)))
-        error = math.hypot(1.253 * spread / math.sqrt(len(found)), correction)
+        error = math.hypot(1.253 * spread / math.sqrt(len(estimates)), correction)
         return (middle, error) if middle > 0 else (math.nan, math.nan)
 
     def curve(self, k_over_m: float, x0: float, c_over_m: float, belt_speed: float) -> QuickCurve | None:

@@ -120,10 +120,10 @@ class LiveFilter:
             v[low - first :], a[low - first :] = parabolas(self._time[span], self._x[span], self.window, longest)
         fresh = np.diff(self._time[first:stop], prepend=self._time[max(0, first - 1)]) > HOLE / self._rate_hz
         fresh[0] |= begins
-        found = LiveMotion(self._time[first:stop], self._x[first:stop], v, a, fresh)
+        motion = LiveMotion(self._time[first:stop], self._x[first:stop], v, a, fresh)
         kept = max(0, stop - MOST // 2)
         self._time, self._x, self._next = self._time[kept:], self._x[kept:], stop - kept
-        return found
+        return motion
 
     def errors(self, density: float) -> MotionErrors:
         """Return the errors of the motion from readings whose noise has a density, m^2 s: variance over their rate."""

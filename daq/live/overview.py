@@ -26,15 +26,15 @@ class Overview:
         """Add rows, (columns, n)."""
         self._waiting.append(rows)
         if self._stretch == 1:
-            own, self._waiting = np.concatenate(self._waiting, axis=1), []
+            kept, self._waiting = np.concatenate(self._waiting, axis=1), []
         else:
             if sum(part.shape[1] for part in self._waiting) < self._stretch:
                 return
             joined = np.concatenate(self._waiting, axis=1)
             whole = joined.shape[1] // self._stretch * self._stretch
             self._waiting = [joined[:, whole:]]
-            own = joined[:, extremes(joined[:, :whole], whole // self._stretch)]
-        self._rows = np.concatenate((self._rows, own), axis=1)
+            kept = joined[:, extremes(joined[:, :whole], whole // self._stretch)]
+        self._rows = np.concatenate((self._rows, kept), axis=1)
         while self._rows.shape[1] > ROWS:
             self._rows = self._rows[:, extremes(self._rows, self._rows.shape[1] // (2 * PICKED))]
             self._stretch = 2 * PICKED if self._stretch == 1 else 2 * self._stretch

@@ -418,18 +418,18 @@ def _rows(break_aways: list[tuple[float, float, float]]) -> list[list[float | No
     return [[round(time, 6), number(x), round(landing, 6)] for time, x, landing in break_aways]
 
 
-def _texts(found: Array, known: int = 0) -> dict[str, str]:
+def _texts(rows: Array, known: int = 0) -> dict[str, str]:
     """Return rows t, x, v, a, piece as JSON lists by name, with a row without a position between two pieces.
 
     The first ``known`` rows have been told before.
     """
-    breaks = np.flatnonzero(np.diff(found[4]) != 0) + 1
+    breaks = np.flatnonzero(np.diff(rows[4]) != 0) + 1
     if breaks.size:
         between = np.full((5, breaks.size), math.nan)
-        between[0] = (found[0, breaks - 1] + found[0, breaks]) / 2
-        found = np.insert(found, breaks, between, axis=1)
+        between[0] = (rows[0, breaks - 1] + rows[0, breaks]) / 2
+        rows = np.insert(rows, breaks, between, axis=1)
     forms = {"t": "%.6f", "x": "%.7g", "v": "%.5g", "a": "%.5g"}
-    return {name: _column(values[known:], form) for (name, form), values in zip(forms.items(), found, strict=False)}
+    return {name: _column(values[known:], form) for (name, form), values in zip(forms.items(), rows, strict=False)}
 
 
 def _column(values: Array, form: str) -> str:

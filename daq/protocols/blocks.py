@@ -22,8 +22,8 @@ def packed(time: Array, values: Array | Integers) -> Iterator[bytes]:
     """Yield the records of a block: times, s, and values, (n,) each."""
     kind = "<i8" if values.dtype.kind == "i" else "<f8"
     for first in range(0, len(time), MOST):
-        own = slice(first, first + MOST)
-        content = time[own].astype("<f8").tobytes() + values[own].astype(kind).tobytes()
+        part = slice(first, first + MOST)
+        content = time[part].astype("<f8").tobytes() + values[part].astype(kind).tobytes()
         yield content + crc32(content).to_bytes(_CRC_BYTES, "little")
 
 

@@ -124,9 +124,9 @@ class Shape:
         return text.tobytes(), found != stated
 
 
-def shape_of(form: Columns, found: re.Match[bytes]) -> Shape | None:
+def shape_of(form: Columns, match: re.Match[bytes]) -> Shape | None:
     """Return the shape of a line that matches the pattern of its columns; None: no others like it are searched for."""
-    line = found.string
+    line = match.string
     cells = _SEPARATED.split(line.strip(b" \t\r"))
     if not (form.labels or (len(cells) == len(form.names) and all(cells))):
         return None
@@ -134,16 +134,16 @@ def shape_of(form: Columns, found: re.Match[bytes]) -> Shape | None:
     if "xor" in form.names:
         if form.labels or form.names[-1] != "xor":
             return None
-        guarded, xor = len(form.guarded(found)), found.start(form.checks[-1])
+        guarded, xor = len(form.guarded(match)), match.start(form.checks[-1])
     pattern, place, numbers, longest, at = b"", {}, 0, 0, 0
     parts = chain.from_iterable(
         ("time", "fraction") if name in TIMES else (name,) for name in form.names if name not in UNREAD
     )
-    spans = [(name, *found.span(group)) for group, name in enumerate(parts, start=1)]
+    spans = [(name, *match.span(group)) for group, name in enumerate(parts, start=1)]
     digits = next((end - start for name, start, end in spans if name == "fraction"), 0)
     pointless = bool(form.decimals)
     if form.decimals is not None:
-        number = found[form.counts[2]]
+        number = match[form.counts[2]]
         if not re.fullmatch(_measured(form.decimals), number):
             return None
         points = [start - 1 for name, start, end in spans if name == "fraction" and start < end]

@@ -300,11 +300,11 @@ class _Taking:
         self._steps += np.diff([*before, *time[: FEWEST_STEPS + 1].tolist()]).tolist()
         if len(self._steps) < FEWEST_STEPS:
             return
-        found = 1 / float(np.median(self._steps))
+        rate_hz = 1 / float(np.median(self._steps))
         self._steps = None
-        if abs(found / self._rate_hz - 1) > RATE_WITHIN:
-            what = f"the times step at {found:.4g} Hz, and rate_hz is {self._rate_hz:g}"
-            raise _WrongRateError(what, WHERE, f"give rate_hz={found:.4g}, or the times in s")
+        if abs(rate_hz / self._rate_hz - 1) > RATE_WITHIN:
+            what = f"the times step at {rate_hz:.4g} Hz, and rate_hz is {self._rate_hz:g}"
+            raise _WrongRateError(what, WHERE, f"give rate_hz={rate_hz:.4g}, or the times in s")
 
 
 def _kind(item: Any) -> str:

@@ -383,9 +383,9 @@ def read_markers(path: Path) -> tuple[tuple[int, str], ...]:
     """
     if not path.exists():
         return ()
-    found = []
+    markers = []
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         stamp, _, text = line.strip().partition(" ")
         if stamp.isascii() and stamp.isdecimal() and len(stamp) < 20:
-            found.append((int(stamp), storable(text)))
-    return tuple(sorted(found))
+            markers.append((int(stamp), storable(text)))
+    return tuple(sorted(markers))

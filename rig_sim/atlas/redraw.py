@@ -31,13 +31,13 @@ def chosen(asked: Iterable[str] | None) -> list[str]:
         A number that is no figure of the atlas.
     """
     known = sorted([*ENTRIES, *NOT_REDRAWN], key=order)
-    found: list[str] = []
+    figures: list[str] = []
     for name in asked or [number.partition(".")[0] for number in known]:
         numbers = [number for number in known if name in (number, number.partition(".")[0])]
         if not numbers:
             raise InputError(f"no figure {name!r} in the atlas", "FIGURE", nearest(name, known))
-        found += [number for number in numbers if number not in found]
-    return sorted(found, key=order)
+        figures += [number for number in numbers if number not in figures]
+    return sorted(figures, key=order)
 
 
 def order(number: str) -> tuple[int, ...]:

@@ -49,11 +49,11 @@ def landing_exponent(omega: float) -> Exponent:
 def unforced() -> Computed:
     """Return the phase portrait without a drive."""
     changes = (("belt.speed", SPEED),)
-    found = cycle(scene("base", **dict(changes)))
+    free = cycle(scene("base", **dict(changes)))
     t, x, v, _ = motion("base", 90.0, 100.0, changes)
-    last = t > 90.0 - 1.02 * (found.period or 0.0)
+    last = t > 90.0 - 1.02 * (free.period or 0.0)
     curves = Trace(x, v, "from (0, 0)", "thin"), Trace(x[last], v[last], "limit cycle", "thick")
-    return Computed((Panel(X, V, curves),), {**vars(found), "is_cycle": found.outcome == "cycle"})
+    return Computed((Panel(X, V, curves),), {**vars(free), "is_cycle": free.outcome == "cycle"})
 
 
 def portrait(omega: float) -> Computed:

@@ -46,8 +46,8 @@ def best_phase(a: float) -> float:
     def growth(phi: float) -> float:
         return phasor(1.0, 1.0, S, a, phi).imag
 
-    found = minimize_scalar(growth, bounds=(2.0, math.pi), method="bounded", options={"xatol": 1e-10})
-    return float(found.x)
+    minimum = minimize_scalar(growth, bounds=(2.0, math.pi), method="bounded", options={"xatol": 1e-10})
+    return float(minimum.x)
 
 
 def growth_curves() -> Computed:

@@ -67,11 +67,11 @@ def orbits_of_periods(f: OnInterval, periods: int) -> list[PeriodicPoint]:
     if np.all(np.isnan(survey(f, np.linspace(f.lo, f.hi, FEW)))):
         return []
     places = iterate = np.linspace(f.lo, f.hi, PLACES)
-    found: list[PeriodicPoint] = []
+    orbits: list[PeriodicPoint] = []
     for period in range(1, periods + 1):
         iterate = survey(f, iterate)
-        found += orbits_among(f, period, places, iterate)
-    return found
+        orbits += orbits_among(f, period, places, iterate)
+    return orbits
 
 
 def orbits_among(f: OnInterval, period: int, x: Array, iterate: Array) -> tuple[PeriodicPoint, ...]:

@@ -99,5 +99,5 @@ def followed(f: Controlled, start: Array, progress: Stages) -> Array:
     return np.concatenate(pieces[1:])[TRANSIENT:]
 
 
-def _locking(outcome: str, orbits: tuple[UnstableOrbit, ...], regular: int | None, found: Lock | None) -> Locking:
-    return Locking(outcome, ADVICE.get(outcome, ""), orbits, regular, found)
+def _locking(outcome: str, orbits: tuple[UnstableOrbit, ...], regular: int | None, control: Lock | None) -> Locking:
+    return Locking(outcome, ADVICE.get(outcome, ""), orbits, regular, control)

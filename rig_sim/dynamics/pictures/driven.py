@@ -37,9 +37,9 @@ RATIOS = (0.5, 1.5, 41)  # amplitudes over the threshold: from, to, how many
 
 def draw_dither(axes: "Axes", flow: Flow, x: float, v: float) -> None:
     """Draw a motion with and without its drive over time."""
-    own, period = 2.0 * math.pi * math.sqrt(flow.m / flow.k), 2.0 * math.pi / abs(flow.omega)
-    samples = min(math.ceil(OSCILLATIONS * own / min(own, period) * SAMPLES), MOST_SAMPLES)
-    times = np.linspace(0.0, OSCILLATIONS * own, samples)
+    oscillation, period = 2.0 * math.pi * math.sqrt(flow.m / flow.k), 2.0 * math.pi / abs(flow.omega)
+    samples = min(math.ceil(OSCILLATIONS * oscillation / min(oscillation, period) * SAMPLES), MOST_SAMPLES)
+    times = np.linspace(0.0, OSCILLATIONS * oscillation, samples)
     for u0, name, width in ((0.0, "without the drive", 0.8), (flow.u0, f"u0 = {flow.u0:.6g}", 1.6)):
         path = positions(flow._replace(u0=u0), x, v, times)
         axes.plot(times[: len(path)], path, lw=width, label=name)
@@ -76,39 +76,39 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
     return drawn
 
 
-def draw_landings(axes: "Axes", found: Lock | None) -> None:
+def draw_landings(axes: "Axes", lock: Lock | None) -> None:
     """Draw the landings of a motion under control, one after the other, and where the control held."""
-    if found is not None:
-        axes.plot(found.states[:, -1], ".", ms=3, color="#0072B2")
-        if found.events_to_lock is not None:
-            axes.axvline(found.events_to_lock, color="black", lw=0.8, ls=":")
+    if lock is not None:
+        axes.plot(lock.states[:, -1], ".", ms=3, color="#0072B2")
+        if lock.events_to_lock is not None:
+            axes.axvline(lock.events_to_lock, color="black", lw=0.8, ls=":")
     axes.set(xlabel="landing", ylabel="x at landing (the scene's unit)", title="Landings")
 
 
 @mpl.rc_context(fname=STYLE)
-def lock_figure(f: LandingMap, found: Lock, period: int, budget: float) -> Figure:
+def lock_figure(f: LandingMap, lock: Lock, period: int, budget: float) -> Figure:
     """Return a figure of the landings, the change of the amplitude, the phase portrait and the velocity."""
     page = figure(10.0, 7.0)
     ((landings, changes), (portrait, velocity)) = page.subplots(2, 2)
-    draw_landings(landings, found)
-    changes.plot(100.0 * found.changes / f.strength, ".-", ms=3, lw=0.8, color="#D55E00")
+    draw_landings(landings, lock)
+    changes.plot(100.0 * lock.changes / f.strength, ".-", ms=3, lw=0.8, color="#D55E00")
     for side in (-1, 1):
         changes.axhline(side * 100.0 * budget, color="0.5", lw=0.8, ls="--")
     changes.set(xlabel="landing", ylabel="change of u0 (%)", title="Control; dashed: the budget")
-    if found.events_to_lock is not None:
-        changes.axvline(found.events_to_lock, color="black", lw=0.8, ls=":")
-    first = max((found.events_to_lock or 0) - BEFORE, 0)
-    last = len(found.changes)
+    if lock.events_to_lock is not None:
+        changes.axvline(lock.events_to_lock, color="black", lw=0.8, ls=":")
+    first = max((lock.events_to_lock or 0) - BEFORE, 0)
+    last = len(lock.changes)
     for part, colour, width in (
         (slice(first, first + BEFORE), "0.75", 0.7),
         (slice(last - period, last), "#0072B2", 1.6),
     ):
-        _, x, v = f.sampled(found.states[:last][part], found.changes[part], LOCK_SAMPLES / f.period)
+        _, x, v = f.sampled(lock.states[:last][part], lock.changes[part], LOCK_SAMPLES / f.period)
         portrait.plot(x, v, color=colour, lw=width)
     portrait.set(xlabel="x (the scene's unit)", ylabel="v (the scene's unit)")
     portrait.set_title(f"Last {period} landings; grey: before the control")
     drawn = slice(max(last - TURNS * period, 0), last)
-    time, _, v = f.sampled(found.states[drawn], found.changes[drawn], LOCK_SAMPLES / f.period)
+    time, _, v = f.sampled(lock.states[drawn], lock.changes[drawn], LOCK_SAMPLES / f.period)
     velocity.plot(time, v, color="#0072B2", lw=1.0)
     velocity.set(xlabel="time (the scene's unit)", ylabel="v (the scene's unit)", title="Velocity on the orbit")
     return page
