@@ -12,7 +12,7 @@ from daq.finalise.quality import RecordingQuality
 from daq.runfile.recording import Recording
 from daq.wire.quadrature import EDGES_PER_COUNT
 
-RATE_TOLERANCE = 0.01  # of the commanded rate; above the 0.5 % of a ceramic resonator, not swept
+RATE_TOLERANCE = 0.01  # deviation from the commanded rate, relative; above the 0.5 % of a ceramic resonator, not swept
 PARKED_EDGES = 4  # a parked mass may dither about an edge
 MOVED_EDGES = 400  # by more than this a mass was not parked (an x4 count is never far off by itself)
 HAND_EDGES = 40  # a hand moves a mass by more

@@ -22,14 +22,17 @@ from daq.base.output.spill import Shelf, Spill
 from daq.runfile import journal
 from daq.runfile.recording import SentAs
 from daq.runfile.rig import Rig
-from daq.wire import clock_leaps, decode
+from daq.wire import counters, decode
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
 
 # Two calibrations contradict each other that differ by more standard errors.  With half, 13 % of sound pairs do; double
 # passes a change that is certain.
 ERRORS_APART = 3.0
-COUNTER_BITS, TICK_NS = 16, 1000  # of the project's firmware, where a journal's identification cannot be true
+COUNTER_BITS, TICK_NS = (
+    16,
+    1000,
+)  # the firmware's own, for an implausible identification
 
 
 def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Stream]]:
@@ -45,9 +48,55 @@ def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Strea
     for reads in _reads(taken.records):
         shelf: Shelf[decode.Stream] = Shelf(spill)
         for stream in backend.pieces(reads, taken.header):
-            shelf.append(clock_leaps.cut(believed(stream), float(taken.header["rate_hz"])))
+            shelf.append(cut_at_leaps(believed(stream), float(taken.header["rate_hz"])))
         shelves.append(shelf)
     return shelves
+
+
+def cut_at_leaps(stream: decode.Stream, rate_hz: float) -> decode.Stream:
+    """Return a stream whose frames are cut where the board's clock leaps within one: each keeps one pace.
+
+    A leap is a sample that does not follow the one before after a period of the nominal rate ``rate_hz``, Hz.  Leaps
+    between frames are judged by `daq.wire.counters.FrameOrder`.
+    """
+    samples = len(stream.dt)
+    period = np.concatenate(
+        [np.empty(0)]
+        + [
+            np.full(int(stream.n[first:end].sum()), 1e9 / (rate_hz * (1000 if ident is None else ident.tick_ns)))
+            for first, end, ident in stream.sent_as()
+        ]
+    )
+    leaps = np.asarray(~counters.fits(1, stream.dt / period))
+    leaps[stream.first] = False
+    if not leaps.any():
+        return stream
+    first = np.flatnonzero(leaps | np.isin(np.arange(samples), stream.first))
+    frame = np.searchsorted(stream.first, first, side="right") - 1  # the old frame that holds each new one
+    within = first - stream.first[frame]
+    elapsed = np.cumsum(stream.dt, dtype=np.int64)
+    dt = stream.dt.copy()
+    dt[first] = 0
+    last = np.diff(frame, append=len(stream.n)) > 0  # whether a new frame ends with the bytes of its old one
+    place = np.concatenate((np.flatnonzero(within == 0), [len(first)]))  # where each old frame begins
+    return replace(
+        stream,
+        first=first,
+        n=np.diff(first, append=samples),
+        seq=stream.seq[frame] + within & 0xFFFF,
+        ticks=stream.ticks[frame] + elapsed[first] - elapsed[stream.first[frame]] & 0xFFFFFFFF,
+        illegal=stream.illegal[frame],
+        stamp_ns=stream.stamp_ns[frame],
+        length=np.where(last, stream.length[frame], 0),
+        time_error=None if stream.time_error is None else stream.time_error[frame],
+        dt=dt,
+        idents=place[stream.idents],
+        crc_frame=place[stream.crc_frame],
+        truth_frame=place[stream.truth_frame],
+        part_frame=place[stream.part_frame],
+        configs=tuple((int(place[at]), text) for at, text in stream.configs),
+        notices=tuple((int(place[at]), text) for at, text in stream.notices),
+    )
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ class RunEvents:
     def __init__(self, markers: Sequence[tuple[int, str]], rate_hz: float) -> None:
         self._found: list[RunEvent] = []
         self._runs: dict[str, list[tuple[int, int]]] = {name: [] for name in FLAGS}
-        self._frames: list[tuple[int, str, str]] = []  # of frames whose sample has not come
+        self._frames: list[tuple[int, str, str]] = []  # events of frames whose sample has not come
         self._markers = list(markers)
         self._period_ns = 1e9 / rate_hz
         self._samples = 0

@@ -19,11 +19,11 @@ from daq.wire.decode import Stream
 from daq.wire.quadrature import EDGES_PER_COUNT
 
 NOT_IN_JSON = ("travel", "unit", "port_lost")
-LEAST_HELD = 0.9  # of the samples asked for: with fewer, or with more than the rest lost, it is another run
+LEAST_HELD = 0.9  # share of the samples asked for: with fewer, or with more than the rest lost, it is another run
 # A drift of fewer standard errors than CLEAR is not shown by the run.  How large it can be is then said, unless that is
 # more than TELLING_PPM: crystals keep 100 ppm, ceramic resonators 5000.
 CLEAR, TELLING_PPM = 2.0, 1000.0
-WHY = {"clock": "the clock leapt"}  # of a segment's beginning, where one word does not say it
+WHY = {"clock": "the clock leapt"}  # reasons why a segment begins, where one word does not say it
 LONG_GAP_S = 0.5  # a gap that a warning places in time
 
 

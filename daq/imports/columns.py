@@ -22,7 +22,7 @@ RATIO_NAMES = (
 )
 RATIO_UNITS = ("-", "1", "%", "dimensionless", "none", "unitless")
 COUNT_UNITS = ("count", "counts", "cts", "tick", "ticks", "pulse", "pulses", "inc", "increments", "steps")
-DIMENSIONS = ("time", "length", "force", "speed")  # of columns
+DIMENSIONS = ("time", "length", "force", "speed")  # dimensions that a column can have
 EXAMPLE_UNITS = {"time": "ms", "force": "mN, or weight for a force divided by the weight"}
 _IN_WORD = re.compile(r"[/,]|\bin\b")  # what stands between a name and its unit
 _BRACKETS = (("(", ")"), ("[", "]"))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 # Flags of `daq import` whose field has another name; either is a keyword.
 FLAGS = {"belt": "belt_speed", "frame_rate": "frame_rate_hz", "start": "started"}
 RUN_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".part")
-TABLE_SUFFIXES = (".mat", ".xlsx", ".tdms")  # of files that are tables and no text
+TABLE_SUFFIXES = (".mat", ".xlsx", ".tdms")  # suffixes of tables that are no text
 
 
 def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":

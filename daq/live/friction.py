@@ -19,13 +19,13 @@ from daq.live.sticks import Slip
 
 SLIPS = 24  # the last ones, of which the curve is made: half as many err by 1.4 times as much, twice as many lag behind
 PER_SLIP = 400  # samples kept of a slip: with half of them noise counts 1.4 times as much
-# Of the function of speed beside which k/m is found, closer at low speeds, where friction changes most.  Half and twice
-# give the same k/m to 0.02 %.
+# Knots of the function of speed beside which k/m is fitted, closer at low speeds, where friction changes most.  Half
+# and twice give the same k/m to 0.02 %.
 KNOTS = 16
-# Of the belt's speed: k/m is found at higher slip speeds, past ramps and what parabolas round.  Half errs by 0.1 % with
-# a ramp, double gives the same.
+# Share of the belt's speed: k/m is fitted at higher slip speeds, past ramps and what parabolas round.  Half errs by
+# 0.1 % with a ramp, double gives the same.
 RAMP_SHARE = 0.2
-BINS = 24  # of the curve, narrow at low speeds, where friction changes most
+BINS = 24  # bins of the curve, narrow at low speeds, where friction changes most
 FEWEST_IN_BIN = 3  # samples of a slip
 FEWEST_SLIPS = 3  # with fewer there is no scatter to speak of
 

@@ -5,7 +5,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 
 ROWS = 1 << 14  # kept at most: eight for each pixel of a wide screen, 0.5 MB
-PICKED = 4  # of a stretch: where position and velocity are least and largest
+PICKED = 4  # rows kept of a stretch: where position and velocity are least and largest
 
 
 class Overview:
@@ -19,7 +19,7 @@ class Overview:
 
     def __init__(self, columns: int) -> None:
         self._rows = np.empty((columns, 0))
-        self._waiting: list[Array] = []  # of a stretch that is not whole yet
+        self._waiting: list[Array] = []  # rows of a stretch that is not whole yet
         self._stretch = 1
 
     def take(self, rows: Array) -> None:

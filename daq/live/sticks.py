@@ -15,11 +15,11 @@ import numpy as np
 from daq.base.compute.arrays import Array, Mask, joined, rows
 from daq.live.motion import LiveMotion, MotionErrors
 
-# Of the belt's speed: farther from it the mass slips.  In every cycle of stick-slip it comes back, at more than 1.
-# Half takes noise, and the creep of a wide ramp, for slips; double misses the first slips of a record.
+# Share of the belt's speed: farther from it the mass slips.  In every cycle of stick-slip it comes back, at more than
+# 1.  Half takes noise, and the creep of a wide ramp, for slips; double misses the first slips of a record.
 SLIP_SHARE = 0.5
-# Of the rms acceleration of slips: below it the mass sticks.  A mass that swings without sticking is below it for 4 %
-# of half a period.  Half and twice change durations by 1 %.
+# Share of the rms acceleration of slips: below it the mass sticks.  A mass that swings without sticking is below it
+# for 4 % of half a period.  Half and twice change durations by 1 %.
 STICK_SHARE = 0.1
 NOISE = 4.0  # standard deviations: what is farther off is no noise; with half noise breaks sticks, double is 1 % late
 # Windows of the motion at small acceleration after which a slip has ended.  Half sees sticks in the slips of a noisy

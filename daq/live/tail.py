@@ -29,7 +29,7 @@ from daq.wire import counters, decode, frames
 # leaves few where several are damaged in a row, double costs 0.1 ms more a chunk.
 OVERLAP_LINES = 6
 MOST_OVERLAP = 1 << 14  # bytes that are kept of a stream without lines, such as noise at a wrong baud rate
-MOST_BYTES = 1 << 18  # of a journal read at once, 0.2 s of CPU time: a viewer that starts late catches up in steps
+MOST_BYTES = 1 << 18  # part of a journal read at once, 0.2 s of CPU time: a viewer that starts late catches up in steps
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ _COUNTS = ("up", "down", "count", "ticks")
 # Measured numbers with decimals: of what they are a unit, and its size in SI.  They count their last decimal.
 LENGTH, FORCE = "length", "force"
 MEASURED = {
-    "x": ("", 1.0),  # of a unit that nobody stated
+    "x": ("", 1.0),  # a length in a unit that nobody stated
     "x_m": (LENGTH, 1.0),
     "x_cm": (LENGTH, 1e-2),
     "x_mm": (LENGTH, 1e-3),
@@ -32,7 +32,7 @@ MOST_DECIMALS = 9
 # A travel of a hundred times the first readings still fits.  With 10 a mass that begins beside zero may run out of the
 # range; with 1000 a digit less is kept of numbers that a computer prints in full.
 ROOM = 100
-# Of numbers whose decimals nobody stated, while the first lines show them: a nanometre, or a micronewton.
+# Resolution of numbers whose decimals nobody stated, while the first lines show them: a nanometre, or a micronewton.
 _DECIMALS = {"x": 6, "x_m": 9, "x_cm": 7, "x_mm": 6, "x_um": 3, "F_N": 6, "F_mN": 3}
 VALUES = {
     **dict.fromkeys(TIMES, r"(\d{1,12}+)(?>\.(\d{0,9}+))?+"),

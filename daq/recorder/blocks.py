@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 WHERE = "daq.record"
 DO = "give blocks (t, x): times in s and positions in m, or integer counts, two arrays of one length"
-RATE_WITHIN = 0.1  # of the stated rate; another one is an error of the times' unit, or of the rate
+RATE_WITHIN = 0.1  # relative deviation from the stated rate; a larger one is an error of the times' unit or the rate
 FEWEST_STEPS = 20  # before the rate of the times is believed
 
 
@@ -216,7 +216,7 @@ class _Taking:
         self._number = 0
         self._counted: bool | None = None
         self._first_s = self._last_s = 0.0
-        self._steps: list[float] | None = []  # of the first samples; None once their rate was checked
+        self._steps: list[float] | None = []  # periods of the first samples; None once their rate was checked
 
     @property
     def taken_s(self) -> float:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rig_sim.flow.flow import Flow
 
 METHODS = ("ogy", "search")
-MOST_PERIOD = 100  # of a search; the multipliers of longer orbits leave no digit of a motion
+MOST_PERIOD = 100  # longest period of a search; the multipliers of longer orbits leave no digit of a motion
 MOST_EVENTS = 10_000_000
 # Integrator steps of a lock, 5 s, or so many for each event asked for.  Of the thesis's motions periods 1 to 5 take 5e5
 # and 100 takes 6e6; an event takes 80.  Where every close return is tried in vain a search took 24 s and more.
@@ -69,13 +69,13 @@ class Quench(Result, Quenching):
         """Draw the motion with and without its drive; without ``ax`` also its swing over the amplitude, below."""
         if ax is not None:
             return super().plot(ax)
-        from rig_sim.dynamics.pictures.driven import quench_figure
+        from rig_sim.dynamics.pictures.control import quench_figure
 
         return quench_figure(self.flow, *self.start)
 
     def draw(self, ax: "Axes") -> None:
         """Draw the motion with and without its drive."""
-        from rig_sim.dynamics.pictures.driven import draw_dither
+        from rig_sim.dynamics.pictures.control import draw_dither
 
         draw_dither(ax, self.flow, *self.start)
 
@@ -180,13 +180,13 @@ class Lock(Result):
         """Draw the landings; without ``ax`` also the changes of the amplitude, the phase portrait and the velocity."""
         if ax is not None or self.control is None or not hasattr(self.system, "landing"):
             return super().plot(ax)
-        from rig_sim.dynamics.pictures.driven import lock_figure
+        from rig_sim.dynamics.pictures.control import lock_figure
 
         return lock_figure(self.system, self.control, self.period, self.budget)
 
     def draw(self, ax: "Axes") -> None:
         """Draw the landings one after the other."""
-        from rig_sim.dynamics.pictures.driven import draw_landings
+        from rig_sim.dynamics.pictures.control import draw_landings
 
         draw_landings(ax, self.control)
 
@@ -240,7 +240,7 @@ class Shaker(Result):
 
     def draw(self, ax: "Axes") -> None:
         """Draw the curves of constant growth rate and frequency, and where the oscillation decays."""
-        from rig_sim.dynamics.pictures.shaker import draw_shaker
+        from rig_sim.dynamics.pictures.control import draw_shaker
 
         if self.plane is not None:
             draw_shaker(ax, self.plane, self.a, self.phi)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rig_sim.flow.flow import Flow
 
 CHANGE_IT = "change that value with --set"
-STARTS = 8  # of a map of an interval of one's own: fewer miss attractors with small basins, more cost in proportion
+STARTS = 8  # starts on a user's map of an interval: fewer miss attractors with small basins, more cost in proportion
 OFFSET = 0.6180339887498949  # of a start in its part of the interval: no simple fraction, as unstable orbits may be
 
 

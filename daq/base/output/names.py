@@ -7,7 +7,7 @@ from pathlib import Path
 
 from daq.base.errors import InputError
 
-FORMATS = {"n": r"(0?\d+)?d?", "date": ""}  # of each field, as a regular expression
+FORMATS = {"n": r"(0?\d+)?d?", "date": ""}  # format of each field, as a regular expression
 DO = "use {n}, {n:03} or {date}, as in 'run-{n:03}.h5'; for a brace itself write it twice"
 
 
