@@ -27,12 +27,12 @@ DOP853_RTOL = (1e-6, 1e-9, 1e-12, 2.3e-14)
 STIFF_RTOL = (1e-6, 1e-9)
 MOST_STEPS = 10**8
 LONGEST = 2000  # periods of the oscillator: the slowest method takes some minutes for them
-LONG_ENOUGH_S = 0.5  # of CPU: a run is repeated until all together have taken more; 0: each runs once
+LONG_ENOUGH_S = 0.5  # CPU time: a run is repeated until all together have taken more; 0: each runs once
 NO_REFERENCE = (
     "the tightest other method: the multi-precision reference covers neither droop nor an equation of motion that "
     "changes between events; such scenes are played interpreted"
 )
-LAST = 1e-6  # of the time span: an event this near its end may be missing from a list; not swept
+LAST = 1e-6  # share of the time span: an event this near its end may be missing from a list; not swept
 
 
 @dataclass(frozen=True)

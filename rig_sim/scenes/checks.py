@@ -8,7 +8,7 @@ from rig_sim.friction.spline import refused
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Friction
 
-MOST_POINTS = 1000  # of a measured curve: a fit gives some 16
+MOST_POINTS = 1000  # points of a measured curve: a fit gives some 16
 OWN_KEYS = {  # of the section friction, which no parameter of a formula can be; Fs, G_slip and gamma can
     "law": "the law's number",
     "curve": "measured points",

@@ -19,7 +19,7 @@ from rig_sim.scenes.scene import scene
 
 SPEED, U0 = 0.085, 0.2  # of the scene `forced`
 OMEGAS = np.linspace(0.2, 2.0, 241)  # of figure 6.6; 0.13 s of CPU each
-LANDINGS = 4000  # of a Lyapunov exponent
+LANDINGS = 4000  # landings of a Lyapunov exponent
 SLOW, FAST = (0.2, 0.3), (0.4, 4.0)  # u0 and omega of the unquenched and the quenched motion
 SETTLED = 300.0  # time after which a motion counts as settled
 

@@ -11,7 +11,7 @@ from rig_sim.dynamics.system.interface import OnInterval, slope, survey
 # many halve the distance at which they are.
 PLACES = 2000
 FEW = 200  # places that decide whether the map is defined anywhere: a motion that never sticks takes the most steps
-SAME = 1e-9  # of the interval: roots closer than this are one point; also how well f^n(x) = x holds at a root
+SAME = 1e-9  # share of the interval: roots closer than this are one point; also how well f^n(x) = x holds at a root
 
 
 @dataclass(frozen=True)
