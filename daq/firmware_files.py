@@ -192,8 +192,10 @@ def write_sketch(sketch: Sketch, target: Path, *, force: bool = False) -> tuple[
         The folder of the sketch, or the file for MicroPython; and all files.
     """
     source = folder() / "sketches"
-    own = source / sketch.name
-    files = {target / file.relative_to(own): file for file in sorted(own.rglob("*")) if file.is_file()}
+    sketch_folder = source / sketch.name
+    files = {
+        target / file.relative_to(sketch_folder): file for file in sorted(sketch_folder.rglob("*")) if file.is_file()
+    }
     main = next(place for place in files if place.suffix in (".ino", ".py"))
     if main.suffix == ".ino":
         files |= {main.parent / file.name: file for file in sorted((source / "common").iterdir())}

@@ -157,5 +157,5 @@ def nearest(word: str, known: "list[str] | tuple[str, ...]") -> str:
     """Return ``'; did you mean X?'`` for the closest known word, or an empty string."""
     from difflib import get_close_matches
 
-    found = get_close_matches(word, known, n=1, cutoff=0.5)
-    return f"did you mean {found[0]!r}?" if found else f"known: {', '.join(known)}"
+    similar = get_close_matches(word, known, n=1, cutoff=0.5)
+    return f"did you mean {similar[0]!r}?" if similar else f"known: {', '.join(known)}"

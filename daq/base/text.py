@@ -37,8 +37,8 @@ def printable(text: str, encoding: str | None = None) -> str:
     return shown if encoding is None else shown.encode(encoding, SPELLED).decode(encoding)
 
 
-def _escaped(found: "re.Match[str]") -> str:
-    code = ord(found[0])
+def _escaped(character: "re.Match[str]") -> str:
+    code = ord(character[0])
     if 0xDC80 <= code <= 0xDCFF:
         code -= 0xDC00  # a byte that was no UTF-8
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

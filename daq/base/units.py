@@ -149,14 +149,14 @@ def si_unit(dimension: str) -> str:
 
 
 def _split(text: str, dimension: str, where: str) -> tuple[float, str]:
-    found = _QUANTITY.fullmatch(text.strip())
-    if not found or found[2].startswith(","):
+    parts = _QUANTITY.fullmatch(text.strip())
+    if not parts or parts[2].startswith(","):
         hint = "with a decimal point, " if "," in text else ""
         raise InputError(f"{text!r} is not a valid {dimension}", where, f"write it {hint}like {EXAMPLES[dimension]!r}")
-    value = float(found[1])
+    value = float(parts[1])
     if not math.isfinite(value):
         raise InputError(f"{text!r} is too large", where, f"write for example {EXAMPLES[dimension]!r}")
-    return value, found[2].strip()
+    return value, parts[2].strip()
 
 
 def _size(unit: str, text: str, dimension: str, where: str) -> float:

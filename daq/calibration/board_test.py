@@ -12,7 +12,7 @@ from daq.finalise.quality import RecordingQuality
 from daq.runfile.recording import Recording
 from daq.wire.quadrature import EDGES_PER_COUNT
 
-RATE_TOLERANCE = 0.01  # of the commanded rate; above the 0.5 % of a ceramic resonator, not swept
+RATE_TOLERANCE = 0.01  # deviation from the commanded rate, relative; above the 0.5 % of a ceramic resonator, not swept
 PARKED_EDGES = 4  # a parked mass may dither about an edge
 MOVED_EDGES = 400  # by more than this a mass was not parked (an x4 count is never far off by itself)
 HAND_EDGES = 40  # a hand moves a mass by more
@@ -63,7 +63,7 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
     parked = stretch(run, 0.0, parked_s)
     moved = stretch(run, parked_s, float("inf"))
     pace = summary.measured_rate_hz / summary.rate_hz - 1
-    found = [
+    checks = [
         BoardCheck(
             "rate",
             abs(pace) <= RATE_TOLERANCE,
@@ -85,13 +85,13 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
         ),
     ]
     if parked_s > 0:
-        found.append(_parked(parked, run))
+        checks.append(_parked(parked, run))
     if moved.seconds > 0:
-        found.append(_moved(moved, run))
+        checks.append(_moved(moved, run))
         levels = _levels(run, parked_s, moved)
         if levels is not None:
-            found.append(levels)
-    return found
+            checks.append(levels)
+    return checks
 
 
 def _clock(summary: RecordingQuality) -> BoardCheck:

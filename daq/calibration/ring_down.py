@@ -33,12 +33,12 @@ from daq.calibration import swing_kernel
 
 KERNELS = ("daq.calibration.swing_kernel",)
 FEWEST_SWINGS = 3  # half-swings; with fewer, friction and damping cannot be separated
-RELEASED = 0.97  # of the first amplitude: below it the mass is taken as released; chosen by judgement, not swept
+RELEASED = 0.97  # share of the first amplitude: below it the mass is taken as released; chosen by judgement, not swept
 STEP = 0.03  # rad, between nodes; where friction weakens the error falls as its square
-STEP_ERROR = 1e-5  # of omega, where friction weakens within a step
+STEP_ERROR = 1e-5  # relative error of omega, where friction weakens within a step
 MOST_NODES = 400_000
 MOST_SAMPLES = 6000  # fitted; more take time in proportion and add little
-LEAST_GAIN = 12.0  # of chi square, by adding g: a likelihood ratio test, chi2 with 1 degree of freedom at 0.05 %
+LEAST_GAIN = 12.0  # fall of chi square by adding g: a likelihood ratio test, chi2 with 1 degree of freedom at 0.05 %
 NOISE_FLOOR = 0.32  # counts: 1 / sqrt(12) is what counting alone leaves
 POOR_FIT = 0.002  # residual rms over first amplitude, above which the model is rejected; chosen by judgement, not swept
 
@@ -248,9 +248,9 @@ def _solve(
     best = None
     n = len(x)
     for begin in starts:
-        found = least_squares(misfit, (begin / scale)[:free], method="lm", diff_step=[1e-4], max_nfev=25 * free)
-        if best is None or found.cost < best.cost:
-            best = found
+        solution = least_squares(misfit, (begin / scale)[:free], method="lm", diff_step=[1e-4], max_nfev=25 * free)
+        if best is None or solution.cost < best.cost:
+            best = solution
         if 2 * best.cost < n * (NOISE_FLOOR * resolution) ** 2:
             break
     if best is None:

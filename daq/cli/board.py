@@ -85,8 +85,8 @@ def check(
     if parked_s:
         _ask(f"do not touch the mass for {parked_s:g} s", not (yes or json or simulated))
     summary, run = _take(request, progress)
-    found = board_test.findings(summary, run, parked_s)
-    ok = all(finding.ok is not False for finding in found)
+    checks = board_test.findings(summary, run, parked_s)
+    ok = all(finding.ok is not False for finding in checks)
     still = board_test.stretch(run, 0.0, parked_s)
     moved = board_test.stretch(run, parked_s, float("inf"))
     data: dict[str, Any] = {key: value for key, value in summary.as_json().items() if key != "file"}
@@ -98,11 +98,11 @@ def check(
         "parked_drift": still.counts,
         "move": vars(moved),
         "hand_move": moved.counts,
-        "checks": [vars(finding) for finding in found],
+        "checks": [vars(finding) for finding in checks],
     }
     marks = {True: "OK", False: "FAIL", None: "--"}
-    lines = [f"{marks[finding.ok]:<4} {finding.name}: {finding.seen}" for finding in found]
-    lines += [f"     do: {finding.do}" for finding in found if finding.ok is not True and finding.do]
+    lines = [f"{marks[finding.ok]:<4} {finding.name}: {finding.seen}" for finding in checks]
+    lines += [f"     do: {finding.do}" for finding in checks if finding.ok is not True and finding.do]
     lines += sentences.warnings(summary.warnings)
     lines.append("next: daq calibrate" if ok else "see the lines marked FAIL")
     return Answer(data, "\n".join(lines), EXIT_DONE if ok else EXIT_DATA)
@@ -161,20 +161,20 @@ def calibrate(
     _reach(replace(request, duration_s=duration if ring_down else move))
     wait = not (yes or json or request.port.startswith("rig://"))
     pitch = ring = None
-    found = None
+    recording = None
     warnings: list[str] = []
     if distance is not None:
         far = f"{1e3 * distance.value:g} mm"
         _ask(f"let the mass rest; move it by {far} within {move:g} s, and let it rest again", wait)
-        summary, found = _take(replace(request, duration_s=move))
-        pitch = measure.metres_per_count(found, distance)
+        summary, recording = _take(replace(request, duration_s=move))
+        pitch = measure.metres_per_count(recording, distance)
         warnings += summary.warnings
-        if not measure.stands_at_first(found):
+        if not measure.stands_at_first(recording):
             warnings.append("the mass moved from the first sample on: the distance was counted from there")
     if ring_down:
         _ask(f"displace the mass, release it, and do not touch it for {duration:g} s", wait)
-        summary, found = _take(replace(request, duration_s=duration))
-        ring = measure.ring_down(found)
+        summary, recording = _take(replace(request, duration_s=duration))
+        ring = measure.ring_down(recording)
         warnings += summary.warnings
         if ring.poor:
             raise DataError(
@@ -183,15 +183,15 @@ def calibrate(
                 "ring-down",
                 "stop the belt, displace the mass, release it and do not touch it; or --no-ring-down",
             )
-    if found is None:
+    if recording is None:
         raise ValueError("neither measurement was made")
-    made = measure.calibrated(found.rig, pitch, ring, mass)
+    made = measure.calibrated(recording.rig, pitch, ring, mass)
     if ring is not None and made.mass is None:
         warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
     if made.metres_per_count is None:
         warnings.append("without --distance there are no metres: lengths are counts")
     warnings = [w for w in dict.fromkeys(warnings) if pitch is None or "metres per count" not in w]
-    left_out = ["belt_speed"] if measure.belt_stands(found.rig) else []
+    left_out = ["belt_speed"] if measure.belt_stands(recording.rig) else []
     text = sentences.ring_down_comment(ring) + sentences.left_out_comment(left_out) + made.to_toml() + board_toml(known)
     with atomic.replacing(output, force) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -270,8 +270,8 @@ def _pair(key: str, measured: Measured) -> dict[str, float]:
 
 
 def _values(rig: Rig) -> dict[str, Any]:
-    found: dict[str, Any] = {"decoder": rig.decoder, "counter_bits": rig.counter_bits}
+    values: dict[str, Any] = {"decoder": rig.decoder, "counter_bits": rig.counter_bits}
     for key in QUANTITIES:
         if (measured := getattr(rig, key)) is not None:
-            found |= _pair(key, measured)
-    return found
+            values |= _pair(key, measured)
+    return values

@@ -74,12 +74,12 @@ def import_table(
     suffix.check_run(target)
     atomic.refuse_existing(target, force, file)
     with application.progress("reading", None, "lines") as show:
-        found = track.read(file, options, show.stage)
-    store.write(target, replace(found.run, **given), force=force)
-    data = sentences.run_data(found.run, target, found.warnings) | {
-        key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even", "skipped", "assumed")
+        imported = track.read(file, options, show.stage)
+    store.write(target, replace(imported.run, **given), force=force)
+    data = sentences.run_data(imported.run, target, imported.warnings) | {
+        key: getattr(imported, key) for key in ("columns", "delimiter", "decimal", "even", "skipped", "assumed")
     }
-    return Answer(data, sentences.run_text("imported", found.run, data, sentences.columns(found)))
+    return Answer(data, sentences.run_text("imported", imported.run, data, sentences.columns(imported)))
 
 
 def replay(

@@ -65,17 +65,17 @@ def note(
     marks = mark or []
     for _, text in marks:
         check_text(text, "--mark")
-    found = store.annotate(run, given, marks) if given or marks else store.load(run, slice(1))
-    time = store.times(run) if "marker" in found.event_kind else None
-    events = zip(found.event_sample, found.event_kind, found.event_note, strict=True)
+    annotated = store.annotate(run, given, marks) if given or marks else store.load(run, slice(1))
+    time = store.times(run) if "marker" in annotated.event_kind else None
+    events = zip(annotated.event_sample, annotated.event_kind, annotated.event_note, strict=True)
     markers = [
         {"t": float(time[sample]), "text": text}
         for sample, kind, text in events
         if time is not None and kind == "marker"
     ]
-    data = {"file": run, **_notes(found), "markers": markers}
-    lines = [f"{run}: {found.title}"]
-    lines += [f"{name}: {text}" for name, text in found.remarks().items()]
+    data = {"file": run, **_notes(annotated), "markers": markers}
+    lines = [f"{run}: {annotated.title}"]
+    lines += [f"{name}: {text}" for name, text in annotated.remarks().items()]
     lines += [f"{marker['t']:.3f} s: {marker['text']}" for marker in markers]
     return Answer(data, "\n".join(lines))
 

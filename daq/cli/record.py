@@ -108,9 +108,9 @@ def record(
     )
     view = viewer(wanted.part, no_browser) if live else contextlib.nullcontext()
     with view, _stop_on_signal() as stop, application.progress("recording", duration, "s") as show:
-        found = take(wanted, progress=show, status=show.status, say=application.note, stop=stop)
-    code = EXIT_DATA if found.short or found.sparse else EXIT_DONE if found.file == target else EXIT_DEVICE
-    return Answer(found.as_json(), sentences.recorded("recorded", found), code)
+        recorded = take(wanted, progress=show, status=show.status, say=application.note, stop=stop)
+    code = EXIT_DATA if recorded.short or recorded.sparse else EXIT_DONE if recorded.file == target else EXIT_DEVICE
+    return Answer(recorded.as_json(), sentences.recorded("recorded", recorded), code)
 
 
 def rig_port(scene: str | None, changes: list[str] | None, realtime: bool) -> str:
@@ -138,8 +138,8 @@ def recover(
     """
     from daq.recorder import source
 
-    found = source.recover(journal, output, force=force)
-    return Answer(found.as_json(), sentences.recorded("recovered", found))
+    recovered = source.recover(journal, output, force=force)
+    return Answer(recovered.as_json(), sentences.recorded("recovered", recovered))
 
 
 def ports(*, json: Json = False) -> Answer:
@@ -149,16 +149,16 @@ def ports(*, json: Json = False) -> Answer:
     """
     from daq.recorder.ports import list_ports
 
-    found = list_ports()
-    width = max(len(item.port) for item in found)
+    listed = list_ports()
+    width = max(len(item.port) for item in listed)
     lines = []
-    for item in found:
+    for item in listed:
         lines.append(f"{item.port:<{width}}  {item.description}")
         if item.do:
             lines.append(f"{'':<{width}}  may not be opened: {item.do}")
-    if len(found) == 1:
+    if len(listed) == 1:
         lines.append("no serial port here: plug the board in and look again")
-    data = [vars(item) for item in found]
+    data = [vars(item) for item in listed]
     return Answer(data, "\n".join(lines))
 
 

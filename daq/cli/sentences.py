@@ -27,20 +27,20 @@ KINDS = {
 }
 
 
-def warnings(found: Sequence[str]) -> list[str]:
+def warnings(texts: Sequence[str]) -> list[str]:
     """Return the lines of warnings."""
-    return [f"warning: {warning}" for warning in found]
+    return [f"warning: {warning}" for warning in texts]
 
 
-def run_data(run: "Recording", target: Path, found: Sequence[str]) -> dict[str, Any]:
-    """Return the JSON of a run that was written, with the warnings ``found``."""
+def run_data(run: "Recording", target: Path, warned: Sequence[str]) -> dict[str, Any]:
+    """Return the JSON of a run that was written, with the ``warned`` sentences as its warnings."""
     return {
         "samples": int(run.time.size),
         "segments": len(set(run.segment.tolist())),
         "rate_hz": run.rate_hz,
         "duration_s": float(run.time[-1] - run.time[0]) + 1 / run.rate_hz,  # to one period after the last sample
         "file": target,
-        "warnings": list(found),
+        "warnings": list(warned),
     }
 
 
@@ -66,30 +66,30 @@ def written(file: Path | None) -> list[str]:
     return [f"-> {file}", f"next: process smooth {shlex.quote(str(file))}"]
 
 
-def recorded(done: str, found: "RecordingQuality") -> str:
+def recorded(done: str, quality: "RecordingQuality") -> str:
     """Return what is printed about a recording."""
-    lost = f"{found.lost} samples lost" if found.lost else "no sample lost"
-    lost += " while the port was there" if found.port_lost else ""
-    clock = found.clock_drift
+    lost = f"{quality.lost} samples lost" if quality.lost else "no sample lost"
+    lost += " while the port was there" if quality.port_lost else ""
+    clock = quality.clock_drift
     lines = [
-        f"{done} {found.samples} samples in {found.duration_s:.1f} s at {found.rate_hz:g} Hz, {lost}"
+        f"{done} {quality.samples} samples in {quality.duration_s:.1f} s at {quality.rate_hz:g} Hz, {lost}"
         + (f"; {clock}" if clock else ""),
-        f"{travel(*found.travel, found.unit)}, at most {found.peak_edge_rate_hz:.0f} edges/s",
-        *warnings(found.warnings),
-        *written(found.file),
+        f"{travel(*quality.travel, quality.unit)}, at most {quality.peak_edge_rate_hz:.0f} edges/s",
+        *warnings(quality.warnings),
+        *written(quality.file),
     ]
     return "\n".join(lines)
 
 
-def columns(found: "Imported") -> str:
+def columns(imported: "Imported") -> str:
     """Return how the columns of a table were read."""
-    form = KINDS.get(found.delimiter, f"delimiter {found.delimiter}, decimal {found.decimal!r}")
-    line = f"read as: {form}, time from {found.columns['time']}"
-    line += f", position from {found.columns['position']}"
-    line += f", belt from {found.columns['belt']}" if "belt" in found.columns else ""
-    line += "" if found.even else "; unevenly sampled"
-    if found.assumed:
-        line += f"\nno unit is stated for what is read in {' and in '.join(found.assumed)}"
+    form = KINDS.get(imported.delimiter, f"delimiter {imported.delimiter}, decimal {imported.decimal!r}")
+    line = f"read as: {form}, time from {imported.columns['time']}"
+    line += f", position from {imported.columns['position']}"
+    line += f", belt from {imported.columns['belt']}" if "belt" in imported.columns else ""
+    line += "" if imported.even else "; unevenly sampled"
+    if imported.assumed:
+        line += f"\nno unit is stated for what is read in {' and in '.join(imported.assumed)}"
     return line
 
 
@@ -119,7 +119,9 @@ def left_out_comment(names: Sequence[str]) -> str:
     return "".join(f"# {name} left out: the belt did not move (0 m/s); give that of the runs\n" for name in names)
 
 
-def calibrated(rig: "Rig", ring: "RingDown | None", left_out: Sequence[str], found: Sequence[str], output: Path) -> str:
+def calibrated(
+    rig: "Rig", ring: "RingDown | None", left_out: Sequence[str], warned: Sequence[str], output: Path
+) -> str:
     """Return what is printed about a calibration."""
     lines = []
     if ring is not None:
@@ -128,4 +130,4 @@ def calibrated(rig: "Rig", ring: "RingDown | None", left_out: Sequence[str], fou
     values = {key: getattr(rig, key) for key in UNITS}
     lines += [f"{key} {v.value:.6g} +- {v.sd:.2g} {UNITS[key]}" for key, v in values.items() if v is not None]
     lines += left_out_comment(left_out).removeprefix("# ").splitlines()
-    return "\n".join([*lines, *warnings(found), f"-> {output}", f"next: daq record --rig {output}"])
+    return "\n".join([*lines, *warnings(warned), f"-> {output}", f"next: daq record --rig {output}"])

@@ -104,9 +104,9 @@ def _commands() -> Check:
     scripts = Path(sys.executable).parent
     elsewhere = []
     for command in ("daq", "process", "fit-friction", "rig-sim"):
-        found = shutil.which(command)
-        if found is not None and Path(found).parent.resolve() != scripts.resolve():
-            elsewhere.append(f"{command} is {found}")
+        path = shutil.which(command)
+        if path is not None and Path(path).parent.resolve() != scripts.resolve():
+            elsewhere.append(f"{command} is {path}")
     detail = "; ".join(elsewhere) if elsewhere else f"in {scripts}"
     return Check("commands", not elsewhere, detail, f"put {scripts} first on PATH, or activate its environment")
 
@@ -130,21 +130,21 @@ def _rig() -> Check:
 def _ports() -> Check:
     from serial.tools.list_ports import comports
 
-    found = [port.device for port in comports()]
-    return Check("serial ports", True, ", ".join(found) if found else "none; the simulated rig needs none")
+    devices = [port.device for port in comports()]
+    return Check("serial ports", True, ", ".join(devices) if devices else "none; the simulated rig needs none")
 
 
 def _browser() -> Check:
     import webbrowser
 
     names = ("chromium", "chromium-browser", "google-chrome", "firefox")
-    found = next((path for path in map(shutil.which, names) if path), None)
-    if found is None:
+    browser = next((path for path in map(shutil.which, names) if path), None)
+    if browser is None:
         try:
-            found = webbrowser.get().__class__.__name__
+            browser = webbrowser.get().__class__.__name__
         except webbrowser.Error:
-            found = None
-    return Check("browser", True, found or "none found; reports are files; open them with a browser on any machine")
+            browser = None
+    return Check("browser", True, browser or "none found; reports are files; open them with a browser on any machine")
 
 
 def _folder() -> Check:
@@ -192,8 +192,8 @@ def demo(*, json: Json = False) -> Answer:
 def _typed(command: str) -> str:
     """Return a command of this installation as it is typed here: its name where that finds it, else its path."""
     script = Path(sys.executable).parent / command
-    found = shutil.which(command)
-    if found is not None and Path(found).resolve() == script.resolve():
+    path = shutil.which(command)
+    if path is not None and Path(path).resolve() == script.resolve():
         return command
     return str(script.relative_to(Path.cwd())) if script.is_relative_to(Path.cwd()) else str(script)
 

@@ -33,8 +33,8 @@ def pieces(recorded: journal.Journal) -> Iterator[BlockPiece]:
     begun: float | None = None
     last_s, last_index, last_ns, last_value, taken = 0.0, -1, 0, 0, 0
     for number, record in enumerate(recorded.records.of_kind(journal.RECEIVED)):
-        found = blocks.unpacked(record.data, columns)
-        time, values = (np.empty(0), np.empty(0)) if found is None else found
+        content = blocks.unpacked(record.data, columns)
+        time, values = (np.empty(0), np.empty(0)) if content is None else content
         left = len(time) if most is None else most - taken
         time, values = time[:left], values[:left]
         if begun is None and len(time):
@@ -54,7 +54,7 @@ def pieces(recorded: journal.Journal) -> Iterator[BlockPiece]:
             rate = float(np.max(moved / np.maximum(steps, 1 / rate_hz), initial=0.0))
             last_value = int(values[-1])
         yield BlockPiece(
-            _piece(time - (begun or 0.0), index, stamp, number, damaged=found is None),
+            _piece(time - (begun or 0.0), index, stamp, number, damaged=content is None),
             _checked(values, lost, rate, begins=not taken),
             values,
         )

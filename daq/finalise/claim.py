@@ -70,9 +70,9 @@ def remove_empty(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             content = file.read(journal.HEADER_EVERY)
-        found = list(journal_records.scan(journal.Content(content)))
-        whole = max((place.at + place.record.size for place in found), default=len(journal.MAGIC))
-        headers = all(place.record.kind == journal.HEADER for place in found)
+        places = list(journal_records.scan(journal.Content(content)))
+        whole = max((place.at + place.record.size for place in places), default=len(journal.MAGIC))
+        headers = all(place.record.kind == journal.HEADER for place in places)
         headers = headers and content[whole : whole + 1] in (b"", bytes([journal.HEADER]))
         own = journal.MAGIC.startswith(content[: len(journal.MAGIC)])
         if own and headers and len(content) < journal.HEADER_EVERY:

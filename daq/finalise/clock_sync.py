@@ -206,7 +206,7 @@ class _Cheapest:
     """Of each bin the point of the least cost, the first of equal ones; points come in order."""
 
     def __init__(self) -> None:
-        self._best: dict[int, tuple[float, int, Points]] = {}  # of each bin: cost, number, point
+        self._best: dict[int, tuple[float, int, Points]] = {}  # best point of each bin: cost, number, point
         self._n = 0
 
     def take(self, points: Points, bins: NDArray[np.int64], cost: NDArray[np.float64]) -> None:

@@ -22,14 +22,17 @@ from daq.base.output.spill import Shelf, Spill
 from daq.runfile import journal
 from daq.runfile.recording import SentAs
 from daq.runfile.rig import Rig
-from daq.wire import clock_leaps, decode
+from daq.wire import counters, decode
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
 
 # Two calibrations contradict each other that differ by more standard errors.  With half, 13 % of sound pairs do; double
 # passes a change that is certain.
 ERRORS_APART = 3.0
-COUNTER_BITS, TICK_NS = 16, 1000  # of the project's firmware, where a journal's identification cannot be true
+COUNTER_BITS, TICK_NS = (
+    16,
+    1000,
+)  # the firmware's own, for an implausible identification
 
 
 def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Stream]]:
@@ -41,13 +44,59 @@ def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Strea
         The journal is in a protocol that this version does not know.
     """
     backend = protocols.load(taken.header["protocol"], str(taken.path))
-    found = []
+    shelves = []
     for reads in _reads(taken.records):
         shelf: Shelf[decode.Stream] = Shelf(spill)
         for stream in backend.pieces(reads, taken.header):
-            shelf.append(clock_leaps.cut(believed(stream), float(taken.header["rate_hz"])))
-        found.append(shelf)
-    return found
+            shelf.append(cut_at_leaps(believed(stream), float(taken.header["rate_hz"])))
+        shelves.append(shelf)
+    return shelves
+
+
+def cut_at_leaps(stream: decode.Stream, rate_hz: float) -> decode.Stream:
+    """Return a stream whose frames are cut where the board's clock leaps within one: each keeps one pace.
+
+    A leap is a sample that does not follow the one before after a period of the nominal rate ``rate_hz``, Hz.  Leaps
+    between frames are judged by `daq.wire.counters.FrameOrder`.
+    """
+    samples = len(stream.dt)
+    period = np.concatenate(
+        [np.empty(0)]
+        + [
+            np.full(int(stream.n[first:end].sum()), 1e9 / (rate_hz * (1000 if ident is None else ident.tick_ns)))
+            for first, end, ident in stream.sent_as()
+        ]
+    )
+    leaps = np.asarray(~counters.fits(1, stream.dt / period))
+    leaps[stream.first] = False
+    if not leaps.any():
+        return stream
+    first = np.flatnonzero(leaps | np.isin(np.arange(samples), stream.first))
+    frame = np.searchsorted(stream.first, first, side="right") - 1  # the old frame that holds each new one
+    within = first - stream.first[frame]
+    elapsed = np.cumsum(stream.dt, dtype=np.int64)
+    dt = stream.dt.copy()
+    dt[first] = 0
+    last = np.diff(frame, append=len(stream.n)) > 0  # whether a new frame ends with the bytes of its old one
+    place = np.concatenate((np.flatnonzero(within == 0), [len(first)]))  # where each old frame begins
+    return replace(
+        stream,
+        first=first,
+        n=np.diff(first, append=samples),
+        seq=stream.seq[frame] + within & 0xFFFF,
+        ticks=stream.ticks[frame] + elapsed[first] - elapsed[stream.first[frame]] & 0xFFFFFFFF,
+        illegal=stream.illegal[frame],
+        stamp_ns=stream.stamp_ns[frame],
+        length=np.where(last, stream.length[frame], 0),
+        time_error=None if stream.time_error is None else stream.time_error[frame],
+        dt=dt,
+        idents=place[stream.idents],
+        crc_frame=place[stream.crc_frame],
+        truth_frame=place[stream.truth_frame],
+        part_frame=place[stream.part_frame],
+        configs=tuple((int(place[at]), text) for at, text in stream.configs),
+        notices=tuple((int(place[at]), text) for at, text in stream.notices),
+    )
 
 
 @dataclass(frozen=True)
@@ -123,7 +172,10 @@ def units(idents: Sequence[wire.Ident | None], rig: Rig) -> CountUnits:
         scale=np.maximum(edges // finest, 1),
         edges=edges,
         phase=np.array(
-            [each == "x4" and wire.Capability.LEVELS in own for each, own in zip(decoders, has, strict=True)],
+            [
+                each == "x4" and wire.Capability.LEVELS in capabilities
+                for each, capabilities in zip(decoders, has, strict=True)
+            ],
             dtype=np.bool_,
         ),
         illegal=np.array([wire.Capability.ILLEGAL in each for each in has], dtype=np.bool_),
@@ -154,31 +206,33 @@ def contradictions(idents: Sequence[wire.Ident | None], configs: Sequence[str], 
 
     ``configs`` are the calibrations that the boards sent, in order; ``rig`` is the run's own.
     """
-    found = []
+    sentences = []
     known = [ident for ident in idents if ident is not None]
     if len(known) > 1:
         changes = "; then ".join(words(ident) for ident in known)
-        found.append(f"the board identified itself anew, as another: {changes}; each segment is read as it was sent")
+        sentences.append(
+            f"the board identified itself anew, as another: {changes}; each segment is read as it was sent"
+        )
     decoders = list(dict.fromkeys(ident.decoder for ident in known))
     unrelated = [decoder for decoder in decoders if decoder not in EDGES_PER_COUNT]
     if len(decoders) > 1 and unrelated:
-        found.append(
+        sentences.append(
             f"the decoder changed between {' and '.join(decoders)}, and how their counts compare is not known: "
             f"positions of segments other than {decoders[0]} may have another scale"
         )
     elif len({EDGES_PER_COUNT[decoder] for decoder in decoders if decoder not in unrelated}) > 1:
-        found.append(
+        sentences.append(
             f"the decoder changed between {' and '.join(decoders)}: all counts are in those of {rig.decoder}, and the "
             f"metres per count are those of {decoders[0]}, divided accordingly"
         )
     pitches = [pitch for config in dict.fromkeys(configs) if (pitch := _pitch(config)) is not None]
     other = next((each for each in pitches if _contradict(each, pitches[0])), None)
     if other is not None:
-        found.append(
+        sentences.append(
             f"the board sent another calibration, {other.value:g} m per count where it was {pitches[0].value:g}: "
             "positions are made with the first of them, or with the one given"
         )
-    return found
+    return sentences
 
 
 def _contradict(one: Measured, other: Measured) -> bool:
@@ -206,12 +260,12 @@ def stored(
     """Return for the run file from which segment on which identification holds; None where there is only one."""
     if len(source) < 2:
         return None
-    own = units(idents, rig)
+    per_ident = units(idents, rig)
     which = np.array(source, dtype=np.int64)
     text = ["no identification" if ident is None else words(ident) for ident in idents]
     return SentAs(
         segment=np.array(segment, dtype=np.uint32),
-        counter_bits=own.bits[which].astype(np.uint8),
-        counts=own.scale[which].astype(np.uint8),
+        counter_bits=per_ident.bits[which].astype(np.uint8),
+        counts=per_ident.scale[which].astype(np.uint8),
         ident=tuple(text[each] for each in source),
     )

@@ -39,7 +39,7 @@ class RunEvents:
     def __init__(self, markers: Sequence[tuple[int, str]], rate_hz: float) -> None:
         self._found: list[RunEvent] = []
         self._runs: dict[str, list[tuple[int, int]]] = {name: [] for name in FLAGS}
-        self._frames: list[tuple[int, str, str]] = []  # of frames whose sample has not come
+        self._frames: list[tuple[int, str, str]] = []  # events of frames whose sample has not come
         self._markers = list(markers)
         self._period_ns = 1e9 / rate_hz
         self._samples = 0
@@ -88,11 +88,11 @@ class RunEvents:
 
     def sorted(self) -> list[RunEvent]:
         """Return all events in order of their samples."""
-        found = list(self._found)
+        events = list(self._found)
         for name, stretches in self._runs.items():
-            found += [(first, EVENTS[name], f"{end - first} samples") for first, end in stretches]
-        found += [(self._samples - 1, EVENTS[name], note) for _, name, note in self._frames]
-        return sorted(found)
+            events += [(first, EVENTS[name], f"{end - first} samples") for first, end in stretches]
+        events += [(self._samples - 1, EVENTS[name], note) for _, name, note in self._frames]
+        return sorted(events)
 
 
 def _begun(why: str, gap_s: float, leap_s: float) -> str:

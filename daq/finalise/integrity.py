@@ -115,7 +115,7 @@ class CountCheck:
         self._starts_at_phase = starts_at_phase
         self._safe_s = float("inf")
         self._wide = False  # whether segment numbers take 32 bits
-        self._offsets: NDArray[np.uint8] | None = None  # of each segment
+        self._offsets: NDArray[np.uint8] | None = None  # offset of each segment
         self._last: Samples | None = None
         self._taken = self._count = self._segments = self._risen = 0
 

@@ -19,11 +19,11 @@ from daq.wire.decode import Stream
 from daq.wire.quadrature import EDGES_PER_COUNT
 
 NOT_IN_JSON = ("travel", "unit", "port_lost")
-LEAST_HELD = 0.9  # of the samples asked for: with fewer, or with more than the rest lost, it is another run
+LEAST_HELD = 0.9  # share of the samples asked for: with fewer, or with more than the rest lost, it is another run
 # A drift of fewer standard errors than CLEAR is not shown by the run.  How large it can be is then said, unless that is
 # more than TELLING_PPM: crystals keep 100 ppm, ceramic resonators 5000.
 CLEAR, TELLING_PPM = 2.0, 1000.0
-WHY = {"clock": "the clock leapt"}  # of a segment's beginning, where one word does not say it
+WHY = {"clock": "the clock leapt"}  # reasons why a segment begins, where one word does not say it
 LONG_GAP_S = 0.5  # a gap that a warning places in time
 
 
@@ -245,7 +245,7 @@ def from_run(
 
 
 def warnings(
-    found: RecordingQuality,
+    quality: RecordingQuality,
     recorded: journal.Journal,
     totals: DataTotals,
     repeated: int,
@@ -253,8 +253,8 @@ def warnings(
     rig: Rig,
 ) -> list[str]:
     """Return one sentence for each thing that is wrong with the data, with its number."""
-    lines = [*_port_outages(recorded.records), *_data_warnings(found, totals, repeated, rig, streams)]
-    lines += _incomplete(found, totals)
+    lines = [*_port_outages(recorded.records), *_data_warnings(quality, totals, repeated, rig, streams)]
+    lines += _incomplete(quality, totals)
     if recorded.lost_tail:
         lines.append(f"the last {recorded.lost_tail} bytes of the journal were cut short: its last record")
     if recorded.damaged:
@@ -263,10 +263,10 @@ def warnings(
     return lines
 
 
-def _incomplete(found: RecordingQuality, totals: DataTotals) -> list[str]:
+def _incomplete(quality: RecordingQuality, totals: DataTotals) -> list[str]:
     """Return sentences for a run that is not what was asked for, and for its longest gap."""
     lines = []
-    if found.short and found.asked_s is not None:
+    if quality.short and quality.asked_s is not None:
         why = {
             journal.COMPLETE: "samples are missing",
             journal.PORT_LOST: "the port was lost",
@@ -274,12 +274,12 @@ def _incomplete(found: RecordingQuality, totals: DataTotals) -> list[str]:
             journal.SOURCE_FAILED: "the source failed",
             journal.SOURCE_ENDED: "the source ended",
         }
-        held_s = found.samples / found.rate_hz
-        because = why.get(found.ended, f"ended by {found.ended}")
-        lines.append(f"the run holds {held_s:.3g} s of samples of the {found.asked_s:.3g} s asked for: {because}")
-    if found.sparse:
-        lines.append(f"{found.lost / (found.samples + found.lost):.0%} of the samples are lost")
-    gap_s = totals.longest_gap / found.rate_hz
+        held_s = quality.samples / quality.rate_hz
+        because = why.get(quality.ended, f"ended by {quality.ended}")
+        lines.append(f"the run holds {held_s:.3g} s of samples of the {quality.asked_s:.3g} s asked for: {because}")
+    if quality.sparse:
+        lines.append(f"{quality.lost / (quality.samples + quality.lost):.0%} of the samples are lost")
+    gap_s = totals.longest_gap / quality.rate_hz
     if gap_s > LONG_GAP_S:
         lines.append(
             f"the longest gap begins {totals.longest_after_s:.3f} s after the first sample and lasts {gap_s:.3g} s"
@@ -335,39 +335,39 @@ def _times(found_s: Sequence[float]) -> str:
     return ", ".join(at) + (f" and {len(found_s) - 5} times more" if len(found_s) > 5 else "")
 
 
-def _amounts(by: str, found: Sequence[tuple[float, float]]) -> str:
+def _amounts(by: str, leaps: Sequence[tuple[float, float]]) -> str:
     """Return the first few of some times and amounts, s, in words."""
-    at = [f"{by} {amount:.3g} s at {time_s:.3f} s" for time_s, amount in found[:5]]
-    return ", ".join(at) + (f" and {len(found) - 5} times more" if len(found) > 5 else "")
+    at = [f"{by} {amount:.3g} s at {time_s:.3f} s" for time_s, amount in leaps[:5]]
+    return ", ".join(at) + (f" and {len(leaps) - 5} times more" if len(leaps) > 5 else "")
 
 
 def _data_warnings(
-    found: RecordingQuality, totals: DataTotals, repeated: int, rig: Rig, streams: Sequence[Stream]
+    quality: RecordingQuality, totals: DataTotals, repeated: int, rig: Rig, streams: Sequence[Stream]
 ) -> list[str]:
     """Return one sentence for each kind of damage in the data, with its number."""
     edges = EDGES_PER_COUNT.get(rig.decoder, 1)
     unknown = sum(stream.unknown for stream in streams)
     reasons = "; ".join(sorted({WHY.get(why, why) for why in totals.reasons[1:]}))
     lines = [
-        (found.lost, f"{found.lost} samples were lost in {totals.gaps} places"),
-        (found.crc_errors, f"{found.crc_errors} damaged frames were thrown away"),
+        (quality.lost, f"{quality.lost} samples were lost in {totals.gaps} places"),
+        (quality.crc_errors, f"{quality.crc_errors} damaged frames were thrown away"),
         (unknown, f"{unknown} frames were of an unknown kind or length"),
         (
-            found.illegal,
-            f"{found.illegal} illegal transitions: the encoder was too fast for its decoder; the count may be off by "
-            f"{2 * found.illegal}",
+            quality.illegal,
+            f"{quality.illegal} illegal transitions: the encoder was too fast for its decoder; the count may be off by "
+            f"{2 * quality.illegal}",
         ),
-        (found.phase_errors, f"{found.phase_errors} samples disagree with the levels sent beside them"),
+        (quality.phase_errors, f"{quality.phase_errors} samples disagree with the levels sent beside them"),
         (totals.overruns, f"the board missed its own pace at {totals.overruns} samples"),
         (repeated, f"{repeated} samples came twice or late and were left out"),
         (
-            found.retimed,
-            f"{found.retimed} samples had times off the course of their neighbours; these times were interpolated",
+            quality.retimed,
+            f"{quality.retimed} samples had times off the course of their neighbours; these times were interpolated",
         ),
-        (found.dropped_bytes, f"{found.dropped_bytes} bytes were dropped: this machine could not keep up"),
+        (quality.dropped_bytes, f"{quality.dropped_bytes} bytes were dropped: this machine could not keep up"),
         (
-            found.segments - 1,
-            f"{found.segments} segments: {reasons}; positions are not connected across them",
+            quality.segments - 1,
+            f"{quality.segments} segments: {reasons}; positions are not connected across them",
         ),
         (
             len(totals.jumped_s),
@@ -386,7 +386,7 @@ def _data_warnings(
     ]
     lines += [(1, f"the board stopped: {text}") for stream in streams for _, text in stream.notices]
     half = 2 ** (rig.counter_bits - 1)
-    moved = round(found.peak_edge_rate_hz / edges / found.rate_hz)
+    moved = round(quality.peak_edge_rate_hz / edges / quality.rate_hz)
     lines.append(
         (
             moved > half,
@@ -396,5 +396,5 @@ def _data_warnings(
     )
     if rig.decoder in ("jk", "jk-latched"):
         lines.append((1, f"a {rig.decoder} counter adds a line ({edges} edges) at each dither: expect drift"))
-        lines.append((found.both_moved, f"both counters moved within one sample, {found.both_moved} times"))
+        lines.append((quality.both_moved, f"both counters moved within one sample, {quality.both_moved} times"))
     return [text for number, text in lines if number]

@@ -261,18 +261,18 @@ class Timeline:
                     stretches.append(order.place(*_frames(stream, first, end)))
                     if anew and (first or beside is not None):
                         stretches[-1].restart[0] = True
-                found = arrays.joined(stretches)
+                unplaced = arrays.joined(stretches)
                 if beside is None and len(stream.n):
                     parts += 1
                     if learn:
                         self._begun_by.append("reopened")
-                begins = found.restart | found.leap
+                begins = unplaced.restart | unplaced.leap
                 part = parts + np.cumsum(begins)
                 if learn:
-                    for leap, jump in zip(found.leap[begins].tolist(), found.jump[begins].tolist(), strict=True):
+                    for leap, jump in zip(unplaced.leap[begins].tolist(), unplaced.jump[begins].tolist(), strict=True):
                         self._begun_by.append("clock" if leap else "jumped" if jump else "restarted")
-                truth, beside = _truth(stream, found, part, beside)
-                yield self._samples(stream, found, part, source, before), stream, before, truth
+                truth, beside = _truth(stream, unplaced, part, beside)
+                yield self._samples(stream, unplaced, part, source, before), stream, before, truth
                 before += len(stream.n)
                 parts = int(part[-1]) if len(part) else parts
 

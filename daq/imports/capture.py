@@ -109,8 +109,8 @@ def _totals(quadrature: Decoder | None, pulses: PulseDecoder) -> Totals:
 
 
 def _pair(channels: str) -> tuple[str, str]:
-    found = dict(part.split("=", 1) for part in channels.split(",") if "=" in part)
-    found = {key.strip().upper(): value.strip() for key, value in found.items()}
-    if set(found) != {"A", "B"} or channels.count(",") != 1:
+    names = dict(part.split("=", 1) for part in channels.split(",") if "=" in part)
+    names = {key.strip().upper(): value.strip() for key, value in names.items()}
+    if set(names) != {"A", "B"} or channels.count(",") != 1:
         raise InputError(f"{channels!r} does not name a pair", "--channels", "write A=NAME,B=NAME")
-    return found["A"], found["B"]
+    return names["A"], names["B"]

@@ -22,7 +22,7 @@ RATIO_NAMES = (
 )
 RATIO_UNITS = ("-", "1", "%", "dimensionless", "none", "unitless")
 COUNT_UNITS = ("count", "counts", "cts", "tick", "ticks", "pulse", "pulses", "inc", "increments", "steps")
-DIMENSIONS = ("time", "length", "force", "speed")  # of columns
+DIMENSIONS = ("time", "length", "force", "speed")  # dimensions that a column can have
 EXAMPLE_UNITS = {"time": "ms", "force": "mN, or weight for a force divided by the weight"}
 _IN_WORD = re.compile(r"[/,]|\bin\b")  # what stands between a name and its unit
 _BRACKETS = (("(", ")"), ("[", "]"))
@@ -165,8 +165,8 @@ def split_unit(name: str) -> tuple[str, str | None]:
         before = name[:begin].rstrip()
         mark = _mark_at_end(before)
         if mark is None:
-            found = _IN_WORD.search(name, begin)
-            mark = None if found is None or found.end() == len(name) else found.span()
+            match = _IN_WORD.search(name, begin)
+            mark = None if match is None or match.end() == len(name) else match.span()
         if mark is not None and mark[0] < at:
             at, unit = mark[0], name[mark[1] :]
     base = name[:at].rstrip()
@@ -176,9 +176,9 @@ def split_unit(name: str) -> tuple[str, str | None]:
 def _mark_at_end(text: str) -> tuple[int, int] | None:
     """Return where a separator of name and unit stands that ends a text, None where none does."""
     for length in (1, 2):
-        found = _IN_WORD.fullmatch(text, max(0, len(text) - length))
-        if found is not None:
-            return found.span()
+        match = _IN_WORD.fullmatch(text, max(0, len(text) - length))
+        if match is not None:
+            return match.span()
     return None
 
 
@@ -197,8 +197,8 @@ def is_length(name: str) -> bool:
 
 def _only(cells: Table, free: list[int], dimension: str, but: int | None) -> int | None:
     """Return the one free column with a unit of a dimension; None where there are none or several."""
-    own = [i for i in free if i != but and _dimension(cells.names[i]) == dimension]
-    return own[0] if len(own) == 1 else None
+    alike = [i for i in free if i != but and _dimension(cells.names[i]) == dimension]
+    return alike[0] if len(alike) == 1 else None
 
 
 def _dimension(name: str) -> str:

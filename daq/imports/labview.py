@@ -106,17 +106,17 @@ def _is(line: str, tag: str, separator: str) -> bool:
 
 
 def _tags(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
-    found = {}
+    tags = {}
     for line in lines:
         tag, *values = line.split(separator)
         if values and tag.strip():
-            found[tag.strip()] = [value.strip() for value in values]
-    return found
+            tags[tag.strip()] = [value.strip() for value in values]
+    return tags
 
 
 def _segments(lines: Sequence[str], at: int, separator: str) -> list[_Segment]:
     """Return the segments in the lines from one on."""
-    found: list[_Segment] = []
+    segments: list[_Segment] = []
     header: list[str] = []
     special = named = False
     for number, line in enumerate(lines[at:], start=at + 1):
@@ -133,16 +133,16 @@ def _segments(lines: Sequence[str], at: int, separator: str) -> list[_Segment]:
         elif _is(line, _COLUMNS, separator) and not named:
             names = [name.strip() for name in line.rstrip(separator).split(separator)]
             names = names[:-1] if names[-1] == "Comment" else names
-            found.append(_Segment(_tags(header, separator), names, [], []))
+            segments.append(_Segment(_tags(header, separator), names, [], []))
             named = True
         elif named:
-            width = len(found[-1].names)
+            width = len(segments[-1].names)
             cells = [*line.split(separator), *[""] * width]  # a line of a shorter channel, or without a comment
-            found[-1].rows.append(cells[:width])
-            found[-1].lines.append(number)
+            segments[-1].rows.append(cells[:width])
+            segments[-1].lines.append(number)
         else:
             header.append(line)
-    return found
+    return segments
 
 
 def _decimal(cells: Sequence[str]) -> str:

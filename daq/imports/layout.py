@@ -61,10 +61,10 @@ def plain_numbers(cells: Sequence[str], decimal: str) -> list[float] | None:
 
 def clock(cell: str) -> float | None:
     """Return a time of day such as 12:00:00.000 in seconds since midnight, or None; a date before it is ignored."""
-    found = _CLOCK.fullmatch(_DATE_END.split(cell.strip())[-1]) if len(cell) <= LONGEST_NUMBER else None
-    if found is None:
+    parts = _CLOCK.fullmatch(_DATE_END.split(cell.strip())[-1]) if len(cell) <= LONGEST_NUMBER else None
+    if parts is None:
         return None
-    hours, minutes, seconds = found.groups()
+    hours, minutes, seconds = parts.groups()
     return 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
 
 

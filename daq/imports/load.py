@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 # Flags of `daq import` whose field has another name; either is a keyword.
 FLAGS = {"belt": "belt_speed", "frame_rate": "frame_rate_hz", "start": "started"}
 RUN_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".part")
-TABLE_SUFFIXES = (".mat", ".xlsx", ".tdms")  # of files that are tables and no text
+TABLE_SUFFIXES = (".mat", ".xlsx", ".tdms")  # suffixes of tables that are no text
 
 
 def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":
@@ -68,10 +68,10 @@ def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":
 
     from daq.imports import track  # with the library of the command line, which run files do without
 
-    found = track.read(place, _options(import_options))
-    for text in found.warnings:
+    imported = track.read(place, _options(import_options))
+    for text in imported.warnings:
         warnings.warn(f"{place.name}: {in_python(text)}", UserWarning, stacklevel=2)
-    return found.run
+    return imported.run
 
 
 def _is_run(path: Path) -> bool:
@@ -97,7 +97,7 @@ def _options(given: dict[str, Any]) -> "ImportOptions":
     from daq.imports.options import ImportOptions
 
     known = {field.name for field in fields(ImportOptions)}
-    found: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     for keyword, value in given.items():
         name = FLAGS.get(keyword, keyword)
         if name not in known:
@@ -111,5 +111,5 @@ def _options(given: dict[str, Any]) -> "ImportOptions":
             value = units.quantity(value, "rate", keyword)
         elif name in ("time", "position", "spring_force", "belt_column") and isinstance(value, int):
             value = str(value)
-        found[name] = value
-    return ImportOptions(**found)
+        options[name] = value
+    return ImportOptions(**options)

@@ -56,9 +56,9 @@ def _vectors(path: Path) -> bytes:
     """Return the vectors of a file: a line of their names and shapes, then their numbers."""
     with path.open("rb") as file:
         as_hdf5 = file.read(MATLAB_HEADER + 8).find(HDF5) in (0, MATLAB_HEADER)
-    found = dict(_of_hdf5(path) if as_hdf5 else _of_version_5(path))
+    variables = dict(_of_hdf5(path) if as_hdf5 else _of_version_5(path))
     matrices: dict[str, Array] = {}
-    for name, value in found.items():
+    for name, value in variables.items():
         matrix = value.reshape(-1, 1) if 1 in value.shape else value
         matrices[name] = np.ascontiguousarray(matrix.T, "<f8")
     numbers = sum(matrix.size for matrix in matrices.values())
@@ -73,13 +73,13 @@ def _of_version_5(path: Path) -> Iterator[tuple[str, Array]]:
     from scipy.io import loadmat
 
     try:
-        found = loadmat(path)
+        variables = loadmat(path)
     except MemoryError:
         raise
     except Exception as error:  # whatever the library stumbles over
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"is not a MATLAB file ({reason})", str(path), SAVE) from error
-    for name, value in found.items():
+    for name, value in variables.items():
         if name.startswith("__") or not isinstance(value, np.ndarray):
             continue
         parts = {name: value}

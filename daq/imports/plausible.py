@@ -16,7 +16,7 @@ FASTEST_M_PER_S, LONGEST_M = 10.0, 10.0
 SLOWEST_S = (
     0.5  # between samples: 400 frames/s in ms are 2.5, 1 kHz in ms is 1; a record with fewer than 2 samples/s is rare
 )
-FEWEST = 100  # samples; nothing is asked of a shorter table, which is too short to be fitted
+FEWEST_ROWS = 100  # samples; nothing is asked of a shorter table, which is too short to be fitted
 FARTHEST_M = 1e6  # a larger position is a typing error or a wrong unit
 SPANS = 200  # pieces that the record is cut into to measure its speed: noise between neighbours is none
 
@@ -47,7 +47,7 @@ def check_increasing(time: Array, cells: Table, column: int) -> None:
 
 def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
     """Raise InputError when times that were taken for seconds can hardly be."""
-    step = float(np.median(np.diff(time))) if time.size >= FEWEST else 0.0
+    step = float(np.median(np.diff(time))) if time.size >= FEWEST_ROWS else 0.0
     if step > SLOWEST_S:
         unit = "ms" if step < 1e3 * SLOWEST_S else "us"
         raise InputError(
@@ -70,7 +70,7 @@ def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int,
     force : bool
         Whether they were made of forces.
     """
-    if time.size < FEWEST:
+    if time.size < FEWEST_ROWS:
         return
     low, high = np.percentile(position, [1, 99])  # a single wild sample is a fault, not a unit
     lag = max(1, time.size // SPANS)

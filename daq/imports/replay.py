@@ -97,13 +97,13 @@ def _belt_recounted(run: Recording) -> Recording:
 
 def findings(run: Recording) -> dict[str, int]:
     """Return ``lost, crc_errors, illegal, phase_errors`` from the raw samples and events of a run."""
-    found = {"lost": 0, "illegal": 0, "phase_errors": 0}
+    counts = {"lost": 0, "illegal": 0, "phase_errors": 0}
     if run.raw is not None:
         within = np.diff(run.segment) == 0
-        found["lost"] = lost_samples(run.raw.sample, run.segment)
-        found["illegal"] = int(counters.increments(run.raw.illegal, 16)[within].sum())
-        found["phase_errors"] = int(np.count_nonzero(run.raw.flags & counters.FLAG_PHASE))
-    return found | {"crc_errors": run.event_kind.count("crc")}
+        counts["lost"] = lost_samples(run.raw.sample, run.segment)
+        counts["illegal"] = int(counters.increments(run.raw.illegal, 16)[within].sum())
+        counts["phase_errors"] = int(np.count_nonzero(run.raw.flags & counters.FLAG_PHASE))
+    return counts | {"crc_errors": run.event_kind.count("crc")}
 
 
 def _recount(raw: Raw, segment: NDArray[np.unsignedinteger], bits: int, sent_as: SentAs | None) -> NDArray[np.int64]:
@@ -254,8 +254,8 @@ def _flags(decoder: str, raw: Raw) -> NDArray[np.uint16]:
 
 def _events(flags: NDArray[np.uint16]) -> tuple[NDArray[np.uint32], tuple[str, ...]]:
     """Return one event where each check begins to fail."""
-    found = []
+    events = []
     for kind, flag in HOST_FLAGS.items():
-        found += [(first, EVENTS[kind], kind) for first, _ in runs(flags & flag > 0)]
-    found.sort()
-    return np.array([i for i, _, _ in found], np.uint32), tuple(kind for _, _, kind in found)
+        events += [(first, EVENTS[kind], kind) for first, _ in runs(flags & flag > 0)]
+    events.sort()
+    return np.array([i for i, _, _ in events], np.uint32), tuple(kind for _, _, kind in events)

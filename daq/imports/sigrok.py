@@ -27,7 +27,7 @@ MOST_METADATA = 1 << 20  # bytes; a capture of 16 channels has 500
 PIECE = 1 << 18  # bytes read at a time; what is made of larger pieces is given back to the system each time
 # What zipfile raises for a damaged archive; OSError with EINVAL for a place before the file's beginning.
 DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, UnicodeDecodeError, OSError)
-SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e12  # of a logic analyser, with room on both sides
+SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e12  # sampling rates of a logic analyser, with room on both sides
 _RATE = re.compile(r"(\d++(?>\.\d++)?+)\s*+([kKmMgG]?+)\s*+(?>[hH][zZ])?+")
 _PREFIX = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
 
@@ -211,8 +211,8 @@ def _rate(device: dict[str, str], where: str) -> float | None:
     text = device.get("samplerate", "").strip()
     if not text or text == "0":
         return None
-    found = _RATE.fullmatch(text)
-    rate = float(found[1]) * _PREFIX[found[2].lower()] if found else 0.0
+    parts = _RATE.fullmatch(text)
+    rate = float(parts[1]) * _PREFIX[parts[2].lower()] if parts else 0.0
     if not SLOWEST_HZ <= rate <= FASTEST_HZ:
         raise InputError(f"has samplerate = {text[:40]!r} in its metadata", where, "copy the capture again")
     return rate

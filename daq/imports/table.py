@@ -170,10 +170,10 @@ class Table:
         """Return the columns of some rows as numbers, (columns, rows); None unless each cell is a plain number."""
         if {*map(len, rows)} != {self.width} or any(reader != self.number for _, reader, _ in readers):
             return None
-        found = [layout.plain_numbers([row[column] for row in rows], self.decimal) for column, _, _ in readers]
-        if any(numbers is None for numbers in found):
+        columns = [layout.plain_numbers([row[column] for row in rows], self.decimal) for column, _, _ in readers]
+        if any(numbers is None for numbers in columns):
             return None
-        values = np.array(found, np.float64)
+        values = np.array(columns, np.float64)
         return values if np.isfinite(values).all() else None
 
 

@@ -270,8 +270,8 @@ def _cells(path: Path, options: ImportOptions, progress: Stages) -> table.Table:
 
     name, module = ("a MATLAB file", matfile) if kind == ".mat" else ("a TDMS file", tdms)
     _check_plain(name, path, options)
-    found: table.Table = module.read(path)
-    return found
+    cells: table.Table = module.read(path)
+    return cells
 
 
 def _check_plain(kind: str, path: Path, options: ImportOptions) -> None:

@@ -76,7 +76,7 @@ def _sheets(path: Path) -> bytes:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about extensions that hold no cells
             book = load_workbook(path, read_only=True, data_only=True)
-            found = {
+            sheets = {
                 sheet.title: ["\t".join(map(_cell, row)) for row in sheet.iter_rows(values_only=True)]
                 for sheet in book.worksheets
             }
@@ -85,7 +85,7 @@ def _sheets(path: Path) -> bytes:
     except Exception as error:  # whatever the library stumbles over
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"is not a workbook ({reason})", str(path), SAVE) from error
-    return json.dumps(found).encode()
+    return json.dumps(sheets).encode()
 
 
 def _cell(value: Any) -> str:

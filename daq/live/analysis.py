@@ -9,18 +9,19 @@ import numpy as np
 
 from daq.base.compute.arrays import Array, joined, rows
 from daq.live.friction import QuickFriction
-from daq.live.motion import FEWEST, LiveFilter, LiveMotion, noise_density
+from daq.live.motion import SHORTEST_PARABOLA, LiveFilter, LiveMotion, noise_density
 from daq.live.overview import Overview
 from daq.live.sticks import FEWEST_RECENT, NOISE, SLIP_SHARE, Slip, Spread, StickSlip, usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
 
-FEWEST_CYCLES = 4  # of a fit: `fitting.selection.evidence`
-FEW_CYCLES = 8  # of so few every one must agree: `fitting.selection.screening`
-ESTIMATE_EVERY_S = 2.0  # of the record: half takes 1 % of a core more, double shows a new belt speed as much later
-MEMORY_S = 20.0  # of motion from which the belt's speed is read before a stick has been seen
+FEWEST_CYCLES = 4  # cycles that a fit takes: `fitting.selection.evidence`
+FEW_CYCLES = 8  # cycles so few that every one must agree: `fitting.selection.screening`
+# Time of the record between estimates: half takes 1 % of a core more, double shows a new belt speed as much later.
+ESTIMATE_EVERY_S = 2.0
+MEMORY_S = 20.0  # span of motion from which the belt's speed is read before a stick has been seen
 MOST_RECENT = 20_000  # readings of these
-BELT_SPAN_S = 1.0  # of the counts of the belt's own encoder: 7.7 um counts then read to 8 um/s
+BELT_SPAN_S = 1.0  # span of the counts of the belt's own encoder: 7.7 um counts then read to 8 um/s
 FEWEST_SLIPS = 2  # from which the window of the motion is chosen
 USUAL_CYCLES = 9  # the last ones, whose medians the window suits: half follow two odd ones, twice as many lag behind
 MOST_BREAK_AWAYS = 4096  # remembered; of a longer record the last ones
@@ -160,7 +161,7 @@ class LiveAnalysis:
         step = max(1, time.size // MOST_RECENT)
         time, x = time[::step], x[::step]
         few = time.size < FEWEST_RECENT and time[-1] - time[0] < ESTIMATE_EVERY_S
-        if few or time.size < 2 * FEWEST:
+        if few or time.size < 2 * SHORTEST_PARABOLA:
             return
         self._density = noise_density(time, x)
         self.belt = self._belt_speed(usual_speed(time, x, self.filter.window // step))
@@ -256,13 +257,13 @@ class LiveAnalysis:
 
     def _statistics(self, balance: ForceBalance) -> dict[str, dict[str, float | int | None]]:
         offset = {"break_away": math.copysign(1.0, self.belt.value) * balance.x0}
-        found: dict[str, dict[str, float | int | None]] = {}
+        statistics: dict[str, dict[str, float | int | None]] = {}
         for name, of in self._of.items():
             less = offset.get(name, 0.0)
             values = {"last": of.last, "mean": of.mean, "min": of.low, "max": of.high}
-            found[name] = {key: number(value - less) if of.n else None for key, value in values.items()}
-            found[name] |= {"n": of.n, "sd": number(of.sd)}
-        return found
+            statistics[name] = {key: number(value - less) if of.n else None for key, value in values.items()}
+            statistics[name] |= {"n": of.n, "sd": number(of.sd)}
+        return statistics
 
     def _friction_curve(self, balance: ForceBalance) -> dict[str, Any] | None:
         curve = self._friction.curve(balance.k_over_m, balance.x0, balance.c_over_m, self.belt.value)

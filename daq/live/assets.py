@@ -32,8 +32,8 @@ def check_installed() -> None:
 @cache
 def content(name: str) -> bytes:
     """Return a file of the page, one of `KINDS`, without the indentation and the lines of comment: a fifth of it."""
-    own = PAGE / name
-    text = (own if own.exists() else _uplot() / name).read_text(encoding="utf-8")
+    file = PAGE / name
+    text = (file if file.exists() else _uplot() / name).read_text(encoding="utf-8")
     lines = (line.strip() for line in text.splitlines())
     return "\n".join(line for line in lines if line and not line.startswith("//")).encode()
 

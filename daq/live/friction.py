@@ -19,13 +19,13 @@ from daq.live.sticks import Slip
 
 SLIPS = 24  # the last ones, of which the curve is made: half as many err by 1.4 times as much, twice as many lag behind
 PER_SLIP = 400  # samples kept of a slip: with half of them noise counts 1.4 times as much
-# Of the function of speed beside which k/m is found, closer at low speeds, where friction changes most.  Half and twice
-# give the same k/m to 0.02 %.
+# Knots of the function of speed beside which k/m is fitted, closer at low speeds, where friction changes most.  Half
+# and twice give the same k/m to 0.02 %.
 KNOTS = 16
-# Of the belt's speed: k/m is found at higher slip speeds, past ramps and what parabolas round.  Half errs by 0.1 % with
-# a ramp, double gives the same.
+# Share of the belt's speed: k/m is fitted at higher slip speeds, past ramps and what parabolas round.  Half errs by
+# 0.1 % with a ramp, double gives the same.
 RAMP_SHARE = 0.2
-BINS = 24  # of the curve, narrow at low speeds, where friction changes most
+BINS = 24  # bins of the curve, narrow at low speeds, where friction changes most
 FEWEST_IN_BIN = 3  # samples of a slip
 FEWEST_SLIPS = 3  # with fewer there is no scatter to speak of
 
@@ -79,14 +79,14 @@ class QuickFriction:
         The median of the slips, each corrected for the rounding of its parabolas: one that a hand has touched does not
         move it.  The error is that of the median by the scatter between slips, and the correction itself.
         """
-        found = np.array(self._k_over_m).reshape(-1, 2)
-        found = found[np.isfinite(found[:, 0])]
-        if len(found) < FEWEST_SLIPS:
+        estimates = np.array(self._k_over_m).reshape(-1, 2)
+        estimates = estimates[np.isfinite(estimates[:, 0])]
+        if len(estimates) < FEWEST_SLIPS:
             return math.nan, math.nan
-        corrected, correction = found.sum(axis=1), float(np.median(found[:, 1]))
+        corrected, correction = estimates.sum(axis=1), float(np.median(estimates[:, 1]))
         middle = float(np.median(corrected))
         spread = 1.4826 * float(np.median(np.abs(corrected - middle)))
-        error = math.hypot(1.253 * spread / math.sqrt(len(found)), correction)
+        error = math.hypot(1.253 * spread / math.sqrt(len(estimates)), correction)
         return (middle, error) if middle > 0 else (math.nan, math.nan)
 
     def curve(self, k_over_m: float, x0: float, c_over_m: float, belt_speed: float) -> QuickCurve | None:

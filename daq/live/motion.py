@@ -14,16 +14,17 @@ import numpy as np
 from daq.base.compute.arrays import HOLE, Array, Mask, joined
 from daq.live.tail import NewSamples
 
-# Of a window before a slip has been seen.  Half leaves so much noise in the velocity of a camera that no stick is seen,
-# double rounds the landings of a cycle of 0.5 s over a tenth of it.
+# Length of the window before a slip has been seen.  Half leaves so much noise in the velocity of a camera that no
+# stick is seen, double rounds the landings of a cycle of 0.5 s over a tenth of it.
 WINDOW_S = 0.02
-FEWEST = 5  # samples of a parabola
-MOST = 401  # samples of a parabola: twice as many take twice the time of a look at the journal
-# Of a slip, and of a stick: a longer window hardly lies within one, and short sticks are then missed.  Half leaves more
-# noise in the acceleration; with double, missed sticks make the slips, and so the window, longer and longer.
+SHORTEST_PARABOLA = 5  # samples of a parabola
+LONGEST_PARABOLA = 401  # samples of a parabola: twice as many take twice the time of a look at the journal
+# Longest window, as a share of a slip and of a stick: a longer one hardly lies within one, and short sticks are then
+# missed.  Half leaves more noise in the acceleration; with double, missed sticks make the slips, and so the window,
+# longer and longer.
 MOST_SHARE = 0.25
-# Of the mean speed of slips: the noise of the velocity at most.  In a noisy, slow record half makes slips a tenth
-# longer, and with double a twentieth of them is missed.
+# Noise of the velocity, at most this share of the mean speed of slips.  In a noisy, slow record half makes slips a
+# tenth longer, and with double a twentieth of them is missed.
 QUIET_SHARE = 0.05
 MOST_TRIED = 5000  # samples, the last ones, of which a window is tried that is longer than the noise
 CHANGED = 1.25  # a better window takes the place of one that differs by so much; a smaller step gives the same to 5 %
@@ -120,10 +121,10 @@ class LiveFilter:
             v[low - first :], a[low - first :] = parabolas(self._time[span], self._x[span], self.window, longest)
         fresh = np.diff(self._time[first:stop], prepend=self._time[max(0, first - 1)]) > HOLE / self._rate_hz
         fresh[0] |= begins
-        found = LiveMotion(self._time[first:stop], self._x[first:stop], v, a, fresh)
-        kept = max(0, stop - MOST // 2)
+        motion = LiveMotion(self._time[first:stop], self._x[first:stop], v, a, fresh)
+        kept = max(0, stop - LONGEST_PARABOLA // 2)
         self._time, self._x, self._next = self._time[kept:], self._x[kept:], stop - kept
-        return found
+        return motion
 
     def errors(self, density: float) -> MotionErrors:
         """Return the errors of the motion from readings whose noise has a density, m^2 s: variance over their rate."""
@@ -151,7 +152,7 @@ class LiveFilter:
         """
         time, x = motion.time[-MOST_TRIED:], motion.x[-MOST_TRIED:]
         trial = LiveFilter(self._rate_hz, self.window)
-        while trial.window <= min(MOST, time.size // 4):
+        while trial.window <= min(LONGEST_PARABOLA, time.size // 4):
             a = parabolas(time, x, trial.window, math.inf)[1]
             if trial.errors(density).a <= share * float(np.sqrt(np.mean(a * a))):
                 return trial.window
@@ -181,8 +182,8 @@ def noise_density(time: Array, x: Array) -> float:
 
 
 def samples_of(window_s: float, rate_hz: float) -> int:
-    """Return an odd number of samples that last about ``window_s``, from `FEWEST` to `MOST`."""
-    return min(max(FEWEST, round(window_s * rate_hz) | 1), MOST)
+    """Return an odd number of samples that last about ``window_s``, from `SHORTEST_PARABOLA` to `LONGEST_PARABOLA`."""
+    return min(max(SHORTEST_PARABOLA, round(window_s * rate_hz) | 1), LONGEST_PARABOLA)
 
 
 def parabolas(time: Array, position: Array, window: int, longest: float) -> Array:

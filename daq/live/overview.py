@@ -5,7 +5,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 
 ROWS = 1 << 14  # kept at most: eight for each pixel of a wide screen, 0.5 MB
-PICKED = 4  # of a stretch: where position and velocity are least and largest
+PICKED = 4  # rows kept of a stretch: where position and velocity are least and largest
 
 
 class Overview:
@@ -19,22 +19,22 @@ class Overview:
 
     def __init__(self, columns: int) -> None:
         self._rows = np.empty((columns, 0))
-        self._waiting: list[Array] = []  # of a stretch that is not whole yet
+        self._waiting: list[Array] = []  # rows of a stretch that is not whole yet
         self._stretch = 1
 
     def take(self, rows: Array) -> None:
         """Add rows, (columns, n)."""
         self._waiting.append(rows)
         if self._stretch == 1:
-            own, self._waiting = np.concatenate(self._waiting, axis=1), []
+            kept, self._waiting = np.concatenate(self._waiting, axis=1), []
         else:
             if sum(part.shape[1] for part in self._waiting) < self._stretch:
                 return
             joined = np.concatenate(self._waiting, axis=1)
             whole = joined.shape[1] // self._stretch * self._stretch
             self._waiting = [joined[:, whole:]]
-            own = joined[:, extremes(joined[:, :whole], whole // self._stretch)]
-        self._rows = np.concatenate((self._rows, own), axis=1)
+            kept = joined[:, extremes(joined[:, :whole], whole // self._stretch)]
+        self._rows = np.concatenate((self._rows, kept), axis=1)
         while self._rows.shape[1] > ROWS:
             self._rows = self._rows[:, extremes(self._rows, self._rows.shape[1] // (2 * PICKED))]
             self._stretch = 2 * PICKED if self._stretch == 1 else 2 * self._stretch

@@ -37,7 +37,7 @@ from daq.base.errors import InputError
 from daq.finalise import claim
 from daq.live.analysis import LiveAnalysis, columns, number
 from daq.live.finished import RunSamples
-from daq.live.motion import MOST, LiveFilter, LiveMotion
+from daq.live.motion import LONGEST_PARABOLA, LiveFilter, LiveMotion
 from daq.live.tail import JournalTail, JournalTotals
 from daq.runfile import journal
 
@@ -50,9 +50,9 @@ HISTORY_S = 120.0  # what a page that connects late, or again, is sent of a runn
 GONE_AFTER_S = 3.0  # a journal that does not grow for so long may have lost its recorder
 LOSS_SHOWN_S = 10.0  # for so long a loss of samples is called out
 LONGEST_MARKER = 200  # characters
-MOST_ROWS = 30_000  # of a stretch that is sent sample by sample: six for each pixel of a wide screen
+MOST_ROWS = 30_000  # rows of a stretch that is sent sample by sample: six for each pixel of a wide screen
 MOST_PLACES = 1024  # in the journal from which its samples can be read again: 2 kB each
-PART_BYTES = 1 << 16  # of the journal read again at once
+PART_BYTES = 1 << 16  # part of the journal read again at once
 PORTION = 1 << 8  # samples of a finished run that are analysed at once
 SERVED_EVERY_S = 0.02  # pages, while a finished run is read
 LEARNED_FROM = 1 << 17  # samples of a finished run from which the window of its motion is chosen
@@ -106,7 +106,7 @@ class Publisher(ABC):
 
     @abstractmethod
     def facts(self) -> dict[str, Any]:
-        """Return what a page is told first."""
+        """Return what a page is sent first."""
 
     @abstractmethod
     def _stretch(self, begin: float, end: float) -> LiveMotion | None:
@@ -248,7 +248,7 @@ class LiveRun(Publisher):
         journal.stop_path(self.tail.path).touch()
 
     def facts(self) -> dict[str, Any]:
-        """Return what a page is told first: what is recorded, and what is known so far."""
+        """Return what a page is sent first: what is recorded, and what is known so far."""
         header = self.tail.header
         samples = header["samples"]
         return {
@@ -363,7 +363,7 @@ class FinishedRun(Publisher):
     async def _read(self, analysis: LiveAnalysis, most: int | None = None) -> None:
         """Analyse the samples, or so many of the first ones, and tell of it now and then."""
         analysis.rig, analysis.unit = self.samples.header.rig, self.samples.header.unit
-        told = served = time.monotonic()
+        updated = served = time.monotonic()
         for piece in self.samples.pieces():
             # In portions, as a recording comes: what is estimated on the way is used for the next one.
             for first in range(0, piece.time.size, PORTION):
@@ -373,8 +373,8 @@ class FinishedRun(Publisher):
                     served = time.monotonic()
             if most is not None and self.samples.counts.samples >= most:
                 return
-            if time.monotonic() - told > SUMMARY_EVERY_S:
-                told = time.monotonic()
+            if time.monotonic() - updated > SUMMARY_EVERY_S:
+                updated = time.monotonic()
                 self._progress = self.samples.counts.samples / self.samples.times.size if most is None else 0.0
                 self._tell()
 
@@ -383,7 +383,7 @@ class FinishedRun(Publisher):
         self._send({"counts": counts, "unit": self.analysis.unit, "progress": self._progress, **self._summary()})
 
     def facts(self) -> dict[str, Any]:
-        """Return what a page is told first: what was recorded, and what is known so far."""
+        """Return what a page is sent first: what was recorded, and what is known so far."""
         run, times = self.samples.header, self.samples.times
         return {
             "title": run.title,
@@ -408,7 +408,7 @@ class FinishedRun(Publisher):
 
     def _stretch(self, begin: float, end: float) -> LiveMotion | None:
         try:
-            found = self.samples.between(begin, end, MOST, MOST_ROWS)
+            found = self.samples.between(begin, end, LONGEST_PARABOLA, MOST_ROWS)
         except (OSError, InputError):  # the file has been moved meanwhile
             return None
         return LiveFilter(self.rate_hz, self.analysis.filter.window).feed(found)
@@ -418,18 +418,18 @@ def _rows(break_aways: list[tuple[float, float, float]]) -> list[list[float | No
     return [[round(time, 6), number(x), round(landing, 6)] for time, x, landing in break_aways]
 
 
-def _texts(found: Array, known: int = 0) -> dict[str, str]:
+def _texts(rows: Array, known: int = 0) -> dict[str, str]:
     """Return rows t, x, v, a, piece as JSON lists by name, with a row without a position between two pieces.
 
-    The first ``known`` rows have been told before.
+    The first ``known`` rows have been sent before.
     """
-    breaks = np.flatnonzero(np.diff(found[4]) != 0) + 1
+    breaks = np.flatnonzero(np.diff(rows[4]) != 0) + 1
     if breaks.size:
         between = np.full((5, breaks.size), math.nan)
-        between[0] = (found[0, breaks - 1] + found[0, breaks]) / 2
-        found = np.insert(found, breaks, between, axis=1)
+        between[0] = (rows[0, breaks - 1] + rows[0, breaks]) / 2
+        rows = np.insert(rows, breaks, between, axis=1)
     forms = {"t": "%.6f", "x": "%.7g", "v": "%.5g", "a": "%.5g"}
-    return {name: _column(values[known:], form) for (name, form), values in zip(forms.items(), found, strict=False)}
+    return {name: _column(values[known:], form) for (name, form), values in zip(forms.items(), rows, strict=False)}
 
 
 def _column(values: Array, form: str) -> str:

@@ -15,11 +15,11 @@ import numpy as np
 from daq.base.compute.arrays import Array, Mask, joined, rows
 from daq.live.motion import LiveMotion, MotionErrors
 
-# Of the belt's speed: farther from it the mass slips.  In every cycle of stick-slip it comes back, at more than 1.
-# Half takes noise, and the creep of a wide ramp, for slips; double misses the first slips of a record.
+# Share of the belt's speed: farther from it the mass slips.  In every cycle of stick-slip it comes back, at more than
+# 1.  Half takes noise, and the creep of a wide ramp, for slips; double misses the first slips of a record.
 SLIP_SHARE = 0.5
-# Of the rms acceleration of slips: below it the mass sticks.  A mass that swings without sticking is below it for 4 %
-# of half a period.  Half and twice change durations by 1 %.
+# Share of the rms acceleration of slips: below it the mass sticks.  A mass that swings without sticking is below it
+# for 4 % of half a period.  Half and twice change durations by 1 %.
 STICK_SHARE = 0.1
 NOISE = 4.0  # standard deviations: what is farther off is no noise; with half noise breaks sticks, double is 1 % late
 # Windows of the motion at small acceleration after which a slip has ended.  Half sees sticks in the slips of a noisy
@@ -134,7 +134,7 @@ class StickSlip:
         errors : MotionErrors
             What the noise of the readings makes of the motion.
         """
-        found: list[Slip] = []
+        slips: list[Slip] = []
         slipping = np.abs(motion.v - belt_speed) > max(SLIP_SHARE * abs(belt_speed), NOISE * errors.v)
         with_belt = ~slipping & (np.abs(motion.a) <= self._small(motion, slipping, NOISE * errors.a))
         broken = motion.fresh | ~np.isfinite(motion.v)
@@ -146,8 +146,8 @@ class StickSlip:
                 piece = rows(motion, slice(first, stop))
                 slip = self._take(int(kind[first]), piece, window, belt_speed, errors.x)
                 if slip is not None:
-                    found.append(slip)
-        return found
+                    slips.append(slip)
+        return slips
 
     def _small(self, motion: LiveMotion, slipping: Mask, noise: float) -> float:
         """Return the acceleration below which the mass sticks, and keep the mean square of that of slips."""
@@ -261,15 +261,15 @@ def _about_stick(motion: LiveMotion, beside: slice, span: slice) -> Array:
     # Readings without noise lie on the curve to this.
     rounding = max(1e-12 * float(np.max(np.abs(motion.x))), np.finfo(float).tiny)
     for degree in (2, 1):
-        inside, wanted = (np.vander((motion.time[own] - middle) / scale, degree + 1) for own in (beside, span))
+        inside, wanted = (np.vander((motion.time[which] - middle) / scale, degree + 1) for which in (beside, span))
         inverse = np.linalg.pinv(inside)
-        found = inverse @ x
-        own = x - inside @ found
-        sd = max(math.sqrt(float(own @ own) / max(1, own.size - degree - 1)), rounding)
-        if abs(found[0]) > NOISE * sd * float(np.linalg.norm(inverse[0])):
+        coefficients = inverse @ x
+        residual = x - inside @ coefficients
+        sd = max(math.sqrt(float(residual @ residual) / max(1, residual.size - degree - 1)), rounding)
+        if abs(coefficients[0]) > NOISE * sd * float(np.linalg.norm(inverse[0])):
             break
     predicted = sd * np.sqrt(1 + np.sum((wanted @ inverse) ** 2, axis=1))
-    return np.asarray(np.abs(motion.x[span] - level - wanted @ found) / predicted)
+    return np.asarray(np.abs(motion.x[span] - level - wanted @ coefficients) / predicted)
 
 
 def usual_speed(time: Array, x: Array, span: int) -> float:

@@ -29,7 +29,7 @@ from daq.wire import counters, decode, frames
 # leaves few where several are damaged in a row, double costs 0.1 ms more a chunk.
 OVERLAP_LINES = 6
 MOST_OVERLAP = 1 << 14  # bytes that are kept of a stream without lines, such as noise at a wrong baud rate
-MOST_BYTES = 1 << 18  # of a journal read at once, 0.2 s of CPU time: a viewer that starts late catches up in steps
+MOST_BYTES = 1 << 18  # part of a journal read at once, 0.2 s of CPU time: a viewer that starts late catches up in steps
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ class JournalTail:
             samples, self._ident, self.rig, self._rate_hz, starts_at_phase=self.header["protocol"] == "frames"
         )
         known = self._known(samples)
-        own = slice(known + 1, None)
+        later = slice(known + 1, None)
         self._count(stream, samples, checked, known)
         if known == len(samples) - 1:
             return []
@@ -216,8 +216,8 @@ class JournalTail:
         ticks, index = (int(column[-1]) for column in (samples.ticks, samples.index))
         self._last = _Last(ticks, float(time[-1]), int(count[-1]), index, int(belt[-1]))
         pitch = self.rig.belt_metres_per_count
-        track = None if samples.belt is None or pitch is None else pitch.value * belt[own].astype(np.float64)
-        return [NewSamples(time[own], positions(count[own], self.rig), fresh[own], track)]
+        track = None if samples.belt is None or pitch is None else pitch.value * belt[later].astype(np.float64)
+        return [NewSamples(time[later], positions(count[later], self.rig), fresh[later], track)]
 
     def _belt(self, samples: timeline.Samples, fresh: np.typing.NDArray[np.bool_]) -> np.typing.NDArray[np.int64]:
         """Return the belt's count without roll-over, (n,), from 0 in each part; 0 without an encoder of its own."""
@@ -233,11 +233,11 @@ class JournalTail:
             self._calibrated = True
         made = []
         for _, data in new:
-            found = blocks.unpacked(data, self.header["columns"])
-            if found is None:
+            content = blocks.unpacked(data, self.header["columns"])
+            if content is None:
                 self.counts.crc_errors += 1
                 continue
-            time, values = found
+            time, values = content
             begins = self._last is None
             if self._last is None:
                 self._begun_s, self._last = float(time[0]), _Last(0, float(time[0]), 0, 0)
@@ -277,7 +277,7 @@ class JournalTail:
 
     def _count(self, stream: decode.Stream, samples: timeline.Samples, checked: CheckedCounts, known: int) -> None:
         """Add what is new in a chunk to the totals."""
-        own = slice(known + 1, None)
+        new = slice(known + 1, None)
         damaged = int(np.count_nonzero(stream.crc_frame > (samples.frame[known] if known >= 0 else -1)))
         self.counts.crc_errors += max(0, damaged - self._trailing_damage)
         self._trailing_damage = int(np.count_nonzero(stream.crc_frame >= len(stream.n)))
@@ -291,9 +291,9 @@ class JournalTail:
             rise[starts] = 0
         self.counts.samples += len(samples) - known - 1
         self.counts.segments += int(np.count_nonzero(starts > known))
-        self.counts.lost += int(lost[own].sum())
-        self.counts.illegal += int(rise[own].sum())
-        self.counts.phase_errors += int(np.count_nonzero(checked.flags[own] & counters.FLAG_PHASE))
+        self.counts.lost += int(lost[new].sum())
+        self.counts.illegal += int(rise[new].sum())
+        self.counts.phase_errors += int(np.count_nonzero(checked.flags[new] & counters.FLAG_PHASE))
 
     def _calibrate(self, stream: decode.Stream) -> None:
         """Read the calibration once: what was given at the start, else what the board sent."""

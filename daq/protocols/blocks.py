@@ -14,16 +14,16 @@ from daq.base.compute.arrays import Array, Integers
 NAME = "blocks"
 COUNTS, POSITIONS = "t_s,count", "t_s,x_m"
 # Samples of a record; a longer block becomes several.  Half and double are written and read as fast.
-MOST = 1 << 16
+RECORD_SAMPLES = 1 << 16
 _CRC_BYTES = 4
 
 
 def packed(time: Array, values: Array | Integers) -> Iterator[bytes]:
     """Yield the records of a block: times, s, and values, (n,) each."""
     kind = "<i8" if values.dtype.kind == "i" else "<f8"
-    for first in range(0, len(time), MOST):
-        own = slice(first, first + MOST)
-        content = time[own].astype("<f8").tobytes() + values[own].astype(kind).tobytes()
+    for first in range(0, len(time), RECORD_SAMPLES):
+        part = slice(first, first + RECORD_SAMPLES)
+        content = time[part].astype("<f8").tobytes() + values[part].astype(kind).tobytes()
         yield content + crc32(content).to_bytes(_CRC_BYTES, "little")
 
 

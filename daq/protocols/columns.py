@@ -20,7 +20,7 @@ _COUNTS = ("up", "down", "count", "ticks")
 # Measured numbers with decimals: of what they are a unit, and its size in SI.  They count their last decimal.
 LENGTH, FORCE = "length", "force"
 MEASURED = {
-    "x": ("", 1.0),  # of a unit that nobody stated
+    "x": ("", 1.0),  # a length in a unit that nobody stated
     "x_m": (LENGTH, 1.0),
     "x_cm": (LENGTH, 1e-2),
     "x_mm": (LENGTH, 1e-3),
@@ -32,7 +32,7 @@ MOST_DECIMALS = 9
 # A travel of a hundred times the first readings still fits.  With 10 a mass that begins beside zero may run out of the
 # range; with 1000 a digit less is kept of numbers that a computer prints in full.
 ROOM = 100
-# Of numbers whose decimals nobody stated, while the first lines show them: a nanometre, or a micronewton.
+# Resolution of numbers whose decimals nobody stated, while the first lines show them: a nanometre, or a micronewton.
 _DECIMALS = {"x": 6, "x_m": 9, "x_cm": 7, "x_mm": 6, "x_um": 3, "F_N": 6, "F_mN": 3}
 VALUES = {
     **dict.fromkeys(TIMES, r"(\d{1,12}+)(?>\.(\d{0,9}+))?+"),
@@ -135,9 +135,9 @@ class Columns:
         tails = dict.fromkeys(_COUNTS, wide) | dict.fromkeys(MEASURED, f":{self.decimals}")
         return ",".join(name + tails.get(name, "") for name in self.names)
 
-    def row(self, found: re.Match[bytes]) -> Row | Other:
+    def row(self, match: re.Match[bytes]) -> Row | Other:
         """Return the values in a line that matches the pattern."""
-        whole, fraction, up_text, down_text = found.group(*self.counts)
+        whole, fraction, up_text, down_text = match.group(*self.counts)
         ticks = int(whole) * self.us_per_unit
         if fraction:  # digits beyond the microsecond are cut off
             ticks += int(fraction.ljust(6, b"0")[:6]) * self.us_per_unit // 1_000_000
@@ -149,15 +149,15 @@ class Columns:
             return Other.DAMAGED
         if not self.checks:
             return ticks & 0xFFFFFFFF, up & limit - 1, down
-        a, b, illegal, check = found.group(*self.checks)
-        if check and reduce(xor, self.guarded(found), 0) != int(check, 16):
+        a, b, illegal, check = match.group(*self.checks)
+        if check and reduce(xor, self.guarded(match), 0) != int(check, 16):
             return Other.DAMAGED
         levels = int(a or 0) | int(b or 0) << 1
         return ticks & 0xFFFFFFFF, up & limit - 1, down, levels, int(illegal or 0) & 0xFFFF
 
-    def guarded(self, found: re.Match[bytes]) -> bytes:
+    def guarded(self, match: re.Match[bytes]) -> bytes:
         """Return the part of a line that its xor covers: everything before the separator in front of it."""
-        before = found.string[: found.start(self.checks[-1])].removesuffix(b"*").rstrip(b" \t")
+        before = match.string[: match.start(self.checks[-1])].removesuffix(b"*").rstrip(b" \t")
         if self.labels:
             before = before[:-1].rstrip(b" \t")[: -len("xor")].rstrip(b" \t")
         return (before[:-1] if before.endswith((b",", b";")) else before).rstrip(b" \t")

@@ -30,14 +30,14 @@ from daq.protocols.lines import Other, Row
 # where no two lines are alike; double leaves twice as many lines to be read one by one where they change for good.
 MOST_MISSED = 256
 _SEPARATED = re.compile(rb"[ \t]*[,;][ \t]*|[ \t]+")
-# Of text that does not count: a number with a sign, digits, spaces, anything else.
+# Patterns of text that does not count: a number with a sign, digits, spaces, anything else.
 _PIECE = re.compile(rb"((?<![\w.()\[\]/%-])-?\d{1,9})(?!\d)|(\d{1,9})(?!\d)|([ \t]{1,8})(?![ \t])|([^\d \t-])")
 _NUMBER, _DIGITS, _SPACES, _OTHER = 1, 2, 3, 4
 # What is like each of them, and how long it may be.
 _LIKE = {_NUMBER: (rb"-?+\d{1,9}+", 10), _DIGITS: (rb"\d{1,9}+", 9), _SPACES: (rb"[ \t]{1,8}+", 8)}
 _LIKE_VALUE = {name: pattern.replace("(", "(?:").encode() for name, pattern in VALUES.items()} | {"time": rb"\d{1,12}+"}
 _LONGEST_VALUE = 12
-_MOST_DIGITS = 18  # of a number without its point, in 64 bits
+_MOST_DIGITS = 18  # digits of a number without its point that fit 64 bits
 _HEX_DIGIT = np.array([int(chr(byte), 16) if chr(byte) in hexdigits else 0 for byte in range(256)], dtype=np.uint8)
 _DIGITS_AND_SIGNS = bytes(byte if byte in b"-0123456789" else 32 for byte in range(256))  # anything else: a space
 
@@ -124,9 +124,9 @@ class Shape:
         return text.tobytes(), found != stated
 
 
-def shape_of(form: Columns, found: re.Match[bytes]) -> Shape | None:
+def shape_of(form: Columns, match: re.Match[bytes]) -> Shape | None:
     """Return the shape of a line that matches the pattern of its columns; None: no others like it are searched for."""
-    line = found.string
+    line = match.string
     cells = _SEPARATED.split(line.strip(b" \t\r"))
     if not (form.labels or (len(cells) == len(form.names) and all(cells))):
         return None
@@ -134,16 +134,16 @@ def shape_of(form: Columns, found: re.Match[bytes]) -> Shape | None:
     if "xor" in form.names:
         if form.labels or form.names[-1] != "xor":
             return None
-        guarded, xor = len(form.guarded(found)), found.start(form.checks[-1])
+        guarded, xor = len(form.guarded(match)), match.start(form.checks[-1])
     pattern, place, numbers, longest, at = b"", {}, 0, 0, 0
     parts = chain.from_iterable(
         ("time", "fraction") if name in TIMES else (name,) for name in form.names if name not in UNREAD
     )
-    spans = [(name, *found.span(group)) for group, name in enumerate(parts, start=1)]
+    spans = [(name, *match.span(group)) for group, name in enumerate(parts, start=1)]
     digits = next((end - start for name, start, end in spans if name == "fraction"), 0)
     pointless = bool(form.decimals)
     if form.decimals is not None:
-        number = found[form.counts[2]]
+        number = match[form.counts[2]]
         if not re.fullmatch(_measured(form.decimals), number):
             return None
         points = [start - 1 for name, start, end in spans if name == "fraction" and start < end]

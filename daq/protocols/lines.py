@@ -31,7 +31,7 @@ from daq.wire.counters import LATE_FRAMES, signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
 
-BLOCK_BYTES = 1 << 16  # of reads that are parsed at once; half costs 10 % more CPU time, double 5 % less
+BLOCK_BYTES = 1 << 16  # size of reads that are parsed at once; half costs 10 % more CPU time, double 5 % less
 # Lines that are read together.  Half costs a tenth more CPU time in short reads where every tenth line is damaged, and
 # gains nothing elsewhere; double costs 1.2 us a line more in reads of 10 lines.
 FEWEST_ALIKE = 8

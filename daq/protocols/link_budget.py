@@ -11,7 +11,7 @@ from daq.wire.counters import longest_gap_s
 from daq.wire.quadrature import EDGES_PER_COUNT
 
 BITS_PER_BYTE = 10
-TIGHT = 0.95  # of the line or the decoder: beyond this it warns
+TIGHT = 0.95  # load of the line or the decoder, over what it can carry: beyond this it warns
 SLIP_OVER_BELT = 4.0  # a slipping mass is at its fastest at most so many belt speeds fast (3.6 on the thesis's rig)
 LONGEST_BLOCK_S = 0.05  # a frame is not held back for longer, so that a live view stays live
 

@@ -58,10 +58,10 @@ BAUD = 115_200
 DELIMITER = b"\n"
 TICK_NS = 1000
 MILLISECOND = 1000  # ticks
-LISTEN_S = 1.0  # of good lines, by their own times, before the rate is believed
+LISTEN_S = 1.0  # span of good lines, by their own times, before the rate is believed
 FEWEST_LINES = 20
 SLOWEST = 0.05  # clock that is slower than this share of the host's has another unit, most often by 1000
-RATE_WITHIN = 0.1  # of the requested rate
+RATE_WITHIN = 0.1  # deviation from the requested rate, relative
 
 
 def check(request: RecordRequest) -> None:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 WHERE = "daq.record"
 DO = "give blocks (t, x): times in s and positions in m, or integer counts, two arrays of one length"
-RATE_WITHIN = 0.1  # of the stated rate; another one is an error of the times' unit, or of the rate
+RATE_WITHIN = 0.1  # relative deviation from the stated rate; a larger one is an error of the times' unit or the rate
 FEWEST_STEPS = 20  # before the rate of the times is believed
 
 
@@ -216,7 +216,7 @@ class _Taking:
         self._number = 0
         self._counted: bool | None = None
         self._first_s = self._last_s = 0.0
-        self._steps: list[float] | None = []  # of the first samples; None once their rate was checked
+        self._steps: list[float] | None = []  # periods of the first samples; None once their rate was checked
 
     @property
     def taken_s(self) -> float:
@@ -300,11 +300,11 @@ class _Taking:
         self._steps += np.diff([*before, *time[: FEWEST_STEPS + 1].tolist()]).tolist()
         if len(self._steps) < FEWEST_STEPS:
             return
-        found = 1 / float(np.median(self._steps))
+        rate_hz = 1 / float(np.median(self._steps))
         self._steps = None
-        if abs(found / self._rate_hz - 1) > RATE_WITHIN:
-            what = f"the times step at {found:.4g} Hz, and rate_hz is {self._rate_hz:g}"
-            raise _WrongRateError(what, WHERE, f"give rate_hz={found:.4g}, or the times in s")
+        if abs(rate_hz / self._rate_hz - 1) > RATE_WITHIN:
+            what = f"the times step at {rate_hz:.4g} Hz, and rate_hz is {self._rate_hz:g}"
+            raise _WrongRateError(what, WHERE, f"give rate_hz={rate_hz:.4g}, or the times in s")
 
 
 def _kind(item: Any) -> str:

@@ -134,15 +134,15 @@ def list_ports() -> list[PortInfo]:
     """Return the serial devices of this machine, and the simulated rig, which is always present."""
     from serial.tools.list_ports import comports
 
-    found = [PortInfo(SIMULATED_RIG, "the simulated rig; 'daq record' takes it when no --port is given", True)]
+    ports = [PortInfo(SIMULATED_RIG, "the simulated rig; 'daq record' takes it when no --port is given", True)]
     for info in sorted(comports()):
         device = Path(info.device)
         usable = os.name == "nt" or _allowed(device)
         if info.description in ("n/a", "", None) and info.hwid in ("n/a", "", None) and not usable:
             continue  # a port of the machine itself with nothing behind it
         described = info.description if info.description not in ("n/a", None) else "serial port, no further information"
-        found.append(PortInfo(info.device, described, usable, "" if usable else permission_fix(device)))
-    return found
+        ports.append(PortInfo(info.device, described, usable, "" if usable else permission_fix(device)))
+    return ports
 
 
 def permission_fix(device: Path) -> str:

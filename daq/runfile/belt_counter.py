@@ -17,7 +17,8 @@ from daq.base.output.spill import BLOCK
 from daq.runfile.rig import Rig
 from daq.wire import counters
 
-SPAN_S = 0.02  # of the difference: a 7.7 um count then reads to 0.3 mm/s, and a corner is blurred by 10 ms
+# Time over which counts are subtracted: a 7.7 um count then reads to 0.3 mm/s, and a corner is blurred by 10 ms.
+SPAN_S = 0.02
 
 
 def decoded(

@@ -22,7 +22,8 @@ Made = TypeVar("Made", bound=RunData)
 # Decimals of a position in m.  A coarser power of ten of which all readings are multiples is taken in their place; half
 # as many are 30 um, more than most encoders resolve, and at 18 a belt of 9 m no longer fits into a whole number.
 FINEST_DECIMALS = 9
-# Of the largest reading: by how much a decimal may be off where binary numbers hold it, after a change of units or two.
+# Share of the largest reading by which a decimal may be off where binary numbers hold it, after a change of units or
+# two.
 ULPS = 4.0
 
 

@@ -55,14 +55,14 @@ __all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIV
 # a sync of 50 ms, what came is on the disk within a second.  Half syncs twice as often, for 2 % more CPU time of a
 # recording; 1.0 lets up to 1.1 s of a recording be lost in a power cut.
 SYNC_EVERY_S = 0.8
-DROPPED_BYTES = 8  # of a record DROPPED: a whole number, little-endian; one of another length holds no number
+DROPPED_BYTES = 8  # size of a record DROPPED: a whole number, little-endian; one of another length holds no number
 # Bytes between two copies of the header: 2 % of the file.  Half costs 4 %; double leaves a longer beginning whose loss
 # (a bad sector has 4 kB) may take all copies of it.
 HEADER_EVERY = 1 << 16
 
 # What ended a recording, in its last record; another word there is the name of a signal.
 COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
-SOURCE_ENDED, SOURCE_FAILED = "source ended", "source failed"  # of blocks that a program hands over
+SOURCE_ENDED, SOURCE_FAILED = "source ended", "source failed"  # how blocks that a program hands over can end
 
 
 class Records:
@@ -383,9 +383,9 @@ def read_markers(path: Path) -> tuple[tuple[int, str], ...]:
     """
     if not path.exists():
         return ()
-    found = []
+    markers = []
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         stamp, _, text = line.strip().partition(" ")
         if stamp.isascii() and stamp.isdecimal() and len(stamp) < 20:
-            found.append((int(stamp), storable(text)))
-    return tuple(sorted(found))
+            markers.append((int(stamp), storable(text)))
+    return tuple(sorted(markers))

@@ -71,7 +71,7 @@ _FIELDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "warnings": ("texts", _texts),
     "provenance": ("texts or whole numbers with names", lambda value: _named(value, lambda x: _text(x) or _I8(x))),
 }
-# Of the fields that a journal may lack: those of version 0.1.0 have no notes.
+# Fields that a journal may lack, with what stands for them: those of version 0.1.0 have no notes.
 _DEFAULTS: dict[str, Any] = {
     **dict.fromkeys(("columns", "decoder", "baud")),
     **dict.fromkeys(("sample_name", "note"), ""),

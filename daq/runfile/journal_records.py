@@ -31,7 +31,7 @@ _WINDOW = 1 << 20  # bytes of the file in memory; half and double read as fast
 # Bytes from one sum of a `Content` to the next: half takes twice the memory (4 bytes each), double costs 1 us more for
 # each range between two of them.
 _SUM_EVERY = 1 << 12
-_FREE_BYTES = 1 << 20  # of ranges that are summed byte by byte in vain
+_FREE_BYTES = 1 << 20  # bytes of ranges that are summed byte by byte in vain
 _MAGIC_HOLDS = 12  # bytes of the magic line that must be right; another format has none of them
 
 

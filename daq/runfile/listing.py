@@ -77,15 +77,15 @@ def runs(folders: Sequence[Path]) -> list[RunRow]:
     InputError
         For a folder that is not there or cannot be read.
     """
-    found = []
+    rows = []
     for folder in folders:
         try:
             files = sorted(item for item in folder.iterdir() if item.name.endswith((".h5", ".h5.part")))
         except OSError as error:
             what = "is a file" if folder.is_file() else f"cannot be listed: {error.strerror}"
             raise InputError(what, str(folder), "give a folder of runs") from error
-        found += [RunRow(file, problem=UNFINISHED) if file.suffix == ".part" else _run(file) for file in files]
-    return sorted(found, key=lambda row: (row.date is None, row.date or "", row.runs or 0, str(row.file)))
+        rows += [RunRow(file, problem=UNFINISHED) if file.suffix == ".part" else _run(file) for file in files]
+    return sorted(rows, key=lambda row: (row.date is None, row.date or "", row.runs or 0, str(row.file)))
 
 
 def _run(file: Path) -> RunRow:

@@ -168,10 +168,10 @@ def link(parent: h5py.Group, name: str, target: h5py.Dataset) -> None:
     parent[name] = target
 
 
-def check_length(found: int, n: int, name: str, where: Path) -> None:
-    """Refuse a column of ``found`` values where ``n`` belong."""
-    if found != n:
-        raise InputError(f"/entry/{name} has {found} values where {n} belong", str(where), AGAIN)
+def check_length(length: int, n: int, name: str, where: Path) -> None:
+    """Refuse a column of ``length`` values where ``n`` belong."""
+    if length != n:
+        raise InputError(f"/entry/{name} has {length} values where {n} belong", str(where), AGAIN)
 
 
 def read_group(parent: h5py.Group, name: str, where: Path) -> h5py.Group:
@@ -194,8 +194,8 @@ def read_array(entry: h5py.Group, name: str, dtype: Any, where: Path, own: slice
     """Return a column of numbers, or ``own`` rows of it, as ``dtype``; integers are never read out of floats."""
     item = read_dataset(entry, name, where)
     if item.ndim != 1 or item.dtype.kind not in "iuf" or not np.can_cast(item.dtype, dtype, "same_kind"):
-        found = f"{item.ndim}-dimensional {item.dtype}"
-        raise InputError(f"/entry/{name} is {found}, not one column of {np.dtype(dtype)}", str(where), AGAIN)
+        form = f"{item.ndim}-dimensional {item.dtype}"
+        raise InputError(f"/entry/{name} is {form}, not one column of {np.dtype(dtype)}", str(where), AGAIN)
     return item[own].astype(dtype, copy=False)
 
 

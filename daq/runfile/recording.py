@@ -295,7 +295,7 @@ class Recording(RunData):
         """Return what a person wants to see first, in words, by name; notes included."""
         span = float(self.time[-1] - self.time[0]) if self.time.size else 0.0
         segments = len(set(self.segment.tolist()))
-        found = {
+        facts = {
             "samples": str(self.time.size),
             "duration": f"{span:.4g} s",
             "rate": f"{self.rate_hz:g} Hz",
@@ -306,7 +306,7 @@ class Recording(RunData):
             "events": ", ".join(f"{self.event_kind.count(kind)} {kind}" for kind in sorted(set(self.event_kind))),
             "started": self.when,
         }
-        return {name: text for name, text in found.items() if text} | self.remarks()
+        return {name: text for name, text in facts.items() if text} | self.remarks()
 
     def __repr__(self) -> str:
         facts = self.facts()

@@ -16,7 +16,7 @@ from daq.base.output.lengths import format_length, shown_range
 # slip.  Chosen: at 2 those who measure a fall of 15 % are asked each time; at 8 a sign that is wrong by five travels
 # passes, unless it is seen by its mirror image.
 FAR = 4.0
-SURE = 4.0  # standard deviations of x0 that are granted first, as for any contradiction of a calibration
+X0_ERRORS = 4.0  # standard deviations of x0 that are granted first, as for any contradiction of a calibration
 
 
 def question(x0: Measured, low: float, high: float) -> str:
@@ -32,14 +32,14 @@ def question(x0: Measured, low: float, high: float) -> str:
         The travel of the mass: its smallest and largest position, m.
     """
     outside = max(low - x0.value, x0.value - high)
-    if outside <= SURE * x0.sd or high <= low:
+    if outside <= X0_ERRORS * x0.sd or high <= low:
         return ""
     if low <= -x0.value <= high:
         return (
             f"{_where(x0, outside, low, high)}, and {format_length(-x0.value)} lies inside it; is its sign right? "
             "x0 is the reading at the spring's rest (--x0), a datum is -x0"
         )
-    if outside - SURE * x0.sd <= FAR * (high - low):
+    if outside - X0_ERRORS * x0.sd <= FAR * (high - low):
         return ""
     fall = 50 * (high - low) / (outside + (high - low))
     return (
@@ -59,7 +59,7 @@ def impossible(x0: Measured, low: float, high: float, direction: float) -> str:
         The sign of the belt's speed; 0 where it is not known.
     """
     beyond = direction * x0.value - max(direction * low, direction * high)
-    if not direction or beyond <= SURE * x0.sd:
+    if not direction or beyond <= X0_ERRORS * x0.sd:
         return ""
     return (
         f"{_where(x0, beyond, low, high)}, on the side to which the belt runs: the spring would pull the mass along "

@@ -112,16 +112,16 @@ class Rig:
         InputError
             For invalid TOML, an unknown section or key (naming its nearest neighbour), or an impossible value.
         """
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for section, content in toml.parsed(text, where).items():
             if section == "board":
                 continue  # how to reach the board: `daq.base.console.settings`
             if section not in SECTIONS:
                 raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
-            found |= _section(section, content, where)
-        if "datum" in found and "x0" in found:
+            values |= _section(section, content, where)
+        if "datum" in values and "x0" in values:
             raise InputError("encoder.datum and rig.x0 are both given", where, "give x0 alone: datum is -x0")
-        return cls(**found)
+        return cls(**values)
 
     def to_toml(self) -> str:
         """Write the rig as TOML; `from_toml` reads back an equal rig."""
@@ -162,21 +162,21 @@ def _section(section: str, content: Any, where: str) -> dict[str, Any]:
                 if key not in known and key.removesuffix("_sd") in keys:
                     raise InputError(f"unknown key {section}.{key}", where, f"write it in the section [{other}]")
     check_keys(section, content, known, where)
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key in SECTIONS[section]:
         if key in QUANTITIES:
             if f"{key}_sd" in content and key not in content:
                 raise InputError(f"{section}.{key}_sd is given without {section}.{key}", where, f"add {key} or drop it")
             if key in content:
-                found[key] = checked(
+                values[key] = checked(
                     key,
                     _number(content[key], f"{section}.{key}", where),
                     _number(content.get(f"{key}_sd", 0.0), f"{section}.{key}_sd", where),
                     where,
                 )
         elif key in content:
-            found[key] = _setting(key, content[key], section, where)
-    return found
+            values[key] = _setting(key, content[key], section, where)
+    return values
 
 
 def _number(value: Any, key: str, where: str) -> float:

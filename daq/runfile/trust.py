@@ -92,8 +92,8 @@ def trust_own(path: Path) -> None:
 
 
 def _key(path: Path, work: Callable[[Path], bytes]) -> tuple[object, ...]:
-    found = path.stat()
-    return work, found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+    status = path.stat()
+    return work, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _visit(path: Path) -> bytes:

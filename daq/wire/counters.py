@@ -52,8 +52,8 @@ def increments(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> ND
 def signed(value: Whole, bits: int | NDArray[np.int64]) -> Whole:
     """Return ``value`` modulo 2^bits as the number nearest to zero: -2^(bits-1) to 2^(bits-1) - 1."""
     half: Any = 1 << (bits - 1)
-    found: Whole = (value + half & (1 << bits) - 1) - half
-    return found
+    wrapped: Whole = (value + half & (1 << bits) - 1) - half
+    return wrapped
 
 
 def moves(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> NDArray[np.int64]:

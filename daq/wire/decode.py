@@ -99,16 +99,16 @@ class Stream:
         The number of samples in a frame, which a board is told, makes no other identification.
         """
         frames = len(self.n)
-        found = [(0, self.ident)]
+        spans = [(0, self.ident)]
         for first, ident in zip(self.idents.tolist(), self.identified, strict=False):
             if first >= frames:
                 break
-            if first == found[-1][0]:
-                found.pop()
-            if not found or not _same_board(found[-1][1], ident):
-                found.append((first, ident))
-        ends = [*(first for first, _ in found[1:]), frames]
-        return [(first, end, ident) for (first, ident), end in zip(found, ends, strict=True)]
+            if first == spans[-1][0]:
+                spans.pop()
+            if not spans or not _same_board(spans[-1][1], ident):
+                spans.append((first, ident))
+        ends = [*(first for first, _ in spans[1:]), frames]
+        return [(first, end, ident) for (first, ident), end in zip(spans, ends, strict=True)]
 
 
 def _same_board(one: wire.Ident | None, other: wire.Ident) -> bool:

@@ -381,11 +381,11 @@ class FrameReader:
     def payloads(self, data: bytes) -> list[bytes]:
         """Take bytes as they came and return the payloads they complete whose CRC holds, in order."""
         lines = [line for line in self._splitter.feed(data) if line]
-        found = [_checked(body) for body in unstuff(lines)]
-        payloads = [payload for payload in found if payload is not None]
-        if len(payloads) < len(found):
-            damaged = [len(line) for line, payload in zip(lines, found, strict=True) if payload is None]
-            self.crc_errors += len(damaged) - (self._first and found[0] is None)
+        checked = [_checked(body) for body in unstuff(lines)]
+        payloads = [payload for payload in checked if payload is not None]
+        if len(payloads) < len(checked):
+            damaged = [len(line) for line, payload in zip(lines, checked, strict=True) if payload is None]
+            self.crc_errors += len(damaged) - (self._first and checked[0] is None)
             self._discarded_bytes += sum(damaged)
         self._first = self._first and not lines
         return payloads

@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 STYLE = Path(__file__).with_name("atlas.mplstyle")
-COLOURS = 64  # of a picture: with 24 the edges of thin lines show steps, with 128 a file is a third larger
-WIDTH, HEIGHT = 7.2, {1: 2.15, 2: 3.0, 3: 2.35}  # of the picture, and of a row by the number of panels in it, inches
+COLOURS = 64  # colours of a picture: with 24 the edges of thin lines show steps, with 128 a file is a third larger
+# Width of the picture, and height of a row by the number of panels in it, inches.
+WIDTH, HEIGHT = 7.2, {1: 2.15, 2: 3.0, 3: 2.35}
 ALONE = 4.1  # height of a panel that is the only one
-LETTERS = 112  # of a line of the sentence
+LETTERS = 112  # letters in a line of the sentence
 BEHIND: dict[str, Any] = {"frameon": True, "framealpha": 0.7, "edgecolor": "none"}  # curves show through a legend
 LOOKS: dict[str, dict[str, Any]] = {
     "line": {"lw": 1.2},

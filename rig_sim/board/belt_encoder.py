@@ -62,8 +62,8 @@ class BeltEncoder:
         steps = np.zeros(len(nodes.t))
         ends = [first for first, _ in path.flows[1:]] + [len(nodes.t) - 1]
         for (first, flow), last in zip(path.flows, ends, strict=True):
-            own = slice(first, last + 1)
-            steps[first + 1 : last + 1] = self._steps(flow, nodes.t[own], nodes.x[own], nodes.v[own])
+            piece = slice(first, last + 1)
+            steps[first + 1 : last + 1] = self._steps(flow, nodes.t[piece], nodes.x[piece], nodes.v[piece])
         travel = self.travel + np.cumsum(steps)
         self.travel = float(travel[-1])
         counts: NDArray[np.int64] = np.floor(travel[path.samples] / self.delta).astype(np.int64) - self._origin

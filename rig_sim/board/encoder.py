@@ -25,7 +25,7 @@ from rig_sim.scenes.sections import Encoder
 LARGEST_COUNT = 2**62
 MOST_EDGES = 50_000_000  # in one call, for decoders that need them one by one
 _PIECES_PER_VIBRATION = 16  # so that x' + vibration' crosses zero at most once in a piece
-_HALVINGS = 30  # of a piece: the position at a turning point is right to the square of the time's error
+_HALVINGS = 30  # halvings of a piece: the position at a turning point is right to the square of the time's error
 
 
 @dataclass(frozen=True)

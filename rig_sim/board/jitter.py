@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rig_sim.scenes.sections import Jitter
 
-LARGEST = 0.45  # of a sampling period, either way: from 0.5 on, samples could change their order
+LARGEST = 0.45  # share of a sampling period, either way: from 0.5 on, samples could change their order
 SELDOM = 3  # standard deviations: where the limit is farther out, at most 0.3 % of the draws are clipped
 
 

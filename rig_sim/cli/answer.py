@@ -22,14 +22,14 @@ def changed(name: str, changes: list[str] | None) -> "Scene":
     return scene(name, **parse_changes(changes))
 
 
-def answered(found: "Result", plot: Path | None = None, force: bool = False, *more: str) -> Answer:
+def answered(result: "Result", plot: Path | None = None, force: bool = False, *more: str) -> Answer:
     """Return a result as the command's answer; ``plot``: drawn into this file, of which the answer says so."""
-    data: dict[str, Any] = found.as_json()
-    lines = [*found.lines(), *more]
+    data: dict[str, Any] = result.as_json()
+    lines = [*result.lines(), *more]
     if plot is not None:
         from daq.base.output.plot import save
 
-        save(found.plot(), plot, force=force)
+        save(result.plot(), plot, force=force)
         data["file"] = plot
         lines.append(str(plot))
     return Answer(data, "\n".join(lines))

@@ -139,7 +139,7 @@ def run(
     """
     import rig_sim
 
-    found = rig_sim.run(
+    result = rig_sim.run(
         changed(scene, set_),
         until,
         rate,
@@ -150,7 +150,7 @@ def run(
         max_steps=max_steps,
         force=force,
     )
-    return answered(found)
+    return answered(result)
 
 
 @app.command
@@ -164,13 +164,13 @@ def compare(scene: SceneName, /, *, until: Until, set_: SetChanges = None, json:
     import rig_sim
 
     with application.progress("measuring", 100, "%") as show:
-        found = rig_sim.compare(changed(scene, set_), until, progress=show.stage)
+        result = rig_sim.compare(changed(scene, set_), until, progress=show.stage)
     table = application.table("", ["method", "setting", "error", "CPU s", "us/cycle"], left=2)
-    for row in found.results:
+    for row in result.results:
         error = row.note if row.error is None else f"{row.error:.1e}"
         per_cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
         table.add_row(row.method, row.setting, error, f"{row.cpu_s:.2g}", per_cycle)
-    return Answer(found.as_json(), [table, *found.remarks()])
+    return Answer(result.as_json(), [table, *result.remarks()])
 
 
 app.command(over.continue_, name="continue")

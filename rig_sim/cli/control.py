@@ -33,8 +33,8 @@ def quench(
 
     check_plot(plot, force)
     with application.progress("settling", 2) as show:
-        found = rig_sim.quench(changed(scene, set_), progress=show.stage)
-    return answered(found, plot, force)
+        result = rig_sim.quench(changed(scene, set_), progress=show.stage)
+    return answered(result, plot, force)
 
 
 def shaker(
@@ -107,7 +107,7 @@ def lock(
         raise InputError("draws --method=ogy alone", "--plot", "drop one of the two")
     check_plot(plot, force)
     with application.progress("following the motion", events) as show:
-        found = rig_sim.lock(changed(scene, set_), period, budget, method=method, events=events, progress=show.stage)
-    if plot is not None and found.control is None:
-        return answered(found, None, False, "nothing drawn: there is no motion under control")
-    return answered(found, plot, force)
+        result = rig_sim.lock(changed(scene, set_), period, budget, method=method, events=events, progress=show.stage)
+    if plot is not None and result.control is None:
+        return answered(result, None, False, "nothing drawn: there is no motion under control")
+    return answered(result, plot, force)

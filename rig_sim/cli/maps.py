@@ -70,8 +70,8 @@ def basins(
 
     check_plot(plot, force)
     with application.progress("mapping cells", cells) as show:
-        found = rig_sim.basins(changed(scene, set_), cells, progress=show.stage)
-    return answered(found, plot, force)
+        result = rig_sim.basins(changed(scene, set_), cells, progress=show.stage)
+    return answered(result, plot, force)
 
 
 def lyapunov(

@@ -44,8 +44,8 @@ def continue_(
     import rig_sim
 
     with application.progress("following", None) as show:
-        found = rig_sim.continue_(changed(scene, set_), over, draws=draws, progress=show.stage)
-    return answered(found)
+        result = rig_sim.continue_(changed(scene, set_), over, draws=draws, progress=show.stage)
+    return answered(result)
 
 
 def sweep(
@@ -96,7 +96,7 @@ def sweep(
 
     check_plot(plot, force)
     with kept(resume, over), application.progress("sweeping", None) as show:
-        found = rig_sim.sweep(
+        result = rig_sim.sweep(
             changed(scene, set_),
             over,
             section=section,
@@ -105,7 +105,7 @@ def sweep(
             resume=resume,
             progress=show.stage,
         )
-    return answered(found, plot, force)
+    return answered(result, plot, force)
 
 
 @contextmanager

@@ -27,12 +27,12 @@ DOP853_RTOL = (1e-6, 1e-9, 1e-12, 2.3e-14)
 STIFF_RTOL = (1e-6, 1e-9)
 MOST_STEPS = 10**8
 LONGEST = 2000  # periods of the oscillator: the slowest method takes some minutes for them
-LONG_ENOUGH_S = 0.5  # of CPU: a run is repeated until all together have taken more; 0: each runs once
+LONG_ENOUGH_S = 0.5  # CPU time: a run is repeated until all together have taken more; 0: each runs once
 NO_REFERENCE = (
     "the tightest other method: the multi-precision reference covers neither droop nor an equation of motion that "
     "changes between events; such scenes are played interpreted"
 )
-LAST = 1e-6  # of the time span: an event this near its end may be missing from a list; not swept
+LAST = 1e-6  # share of the time span: an event this near its end may be missing from a list; not swept
 
 
 @dataclass(frozen=True)
@@ -206,9 +206,9 @@ def doubted(lists: Lists, until: float) -> str:
     return "".join(words)
 
 
-def _at_once(found: EventList) -> str:
+def _at_once(listed: EventList) -> str:
     """Return in words the first two events of a list at one time, such as a landing found again at a break-away."""
-    for (t, kind), (later, other) in pairwise(_events(found)):
+    for (t, kind), (later, other) in pairwise(_events(listed)):
         if t == later:
             return f" ({kind} and {other} at the same time)"
     return ""
@@ -225,26 +225,26 @@ def _agreeing(lists: Lists, key: tuple[str, str], until: float) -> list[tuple[st
     return [one for one, found in lists.items() if one != key and difference(found, expected, until)[0] is not None]
 
 
-def _events(found: EventList) -> list[tuple[Any, str]]:
-    return list(zip(found.t, found.kinds, strict=True))
+def _events(listed: EventList) -> list[tuple[Any, str]]:
+    return list(zip(listed.t, listed.kinds, strict=True))
 
 
-def difference(found: EventList, expected: Sequence[tuple[Any, str]], until: float) -> tuple[float | None, str]:
+def difference(listed: EventList, expected: Sequence[tuple[Any, str]], until: float) -> tuple[float | None, str]:
     """Return the largest difference of an event time; or None, and where the lists begin to differ.
 
     Lists of different lengths begin to differ where an event of one is farther from its like than from a neighbour.
     """
-    if found.outcome != "completed":
-        return None, found.outcome
+    if listed.outcome != "completed":
+        return None, listed.outcome
     kinds = [kind for _, kind in expected]
-    both = min(len(found.t), len(kinds))
+    both = min(len(listed.t), len(kinds))
     for i in range(both):
-        if found.kinds[i] != kinds[i]:
+        if listed.kinds[i] != kinds[i]:
             return None, f"other events from t = {float(expected[i][0]):.6g}"
-    late = [float(t) for t, _ in expected[both:]] + list(found.t[both:])
+    late = [float(t) for t, _ in expected[both:]] + list(listed.t[both:])
     if late and min(late) < until * (1.0 - LAST):
         begins = min(late)
-        for i, t in enumerate(found.t[:both]):
+        for i, t in enumerate(listed.t[:both]):
             near = min(
                 (abs(float(expected[j][0]) - t) for j in (i - 1, i + 1) if 0 <= j < len(kinds)), default=math.inf
             )
@@ -252,4 +252,4 @@ def difference(found: EventList, expected: Sequence[tuple[Any, str]], until: flo
                 begins = min(t, float(expected[i][0]))
                 break
         return None, f"other events from t = {begins:.6g}"
-    return max((abs(float(t - t_ref)) for t, (t_ref, _) in zip(found.t, expected, strict=False)), default=0.0), ""
+    return max((abs(float(t - t_ref)) for t, (t_ref, _) in zip(listed.t, expected, strict=False)), default=0.0), ""

@@ -55,7 +55,7 @@ def solve_phase(
     lo, hi = mode_bounds(fr, mode)
     ends = [(side, edge) for side, edge in ((-1, lo), (1, hi)) if math.isfinite(edge)]
     try:
-        found = solve_ivp(  # type: ignore[call-overload]  # the solver is named by a variable
+        solution = solve_ivp(  # type: ignore[call-overload]  # the solver is named by a variable
             rates,
             (0.0, t_max - t),
             (p, w),
@@ -70,16 +70,16 @@ def solve_phase(
 
     def at(t_at: float) -> tuple[float, float]:
         p_at, w_at = (
-            found.sol(t_at - t) if found.sol is not None else found.y[:, -1]
+            solution.sol(t_at - t) if solution.sol is not None else solution.y[:, -1]
         )  # without it only the end is requested
         return float(p_at), float(w_at)
 
-    for (side, edge), times, states in zip(ends, found.t_events, found.y_events, strict=True):
+    for (side, edge), times, states in zip(ends, solution.t_events, solution.y_events, strict=True):
         if len(times):
             return PhaseResult(modes.COMPLETED, side, t + float(times[0]), float(states[0][0]), edge, at)
-    if found.status != 0:
+    if solution.status != 0:
         return PhaseResult(modes.COMPLETED, 0, math.nan, math.nan, math.nan, at)
-    return PhaseResult(modes.COMPLETED, 0, t_max, float(found.y[0][-1]), float(found.y[1][-1]), at)
+    return PhaseResult(modes.COMPLETED, 0, t_max, float(solution.y[0][-1]), float(solution.y[1][-1]), at)
 
 
 def by_solver(method: str, rtol: float, *, dense: bool) -> PhaseSolver:

@@ -35,7 +35,7 @@ from rig_sim.dynamics.control.phasor import phasor
 from rig_sim.dynamics.orbits.fixed_point import friction_at_rest
 from rig_sim.flow.flow import Flow
 
-CREEP = 0.1  # of abs(delta): a slower oscillation is over, or grown e^63-fold, within one period
+CREEP = 0.1  # frequency over abs(delta): a slower oscillation is over, or grown e^63-fold, within one period
 NO_SHIFT = 1e-5  # rad
 
 

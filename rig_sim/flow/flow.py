@@ -58,7 +58,7 @@ class Flow(NamedTuple):
     table: Table = NO_TABLE
 
 
-SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0: products of three stay finite
+SMALLEST, LARGEST = 1e-100, 1e100  # sizes of any number but 0: products of three stay finite
 POSITIVE_FIELDS = ("m", "k")
 NON_NEGATIVE_FIELDS = ("Fs", "factor", "gamma", "d", "droop")
 

@@ -288,7 +288,7 @@ class _Parser:
         self._fault(f"an operator is missing before {token.text:.40}", token.column, "write * for a product")
 
     def _tokens(self) -> list[Token]:
-        found: list[Token] = []
+        tokens: list[Token] = []
         column = 0
         while column < len(self.text):
             if self.text[column] in BLANKS:
@@ -299,9 +299,9 @@ class _Parser:
                 letter = self.text[column]
                 do = INSTEAD.get(letter, "use names, numbers, + - * / ** ( ) and functions")
                 self._fault(f"{letter!a} has no meaning in a formula", column, do)
-            found.append(Token(str(match.lastgroup), match.group(), column))
+            tokens.append(Token(str(match.lastgroup), match.group(), column))
             column = match.end()
-        return [*found, Token("end", "", len(self.text.rstrip(BLANKS)))]
+        return [*tokens, Token("end", "", len(self.text.rstrip(BLANKS)))]
 
     def _fault(self, what: str, column: int, do: str) -> NoReturn:
         raise InputError(what, "formula", f"{do}\n{pointed(self.text, column)}")

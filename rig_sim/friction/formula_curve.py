@@ -30,7 +30,7 @@ TOLERANCE = 1e-8
 MOST_PIECES = 2000  # published forms take 100 to 250: half refuses none of them, twice takes 0.1 s to build
 WIDEST = 64.0  # times the speed that energy allows: a drive in resonance goes beyond; a doubling adds some ten pieces
 FIRST_PIECES = 32  # up to that speed, with nine places each: what is narrower than a three-hundredth may be overlooked
-SHORTEST = 1e-12  # of the range: a shorter piece leaves four digits to the speeds within it
+SHORTEST = 1e-12  # share of the range: a shorter piece leaves four digits to the speeds within it
 SLOWEST = 1e-60  # m/s: the third power of a piece's width and its inverse are then numbers
 PLACES = (0.0625, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 0.9375)  # of a piece, where its error is seen
 

@@ -17,8 +17,8 @@ SceneLike = str | Path | Scene
 
 FORM = "write section.key=START:STOP, or section.key=START:STOP:N, as in damper.c=0.3:0.6:31"
 IN_PYTHON = "write over='damper.c=0.3:0.6:31', or over=('damper.c', values)"
-NUMBER = 41  # of values where none is given
-MOST = 1_000_000
+NUMBER = 41  # number of values where none is given
+MOST_VALUES = 1_000_000
 
 
 def scene_of(given: SceneLike) -> Scene:
@@ -118,8 +118,8 @@ def parameter_range(over: "str | tuple[str, Sequence[float]]", *, of_scene: bool
         raise InputError(what, "--over", FORM, python=IN_PYTHON) from None
     if not (math.isfinite(start) and math.isfinite(stop)) or start == stop:
         raise InputError(f"{over!r} is no interval", "--over", "give two different finite numbers")
-    if not 2 <= count <= MOST:
-        raise InputError(f"{count} values", "--over", f"give 2 to {MOST}")
+    if not 2 <= count <= MOST_VALUES:
+        raise InputError(f"{count} values", "--over", f"give 2 to {MOST_VALUES}")
     return ParameterRange(key.strip(), start, stop, count)
 
 
@@ -129,6 +129,6 @@ def _given(over: Any) -> ParameterRange:
         values = tuple(float(value) for value in listed)
     except (TypeError, ValueError):
         raise InputError(f"{over!r:.60} is no range of a parameter", "--over", FORM, python=IN_PYTHON) from None
-    if not 2 <= len(values) <= MOST or not all(math.isfinite(value) for value in values):
-        raise InputError(f"{len(values)} values", "--over", f"give 2 to {MOST}, all of them finite numbers")
+    if not 2 <= len(values) <= MOST_VALUES or not all(math.isfinite(value) for value in values):
+        raise InputError(f"{len(values)} values", "--over", f"give 2 to {MOST_VALUES}, all of them finite numbers")
     return ParameterRange(str(key), values[0], values[-1], len(values), values)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rig_sim.flow.flow import Flow
 
 METHODS = ("ogy", "search")
-MOST_PERIOD = 100  # of a search; the multipliers of longer orbits leave no digit of a motion
+MOST_PERIOD = 100  # longest period of a search; the multipliers of longer orbits leave no digit of a motion
 MOST_EVENTS = 10_000_000
 # Integrator steps of a lock, 5 s, or so many for each event asked for.  Of the thesis's motions periods 1 to 5 take 5e5
 # and 100 takes 6e6; an event takes 80.  Where every close return is tried in vain a search took 24 s and more.
@@ -69,13 +69,13 @@ class Quench(Result, Quenching):
         """Draw the motion with and without its drive; without ``ax`` also its swing over the amplitude, below."""
         if ax is not None:
             return super().plot(ax)
-        from rig_sim.dynamics.pictures.driven import quench_figure
+        from rig_sim.dynamics.pictures.control import quench_figure
 
         return quench_figure(self.flow, *self.start)
 
     def draw(self, ax: "Axes") -> None:
         """Draw the motion with and without its drive."""
-        from rig_sim.dynamics.pictures.driven import draw_dither
+        from rig_sim.dynamics.pictures.control import draw_dither
 
         draw_dither(ax, self.flow, *self.start)
 
@@ -148,14 +148,14 @@ class Lock(Result):
         import numpy as np
         import pandas as pd
 
-        own = not hasattr(self.system, "landing")
+        is_formula = not hasattr(self.system, "landing")
         d = len(self.system.scale)
-        names = [f"x{place}" for place in range(d)] if own else ["t", "x"]
+        names = [f"x{place}" for place in range(d)] if is_formula else ["t", "x"]
         if self.control is None:
             return pd.DataFrame(columns=[*names, "change"], dtype=np.float64)
         changes = np.append(self.control.changes, np.nan)
         table = pd.DataFrame(np.column_stack([self.control.states, changes]), columns=[*names, "change"])
-        table.attrs["units"] = {} if own else {name: self.UNITS[name] for name in (*names, "change")}
+        table.attrs["units"] = {} if is_formula else {name: self.UNITS[name] for name in (*names, "change")}
         return table
 
     def lines(self) -> list[str]:
@@ -180,13 +180,13 @@ class Lock(Result):
         """Draw the landings; without ``ax`` also the changes of the amplitude, the phase portrait and the velocity."""
         if ax is not None or self.control is None or not hasattr(self.system, "landing"):
             return super().plot(ax)
-        from rig_sim.dynamics.pictures.driven import lock_figure
+        from rig_sim.dynamics.pictures.control import lock_figure
 
         return lock_figure(self.system, self.control, self.period, self.budget)
 
     def draw(self, ax: "Axes") -> None:
         """Draw the landings one after the other."""
-        from rig_sim.dynamics.pictures.driven import draw_landings
+        from rig_sim.dynamics.pictures.control import draw_landings
 
         draw_landings(ax, self.control)
 
@@ -240,7 +240,7 @@ class Shaker(Result):
 
     def draw(self, ax: "Axes") -> None:
         """Draw the curves of constant growth rate and frequency, and where the oscillation decays."""
-        from rig_sim.dynamics.pictures.shaker import draw_shaker
+        from rig_sim.dynamics.pictures.control import draw_shaker
 
         if self.plane is not None:
             draw_shaker(ax, self.plane, self.a, self.phi)
@@ -365,19 +365,19 @@ def _locked(
             return {"outcome": first.outcome, "advice": advice}, f, None, name
     if method == "search":
         return _searched(f, start, period, budget, progress), f, None, name
-    found = find_and_lock(f, start, period, budget, events, progress)
-    return _as_fields(f, found), f, found.lock, name
+    locking = find_and_lock(f, start, period, budget, events, progress)
+    return _as_fields(f, locking), f, locking.lock, name
 
 
-def _as_fields(f: FormulaMap, found: "Locking") -> dict[str, Any]:
+def _as_fields(f: FormulaMap, locking: "Locking") -> dict[str, Any]:
     """Return what a lock has found, by the names of the result's fields."""
-    rows = [_orbit_row(f, orbit) for orbit in found.orbits]
-    data: dict[str, Any] = {"outcome": found.outcome, "advice": found.advice, "orbits": rows}
-    data |= {"orbit": rows[0] if rows else None, "regular_period": found.regular}
-    if found.lock is not None:
-        sizes = [abs(float(change)) for change in found.lock.changes]
-        data |= {"locked": found.lock.locked, "events_to_lock": found.lock.events_to_lock, "events": len(sizes)}
-        data |= {"du_max": max(sizes, default=0.0), "du_final": float(found.lock.changes[-1]) if sizes else 0.0}
+    rows = [_orbit_row(f, orbit) for orbit in locking.orbits]
+    data: dict[str, Any] = {"outcome": locking.outcome, "advice": locking.advice, "orbits": rows}
+    data |= {"orbit": rows[0] if rows else None, "regular_period": locking.regular}
+    if locking.lock is not None:
+        sizes = [abs(float(change)) for change in locking.lock.changes]
+        data |= {"locked": locking.lock.locked, "events_to_lock": locking.lock.events_to_lock, "events": len(sizes)}
+        data |= {"du_max": max(sizes, default=0.0), "du_final": float(locking.lock.changes[-1]) if sizes else 0.0}
     return data
 
 
@@ -407,20 +407,20 @@ def _searched(f: FormulaMap, start: "Array", period: int, budget: float, progres
     from rig_sim.dynamics.system.step_budget import StepLimitError
 
     try:
-        found = search_and_lock(f, start, period, budget, progress=progress)
+        search = search_and_lock(f, start, period, budget, progress=progress)
     except StepLimitError:
         return {"outcome": "step limit", "advice": ADVICE["step limit"]}
-    if found.change is None or found.points is None:
+    if search.change is None or search.points is None:
         advice = "the section did not repeat with this period: raise the budget"
-        return {"outcome": "not locked", "advice": advice, "events": found.events, "du_max": budget * f.strength}
-    orbit: dict[str, Any] = {"points": found.points, "x": found.points[:, 0]}
+        return {"outcome": "not locked", "advice": advice, "events": search.events, "du_max": budget * f.strength}
+    orbit: dict[str, Any] = {"points": search.points, "x": search.points[:, 0]}
     if isinstance(f, LandingMap):
-        x_slip = [f.landing(point, found.change).x_slip for point in found.points]
-        orbit = {"x_slip": x_slip, "t": found.points[:, 0], "x": found.points[:, 1]}
-    data = {"orbit": orbit, "events_to_lock": found.events, "events": found.events, "kept": found.kept}
-    data |= {"du_max": found.change, "du_final": 0.0, "locked": found.stays}
+        x_slip = [f.landing(point, search.change).x_slip for point in search.points]
+        orbit = {"x_slip": x_slip, "t": search.points[:, 0], "x": search.points[:, 1]}
+    data = {"orbit": orbit, "events_to_lock": search.events, "events": search.events, "kept": search.kept}
+    data |= {"du_max": search.change, "du_final": 0.0, "locked": search.stays}
     advice = "without the change the motion leaves the orbit: take the method ogy"
-    return data | ({"outcome": "locked"} if found.stays else {"outcome": "locked while changed", "advice": advice})
+    return data | ({"outcome": "locked"} if search.stays else {"outcome": "locked while changed", "advice": advice})
 
 
 def shaker(
@@ -527,8 +527,8 @@ def _band(given: "str | tuple[float, float]") -> tuple[float, float]:
     return low, high
 
 
-def _intervals(found: list[tuple[float, float]]) -> str:
-    return ", ".join(f"{low:.6g} to {high:.6g}" for low, high in found) or "none"
+def _intervals(intervals: list[tuple[float, float]]) -> str:
+    return ", ".join(f"{low:.6g} to {high:.6g}" for low, high in intervals) or "none"
 
 
 def _shown(value: complex) -> str:

@@ -262,12 +262,12 @@ def map(
     count = whole(iterate, "--iterate")
     if count < 1:
         raise InputError(f"is {iterate}", "--iterate", "give 1 or more")
-    own = isinstance(scene, FormulaMap)
+    is_formula = isinstance(scene, FormulaMap)
     name = type(scene).__name__ if isinstance(scene, FormulaMap) else scene_of(scene).name
     f: Any = on_interval(scene) if isinstance(scene, FormulaMap) else stick_map(scene_of(scene))
     several = not (d is None or isinstance(d, int | float))
     places = _numbers(d)
-    chains = [_images(f, place, count) if own else _events(f, place, count, len(places)) for place in places]
+    chains = [_images(f, place, count) if is_formula else _events(f, place, count, len(places)) for place in places]
     orbits = None
     if periodic:
         from rig_sim.dynamics.analyses.periodic_points import periodic_points
@@ -303,10 +303,10 @@ def _events(f: "StickMap", d: float, times: int, places: int) -> tuple[float, st
 def _images(f: FormulaMap, x: float, times: int) -> tuple[float, str, float, str, str]:
     import numpy as np
 
-    found = float(f.images(np.array([x]), times)[0])
-    there = math.isfinite(found)
+    image = float(f.images(np.array([x]), times)[0])
+    there = math.isfinite(image)
     end = ("completed", "") if there else ("outside", f"the map is defined from {f.lo:g} to {f.hi:g}")
-    return (found, "", float(times), *end)
+    return (image, "", float(times), *end)
 
 
 def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages = silent) -> Basins:
@@ -347,18 +347,18 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
         raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
     name = type(scene).__name__ if isinstance(scene, FormulaMap) else scene_of(scene).name
     f: Any = on_interval(scene) if isinstance(scene, FormulaMap) else _with_steps(scene_of(scene), number)
-    found = find(f, number, progress)
-    shares = tuple(attractor.share for attractor in found.attractors)
-    parts = ((f.lo, f.hi), shares, found.attractors, found.nowhere, number, found.cycles)
-    return Basins(*parts, found.centres, found.fate, name)
+    result = find(f, number, progress)
+    shares = tuple(attractor.share for attractor in result.attractors)
+    parts = ((f.lo, f.hi), shares, result.attractors, result.nowhere, number, result.cycles)
+    return Basins(*parts, result.centres, result.fate, name)
 
 
-def _with_steps(found: "Scene", events: int) -> "StickMap":
+def _with_steps(scene: "Scene", events: int) -> "StickMap":
     """Return the map of two masses with integrator steps for an analysis or, if more, for ``events``."""
     from rig_sim.dynamics.rig.stick import STEPS_IN_ALL
     from rig_sim.dynamics.system.step_budget import StepBudget
 
-    return stick_map(found, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
+    return stick_map(scene, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
 
 
 def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: Stages = silent) -> Exponent:
@@ -401,9 +401,9 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     if not BLOCKS <= number <= MOST_EVENTS:
         raise InputError(f"is {events}", "--events", f"give {BLOCKS} to {MOST_EVENTS}")
     if isinstance(scene, FormulaMap):
-        found = exponent(scene.motion(scene.start), number, progress)
+        result = exponent(scene.motion(scene.start), number, progress)
         advice = "no exponent; take another start or other parameters"
-        return Exponent(**vars(found), per="step", name=type(scene).__name__, advice=advice)
+        return Exponent(**vars(result), per="step", name=type(scene).__name__, advice=advice)
     given = scene_of(scene)
     if given.coupling is None:
         return _driven_lyapunov(given, number, progress)
@@ -412,9 +412,9 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     f, start = _with_steps(given, number), stretch(given)
     if not abs(start) <= f.hi:
         raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
-    found = exponent(f.motion(np.array([start])), number, progress)
+    result = exponent(f.motion(np.array([start])), number, progress)
     advice = "the motion stops sticking; list its events instead"
-    return Exponent(**vars(found), per="event", name=given.name, advice=advice)
+    return Exponent(**vars(result), per="event", name=given.name, advice=advice)
 
 
 def _driven_lyapunov(given: "Scene", events: int, progress: Stages) -> Exponent:
@@ -424,17 +424,17 @@ def _driven_lyapunov(given: "Scene", events: int, progress: Stages) -> Exponent:
     per = "landing"
     f, start = driven_map(given, "landing")
     motion = f.motion(start)
-    found = exponent(motion, events, progress)
-    if found.outcome == "no stick":
+    result = exponent(motion, events, progress)
+    if result.outcome == "no stick":
         per = "drive period"
         f, start = driven_map(given, "poincare")
         motion = f.motion(start)
-        found = exponent(motion, events, progress)
+        result = exponent(motion, events, progress)
     rotation = None
-    if per == "landing" and found.outcome == "completed":
+    if per == "landing" and result.outcome == "completed":
         rotation = rotation_number(motion.follow(ROTATIONS))
     advice = "no exponent; list the events instead"
-    return Exponent(**vars(found), per=per, drive_periods_per_landing=rotation, name=given.name, advice=advice)
+    return Exponent(**vars(result), per=per, drive_periods_per_landing=rotation, name=given.name, advice=advice)
 
 
 def with_error(value: float, stderr: float) -> str:

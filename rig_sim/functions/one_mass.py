@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ORBITS = ("stable", "unstable")
-POINTS = 2000  # of an orbit that is drawn
+POINTS = 2000  # points of an orbit that is drawn
 
 
 @dataclass(frozen=True, repr=False)

@@ -68,8 +68,8 @@ class Result:
             if ax is None:
                 ax = figure(*self.SIZE).add_subplot()
             self.draw(ax)
-        found = ax.figure
-        return found.figure if hasattr(found, "figure") and found.figure is not None else found  # type: ignore[return-value]
+        drawn = ax.figure
+        return drawn.figure if hasattr(drawn, "figure") and drawn.figure is not None else drawn  # type: ignore[return-value]
 
     def draw(self, ax: "Axes") -> None:
         """Draw the result into axes."""

@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from rig_sim.flow.flow import Flow
 
 CHANGE_IT = "change that value with --set"
-STARTS = 8  # of a map of an interval of one's own: fewer miss attractors with small basins, more cost in proportion
+STARTS = 8  # starts on a user's map of an interval: fewer miss attractors with small basins, more cost in proportion
 OFFSET = 0.6180339887498949  # of a start in its part of the interval: no simple fraction, as unstable orbits may be
 
 
-def not_physical(found: Scene, error: ValueError) -> InputError:
+def not_physical(scene: Scene, error: ValueError) -> InputError:
     """Return the error that refuses a scene whose numbers are not physical, or not modelled."""
-    python = f"change that value: {change_in_python(found.name, 'section.key', 'VALUE')}"
-    return InputError(str(error), f"scene {found.name}", CHANGE_IT, python=python)
+    python = f"change that value: {change_in_python(scene.name, 'section.key', 'VALUE')}"
+    return InputError(str(error), f"scene {scene.name}", CHANGE_IT, python=python)
 
 
-def stick_map(found: Scene, budget: "StepBudget | None" = None) -> "StickMap":
+def stick_map(scene: Scene, budget: "StepBudget | None" = None) -> "StickMap":
     """Return the map of a scene of two masses, with integrator steps of its own or from a ``budget`` that maps share.
 
     Raises
@@ -40,14 +40,14 @@ def stick_map(found: Scene, budget: "StepBudget | None" = None) -> "StickMap":
     """
     from rig_sim.dynamics.rig.stick import StickMap
 
-    flow = found.two_mass_flow()
+    flow = scene.two_mass_flow()
     try:
         return StickMap(flow, budget=budget)
     except ValueError as error:
-        raise not_physical(found, error) from None
+        raise not_physical(scene, error) from None
 
 
-def driven_start(found: Scene) -> "tuple[Flow, float, float]":
+def driven_start(scene: Scene) -> "tuple[Flow, float, float]":
     """Return the flow and the start (x, v) of a scene of one driven mass.
 
     Raises
@@ -57,39 +57,39 @@ def driven_start(found: Scene) -> "tuple[Flow, float, float]":
     """
     from rig_sim.flow.flow import validate
 
-    if found.drive is None:
+    if scene.drive is None:
         do = "set drive.u0 and drive.omega, or take the scene forced"
-        python = f"write rig_sim.scene({found.name!r}, **{{'drive.u0': 0.2, 'drive.omega': 1.6}}), or take 'forced'"
-        raise InputError("has no drive, and this is for a driven mass", f"scene {found.name}", do, python=python)
-    flow = found.flow()
+        python = f"write rig_sim.scene({scene.name!r}, **{{'drive.u0': 0.2, 'drive.omega': 1.6}}), or take 'forced'"
+        raise InputError("has no drive, and this is for a driven mass", f"scene {scene.name}", do, python=python)
+    flow = scene.flow()
     try:
         validate(flow)
     except ValueError as error:
-        raise not_physical(found, error) from None
-    return flow, float(found.start.x), float(found.start.v)
+        raise not_physical(scene, error) from None
+    return flow, float(scene.start.x), float(scene.start.v)
 
 
-def with_period(found: Scene) -> "tuple[Flow, float, float]":
+def with_period(scene: Scene) -> "tuple[Flow, float, float]":
     """Return flow and start as `driven_start`, or refuse a drive without a period."""
-    flow, x, v = driven_start(found)
+    flow, x, v = driven_start(scene)
     if flow.omega == 0.0:
-        python = change_in_python(found.name, "drive.omega", "1.6")
+        python = change_in_python(scene.name, "drive.omega", "1.6")
         what = "drive.omega is 0: there is no drive period"
-        raise InputError(what, f"scene {found.name}", "set drive.omega", python=f"write {python}")
+        raise InputError(what, f"scene {scene.name}", "set drive.omega", python=f"write {python}")
     return flow, x, v
 
 
-def driven_map(found: Scene, section: str) -> "tuple[DrivenMap, Array]":
+def driven_map(scene: Scene, section: str) -> "tuple[DrivenMap, Array]":
     """Return a driven mass as a system, and the scene's own start; errors as `with_period`."""
     import numpy as np
 
     from rig_sim.dynamics.rig.driven import DrivenMap
 
-    flow, x, v = with_period(found)
+    flow, x, v = with_period(scene)
     return DrivenMap(flow, section), np.array([x, v])
 
 
-def landing_map(found: Scene, budget: "StepBudget") -> "LandingMap":
+def landing_map(scene: Scene, budget: "StepBudget") -> "LandingMap":
     """Return the map from landing to landing of a scene of one driven mass.
 
     Raises
@@ -99,15 +99,15 @@ def landing_map(found: Scene, budget: "StepBudget") -> "LandingMap":
     """
     from rig_sim.dynamics.rig.landing import LandingMap
 
-    flow = found.flow()
-    if found.drive is None:
-        python = change_in_python(found.name, "drive.u0", "0.2")
+    flow = scene.flow()
+    if scene.drive is None:
+        python = change_in_python(scene.name, "drive.u0", "0.2")
         do = "set drive.u0 and drive.omega"
-        raise InputError("has no drive to control", f"scene {found.name}", do, python=f"write {python}")
+        raise InputError("has no drive to control", f"scene {scene.name}", do, python=f"write {python}")
     try:
         return LandingMap(flow, budget=budget)
     except ValueError as error:
-        raise not_physical(found, error) from None
+        raise not_physical(scene, error) from None
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from rig_sim.integrate.two_mass import CROSSING, Pair, new_pair, pair_event, pla
 from rig_sim.integrate.work import ORDER, Buffer, for_compiled, unboxed
 
 EVENTS, SAMPLES, CROSSINGS = 0, 1, 2  # what is listed
-WIDTH = 9  # of a row: t, y1, w1, mode 1, y2, w2, mode 2, and both modes before
-ROWS = 2048  # of one call of the kernel
+WIDTH = 9  # numbers in a row: t, y1, w1, mode 1, y2, w2, mode 2, and both modes before
+ROWS = 2048  # rows of one call of the kernel
 INTERPRETED_STEPS = 1_000  # about 1 s of CPU time; a motion that needs more continues in compiled code
 ROUNDING = 2.0**-53  # tolerance of the series
 

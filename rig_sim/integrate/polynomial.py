@@ -9,7 +9,7 @@ polished only on a piece where the bound proves the polynomial monotone; pieces 
 from rig_sim.integrate.newton import EPS, newton_step
 from rig_sim.integrate.work import Series
 
-SHORTEST_PIECE = 1e-9  # of a step: over it a parabola stays within rounding
+SHORTEST_PIECE = 1e-9  # share of a step: over it a parabola stays within rounding
 PIECES = 300  # three times what halving down to the shortest piece on both sides of a tangency takes
 
 
@@ -112,7 +112,7 @@ def first_root(c: Series, degree: int, level: float, side: int, xi_end: float) -
         # below rounding of the polynomial its sign at the piece's end is all there is to know
         monotone = abs(fall) > bound * h or h <= SHORTEST_PIECE * xi_end or bound * h * h <= rounding
         if rest <= 0.0 and monotone:
-            guess = start + h * margin / (margin - rest)  # of the chord; far better than the middle of a short piece
+            guess = start + h * margin / (margin - rest)  # chord's root; far better than the middle of a short piece
             return polish(c, degree, zeros, level, side, start, end, guess)
         if rest > 0.0 and (monotone or min(rest, margin) > 0.125 * bound * h * h):
             if end >= xi_end:

@@ -32,8 +32,8 @@ LARGEST_STEP_SIZE = 2.0  # log2 of the longest step in scaled time: beyond, term
 # to a seventh, 8 or 12 and 20 cost up to a quarter more, 16 and 24 the same.
 FEW_TERMS, MANY_TERMS = 14, 22
 THIRD = 1.0 / 3.0
-AT_KNOT = 16.0 * EPS  # of the speeds: as near to a knot as this, a slip speed is on it
-OFF_KNOT = 1e-3  # of the scaled time: w, which turns there, changes by some 1e-6, and friction by its third power
+AT_KNOT = 16.0 * EPS  # share of the speeds: as near to a knot as this, a slip speed is on it
+OFF_KNOT = 1e-3  # share of the scaled time: w, which turns there, changes by some 1e-6, and friction by its third power
 NO_SIZE = -1e6  # stands for log2 of 0
 SMALLEST = 2.0**-1022  # the smallest number of full precision
 

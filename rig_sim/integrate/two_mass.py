@@ -25,9 +25,9 @@ LAST = COEFFICIENTS - 1  # place of the friction's first coefficient
 
 # Events besides the end of the time allowed: which mass, times the side its velocity or load leaves by
 FIRST, SECOND, CROSSING = 1, 2, 3  # CROSSING: the first mass's velocity over ground passes 0
-ROUNDING = 16.0 * EPS  # of the largest term of a force, within which it counts as at its level; not swept
+ROUNDING = 16.0 * EPS  # share of the largest term of a force within which it counts as at its level; not swept
 BEYOND = 1e-300  # m/s: next to nothing
-LONGEST = 4.0  # of a step in units of TIME_SCALE, as in `rig_sim.integrate.taylor`
+LONGEST = 4.0  # length of a step in units of TIME_SCALE, as in `rig_sim.integrate.taylor`
 # Of TIME_SCALE, sqrt(m/k).  Masses that have come to rest exactly take steps each LONGEST times as long as the one
 # before, up to this one, as nothing but overflow would end them; steps of a motion are a billion times shorter.
 LONGEST_SCALE = 1e9

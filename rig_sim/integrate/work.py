@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 Buffer = Any  # list of floats (interpreted) or one-dimensional float64 array (compiled)
 Series = Any  # the same, of the coefficients of a Taylor series
 
-ORDER = 28  # of the Taylor series: 24 to 32 cost about the same per unit of time
-COEFFICIENTS = ORDER + 2  # of a series
+ORDER = 28  # order of the Taylor series: 24 to 32 cost about the same per unit of time
+COEFFICIENTS = ORDER + 2  # coefficients of a series
 
 R = TypeVar("R")
 _SHAPES: dict[Any, dict[str, bool]] = {}

@@ -47,7 +47,7 @@ INTERPRETED_STEPS = 50_000  # some 1 to 2 s of CPU; a motion that needs more sta
 MOST_NODES = 10_000_000
 MOST_EVENTS = 1_000_000  # in a list, which repeats without steps
 SamplePhase = Callable[..., Any]  # the signature of `rig_sim.integrate.phases.sample_phase`
-LEAST_FACTOR = 0.05  # of Fs: lower limit of the factor; scatter of 30 % reaches it at 3.2 standard deviations
+LEAST_FACTOR = 0.05  # share of Fs: lower limit of the factor; scatter of 30 % reaches it at 3.2 standard deviations
 
 
 @dataclass(frozen=True, slots=True)

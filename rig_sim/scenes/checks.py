@@ -8,7 +8,7 @@ from rig_sim.friction.spline import refused
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Friction
 
-MOST_POINTS = 1000  # of a measured curve: a fit gives some 16
+MOST_POINTS = 1000  # points of a measured curve: a fit gives some 16
 OWN_KEYS = {  # of the section friction, which no parameter of a formula can be; Fs, G_slip and gamma can
     "law": "the law's number",
     "curve": "measured points",
@@ -21,22 +21,22 @@ OWN_KEYS = {  # of the section friction, which no parameter of a formula can be;
 TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # what two masses may have
 
 
-def check_magnitudes(found: Scene, where: str) -> None:
+def check_magnitudes(scene: Scene, where: str) -> None:
     """Refuse numbers whose products and ratios leave the range of floating-point arithmetic."""
-    for section, keys in found.model_dump(exclude_none=True).items():
+    for section, keys in scene.model_dump(exclude_none=True).items():
         for key, value in keys.items() if isinstance(keys, dict) else ():
             if isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
                 what = f"{section}.{key} is {value:g}"
                 raise InputError(what, where, f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}: choose other units")
 
 
-def check_together(found: Scene, where: str) -> None:
+def check_together(scene: Scene, where: str) -> None:
     """Refuse what only two sections together make impossible."""
-    _check_masses(found, where)
-    friction = found.friction
+    _check_masses(scene, where)
+    friction = scene.friction
     if friction is None:
         for effect in ("wear", "scatter"):
-            if getattr(found, effect) is not None:
+            if getattr(scene, effect) is not None:
                 raise InputError(f"{effect} without friction", where, f"add a friction section or drop {effect}")
     else:
         if friction.G_stick is not None and friction.d is not None:
@@ -53,35 +53,35 @@ def check_together(found: Scene, where: str) -> None:
             if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
                 name = "G_stick or d" if key == "d" else key
                 raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
-    _check_formula_values(found, where)
-    if found.joint is not None and (found.belt is None or found.belt.length is None):
+    _check_formula_values(scene, where)
+    if scene.joint is not None and (scene.belt is None or scene.belt.length is None):
         raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
-    if found.belt is not None and found.belt.ripple_hz is not None and found.belt.ripple is None:
+    if scene.belt is not None and scene.belt.ripple_hz is not None and scene.belt.ripple is None:
         raise InputError("belt.ripple_hz without belt.ripple", where, "give the ripple's amplitude, or drop ripple_hz")
-    if found.belt is not None and found.belt.ripple:
-        if found.belt.ripple_hz is None:
+    if scene.belt is not None and scene.belt.ripple:
+        if scene.belt.ripple_hz is None:
             raise InputError("belt.ripple_hz is missing", where, "give the ripple's frequency in Hz")
-        if found.drive is not None:
+        if scene.drive is not None:
             raise InputError("belt.ripple beside a drive", where, "drop one: the integrator supports one harmonic")
-    if found.droop is not None:
+    if scene.droop is not None:
         if friction is not None and not friction.law:
             key = "friction.law = 0" if friction.formula is None else "friction.formula"
             raise InputError(f"droop with {key} is not modelled", where, "drop droop, or take law 1 to 6")
-        if found.belt is None or friction is None:
+        if scene.belt is None or friction is None:
             raise InputError("droop without belt and friction", where, "add them or drop droop")
-        _check_droop(found, found.droop.fraction, where)
-    if found.shaker is not None:
+        _check_droop(scene, scene.droop.fraction, where)
+    if scene.shaker is not None:
         try:
-            validate(found.flow())
+            validate(scene.flow())
         except (ValueError, OverflowError) as error:
-            what = f"shaker.a = {found.shaker.a:g}, shaker.phi = {found.shaker.phi:g}: {error}"
+            what = f"shaker.a = {scene.shaker.a:g}, shaker.phi = {scene.shaker.phi:g}: {error}"
             raise InputError(what, where, "set belt.speed, a smaller shaker.a, or shaker.phi = 3.14159") from None
     for effect in ("slip_loss", "gaps"):
-        if getattr(found, effect) is not None and found.encoder is None:
+        if getattr(scene, effect) is not None and scene.encoder is None:
             raise InputError(f"{effect} without an encoder", where, f"add an encoder section or drop {effect}")
-    if found.belt is not None and found.belt.channel and found.encoder is None:
+    if scene.belt is not None and scene.belt.channel and scene.encoder is None:
         raise InputError("belt.channel without an encoder", where, "add an encoder section or drop belt.channel")
-    if not math.isfinite(found.spring.k / found.mass.m):
+    if not math.isfinite(scene.spring.k / scene.mass.m):
         raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")
 
 
@@ -126,35 +126,35 @@ def _check_formula(friction: Friction, where: str) -> None:
         raise InputError("friction.d is missing, which a ramp needs", where, "give d, or drop friction.contact")
 
 
-def _check_formula_values(found: Scene, where: str) -> None:
+def _check_formula_values(scene: Scene, where: str) -> None:
     """Refuse a formula that is no friction curve at the slip speeds which the scene can reach."""
-    if found.friction is None or found.friction.formula is None:
+    if scene.friction is None or scene.friction.formula is None:
         return
     try:
-        found.model_copy(update={"shaker": None}).flow()
+        scene.model_copy(update={"shaker": None}).flow()
     except InputError as error:
         raise InputError(f"friction.formula: {error.what}", where, error.do) from None
 
 
-def _check_masses(found: Scene, where: str) -> None:
+def _check_masses(scene: Scene, where: str) -> None:
     """Refuse a start that belongs to another number of masses, and what two masses do not have."""
-    given = sorted(found.start.model_fields_set)
-    if found.coupling is None:
+    given = sorted(scene.start.model_fields_set)
+    if scene.coupling is None:
         if other := [key for key in given if key not in ("x", "v")]:
             do = "give start.x and start.v, or add coupling.a and coupling.b"
             raise InputError(f"start.{other[0]} without coupling", where, do)
         return
-    for section in found.terms():
+    for section in scene.terms():
         if section not in TWO_MASS_TERMS:
             raise InputError(f"{section} beside coupling: not modelled for two masses", where, f"drop {section}")
     for key in ("start", "length", "ripple", "ripple_hz", "channel"):
-        if found.belt is not None and getattr(found.belt, key):
+        if scene.belt is not None and getattr(scene.belt, key):
             raise InputError(f"belt.{key} beside coupling: not modelled for two masses", where, f"drop belt.{key}")
-    if found.friction is not None and found.friction.own_law().contact != "jump":
-        what = f"friction.law is {found.friction.law}, a ramp, which is not modelled for two masses"
+    if scene.friction is not None and scene.friction.own_law().contact != "jump":
+        what = f"friction.law is {scene.friction.law}, a ramp, which is not modelled for two masses"
         raise InputError(what, where, "take law 1, 3 or 5")
-    if found.friction is not None and not found.friction.law:
-        key = "friction.law is 0" if found.friction.formula is None else "friction.formula is given"
+    if scene.friction is not None and not scene.friction.law:
+        key = "friction.law is 0" if scene.friction.formula is None else "friction.formula is given"
         raise InputError(f"{key}, which is not modelled for two masses", where, "take law 1, 3 or 5")
     used = [way for way in STARTS if any(key in given for key in way)]
     if STARTS[0] in used:
@@ -164,9 +164,9 @@ def _check_masses(found: Scene, where: str) -> None:
         raise InputError(what, where, "keep one of: x1, v1, x2, v2; d; attractor")
 
 
-def _check_droop(found: Scene, fraction: float, where: str) -> None:
+def _check_droop(scene: Scene, fraction: float, where: str) -> None:
     """Refuse a droop that has no single force, in the words of the scene's own keys."""
-    flow = found.model_copy(update={"shaker": None}).flow()
+    flow = scene.model_copy(update={"shaker": None}).flow()
     if flow.droop > 0.0 and flow.static != 1.0:
         raise InputError(f"droop beside friction.static = {flow.static:g}", where, "drop one: with droop it must be 1")
     if flow.droop > 0.0 and flow.Fs == 0.0:

@@ -16,7 +16,7 @@ ROUNDING = 1e-6  # relative: asymmetry, or a variance below 0, that rounding may
 CURVE = "friction.curve."
 
 
-def drawn_changes(found: Scene, number: int, where: str) -> list[dict[str, object]]:
+def drawn_changes(scene: Scene, number: int, where: str) -> list[dict[str, object]]:
     """Return ``number`` sets of changes, the same for the same seed of the scene.
 
     A key whose value is no longer the fitted one was changed by hand, and is not drawn.
@@ -38,13 +38,13 @@ def drawn_changes(found: Scene, number: int, where: str) -> list[dict[str, objec
     """
     import numpy as np
 
-    fit = found.fit
+    fit = scene.fit
     if fit is None:
         do = "write the scene with fit-friction --save-scene"
         python = "write the scene with fitting.rank(run).save_scene(path)"
         raise InputError("has no section fit, which --draws needs", where, do, python=python)
     names, centre, spread = fit.parameters, np.array(fit.values), _matrix(fit, where)
-    points = len(found.friction.curve or ()) if found.friction is not None else 0
+    points = len(scene.friction.curve or ()) if scene.friction is not None else 0
     curve = {f"{CURVE}{i}" for i in range(points)}
     for name in names:
         if name.startswith(CURVE) and name not in curve:
@@ -55,28 +55,28 @@ def drawn_changes(found: Scene, number: int, where: str) -> list[dict[str, objec
     if size[0] < -ROUNDING * max(float(size[-1]), 1.0) * len(names):
         raise InputError("fit.covariance is no covariance: a variance below 0", where, "write the scene anew")
     root = unit[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
-    rng = np.random.default_rng(found.seed)
+    rng = np.random.default_rng(scene.seed)
     normal = rng.standard_normal((number, len(names)))
     wider = np.sqrt((fit.cycles - 1) / rng.chisquare(fit.cycles - 1, number))
     drawn = centre + wider[:, None] * np.einsum("nk,pk->np", normal, root)
-    kept = _as_fitted(found, fit)
-    return [{key: value for key, value in _changes(found, names, row.tolist()).items() if key in kept} for row in drawn]
+    kept = _as_fitted(scene, fit)
+    return [{key: value for key, value in _changes(scene, names, row.tolist()).items() if key in kept} for row in drawn]
 
 
-def _as_fitted(found: Scene, fit: FitSection) -> set[str]:
+def _as_fitted(scene: Scene, fit: FitSection) -> set[str]:
     """Return the keys whose values in the scene are those of the fit."""
     keys = {name: _limited(name, value) for name, value in zip(fit.parameters, fit.values, strict=True)}
     curve = {name: value for name, value in keys.items() if name.startswith(CURVE)}
-    kept = {name for name, value in keys.items() if name not in curve and _value(found, name) == value}
-    points = (found.friction.curve or ()) if found.friction is not None else ()
+    kept = {name for name, value in keys.items() if name not in curve and _value(scene, name) == value}
+    points = (scene.friction.curve or ()) if scene.friction is not None else ()
     if curve and all(points[int(name[len(CURVE) :])][1] == value for name, value in curve.items()):
         kept.add("friction.curve")
     return kept
 
 
-def _value(found: Scene, name: str) -> object:
+def _value(scene: Scene, name: str) -> object:
     section, _, key = name.partition(".")
-    return getattr(getattr(found, section, None), key, None)
+    return getattr(getattr(scene, section, None), key, None)
 
 
 def _limited(name: str, number: float) -> float:
@@ -99,12 +99,12 @@ def _matrix(fit: FitSection, where: str) -> "Array":
     return matrix
 
 
-def _changes(found: Scene, names: list[str], numbers: list[float]) -> dict[str, object]:
+def _changes(scene: Scene, names: list[str], numbers: list[float]) -> dict[str, object]:
     """Return one draw as changes: dotted keys, and the curve as a whole."""
     changes: dict[str, object] = {
         name: _limited(name, number) for name, number in zip(names, numbers, strict=True) if not name.startswith(CURVE)
     }
-    friction = found.friction
+    friction = scene.friction
     if friction is not None and friction.curve is not None:
         points = [list(point) for point in friction.curve]
         for name, number in zip(names, numbers, strict=True):

@@ -58,7 +58,7 @@ from rig_sim.scenes.sections import Section
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 FRICTION_IS = ("friction.law", "friction.formula")
-OLD_NAMES = {"tell": "output"}  # of sections, still accepted
+OLD_NAMES = {"tell": "output"}  # old names of sections, still accepted
 FORM = "write section.key=value"
 IN_PYTHON = "write rig_sim.scene('rig', **{'section.key': value})"
 LARGEST_FILE = 1 << 20  # bytes of a scene; what is longer is something else, and may have no end

@@ -130,10 +130,10 @@ def _check_workers(client: Any, address: str, function: Callable[[Any], Any]) ->
     except TimeoutError:
         raise InputError("the scheduler has no worker", where, f"start one: dask worker {address}") from None
     try:
-        found = set(client.run(_version).values())
+        versions = set(client.run(_version).values())
     except ImportError as error:
         raise InputError(f"the workers lack {error.name}", where, do) from None
-    if other := sorted(found - {VERSION}):
+    if other := sorted(versions - {VERSION}):
         raise InputError(f"the workers hold stickslip {', '.join(other)}", where, do)
     with _cluster_errors(address):
         failures = client.run(_load_error, pickle.dumps(function)).values()

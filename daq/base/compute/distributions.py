@@ -26,12 +26,12 @@ def _special(name: str) -> Any:
     sys.modules[package] = stand_in = ModuleType(package)  # a package that runs nothing when it is imported
     stand_in.__path__ = spec.submodule_search_locations
     try:
-        found = getattr(import_module(f"{package}._ufuncs"), name, None)
+        function = getattr(import_module(f"{package}._ufuncs"), name, None)
     except ImportError:
-        found = None
+        function = None
     finally:
         del sys.modules[package]
-    return getattr(import_module(package), name) if found is None else found
+    return getattr(import_module(package), name) if function is None else function
 
 
 def student_quantile(p: float, freedom: float) -> float:

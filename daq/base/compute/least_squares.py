@@ -7,7 +7,7 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 
-DEPENDENT = 1e-13  # of a column's length: what is left of it beside the columns before it is rounding
+DEPENDENT = 1e-13  # share of a column's length: as little left of it beside the columns before it is rounding
 
 
 def least_squares(matrix: Array, target: Array) -> tuple[Array, Array]:

@@ -85,11 +85,11 @@ def logging_to(flags: LogFlags, name: str, arguments: Sequence[str]) -> Iterator
         for handler, level in _handlers(flags, stack):
             handler.setLevel(level)
             for package in PACKAGES:
-                own = logging.getLogger(package)
-                own.setLevel(logging.DEBUG)
-                own.propagate = False
-                own.addHandler(handler)
-                stack.callback(own.removeHandler, handler)
+                package_log = logging.getLogger(package)
+                package_log.setLevel(logging.DEBUG)
+                package_log.propagate = False
+                package_log.addHandler(handler)
+                stack.callback(package_log.removeHandler, handler)
         from daq.base.version import VERSION
 
         logger.info("%s %s on Python %s, %s", name, VERSION, platform.python_version(), platform.platform())

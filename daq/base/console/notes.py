@@ -35,12 +35,12 @@ class NoteFlags:
             A tag that is not NAME=VALUE, or text that a file cannot hold.
         """
         typed = {"title": self.title, "operator": self.operator, "sample_name": self.sample, "note": self.note}
-        found: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
-        for name, value in found.items():
+        stated: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
+        for name, value in stated.items():
             check_text(value, f"--{name.removesuffix('_name')}")
         if self.tag is not None:
-            found["tags"] = tags(self.tag)
-        return found
+            stated["tags"] = tags(self.tag)
+        return stated
 
 
 NO_NOTES = NoteFlags()
@@ -48,18 +48,18 @@ NO_NOTES = NoteFlags()
 
 def tags(typed: list[str]) -> dict[str, str]:
     """Return tags typed as NAME=VALUE by name; InputError for one that is not, or a name given twice."""
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for text in typed:
         name, equals, value = text.partition("=")
         name, value = name.strip(), value.strip()
         if not equals or not TAG.fullmatch(name):
             do = "write NAME=VALUE, the name in letters, digits and underscores, such as humidity=45"
             raise InputError(f"{text!r} is not a tag", "--tag", do)
-        if name in found:
+        if name in values:
             raise InputError(f"{name} is given twice", "--tag", "leave one out")
         check_text(value, "--tag")
-        found[name] = value
-    return found
+        values[name] = value
+    return values
 
 
 def check_text(text: str, flag: str) -> None:

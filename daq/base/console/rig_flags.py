@@ -78,8 +78,8 @@ class RigFlags(PitchFlags):
 
     def stated(self) -> dict[str, Measured | int]:
         """Return what is given, by the attributes of `daq.runfile.rig.Rig`; InputError as of `PitchFlags`."""
-        found = {name: getattr(self, name) for name in ("mass", "stiffness", "belt_speed", "x0")}
-        return super().stated() | {name: value for name, value in found.items() if value is not None}
+        stated = {name: getattr(self, name) for name in ("mass", "stiffness", "belt_speed", "x0")}
+        return super().stated() | {name: value for name, value in stated.items() if value is not None}
 
 
 NO_RIG = RigFlags()

@@ -118,12 +118,12 @@ def _user() -> dict[str, Any]:
     content = toml.parsed(_read(path, where), where)
     for section in content:
         check_known(section, ["board", "rig"], "key", where)
-    found = _checked(content.get("board", {}), where)
+    settings = _checked(content.get("board", {}), where)
     if "rig" in content:
         if not isinstance(content["rig"], str):
             raise InputError(f"rig is {content['rig']!r}", where, "write the path of a rig.toml in quotes")
-        found["rig"] = content["rig"]
-    return found
+        settings["rig"] = content["rig"]
+    return settings
 
 
 def _read(path: Path, where: str) -> str:

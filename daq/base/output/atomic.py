@@ -141,14 +141,14 @@ def _can_be_locked(path: Path) -> bool:
 
 def _is_being_written(target: Path, own: Path) -> bool:
     """Return whether another command writes this target; remove the files of those that were killed over it."""
-    found = False
+    locked = False
     for left in (own, *target.parent.glob(f".{glob.escape(target.name)}.*.partial")):
         if left != own and "." in left.name[len(target.name) + 2 : -len(".partial")]:
             continue  # of another target, NAME.x
         try:
             lock = FileLock(left)
         except BlockingIOError:
-            found = True
+            locked = True
         except OSError:  # no locks here, another user's, or another command has removed it
             with contextlib.suppress(OSError):
                 if left.lstat().st_mtime < time.time() - ABANDONED_S:
@@ -158,7 +158,7 @@ def _is_being_written(target: Path, own: Path) -> bool:
                 lock.remove(left)
             else:
                 lock.release()
-    return found
+    return locked
 
 
 def _take_its_place(temporary: Path, lock: FileLock | None, target: Path, force: bool) -> None:

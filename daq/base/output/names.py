@@ -7,7 +7,7 @@ from pathlib import Path
 
 from daq.base.errors import InputError
 
-FORMATS = {"n": r"(0?\d+)?d?", "date": ""}  # of each field, as a regular expression
+FORMATS = {"n": r"(0?\d+)?d?", "date": ""}  # format of each field, as a regular expression
 DO = "use {n}, {n:03} or {date}, as in 'run-{n:03}.h5'; for a brace itself write it twice"
 
 
@@ -45,5 +45,5 @@ def _next(folder: Path, parts: list[tuple[str, str | None, str | None, str | Non
     """Return one more than the largest number that a run file or a journal of this pattern has."""
     kinds = {"n": r"(\d+)", "date": r"\d{8}-\d{6}", None: ""}
     pattern = re.compile("".join(re.escape(text) + kinds[field] for text, field, _, _ in parts) + r"(?:\.part)?")
-    found = [pattern.fullmatch(item.name) for item in folder.iterdir()] if folder.is_dir() else []
-    return 1 + max((int(match[1]) for match in found if match and match.re.groups), default=0)
+    matches = [pattern.fullmatch(item.name) for item in folder.iterdir()] if folder.is_dir() else []
+    return 1 + max((int(match[1]) for match in matches if match and match.re.groups), default=0)

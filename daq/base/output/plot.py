@@ -22,7 +22,7 @@ FORMATS = (".png", ".svg", ".pdf")
 MARK = "stickslip, sha256 of the raw record "  # before the run that a picture shows, among its metadata
 NAMED_IN = {"png": "Source", "svg": "Source", "pdf": "Subject"}
 MARKER = "#D55E00"
-SCREEN_DPI = 90  # of a figure in a notebook: 11.5 inches are then 1035 px wide
+SCREEN_DPI = 90  # dots per inch of a figure in a notebook: 11.5 inches are then 1035 px wide
 
 
 class PngFigure(Figure):

@@ -30,7 +30,7 @@ def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
     """
     import numpy as np
 
-    found: dict[str, str | int] = {
+    facts: dict[str, str | int] = {
         "software": f"stickslip {VERSION}",
         "python": platform.python_version(),
         "numpy": np.__version__,
@@ -38,7 +38,7 @@ def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
         "hostname": platform.node(),
         "command_line": shlex.join(_typed() if command is None else command),
     }
-    known = found | _commit(Path(__file__).resolve().parents[3])
+    known = facts | _commit(Path(__file__).resolve().parents[3])
     return {name: storable(value) if isinstance(value, str) else value for name, value in known.items()}
 
 

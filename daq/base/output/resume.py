@@ -139,10 +139,10 @@ def _foreign(path: Path) -> InputError:
 def _parsed(line: bytes) -> dict[str, Any] | None:
     """Return the object of a line; None when it holds none."""
     try:
-        found = json.loads(line)
+        row = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return row if isinstance(row, dict) else None
 
 
 def _differences(there: Any, here: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:

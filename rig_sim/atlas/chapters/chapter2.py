@@ -46,8 +46,8 @@ def first_events(law: int) -> tuple[Event, ...]:
 def friction(law: int, v: Array) -> Array:
     """Return the friction force at velocities v over ground: (n,)."""
     found = base(law)
-    own = found.friction.parameters() if found.friction else {}
-    return force(LAWS[law], v - speed(law), **own)
+    parameters = found.friction.parameters() if found.friction else {}
+    return force(LAWS[law], v - speed(law), **parameters)
 
 
 def speed(law: int) -> float:

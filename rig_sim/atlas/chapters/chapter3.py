@@ -44,7 +44,7 @@ class EstimatedRun:
 @cache
 def runs() -> dict[str, EstimatedRun]:
     """Record the rig, and return the run by finite differences ('fd') and by Savitzky-Golay ('sg')."""
-    found = {}
+    series = {}
     with TemporaryDirectory() as name:
         folder = Path(name)
         port = f"rig://{SCENE}?set=encoder.decoder%3D{DECODER}"
@@ -53,8 +53,8 @@ def runs() -> dict[str, EstimatedRun]:
         for method in ("fd", "sg"):
             call(folder, "processing.cli", "smooth", "run.h5", "--method", method)
             call(folder, "processing.cli", "export", "run.h5", "--csv", f"{method}.csv")
-            found[method] = read(folder / f"{method}.csv")
-    return found
+            series[method] = read(folder / f"{method}.csv")
+    return series
 
 
 def call(folder: Path, module: str, *arguments: str) -> None:

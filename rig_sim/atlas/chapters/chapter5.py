@@ -16,7 +16,7 @@ from rig_sim.dynamics.orbits.limit_cycle import Orbit, cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 
-SPEED = 0.6  # of the belt
+SPEED = 0.6  # speed of the belt
 STRONGEST = 0.62  # damping drawn
 PORTRAITS = {
     "a": (0.0, (0.5, 1.6)),

@@ -42,11 +42,11 @@ def diagram() -> Continuation:
     return continuation(flow_at, np.unique(np.concatenate([np.linspace(0.0, STRONGEST, 63), beside, near])))
 
 
-def unstable_peak(found: FloquetOrbit, c: float) -> float:
+def unstable_peak(orbit: FloquetOrbit, c: float) -> float:
     """Return the largest velocity on an unstable orbit."""
-    if found.x_min is None or found.period is None:
+    if orbit.x_min is None or orbit.period is None:
         return math.nan
-    return float(played(c, found.x_min, 0.0, found.period)[1].max())
+    return float(played(c, orbit.x_min, 0.0, orbit.period)[1].max())
 
 
 def branch_traces(ordinate: str) -> tuple[Trace, ...]:

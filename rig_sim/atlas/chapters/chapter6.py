@@ -19,7 +19,7 @@ from rig_sim.scenes.scene import scene
 
 SPEED, U0 = 0.085, 0.2  # of the scene `forced`
 OMEGAS = np.linspace(0.2, 2.0, 241)  # of figure 6.6; 0.13 s of CPU each
-LANDINGS = 4000  # of a Lyapunov exponent
+LANDINGS = 4000  # landings of a Lyapunov exponent
 SLOW, FAST = (0.2, 0.3), (0.4, 4.0)  # u0 and omega of the unquenched and the quenched motion
 SETTLED = 300.0  # time after which a motion counts as settled
 
@@ -49,11 +49,11 @@ def landing_exponent(omega: float) -> Exponent:
 def unforced() -> Computed:
     """Return the phase portrait without a drive."""
     changes = (("belt.speed", SPEED),)
-    found = cycle(scene("base", **dict(changes)))
+    free = cycle(scene("base", **dict(changes)))
     t, x, v, _ = motion("base", 90.0, 100.0, changes)
-    last = t > 90.0 - 1.02 * (found.period or 0.0)
+    last = t > 90.0 - 1.02 * (free.period or 0.0)
     curves = Trace(x, v, "from (0, 0)", "thin"), Trace(x[last], v[last], "limit cycle", "thick")
-    return Computed((Panel(X, V, curves),), {**vars(found), "is_cycle": found.outcome == "cycle"})
+    return Computed((Panel(X, V, curves),), {**vars(free), "is_cycle": free.outcome == "cycle"})
 
 
 def portrait(omega: float) -> Computed:

@@ -20,7 +20,7 @@ from rig_sim.dynamics.rig.landing import LandingMap
 S = 0.3  # gamma_lin - c: the thesis's least amplification at phi = pi
 HIGHEST = 5.5  # amplification drawn, that of figure 6.11
 PHASE, LEVEL = "phase shift phi (rad)", "amplification a (sqrt(km))"
-BAND = (0.9, 1.1)  # of the filter, relative to the resonance
+BAND = (0.9, 1.1)  # band of the filter, relative to the resonance
 SAMPLES = 200  # per drive period
 BEFORE, TURNS = 12, 6  # landings drawn before the control; turns of the orbit drawn in time
 EVENTS = 20_000
@@ -46,8 +46,8 @@ def best_phase(a: float) -> float:
     def growth(phi: float) -> float:
         return phasor(1.0, 1.0, S, a, phi).imag
 
-    found = minimize_scalar(growth, bounds=(2.0, math.pi), method="bounded", options={"xatol": 1e-10})
-    return float(found.x)
+    minimum = minimize_scalar(growth, bounds=(2.0, math.pi), method="bounded", options={"xatol": 1e-10})
+    return float(minimum.x)
 
 
 def growth_curves() -> Computed:

@@ -19,7 +19,7 @@ from rig_sim.flow.modes import COMPLETED, OUTCOMES
 # sweep.  Near a period doubling an orbit may still be 1e-3 of the interval away after as many.
 TRANSIENT = 1000
 POINTS = 512  # kept of an attractor that is not periodic
-SAME = 1e-9  # of the interval, to which the orbit of a periodic attractor repeats
+SAME = 1e-9  # share of the interval to which the orbit of a periodic attractor repeats
 NOWHERE = -1  # index of what has no attractor
 
 

@@ -107,15 +107,15 @@ def mean_growth(growth: Array) -> Exponent:
     )
 
 
-def passages_per_period(found: Passages, scale: Array) -> int | None:
+def passages_per_period(passages: Passages, scale: Array) -> int | None:
     """Return after how many passages state and phase of the drive repeat; None for what is not periodic."""
-    turn = 2.0 * np.pi * found.times
-    return period_of(np.column_stack([found.states / scale, np.cos(turn), np.sin(turn)]), SAME)
+    turn = 2.0 * np.pi * passages.times
+    return period_of(np.column_stack([passages.states / scale, np.cos(turn), np.sin(turn)]), SAME)
 
 
-def rotation_number(found: Passages) -> float:
+def rotation_number(passages: Passages) -> float:
     """Return the mean time from passage to passage (drive periods)."""
-    return smooth_mean(np.diff(found.times))
+    return smooth_mean(np.diff(passages.times))
 
 
 def smooth_mean(values: Array) -> float:

@@ -21,7 +21,7 @@ from rig_sim.dynamics.system.interface import OnInterval
 
 MapAt = Callable[[float], OnInterval]
 PERIODS = 2  # orbits of periods 1 to so many are followed
-NEAR = 0.08  # of the interval: an orbit moves less from value to value; more values allow less
+LARGEST_STEP = 0.08  # share of the interval: an orbit moves less from value to value; more values allow less
 PLACES = 400  # at which an orbit is looked for about where it was
 HALVINGS = 6  # of the step in which two orbits vanish, before the place where they meet is looked for
 STEEPEST = 0.5  # of the interval between two orbits' points: a rise between neighbouring places that counts as a jump
@@ -39,7 +39,7 @@ def map_continuation(
     for done, value in enumerate(values, 1):
         f = map_at(value)
         orbits = orbits_of_periods(f, PERIODS)
-        pairs = matched(before, orbits, NEAR * (f.hi - f.lo))
+        pairs = matched(before, orbits, LARGEST_STEP * (f.hi - f.lo))
         points += special_points(map_at, (previous, value), before, orbits, pairs)
         earlier = {id(new): old for old, new in pairs}
         now: dict[PeriodicPoint, Branch] = {}
@@ -178,7 +178,7 @@ def fold(map_at: MapAt, stable: PeriodicPoint, unstable: PeriodicPoint, there: f
         middle = 0.5 * (there + away)
         f = map_at(middle)
         orbits = periodic_points(f, period)
-        near = NEAR * (f.hi - f.lo)
+        near = LARGEST_STEP * (f.hi - f.lo)
         pairs = {id(old): new for old, new in matched([stable, unstable], orbits, near)}
         if id(stable) in pairs and id(unstable) in pairs and pairs[id(stable)].slope < 1.0 < pairs[id(unstable)].slope:
             stable, unstable, there = pairs[id(stable)], pairs[id(unstable)], middle

@@ -11,7 +11,7 @@ from rig_sim.dynamics.system.interface import OnInterval, slope, survey
 # many halve the distance at which they are.
 PLACES = 2000
 FEW = 200  # places that decide whether the map is defined anywhere: a motion that never sticks takes the most steps
-SAME = 1e-9  # of the interval: roots closer than this are one point; also how well f^n(x) = x holds at a root
+SAME = 1e-9  # share of the interval: roots closer than this are one point; also how well f^n(x) = x holds at a root
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,11 @@ def orbits_of_periods(f: OnInterval, periods: int) -> list[PeriodicPoint]:
     if np.all(np.isnan(survey(f, np.linspace(f.lo, f.hi, FEW)))):
         return []
     places = iterate = np.linspace(f.lo, f.hi, PLACES)
-    found: list[PeriodicPoint] = []
+    orbits: list[PeriodicPoint] = []
     for period in range(1, periods + 1):
         iterate = survey(f, iterate)
-        found += orbits_among(f, period, places, iterate)
-    return found
+        orbits += orbits_among(f, period, places, iterate)
+    return orbits
 
 
 def orbits_among(f: OnInterval, period: int, x: Array, iterate: Array) -> tuple[PeriodicPoint, ...]:

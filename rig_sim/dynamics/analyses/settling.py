@@ -38,7 +38,7 @@ NEIGHBOURS = 0.05  # of the extent: median distance from a point of an attractor
 DRAWN = 512  # passages that are drawn of an attractor that is not periodic
 # Of the size over the last transient, above which a motion counts as growing; one in proportion to time doubles.
 GROWTH = 1.5
-LARGE = 2.0  # of the scale: a motion that does not exceed it is not called growing; a mass in stick stays below 1
+LARGE = 2.0  # size over the scale: a motion that does not exceed it is not called growing; a mass in stick is below 1
 GROWING = Outcome("growing", "the motion still grows after a long time: add damping, or move off the resonance")
 
 

@@ -85,5 +85,5 @@ def least(function: Callable[[float], float], lo: float, hi: float, precision: f
     """Return where a function of one place is least between lo and hi, to ``precision``, and its value there."""
     from scipy.optimize import minimize_scalar
 
-    found = minimize_scalar(function, bounds=(lo, hi), method="bounded", options={"xatol": precision})
-    return float(found.x), float(found.fun)
+    minimum = minimize_scalar(function, bounds=(lo, hi), method="bounded", options={"xatol": precision})
+    return float(minimum.x), float(minimum.fun)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-SAME_POINT = 1e-7  # of the interval: points of the section closer than this are drawn as one
+SAME_POINT = 1e-7  # share of the interval: points of the section closer than this are drawn as one
 # How long a task, which a process takes at a time, is to take, s.  To send one, and its results, takes 0.2 ms with
 # processes and 7 ms with dask: 3 % here, 7 % with half as much.  With twice as much a killed process loses twice as
 # much.  0.1 to 0.8 s share out 400 values equally well.

@@ -83,19 +83,19 @@ def periodic_orbits(f: Controlled, states: Array, period: int, progress: Stages 
 
     ``progress`` is called with the stage and what is done of it.
     """
-    found: list[UnstableOrbit] = []
+    orbits: list[UnstableOrbit] = []
     candidates = close_returns(f, states, period)[:CANDIDATES]
     for number, _ in parts("searching orbits", len(candidates), progress, 1):
         begin = candidates[number]
         piece = states[begin : begin + period]
         gap = float(np.linalg.norm(difference(f, states[begin + period], piece[0])))
-        if any(separation(f, piece[0], other) < gap for other in found):  # passed the same orbit
+        if any(separation(f, piece[0], other) < gap for other in orbits):  # passed the same orbit
             continue
         orbit = refined(f, piece)
-        if orbit is None or any(separation(f, orbit.points[0], other) < SAME for other in found):
+        if orbit is None or any(separation(f, orbit.points[0], other) < SAME for other in orbits):
             continue
-        found.append(orbit)
-    return sorted(found, key=lambda orbit: float(np.abs(orbit.multipliers[0])))
+        orbits.append(orbit)
+    return sorted(orbits, key=lambda orbit: float(np.abs(orbit.multipliers[0])))
 
 
 def separation(f: Controlled, state: Array, orbit: UnstableOrbit) -> float:

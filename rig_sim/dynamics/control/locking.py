@@ -15,7 +15,7 @@ from rig_sim.dynamics.system.step_budget import StepLimitError
 # Applications of the map that orbits are searched in, after as many as `TRANSIENT`.  The least unstable orbits of
 # periods 1 to 5 of the thesis's two motions come out of 1000 already.
 SEARCHED, TRANSIENT = 4000, 100
-REGULAR = 1e-8  # of the scales, within which a regular motion repeats
+REGULAR = 1e-8  # share of the scales within which a regular motion repeats
 ADVICE = {
     "not locked": "the motion did not come close enough to the orbit: allow more events or a larger budget",
     "no budget": "an unstable orbit needs control: give a budget above 0",
@@ -99,5 +99,5 @@ def followed(f: Controlled, start: Array, progress: Stages) -> Array:
     return np.concatenate(pieces[1:])[TRANSIENT:]
 
 
-def _locking(outcome: str, orbits: tuple[UnstableOrbit, ...], regular: int | None, found: Lock | None) -> Locking:
-    return Locking(outcome, ADVICE.get(outcome, ""), orbits, regular, found)
+def _locking(outcome: str, orbits: tuple[UnstableOrbit, ...], regular: int | None, control: Lock | None) -> Locking:
+    return Locking(outcome, ADVICE.get(outcome, ""), orbits, regular, control)

@@ -17,7 +17,7 @@ from rig_sim.dynamics.system.period import period_of
 
 TRANSIENT = 400  # applications at every step before the section is judged; a window's edge may take longer
 JUDGED = 130  # applications that are judged: twice the longest period that is recognised
-REPEATS = 1e-7  # of the scales, within which the section repeats
+REPEATS = 1e-7  # share of the scales within which the section repeats
 
 
 @dataclass(frozen=True)

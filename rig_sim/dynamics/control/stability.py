@@ -109,11 +109,11 @@ def real_roots(polynomial: NDArray[np.floating[Any]]) -> list[float]:
 def joined(edges: list[float], holds: Callable[[float], bool]) -> list[tuple[float, float]]:
     """Return the intervals between edges in whose middle something holds, neighbours joined."""
     places = sorted(set(edges))
-    found: list[tuple[float, float]] = []
+    merged: list[tuple[float, float]] = []
     for low, high in pairwise(places):
         if holds(0.5 * (low + high)):
-            if found and found[-1][1] == low:
-                found[-1] = (found[-1][0], high)
+            if merged and merged[-1][1] == low:
+                merged[-1] = (merged[-1][0], high)
             else:
-                found.append((low, high))
-    return found
+                merged.append((low, high))
+    return merged

@@ -36,7 +36,7 @@ from rig_sim.integrate.work import new_work
 
 TOUCHED = 1e-13  # of the parameter, relative to its step: where the map touches the diagonal
 TOUCH = 1e-9  # of the interval of starts: how well the start that gains least is found; its gain is even less wrong
-CROSSES = 1e-6  # of the change of c - gamma_lin between two values: at a root it is below this, at a jump above
+CROSSES = 1e-6  # share of the change of c - gamma_lin between two values: at a root it is below this, at a jump above
 
 FlowAt = Callable[[float], Flow]
 

@@ -19,7 +19,7 @@ from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import Frame, displacement, frame, mirrored, position
 from rig_sim.integrate.work import new_work
 
-STABLE_TO = 1e-9  # of the distance between the fixed point and the stable orbit: how near either the search comes
+STABLE_TO = 1e-9  # share of the distance between the fixed point and the stable orbit: how near either the search comes
 PARTS = 4.0  # by which the search divides the distance to the fixed point from one try to the next; not swept
 LEAST = 4.0 * math.ulp(1.0)  # relative width of the bracket at the end
 

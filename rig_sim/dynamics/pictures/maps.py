@@ -55,25 +55,25 @@ def jumps(f: OnInterval, times: int, x: Array, y: Array) -> Integers:
     Between two places whose values differ visibly the greater half of the difference is followed: where the iterate is
     continuous, however steep, it becomes small.
     """
-    found = np.flatnonzero(np.abs(np.diff(y)) > VISIBLE * (f.hi - f.lo))
-    left, right, low, high = x[found], x[found + 1], y[found], y[found + 1]
+    after = np.flatnonzero(np.abs(np.diff(y)) > VISIBLE * (f.hi - f.lo))
+    left, right, low, high = x[after], x[after + 1], y[after], y[after + 1]
     whole = np.abs(high - low)
-    for _ in range(HALVINGS if found.size else 0):
+    for _ in range(HALVINGS if after.size else 0):
         middle = 0.5 * (left + right)
         value = f.images(middle, times)
         first = np.abs(value - low) >= np.abs(high - value)
         left, low = np.where(first, left, middle), np.where(first, low, value)
         right, high = np.where(first, middle, right), np.where(first, value, high)
-    return found[np.abs(high - low) > 0.5 * whole]
+    return after[np.abs(high - low) > 0.5 * whole]
 
 
 def draw_sweep(axes: "Axes", rows: Sequence[AttractorAt], parameter: str, ordinate: str) -> None:
     """Draw a bifurcation diagram: the points of every attractor; ``ordinate`` says what they are."""
     size = min(max(SHARP / max(len({row.value for row in rows}), 1), 2.4), 5.0)
     for number in sorted({row.attractor for row in rows if row.points}):
-        own = [row for row in rows if row.attractor == number]
-        x = np.concatenate([np.full(len(row.points), row.value) for row in own])
-        y = np.concatenate([row.points for row in own])
+        of_attractor = [row for row in rows if row.attractor == number]
+        x = np.concatenate([np.full(len(row.points), row.value) for row in of_attractor])
+        y = np.concatenate([row.points for row in of_attractor])
         colour = COLOURS[(number - 1) % len(COLOURS)]
         label = f"attractor {number}"
         axes.plot(x, y, ".", ms=size, mew=0, color=colour, rasterized=len(x) > MOST_DRAWN, label=label)

@@ -18,7 +18,7 @@ from rig_sim.integrate.pair_motion import CROSSINGS, PairMotion
 # 60 are usual.  Masses that come to rest cross no more: their steps, 10 us each, cost 2 s.
 STEPS_OF_CROSSING, STEPS_PER_FREQUENCY = 200, 50.0
 CELLS = 600  # of the cell mapping at each value; a basin narrower than a few cells may be missed: more cells find it
-POINTS = 256  # of the section on an attractor
+POINTS = 256  # points of the section on an attractor
 LEFT_OUT = 200  # first crossings of a motion without global stick
 # Integrator steps at one value, 10 s.  Values of the thesis take 200 000 to 500 000, levels in the ratio of 10^5 10^7.
 STEPS_OF_VALUE = 20_000_000

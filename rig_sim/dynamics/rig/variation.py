@@ -30,7 +30,7 @@ from rig_sim.integrate.work import Work
 ROOT15 = math.sqrt(15.0)
 NODE1, NODE2, NODE3 = 0.5 - ROOT15 / 10.0, 0.5, 0.5 + ROOT15 / 10.0
 PIECE = 0.125
-ITERATIONS = 40  # of the stages, which converge by a factor of 20 each
+ITERATIONS = 40  # iterations of the stages, which converge by a factor of 20 each
 
 
 def deviation(

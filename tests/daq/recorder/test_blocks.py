@@ -80,7 +80,7 @@ def test_any_iterable_of_blocks_is_a_source(tmp_path, source):
 
 
 def test_times_of_another_clock_begin_with_0_and_a_long_block_is_cut_into_records(tmp_path):
-    n = 2 * packing.MOST + 5
+    n = 2 * packing.RECORD_SAMPLES + 5
     time_s = 1.7e9 + np.arange(n) / RATE
     found, run = taken(tmp_path, [(time_s, np.arange(n, dtype=float))])
     assert (found.samples, found.lost) == (n, 0)

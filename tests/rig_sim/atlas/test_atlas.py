@@ -10,8 +10,7 @@ from PIL import Image
 from daq.base.console import application
 from daq.base.errors import InputError
 from rig_sim.atlas.figure import Computed
-from rig_sim.atlas.page import table
-from rig_sim.atlas.redraw import chosen, order, redraw
+from rig_sim.atlas.redraw import chosen, order, redraw, table
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
 from rig_sim.atlas.statements import CHAPTERS, WORDS, checked, compare, drawing, figures_of
 from rig_sim.cli.app import app
