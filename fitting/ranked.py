@@ -9,11 +9,11 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.errors import DataError, InputError
 from daq.base.output import suffix
+from fitting import rig_scene
 from fitting.adequacy.result import Adequacy
 from fitting.curve.result import MeasuredCurve
 from fitting.estimation.result import Correlations, in_columns
 from fitting.report import page
-from fitting.rig_scene import fitted_scene, scene_file
 from fitting.selection import resampling, result
 from processing.statistics import from_kinematics
 
@@ -291,9 +291,8 @@ class Ranking(result.Ranking):
         """
         target = Path(path)
         suffix.check(target, suffix.TOML, "--save-scene", {})
-        scene_file.refuse_existing(target, self._files, force=force)
-        rig = fitted_scene.of_ranking(self, from_kinematics(self.records[0]))
-        scene_file.write(target, scene_file.text(rig, self, Path(self.records[0].recording.name)))
+        rig_scene.refuse_existing(target, self._files, force=force)
+        rig_scene.save(target, self, from_kinematics(self.records[0]), Path(self.records[0].recording.name))
         return target
 
     @property

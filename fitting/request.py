@@ -11,6 +11,7 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from daq.base.output import atomic, suffix
 from daq.runfile import joint
+from fitting import rig_scene
 from fitting.competitors import Competitors, numbers
 from fitting.flags import (
     DEFAULT_LAWS,
@@ -27,7 +28,6 @@ from fitting.flags import (
 from fitting.job import FitOptions
 from fitting.report import comparison, table
 from fitting.report import page as pages
-from fitting.rig_scene import scene_file
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class FitRequest:
         if outputs.curve_csv is not None:
             atomic.refuse_existing(outputs.curve_csv, force, *files, flag="--curve-csv")
         if outputs.save_scene is not None:
-            scene_file.refuse_existing(outputs.save_scene, files, force=force)
+            rig_scene.refuse_existing(outputs.save_scene, files, force=force)
 
 
 def _without_fits(files: Sequence[Path]) -> list[Path]:
