@@ -10,12 +10,12 @@ from daq.base.compute.arrays import Array
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
+from fitting.departures.library import departures
 from fitting.departures.memory import suspect_memory
 from fitting.departures.refit import Refit, refit_with
 from fitting.departures.result import FoundDeparture
 from fitting.departures.scores import sigmas
 from fitting.departures.strongest import LEAST_SIGMAS, Tested, describe, misfit_beyond_noise, strongest
-from fitting.departures.table import departures
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
