@@ -31,7 +31,7 @@ from rig_sim.friction.law import LAWS
 
 ALL_LAWS = (1, 2, 3, 4, 5, 6)
 # Least value of each parameter of rig and contact, and whether it may be that.
-LEAST: dict[str, tuple[float, bool]] = {
+LEAST_VALUES: dict[str, tuple[float, bool]] = {
     "k/m": (0.0, False),
     "Fs/m": (0.0, False),
     "gamma": (0.0, True),
@@ -40,9 +40,9 @@ LEAST: dict[str, tuple[float, bool]] = {
     "static": (1.0, True),
     "c/m": (0.0, True),
 }
-FREE = (-math.inf, True)
+NO_LIMIT = (-math.inf, True)
 PER_MASS = "/m"
-LAST = 100_000  # number of a cycle: no record holds as many
+LAST_CYCLE = 100_000  # largest number of a cycle: no record holds as many
 OF_EVERY_LAW = ("k/m", "k", "c/m", "c", "v_dr", "x0")
 OF_A_CURVE = {"linear": ("G_slip/m", "G_slip"), "hyperbolic": ("gamma",)}
 FORMULAS = {"constant": "Fs", "linear": "Fs - G_slip*s", "hyperbolic": "Fs/(1 + gamma*s)"}  # of the curves of the six
@@ -194,7 +194,7 @@ class Competitors:
                     found[own] = _with(found.get(own, Given()), kind, value)
         own_names = () if isinstance(law, int) else law.curve.parameters
         for name, one in found.items():
-            _check(name, one, *(LEAST.get(_per_mass(name), FREE) if name not in own_names else FREE))
+            _check(name, one, *(LEAST_VALUES.get(_per_mass(name), NO_LIMIT) if name not in own_names else NO_LIMIT))
         return found
 
     def _check_name(self, name: str, flag: str) -> None:
@@ -244,7 +244,7 @@ def _with(given: Given, kind: str, value: float | Bound) -> Given:
     if kind == "bounds":
         low, high = value  # type: ignore[misc]
         return given._replace(
-            low=FREE[0] if low is None else float(low), high=math.inf if high is None else float(high)
+            low=NO_LIMIT[0] if low is None else float(low), high=math.inf if high is None else float(high)
         )
     number = float(value)  # type: ignore[arg-type]
     return Given(number, number, number) if kind == "fix" else given._replace(start=number)
@@ -252,7 +252,7 @@ def _with(given: Given, kind: str, value: float | Bound) -> Given:
 
 def _per_mass(name: str) -> str:
     """Return the name per unit mass of what has a name in newtons too."""
-    return f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in LEAST else name
+    return f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in LEAST_VALUES else name
 
 
 def _check(name: str, given: Given, least: float, itself: bool) -> None:
@@ -296,7 +296,7 @@ def numbers(text: str, flag: str) -> list[int]:
             high = int(last) if dash else low
         except ValueError:
             raise InputError(f"{part!r} is not a number or range", flag, "write for example 1-3,6") from None
-        if not 1 <= low <= high <= LAST:
+        if not 1 <= low <= high <= LAST_CYCLE:
             raise InputError(f"{part!r} is not an increasing range from 1", flag, "write for example 1-3,6")
         found.extend(range(low, high + 1))
     return found

@@ -26,8 +26,8 @@ from processing.record.kinematics import Kinematics
 from processing.smoothing import smooth
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 
-# Of a run's duration, at either end, that may be missing from the whole: samples left out there as spikes are fewer.
-AT_THE_ENDS = 0.01
+# Share of a run that may be missing at either end of the whole: samples left out there as spikes are fewer.
+MISSING_AT_ENDS = 0.01
 
 
 SIX = Competitors()
@@ -197,7 +197,7 @@ def fitted_part(runs: Sequence[LoadedRun], times: Sequence[Array], options: FitO
     said = []
     for run, time in zip(runs, times, strict=True):
         first, last = run.whole
-        if max(time[0] - first, last - time[-1]) > AT_THE_ENDS * (last - first):
+        if max(time[0] - first, last - time[-1]) > MISSING_AT_ENDS * (last - first):
             name = f"{run.recording.source.name}: " if len(runs) > 1 else ""
             said.append(f"{name}{round(time[0], 2):g} to {round(time[-1], 2):g} s")
     said += _fitted_laws(options.competitors)

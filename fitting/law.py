@@ -26,7 +26,7 @@ from daq.base.errors import InputError, nearest
 from rig_sim.friction.formula import SPEED, Formula
 
 NAME = re.compile(r"[A-Za-z][\w-]*")
-DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
+UNIT_DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
 Bound = tuple[float | None, float | None]
 
 
@@ -134,7 +134,7 @@ class Law:
         rng = np.random.default_rng(len(self.formula))
         names = self.curve.parameters
         rows, level, fall = [], [], []
-        for _ in range(DRAWS):
+        for _ in range(UNIT_DRAWS):
             values = {name: float(rng.uniform(0.5, 2.0)) for name in names}
             s = rng.uniform(0.1, 2.0, 4 * len(names))
             try:

@@ -40,16 +40,16 @@ from fitting.selection.result import Ranking
 from processing.statistics import StickSlipStatistics
 from rig_sim.friction.law import LAWS
 
-STEP = 1e-6  # of the derivatives, of an unknown or, where that is larger, of its error: they err by 1e-9
+DERIVATIVE_STEP = 1e-6  # step over an unknown or, where that is larger, over its error: derivatives err by 1e-9
 # A break-away level above that of slip is written where it exceeds it by this many standard errors, and by this share.
 # With 2 errors one in 40 contacts without such a level would be given one; 8 would hide a level twice as high.
 STATIC_ERRORS, LEAST_STATIC = 4.0, 0.005
 FEWEST_LEVELS = 4  # a line through fewer leaves next to nothing of their scatter
-BLUR = 0.5  # of the smoothing's half-window: how far it moves a break-away found without a law
-LEAST_FRICTION = 0.1  # of a curve's fall: it must not reach 0, and how far it stays above changes no motion
+BREAK_AWAY_BLUR = 0.5  # how far smoothing moves a break-away found without a law, over its half-window
+LEAST_FRICTION = 0.1  # least friction over a curve's fall: above 0, which changes no motion
 # Keys of a scene's section of friction that no parameter of a formula can have (`rig_sim.scenes.checks`).
 OWN_KEYS = ("law", "curve", "formula", "contact", "static", "d", "G_stick")
-LEAST_SCATTER = 2.0  # times what the noise makes of the levels, below which the scene has no scatter
+LEAST_SCATTER = 2.0  # scatter of the levels over what noise makes of it: with less the scene has none
 
 
 class Calibration(NamedTuple):
@@ -341,7 +341,7 @@ def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array)
     columns_of = []
     for j in range(u.size):
         step = np.zeros(u.size)
-        step[j] = STEP * (max(abs(float(u[j])), math.sqrt(max(float(spread[j, j]), 0.0))) or 1.0)
+        step[j] = DERIVATIVE_STEP * (max(abs(float(u[j])), math.sqrt(max(float(spread[j, j]), 0.0))) or 1.0)
         columns_of.append((np.asarray(function(u + step)) - np.asarray(function(u - step))) / (2 * step[j]))
     return np.stack(columns_of, axis=-1)
 
@@ -398,7 +398,9 @@ def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion
         return None
     rest = motion.datum_prior.value if motion.datum_prior is not None else 0.0
     error = 1.4826 * float(np.median(np.abs(seen - np.median(seen)))) / math.sqrt(seen.size)
-    return Measured(float(np.median(seen)) + rest, math.hypot(error, BLUR * motion.half_window * motion.belt_speed))
+    return Measured(
+        float(np.median(seen)) + rest, math.hypot(error, BREAK_AWAY_BLUR * motion.half_window * motion.belt_speed)
+    )
 
 
 def _scatter(fit: Fit | FormulaFit) -> float:

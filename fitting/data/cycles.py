@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.base.compute.arrays import Array, runs
-from fitting.data.frame import REST_FRACTION, SHORTEST, SLIPPING, MeasuredMotion
+from fitting.data.frame import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, MeasuredMotion
 
 # Times below are in slips (`MeasuredMotion.slip_s`).
 # At half the smoothed corner is still random in camera tracks; twice loses the end of short sticks.
@@ -125,11 +125,11 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     """
     time, v, a = motion.time, motion.velocity, motion.acceleration
     n = time.size
-    shortest = max(3, round(SHORTEST * motion.slip_s / float(np.median(np.diff(time)))))
-    slow = [(i, j) for i, j in runs(v < SLIPPING * motion.belt_speed) if j - i >= shortest]
+    shortest = max(3, round(SHORTEST_PHASE * motion.slip_s / float(np.median(np.diff(time)))))
+    slow = [(i, j) for i, j in runs(v < SLIP_SPEED * motion.belt_speed) if j - i >= shortest]
     if not slow:
         return CycleSegmentation((), 0.0, False, (0, 0))
-    at_rest = np.abs(v) < REST_FRACTION * motion.belt_speed
+    at_rest = np.abs(v) < REST_SPEED * motion.belt_speed
     starts_at_rest = slow[0][0] == 0 and (bool(at_rest[: min(shortest, n)].all()) or _rests(motion, slow[0][1]))
     rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > REST * motion.slip_s]
     slipping = np.zeros(n, np.bool_)
@@ -157,7 +157,7 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
         if k == 0:
             first = _calm(motion, onset, still)
         elif k == 1 and starts_at_rest:
-            settle = max(SHORTEST * motion.slip_s, motion.half_window)
+            settle = max(SHORTEST_PHASE * motion.slip_s, motion.half_window)
             first = int(np.searchsorted(time, time[min(landings[0], n - 1)] + settle))
         else:
             first = _sticking(motion, middles[k - 1], last)
@@ -205,7 +205,7 @@ def _rests(motion: MeasuredMotion, end: int) -> bool:
     t, x = motion.time[:last] - motion.time[:last].mean(), motion.measured[:last]
     spread = float(np.sum(t**2))
     slope = float(np.sum(t * (x - x.mean()))) / spread
-    slack = max(REST_FRACTION * motion.belt_speed, SURE * motion.resolution / math.sqrt(spread))
+    slack = max(REST_SPEED * motion.belt_speed, SURE * motion.resolution / math.sqrt(spread))
     flat = abs(slope) < slack < WIDEST_SLACK * motion.belt_speed
     return flat and float(np.std(x)) < SCATTER_AT_REST * motion.resolution
 
@@ -245,7 +245,9 @@ def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> fl
     On a wide ramp it creeps the more the larger the load, and slows down from the first.  0 where that is less than
     ``still``, or as much as in a slip.
     """
-    first = int(np.searchsorted(motion.time, motion.time[landing] + max(SHORTEST * motion.slip_s, motion.half_window)))
+    first = int(
+        np.searchsorted(motion.time, motion.time[landing] + max(SHORTEST_PHASE * motion.slip_s, motion.half_window))
+    )
     part = motion.acceleration[first : (first + begin) // 2]
     slowing = -float(np.median(part)) if part.size else 0.0
     return slowing if still < slowing < FASTEST_CREEP * still else 0.0

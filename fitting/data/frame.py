@@ -23,13 +23,13 @@ from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
 from processing.record.setting import is_possible_speed
 
-SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
-REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
+SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
+REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest
 FEWEST_STICKS = 4  # whose median is the belt's speed; of fewer one misplaced stick moves it
-# Slips (`MeasuredMotion.slip_s`) that the shortest stick or slip lasts; a hole as long may hide one.  At half noise
+# Length of the shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a hole as long may hide one.  At half noise
 # beside a corner is a stick, twice is half a stick at the end of stick-slip.
-SHORTEST = 0.06
-FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
+SHORTEST_PHASE = 0.06
+GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     sign = math.copysign(1.0, speed)
     usual = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig)
-    slip = usual_slip(time, sign * position, sign * velocity < SLIPPING * abs(speed))
+    slip = usual_slip(time, sign * position, sign * velocity < SLIP_SPEED * abs(speed))
     # What smoothing leaves out as faults is in them: few samples a slip look like spikes.
     readings = recording.position - kinematics.offset
     prior = believed
@@ -257,10 +257,10 @@ def _broken(kinematics: Kinematics, usual: float, slip: float) -> NDArray[np.boo
     Samples are usually ``usual`` seconds apart, slips last ``slip`` seconds.
     """
     time, kept = kinematics.time, _kept(kinematics)
-    new = (np.diff(time) > FASTER_GAP * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
+    new = (np.diff(time) > GAP_INTERVALS * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
     piece = np.r_[0, np.cumsum(new)][kept]
     broken = np.ones(piece.size, np.bool_)
-    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[kept]) > max(HOLE * usual, SHORTEST * slip))
+    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[kept]) > max(HOLE * usual, SHORTEST_PHASE * slip))
     return broken
 
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 
-# Standard deviations of the difference of two readings: a smaller turn is none.  With half of it the noise of 1,000
-# samples in a stick makes turns; with twice, readings of four samples a slip, whose motion itself counts as noise,
-# lose theirs.
-TURN = 6.0
-ROUNDS = 30  # of the fixed point in `harmonic_share`, which gains a digit in two
+# Size of a turn, in standard deviations of the difference of two readings: a smaller one is none.  With half of it the
+# noise of 1,000 samples in a stick makes turns; with twice, readings of four samples a slip, whose motion itself counts
+# as noise, lose theirs.
+TURN_ABOVE_NOISE = 6.0
+ITERATIONS = 30  # towards the fixed point in `harmonic_share`: two gain a digit
 
 
 def slip_duration(time: Array, position: Array, noise: float) -> float:
@@ -33,7 +33,7 @@ def slip_duration(time: Array, position: Array, noise: float) -> float:
     noise : float
         Standard deviation of one position, m.
     """
-    least = TURN * math.sqrt(2) * noise
+    least = TURN_ABOVE_NOISE * math.sqrt(2) * noise
     rises = _way(position, least, 1)
     if not rises:
         return float(time[-1] - time[0])
@@ -56,7 +56,7 @@ def harmonic_share(ratio: float) -> float:
         The way of the belt, in the time in which the motion is slower than half the belt, over the motion's height.
     """
     share = 0.0
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         share = min(1.0, 2 * ratio / (math.pi + 2 * math.asin(0.5 * share)))
     return share
 

@@ -22,18 +22,17 @@ from fitting.forces.departure import Departure
 
 # Usual error of a cycle over the noise, below which a law with a departure describes the record.  True departures end
 # at 0.99 to 1.02; a wrong one that comes near, friction by position for a hard spring, at 1.1.
-REACHED = 1.05
-# Of the gain of the linear step: a refit of the free curve that gains less has not come to its end.  A curve often is
-# near the noise without the departure, so its error alone does not tell.
-LEAST_PART = 0.5
-# Of the misfit, in one linear step: a departure that explains less is not fitted, and not reported.  True departures
-# but forces by the velocity explain 0.72 to 1; of LuGre contacts the strongest explained 0.1 to 1.
+DESCRIBED_BELOW = 1.05
+# Gain of a refit of the free curve over that of the linear step: one that gains less has not come to its end.  A curve
+# often is near the noise without the departure, so its error alone does not tell.
+LEAST_GAIN_KEPT = 0.5
+# Share of the misfit explained in one linear step: a departure with less is not fitted, and not reported.  True
+# departures but forces by the velocity explain 0.72 to 1; of LuGre contacts the strongest explained 0.1 to 1.
 LEAST_EXPLAINED = 0.5
-MOST_LAWS = 2  # that a departure is fitted with: the best, and the best of another curve
-
-# Of the strongest's gain in one linear step: a departure with more is fitted too, as one step does not tell them apart.
-# A spring that hardens by 1 % gained 0.94 of what friction by position did, and left 3.76 um instead of 4.07.
-RIVAL = 0.9
+MOST_LAWS = 2  # laws that a departure is fitted with: the best, and the best of another curve
+# Gain over the strongest's, in one linear step: a departure with more is fitted too, as one step does not tell them
+# apart.  A spring that hardens by 1 % gained 0.94 of what friction by position did, and left 3.76 um instead of 4.07.
+RIVAL_GAIN = 0.9
 
 # Whether noise may have made what a refit leaves over.
 Judge = Callable[[Refit], bool]
@@ -99,7 +98,7 @@ def explain_misfit(
         error are then those of that fit.  Else memory, where it is suspected, and what was tested on the base of which
         the first explains more.
     """
-    near = curve is not None and curve.chi < REACHED
+    near = curve is not None and curve.chi < DESCRIBED_BELOW
     free = None
     if curve is not None:
         free = Base.of(curve.linear, curve.spline_fit.path, asked.records, asked.revolution)
@@ -159,7 +158,7 @@ def _least_left(refit: Refit, listed: Sequence[Tested], asked: Question) -> tupl
     """Return the refit of the first departure listed, or of a rival that leaves less; and how sure its test was."""
     best, sure = refit, listed[0].sigmas
     for rival in listed[1:]:
-        if rival.score.gain > RIVAL * listed[0].score.gain:
+        if rival.score.gain > RIVAL_GAIN * listed[0].score.gain:
             again = confirm(rival.at, asked, hurried=True)
             if again is not None and again.usual_rms < best.usual_rms:
                 best, sure = again, rival.sigmas
@@ -254,12 +253,12 @@ def confirm(at: tuple[Departure, float, Array], asked: Question, *, hurried: boo
 def confirm_on_curve(tested: Tested, curve: MeasuredCurve, noise: float) -> Refit | None:
     """Fit a departure with the free curve; None where that does not reach the noise, or stops before its end."""
     refit = _reached(refit_with(curve.spline_fit.at, None, *tested.at, curve.spline_fit.noise), noise)
-    return None if refit is None or refit.score.gain < LEAST_PART * tested.score.gain else refit
+    return None if refit is None or refit.score.gain < LEAST_GAIN_KEPT * tested.score.gain else refit
 
 
 def _reached(refit: Refit | None, noise: float) -> Refit | None:
     """Return a refit that describes the record, else None."""
-    return refit if refit is not None and refit.usual_rms < REACHED * noise else None
+    return refit if refit is not None and refit.usual_rms < DESCRIBED_BELOW * noise else None
 
 
 def base_of(fit: Fit, records: Sequence[MeasuredMotion], revolution: float | None = None) -> Base | None:

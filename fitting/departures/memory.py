@@ -17,8 +17,8 @@ from fitting.departures.strongest import LEAST_SIGMAS
 from fitting.forces.departure import Forcing
 from fitting.model.parameters import PER_RUN, Global
 
-# Of the misfit beyond the noise: a departure that explains more needs no memory beside it.  True departures explain 0.8
-# to 1; of LuGre contacts the best explained 0.35 and 0.65.
+# Share of the misfit beyond the noise: a departure that explains more needs no memory beside it.  True departures
+# explain 0.8 to 1; of LuGre contacts the best explained 0.35 and 0.65.
 MOST_EXPLAINED = 0.7
 
 

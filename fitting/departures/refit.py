@@ -21,9 +21,9 @@ from fitting.forces.departure import Departure
 from fitting.forces.force import Force
 from fitting.sensitivity.path import Path
 
-# Times the noise: a search that then errs more is given up.  True departures are at 0.9 to 1.0; LuGre contacts are at 9
-# and more, and drag on a steep ramp took a minute to end at 3.
-LOST = 2.0
+# Error over the noise: a search that then errs more is given up.  True departures are at 0.9 to 1.0; LuGre contacts are
+# at 9 and more, and drag on a steep ramp took a minute to end at 3.
+GIVEN_UP_ABOVE_NOISE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +105,10 @@ def refit_with(
     task = replace(host.task, forces=(Force(departure, scale),))
     starts = _starts(task, host, size, law)
     settled = best_end(task, starts[:1] if hurried else starts, noise)
-    if settled is None or settled.geometric_mean_rms > LOST * float(np.max(noise)):
+    if settled is None or settled.geometric_mean_rms > GIVEN_UP_ABOVE_NOISE * float(np.max(noise)):
         return None
     found = finish(settled, noise)
-    if found is None or usual_rms(found.residual, found.windows.rows) > LOST * float(np.max(noise)):
+    if found is None or usual_rms(found.residual, found.windows.rows) > GIVEN_UP_ABOVE_NOISE * float(np.max(noise)):
         return None
     return _judged(found, host, law, noise)
 

@@ -18,11 +18,12 @@ from daq.base.compute.arrays import Array
 from daq.base.compute.distributions import fisher_log_tail, normal_quantile
 from fitting.estimation.linearised import LinearisedFit, Scores
 
-# Of a column's curvature: where no more is left of it after the projection, the fit already adjusts it.  Derivatives
+# Share of a column's curvature left after the projection: with no more, the fit already adjusts it.  Derivatives
 # err by 3e-6 of their size, so 1e-11 is rounding.  Quadratic drag, the least distinguishable beside a damping and a
 # law's shape, keeps 2e-7; at 1e-6 it was never found.
 LEAST_KEPT = 1e-9
-RIDGE = 1e-12  # of a curvature: two columns that do the same stay solvable, and no estimate changes by more
+# What is added to a curvature, over it: two columns that do the same stay solvable, and no estimate changes by more.
+RIDGE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,15 +22,16 @@ from fitting.forces.departure import Departure
 # Least standard deviations and least fall of the cost of a departure that is reported.  On six records that one of
 # the six laws describes, the best of all departures reached a gain of 6.
 LEAST_SIGMAS, LEAST_GAIN = 4.0, 12.0
-# Of the whole cost: a departure that explains less is not reported.  Rounding to counts is not white; a free curve that
+# Gain over the whole cost: a departure with less is not reported.  Rounding to counts is not white; a free curve that
 # describes a record leaves patterns of counts, of which a belt ripple of 7 um/s explained 0.4 %.
-LEAST_SHARE = 0.01
-# Of the best gain: departures so near it explain the record equally well, and the one with the fewest parameters comes
-# first.  A hard spring and friction by position at a wavelength of about the travel differ by 1 %.
-EQUAL = 0.04
-SAME_SCALE = 0.01  # relative: a search moves a scale by more
-CHUNK = 16  # scales at a time: the curvatures between all columns are made, and only those of one scale are used
-CLOSER = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of the step between neighbours: where the best of a scan is looked at again
+LEAST_COST_SHARE = 0.01
+# Gain short of the best, over it: departures so near explain the record equally well, and the one with the fewest
+# parameters comes first.  A hard spring and friction by position at a wavelength of about the travel differ by 1 %.
+EQUAL_GAIN = 0.04
+SAME_SCALE = 0.01  # relative difference of two scales: a search moves a scale by more
+SCALES_AT_ONCE = 16  # scales at a time: curvatures between all columns are made, and only those of one scale used
+# Scales that are tried about the best of a scan, in steps between neighbours.
+STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +85,13 @@ def strongest(base: Base) -> list[Tested]:
         for (departure, scale, tried), one in zip(chosen, scores, strict=True)
         if one is not None
     ]
-    least = max(LEAST_GAIN, LEAST_SHARE * base.linear.cost)
+    least = max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
     shown = [
         tested for tested in found if tested.sigmas > LEAST_SIGMAS and tested.score.gain > least and tested.possible
     ]
     shown.sort(key=lambda tested: -tested.score.gain)
     if shown:
-        equal = [tested for tested in shown if tested.score.gain > (1 - EQUAL) * shown[0].score.gain]
+        equal = [tested for tested in shown if tested.score.gain > (1 - EQUAL_GAIN) * shown[0].score.gain]
         equal.sort(key=lambda tested: tested.parameters)
         shown[: len(equal)] = equal
     return shown
@@ -109,14 +110,17 @@ def best_scale(base: Base, departure: Departure) -> tuple[float, int]:
         return float(scales[0]), 1
     gaps = np.abs(np.diff(np.log(scales)))
     gap = float(np.min(gaps[max(top - 1, 0) : top + 1]))
-    nearer = scales[top] * np.exp(np.array(CLOSER) * gap)
+    nearer = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
     return float(nearer[np.argmax(gains(base, departure, nearer))]), scales.size
 
 
 def gains(base: Base, departure: Departure, scales: Array) -> Array:
     """Return by how much the cost would fall with the departure at each of the scales (n,)."""
     return np.concatenate(
-        [_gains(base, departure, scales[first : first + CHUNK]) for first in range(0, scales.size, CHUNK)]
+        [
+            _gains(base, departure, scales[first : first + SCALES_AT_ONCE])
+            for first in range(0, scales.size, SCALES_AT_ONCE)
+        ]
     )
 
 

@@ -16,7 +16,7 @@ from daq.base.compute.least_squares import least_squares
 from daq.base.errors import DataError, InputError
 from daq.runfile.rest_position import impossible
 from fitting.data.cycles import Cycle, CycleSegmentation
-from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion
+from fitting.data.frame import REST_SPEED, SLIP_SPEED, MeasuredMotion
 from fitting.driver.passes import first_pass, regressed_start
 from fitting.driver.task import law_task
 from fitting.estimation.fit import Fit
@@ -318,11 +318,11 @@ def _of_motion(motion: MeasuredMotion) -> str:
     v = motion.velocity
     if motion.travel < BEYOND_NOISE * motion.resolution or motion.travel == 0:
         return "nothing moves beyond the noise" if motion.travel else "nothing moves"
-    if v.min() >= SLIPPING * motion.belt_speed:
+    if v.min() >= SLIP_SPEED * motion.belt_speed:
         return f"the mass moves on at {motion.sign * np.median(v):.3g} m/s and never slips"
     if _is_sine(motion):
         return SINE_ALONE
-    if v.max() < SLIPPING * motion.belt_speed:
+    if v.max() < SLIP_SPEED * motion.belt_speed:
         return f"the mass never moves with the belt, nominal speed {motion.sign * motion.belt_speed:.3g} m/s"
     return "no slip between two sticks"
 
@@ -337,7 +337,7 @@ def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Ar
 def _filled(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
     """Return the share of the record in which the mass sticks, slips in a cycle that was found, or stands still."""
     speed = motion.velocity / motion.belt_speed
-    known = (np.abs(speed) < REST_FRACTION) | ((speed > STICK_SPEEDS[0]) & (speed < STICK_SPEEDS[1]))
+    known = (np.abs(speed) < REST_SPEED) | ((speed > STICK_SPEEDS[0]) & (speed < STICK_SPEEDS[1]))
     for cycle in cut.cycles:
         known |= (motion.time >= cycle.break_away) & (motion.time <= cycle.landing)
     return float(np.mean(known))
