@@ -63,21 +63,23 @@ def shared_tangents(path: Path, places: Sequence[int]) -> Array:
     return out
 
 
-def spline_tangents(path: Path) -> Array:
-    """Return the derivatives of the positions by the coefficients of the path's spline, shape (N, n + 3)."""
+def spline_tangents(path: Path, directions: Array) -> Array:
+    """Return the derivatives of the positions along ``directions`` (n + 3, k) of the spline's coefficients, (N, k)."""
     spline = path.curve.spline
     if spline is None:
         raise ValueError("this path follows a law's curve: there are no coefficients")
-    slips = path.slips
-    forces = spline.basis(path.slip_speed, path.level * path.side * _yielding(path))
     d, q, at_rest = _contact(path)
+    forces = spline.basis(path.slip_speed, path.level * path.side * _yielding(path))
     if path.curve.ramp or np.any(q):
-        ramp = ~slips & ~(path.mode == STICK)
-        width = np.maximum(d + q * at_rest, 1e-300)
-        forces[ramp, 0] = (path.friction / at_rest * (d / width))[ramp]
-    edge = np.zeros((path.windows.table.shape[0], spline.coefficients.size))
+        ramp = ~path.slips & (path.mode != STICK)
+        forces[ramp, 0] = (path.friction / at_rest * (d / np.maximum(d + q * at_rest, 1e-300)))[ramp]
+    edge = np.zeros((path.windows.table.shape[0], directions.shape[0]))
     edge[:, 0] = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
-    return tangents(path, forces, edge=edge)
+    used = np.flatnonzero(directions.any(axis=0))
+    found = np.zeros((path.reached.size, directions.shape[1]))
+    along = np.ascontiguousarray(directions[:, used])
+    found[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=np.einsum("wn,nk->wk", edge, along))
+    return found
 
 
 def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
