@@ -14,10 +14,10 @@ from fitting.flags import (
     DEFAULT_PART,
     DEFAULT_RIG,
     DEFAULT_WORK,
+    CalibrationFlags,
     LawFlags,
     OutputFlags,
     PartFlags,
-    RigFlags,
     WorkFlags,
 )
 
@@ -34,7 +34,7 @@ def fit(
     /,
     *more: Annotated[Path, Parameter(help="More runs of the same contact, fitted jointly with the first.")],
     laws: LawFlags = DEFAULT_LAWS,
-    rig: RigFlags = DEFAULT_RIG,
+    rig: CalibrationFlags = DEFAULT_RIG,
     part: PartFlags = DEFAULT_PART,
     outputs: OutputFlags = DEFAULT_OUTPUTS,
     work: WorkFlags = DEFAULT_WORK,

@@ -19,10 +19,10 @@ from fitting.flags import (
     DEFAULT_PART,
     DEFAULT_RIG,
     DEFAULT_WORK,
+    CalibrationFlags,
     LawFlags,
     OutputFlags,
     PartFlags,
-    RigFlags,
     WorkFlags,
 )
 from fitting.job import FitOptions
@@ -65,7 +65,7 @@ class FitRequest:
         cls,
         files: Sequence[Path],
         laws: LawFlags = DEFAULT_LAWS,
-        rig: RigFlags = DEFAULT_RIG,
+        rig: CalibrationFlags = DEFAULT_RIG,
         part: PartFlags = DEFAULT_PART,
         outputs: OutputFlags = DEFAULT_OUTPUTS,
         work: WorkFlags = DEFAULT_WORK,
@@ -138,7 +138,7 @@ def _without_fits(files: Sequence[Path]) -> list[Path]:
     return runs
 
 
-def _refuse_together(runs: Sequence[Path], rig: RigFlags, outputs: OutputFlags, work: WorkFlags) -> None:
+def _refuse_together(runs: Sequence[Path], rig: CalibrationFlags, outputs: OutputFlags, work: WorkFlags) -> None:
     """Raise InputError for flags and runs that do not go together."""
     given, alone = "command line", "fit the runs one at a time"
     twice = len({path.resolve() for path in runs}) < len(runs)
