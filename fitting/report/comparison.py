@@ -11,7 +11,6 @@ import numpy as np
 
 from daq.base.errors import InputError
 from daq.base.output import atomic
-from daq.base.text import storable
 from daq.base.version import VERSION
 from fitting.drawing.palette import INK, WIDE, law_colours
 from fitting.estimation.result import Parameter
@@ -113,9 +112,7 @@ def write(runs: Sequence[ComparedRun], path: Path, alpha: float, summary: str, *
         The disk refuses; an older page still stands.
     """
     refuse_foreign_file(path, [run.file for run in runs], force=force)
-    text = render(runs, alpha, summary)
-    with atomic.replacing(path, force=True) as temporary:
-        temporary.write_text(storable(text), encoding="utf-8")
+    page.put(render(runs, alpha, summary), path)
 
 
 def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:

@@ -117,6 +117,11 @@ def write(page: str, path: Path, digests: Sequence[str], *, files: Sequence[Path
         The disk refuses; an older report still stands.
     """
     refuse_foreign_file(path, digests, files=files, force=force)
+    put(page, path)
+
+
+def put(page: str, path: Path) -> None:
+    """Write a page, replacing what stands at ``path``."""
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(storable(page), encoding="utf-8")
 
@@ -252,15 +257,19 @@ def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:
         ("share that repeats in every cycle", f"{found.repeat:.2g}"),
         ("probability by noise alone", format_probability(found.p_value).removeprefix("= ")),
     ]
-    visible = adequacy.smallest_visible
-    size = f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
-    facts.append(("smallest departure of friction to be seen", size))
+    facts.append(("smallest departure of friction to be seen", smallest_departure(adequacy)))
     if adequacy.curve is not None:
         K = adequacy.curve.k_over_m
         interval = f"{K.lo:.6g} … {K.hi:.6g}" if K.trusted else "interval withheld"
         facts.append(("k/m of the measured curve", f"{K.value:.6g} s⁻² ({interval})"))
         facts.append(("residuals of the measured curve", f"{adequacy.curve.chi:.3g} times the noise"))
     return facts
+
+
+def smallest_departure(adequacy: Adequacy) -> str:
+    """Return the smallest departure of friction that the record would show, in words."""
+    visible = adequacy.smallest_visible
+    return f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
 
 
 def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:

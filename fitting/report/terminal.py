@@ -63,12 +63,10 @@ def _adequacy(adequacy: Adequacy) -> list[Any]:
     lines: list[Any] = []
     found, curve = adequacy.goodness, adequacy.curve
     if found is not None:
-        visible = adequacy.smallest_visible
-        size = f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
         lines.append(
             f"goodness of fit: {adequacy.said}; residuals {found.misfit:.3g} times the noise of "
             f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p {format_probability(found.p_value)}; "
-            f"smallest visible departure of friction: {size}"
+            f"smallest visible departure of friction: {page.smallest_departure(adequacy)}"
         )
     if curve is not None and adequacy.rejected and adequacy.of_speed:
         table = application.table("published forms of the measured curve", ("form", "chi", "inside band", "parameters"))
