@@ -36,6 +36,7 @@ from fitting.law import Law
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
+from fitting.model.wear import FEWEST_LEVELS
 from fitting.selection.result import Ranking
 from processing.statistics import StickSlipStatistics
 from rig_sim.friction.law import LAWS
@@ -44,7 +45,6 @@ DERIVATIVE_STEP = 1e-6  # step over an unknown or, where that is larger, over it
 # A break-away level above that of slip is written where it exceeds it by this many standard errors, and by this share.
 # With 2 errors one in 40 contacts without such a level would be given one; 8 would hide a level twice as high.
 STATIC_ERRORS, LEAST_STATIC = 4.0, 0.005
-FEWEST_LEVELS = 4  # a line through fewer leaves next to nothing of their scatter
 BREAK_AWAY_BLUR = 0.5  # how far smoothing moves a break-away found without a law, over its half-window
 LEAST_FRICTION = 0.1  # least friction over a curve's fall: above 0, which changes no motion
 # Keys of a scene's section of friction that no parameter of a formula can have (`rig_sim.scenes.checks`).

@@ -11,13 +11,11 @@ from fitting.data.frame import MeasuredMotion
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Forcing
 from fitting.forces.fitted_motion import FittedMotion
+from fitting.model.problem import COARSE_SAMPLES
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.flow import SEARCH_STEP
 from fitting.sensitivity.path import Path, follow
 from fitting.sensitivity.tangents import tangents
-
-# Blocks of a scan; at half as many the shortest wavelengths blur, twice as many take twice the time.
-BLOCKS_PER_SLIP = 62.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +48,14 @@ class Base:
         return cls(linear, path, trajectory, np.ones(linear.residual.size, np.bool_))
 
     def thinned(self) -> "Base":
-        """Return the same on blocks of samples, `BLOCKS_PER_SLIP` a slip, for scans.
+        """Return the same on blocks of samples, `COARSE_SAMPLES` a slip, for scans.
 
         A block has the mean residual and the mean derivatives of its samples, and the path is that at its middle.  Its
         position is what leaves that residual: the mean position of a curved path is not that at its middle.
         Where the motion cannot be followed with these longer steps, all samples are kept.
         """
         whole = self.path.windows
-        stride = max(1, round(self.trajectory.samples_per_slip / BLOCKS_PER_SLIP))
+        stride = max(1, round(self.trajectory.samples_per_slip / COARSE_SAMPLES))
         if stride == 1:
             return self
         blocks = Blocks.of(whole, stride)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.base.compute.arrays import Array
+from fitting import noise_levels
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
@@ -20,9 +21,6 @@ from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
 
-# Usual error of a cycle over the noise, below which a law with a departure describes the record.  True departures end
-# at 0.99 to 1.02; a wrong one that comes near, friction by position for a hard spring, at 1.1.
-DESCRIBED_BELOW = 1.05
 # Gain of a refit of the free curve over that of the linear step: one that gains less has not come to its end.  A curve
 # often is near the noise without the departure, so its error alone does not tell.
 LEAST_GAIN_KEPT = 0.5
@@ -98,7 +96,7 @@ def explain_misfit(
         error are then those of that fit.  Else memory, where it is suspected, and what was tested on the base of which
         the first explains more.
     """
-    near = curve is not None and curve.chi < DESCRIBED_BELOW
+    near = curve is not None and curve.chi < noise_levels.DESCRIBES
     free = None
     if curve is not None:
         free = Base.of(curve.linear, curve.spline_fit.path, asked.records, asked.revolution)
@@ -258,7 +256,7 @@ def confirm_on_curve(tested: Tested, curve: MeasuredCurve, noise: float) -> Refi
 
 def _reached(refit: Refit | None, noise: float) -> Refit | None:
     """Return a refit that describes the record, else None."""
-    return refit if refit is not None and refit.usual_rms < DESCRIBED_BELOW * noise else None
+    return refit if refit is not None and refit.usual_rms < noise_levels.DESCRIBES * noise else None
 
 
 def base_of(fit: Fit, records: Sequence[MeasuredMotion], revolution: float | None = None) -> Base | None:

@@ -18,7 +18,9 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import LAWS
 
-COARSE = 62.5  # samples a slip: residuals are correlated over many samples, and the search runs on a thinned record
+# Samples a slip of a thinned record, on which searches and scans run, as residuals are correlated over many samples: at
+# half as many the shortest wavelengths blur, twice as many take twice the time.
+COARSE_SAMPLES = 62.5
 DEFAULT_DAMPING_SD = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
 LEAST_LINEAR_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
 RIPPLE_AMPLITUDE_SD = 0.2  # of its amplitude: how well the sticks show it
@@ -198,7 +200,7 @@ class EstimationProblem:
         return np.where(self.held, self.start, start)
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
-        """Return the windows of all runs, of every sample or thinned to `COARSE` a slip."""
+        """Return the windows of all runs, of every sample or thinned to `COARSE_SAMPLES` a slip."""
         return ShootingWindows.join(
             [
                 ShootingWindows.from_cycles(run.motion, run.cut.used, coarse_stride(run.motion) if thinned else 1)
@@ -249,8 +251,8 @@ def _regressed(
 
 
 def coarse_stride(motion: MeasuredMotion) -> int:
-    """Return every how many samples one is left of a record thinned to `COARSE` a slip."""
-    return max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE))
+    """Return every how many samples one is left of a record thinned to `COARSE_SAMPLES` a slip."""
+    return max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE_SAMPLES))
 
 
 def level_prior(motions: Sequence[MeasuredMotion]) -> float:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from daq.base.errors import DataError, InputError
 from fitting.adequacy.assess import describes
+from fitting.competitors import ALL_LAWS
 from fitting.data import cycles, ripple
 from fitting.data.frame import MeasuredMotion
 from fitting.driver import driver
@@ -121,7 +122,7 @@ def fit_runs(
     return FittedSix(fits, list(runs), sustained, doubt)
 
 
-def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = driver.SIX, **how: Any) -> list[Fit]:
+def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = ALL_LAWS, **how: Any) -> list[Fit]:
     """Fit laws by the driver; what all of them know is without the errors of the levels."""
     return [without_level_errors(Fit.of(one)) for one in driver.fit_laws(laws, runs, among, **how)]
 

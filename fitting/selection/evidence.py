@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array, autocorrelation_time
 from daq.base.compute.distributions import student_quantile
+from fitting import noise_levels
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.driver.curves import NESTED
@@ -40,7 +41,6 @@ RELATED_FACTOR = 2.0  # times the best law's error: a limit of it that is furthe
 COUNTING_LIMIT = 8.0
 NOISE_LIMIT = 1.25  # times the resolution
 PIECE = 16  # correlation times: twice as many lose evidence on a start-up drag, half as many have skewed log errors
-NOISE_ALONE = 1.2  # times the noise: with an error below it a law is taken to leave white noise alone
 LONGEST_WHITE = 3.0  # samples: with a longer correlation time residuals are not white
 TIE = 1.0  # score: a law that is a limit of the winner, and whose evidence differs by less, is as good
 # The same where neither law is a limit of the other.  Laws whose motions differ by S (chi square) have scores that
@@ -185,7 +185,7 @@ def common_units(fits: Sequence[Candidate], runs: Sequence[Run], *, sustained: b
         tau = autocorrelation_time(kept)
         samples = size / tau
         floor = max(run.motion.resolution for run in runs)
-        if best.geometric_mean_rms < NOISE_ALONE * floor and tau < LONGEST_WHITE:
+        if best.geometric_mean_rms < noise_levels.NEAR * floor and tau < LONGEST_WHITE:
             usual = float(np.median([residual.size for residual in kept]))
             pieces = max(round(usual / (PIECE * tau)), pieces)
     sizes = [[part.size for _, part in _judged(fit, runs, inliers, sustained=sustained)] for fit in fits]

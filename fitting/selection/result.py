@@ -17,7 +17,7 @@ from fitting.drawing import curves
 from fitting.estimation.derived import RUNS_OWN, correlations
 from fitting.estimation.fit import Fit
 from fitting.estimation.motion_at import motion_at
-from fitting.estimation.result import BreakAway, Correlations, Parameter, in_columns
+from fitting.estimation.result import STATED_ERROR, BreakAway, Correlations, Parameter, in_columns
 from fitting.law import TITLES
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
-MOST_ERROR = 0.5  # of a parameter: with a larger standard error its value is not stated in words
 CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
 
@@ -122,7 +121,7 @@ class LawResult:
         return ", ".join(
             f"{name} = {item.value:.3g} {item.unit}".rstrip()
             for name, item in self.parameters.items()
-            if self.is_own(name) and (item.stderr < MOST_ERROR * abs(item.value) or not item.trusted)
+            if self.is_own(name) and (item.stderr < STATED_ERROR * abs(item.value) or not item.trusted)
         )
 
     def is_own(self, name: str) -> bool:

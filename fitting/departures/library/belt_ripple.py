@@ -11,12 +11,10 @@ import math
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from fitting.data.ripple import strongest_frequencies
+from fitting.data.ripple import FEWEST_LONG_STICKS, SLOWEST_OF_FEW, strongest_frequencies
 from fitting.forces.departure import Departure, Forcing, harmonic
 from fitting.forces.fitted_motion import FittedMotion
 
-SLOWEST_RIPPLE = 0.1  # periods in a slip: slower, it may be wear or a drift
-FEWEST_STICKS = 4  # sticks in which a ripple is looked for
 MOST_PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
 
 
@@ -33,11 +31,11 @@ def frequencies(trajectory: FittedMotion) -> Array:
         part = window == own
         times.append(time[part])
         left.append(trajectory.residual[part] - trajectory.residual[part].mean())
-    if len(times) < FEWEST_STICKS:
+    if len(times) < FEWEST_LONG_STICKS:
         return np.empty(0)
     slip_s = trajectory.slip_s
     found, apart = strongest_frequencies(
-        np.concatenate(times), np.concatenate(left), slip_s, SLOWEST_RIPPLE / slip_s, MOST_PEAKS
+        np.concatenate(times), np.concatenate(left), slip_s, SLOWEST_OF_FEW / slip_s, MOST_PEAKS
     )
     beside = np.unique(np.add.outer(found, apart * np.arange(-1, 2)).ravel())
     return np.asarray(beside[beside > 0])
