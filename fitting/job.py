@@ -20,7 +20,7 @@ from fitting.competitors import ALL_LAWS, Competitors
 from fitting.report import page as report
 from fitting.report import stage as store
 from fitting.selection.ranking import rank
-from fitting.selection.result import Ranking
+from fitting.selection.result import RankedLaws
 from processing import stage
 from processing.record.kinematics import Kinematics
 from processing.smoothing import smooth
@@ -85,7 +85,7 @@ class FitOutput:
     left out: of the runs, of the laws, of the cycles; empty where nothing was.
     """
 
-    ranking: Ranking
+    ranking: RankedLaws
     statistics: tuple[StickSlipStatistics, ...]
     runs: tuple[FittedRun, ...]
     stages: tuple[str, ...]

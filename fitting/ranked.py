@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ranking(result.Ranking):
+class Ranking(result.RankedLaws):
     """The laws in order, with the verdict, the break-aways and the warnings.
 
     Attributes
@@ -66,7 +66,7 @@ class Ranking(result.Ranking):
     """
 
     @classmethod
-    def of(cls, found: result.Ranking) -> "Ranking":
+    def of(cls, found: result.RankedLaws) -> "Ranking":
         """Return a ranking with what Python adds to it."""
         values = {field.name: getattr(found, field.name) for field in fields(found)}
         return cls(**(values | {"runs": tuple(map(cls.of, found.runs))}))

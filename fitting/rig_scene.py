@@ -37,7 +37,7 @@ from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
 from fitting.model.wear import FEWEST_LEVELS
-from fitting.selection.result import Ranking
+from fitting.selection.result import RankedLaws
 from processing.statistics import StickSlipStatistics
 from rig_sim.friction.law import LAWS
 
@@ -93,7 +93,7 @@ class FittedScene:
     fixed: Mapping[str, float] = field(default_factory=dict)
 
 
-def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene:
+def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedScene:
     """Return the scene of a ranking: its best law, or the measured curve where no law describes the record.
 
     ``statistics`` are those of the first run.
@@ -116,7 +116,7 @@ def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene
     return of_curve(ranking, adequacy.curve, statistics)
 
 
-def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
+def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
     """Return the scene of the best law, one of the six."""
     motion = ranking.motion
     law = LAWS[fit.law]
@@ -151,7 +151,7 @@ def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
     return _built(ranking, fit.law, found, static, np.empty(0), ramp=False)
 
 
-def of_formula(ranking: Ranking, fit: FormulaFit) -> FittedScene:
+def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
     """Return the scene of the best law, given as a formula.
 
     Raises
@@ -212,7 +212,7 @@ def _scene_names(law: Law) -> dict[str, str]:
     return found
 
 
-def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
+def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
     """Return the scene of the measured curve.
 
     Slips hardly show friction at rest.  The break-aways do: unless they are significantly above the curve, the curve
@@ -347,7 +347,7 @@ def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array)
 
 
 def _built(
-    ranking: Ranking,
+    ranking: RankedLaws,
     law: int,
     found: tuple[list[str], Array, Array],
     static: Measured | None,
@@ -381,7 +381,7 @@ def _positive(spread: Array) -> Array:
     return np.asarray(0.5 * (found + found.T))
 
 
-def _static(ranking: Ranking) -> Measured | None:
+def _static(ranking: RankedLaws) -> Measured | None:
     """Return the break-away level over Fs where the record shows that it is above 1."""
     ratio = np.array([e.break_away_level for e in ranking.events if e.flag == "" and math.isfinite(e.break_away_level)])
     if ratio.size < FEWEST_LEVELS:
@@ -422,7 +422,7 @@ def _scatter(fit: Fit | FormulaFit) -> float:
     return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0
 
 
-def text(found: FittedScene, ranking: Ranking, run: Path) -> str:
+def text(found: FittedScene, ranking: RankedLaws, run: Path) -> str:
     """Return the TOML text of a scene."""
     number = dict(zip(found.keys, found.values.tolist(), strict=True))
     assumed = "mass.m" not in number
@@ -483,7 +483,7 @@ def _quoted(words: str) -> str:
     return '"' + "".join(letter if letter.isprintable() else " " for letter in plain) + '"'
 
 
-def save(path: Path, ranking: Ranking, statistics: StickSlipStatistics, run: Path) -> None:
+def save(path: Path, ranking: RankedLaws, statistics: StickSlipStatistics, run: Path) -> None:
     """Write the scene of a ranking (`of_ranking`), replacing what stands there: see `refuse_existing`."""
     content = text(of_ranking(ranking, statistics), ranking, run)
     with atomic.replacing(path, force=True) as temporary:

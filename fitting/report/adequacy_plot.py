@@ -13,23 +13,23 @@ from fitting.report.chart import SMALL, Axes, legend_rows, picture, text_width
 from fitting.report.motion_plot import BROAD, PALE, fitted_motion, measured_motion, typical_cycle
 from fitting.report.scale import AxisScale
 from fitting.report.symbols import pretty
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 
 HALF, BESIDE = 560.0, 18.0  # px: of the picture of orbits, and for the name of its ordinate
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 
 
-def by_law(ranking: Ranking) -> list[LawResult]:
+def by_law(ranking: RankedLaws) -> list[LawResult]:
     """Return the rows in the order of their laws: the six by number, then formulas, best first."""
     return sorted(ranking.rows, key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
 
 
-def colours_of(ranking: Ranking) -> dict[int | str, str]:
+def colours_of(ranking: RankedLaws) -> dict[int | str, str]:
     """Return the colour of each law, the same in every picture."""
     return law_colours(row.law for row in ranking.rows)
 
 
-def measured_curve(ranking: Ranking) -> str:
+def measured_curve(ranking: RankedLaws) -> str:
     """Draw friction against relative speed: the measured curve with its band, the laws behind it, and a zoom near 0.
 
     Each law has its own dashes; those of the set are heavier.  Where the record hardly determines the level of
@@ -68,7 +68,7 @@ def measured_curve(ranking: Ranking) -> str:
     return picture("measured-curve", WIDE, height, drawn, about)
 
 
-def orbits(ranking: Ranking) -> str:
+def orbits(ranking: RankedLaws) -> str:
     """Draw the phase portrait once a law: one cycle of each run as measured, and over it the law, with its error.
 
     It is the cycle in the middle of all by the best law's error.

@@ -19,7 +19,7 @@ from fitting.adequacy.result import Adequacy
 from fitting.drawing.palette import law_colours, run_colour
 from fitting.estimation.result import Parameter
 from fitting.report import mathml, symbols
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 from fitting.selection.verdict import format_probability
 from processing.record.kinematics import Kinematics
 from processing.statistics import StickSlipStatistics, pooled
@@ -140,13 +140,13 @@ def now() -> str:
 
 
 def render(
-    ranking: Ranking, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
+    ranking: RankedLaws, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
 ) -> str:
     """Return the report as HTML.
 
     Parameters
     ----------
-    ranking : Ranking
+    ranking : RankedLaws
     motions, statistics : sequence
         Of each run: its smoothed motion, and the statistics of its stick-slip.
     alpha : float
@@ -193,7 +193,7 @@ def render(
     )
 
 
-def _best(ranking: Ranking) -> dict[str, Parameter]:
+def _best(ranking: RankedLaws) -> dict[str, Parameter]:
     """Return the parameters of the best law; none where no law came near."""
     return ranking.best.parameters if ranking.rows else {}
 
@@ -212,7 +212,7 @@ def _rival(row: LawResult) -> dict[str, Any]:
     return {"label": row.label, "asked": row.asked, "parameters": shown}
 
 
-def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
+def _run(number: int, side: RankedLaws, kinematics: Kinematics) -> dict[str, Any]:
     """Return what the page says of one run: where it comes from, what was fitted, and how well."""
     recording, cut, motion = kinematics.recording, side.cut, side.motion
     best = side.best if side.rows else None
@@ -306,7 +306,7 @@ def moment(stated: str) -> str:
         return stated
 
 
-def _correlations(ranking: Ranking) -> dict[str, Any] | None:
+def _correlations(ranking: RankedLaws) -> dict[str, Any] | None:
     """Return the correlations of the parameters as a triangle of cells, and the strongest of them, strongest first."""
     found = ranking.correlations()
     if found is None:

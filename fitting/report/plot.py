@@ -16,7 +16,7 @@ from fitting.report.adequacy_plot import by_law, colours_of
 from fitting.report.chart import LEFT, SMALL, Axes, legend_rows, picture, text_width
 from fitting.report.motion_plot import BROAD, PALE, begins, fitted_motion, measured_motion, time_label
 from fitting.report.scale import AxisScale
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 from processing.statistics import StickSlipStatistics, pooled
 
 MOST_POINTS = 12_000
@@ -27,7 +27,7 @@ RESIDUAL, NOISE = "model minus measurement", "noise, ±2 sd"
 BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
 
 
-def portrait(ranking: Ranking) -> str:
+def portrait(ranking: RankedLaws) -> str:
     """Draw velocity against position: the whole record, or all, and the best law's motion in every window."""
     runs = [measured_motion(side)[1:] for side in ranking.sides]
     x, v = (np.concatenate(own) for own in zip(*runs, strict=True))
@@ -49,14 +49,14 @@ def portrait(ranking: Ranking) -> str:
     return picture("portrait", NARROW, 350, [axes], about)
 
 
-def _legend(ranking: Ranking, colour: str, label: str) -> list[tuple[str, str]]:
+def _legend(ranking: RankedLaws, colour: str, label: str) -> list[tuple[str, str]]:
     """Return colour and label of each run: those given of a single run, and of several those of the run's number."""
     if not ranking.runs:
         return [(colour, label)]
     return [(run_colour(number), f"run {number}") for number in range(1, len(ranking.runs) + 1)]
 
 
-def friction(ranking: Ranking) -> str:
+def friction(ranking: RankedLaws) -> str:
     """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest.
 
     Each law has its own dashes.
@@ -88,7 +88,7 @@ def friction(ranking: Ranking) -> str:
     return picture("friction", NARROW, 350, [axes], about)
 
 
-def residuals(ranking: Ranking) -> str:
+def residuals(ranking: RankedLaws) -> str:
     """Draw model minus measurement with the band of the noise: the best law over time and phase, a rival over phase.
 
     Of several runs the times follow one another.
@@ -124,11 +124,11 @@ def residuals(ranking: Ranking) -> str:
     return picture("residuals", WIDE, 265, drawn, about)
 
 
-def _whole(ranking: Ranking) -> str:
+def _whole(ranking: RankedLaws) -> str:
     return "all runs" if ranking.runs else "whole record"
 
 
-def evidence(ranking: Ranking) -> str:
+def evidence(ranking: RankedLaws) -> str:
     """Draw each cycle's error under each law: what the ranking is made of."""
     rows = list(reversed(ranking.rows))
     errors = [1e6 * row.fit.cycle_rms for row in rows]
@@ -147,7 +147,7 @@ def evidence(ranking: Ranking) -> str:
     return picture("evidence", NARROW, height, [axes], about)
 
 
-def cost(ranking: Ranking) -> str:
+def cost(ranking: RankedLaws) -> str:
     """Draw each law's error against the CPU time of its fit."""
     time, error = np.array([row.cpu_s for row in ranking.rows]), 1e6 * np.array([row.rms_m for row in ranking.rows])
     across = AxisScale(0.0, 1.12 * max(float(time.max()), 1e-3))
@@ -170,7 +170,7 @@ def cost(ranking: Ranking) -> str:
     return picture("cost", NARROW, 230, [axes], about)
 
 
-def levels(ranking: Ranking) -> str:
+def levels(ranking: RankedLaws) -> str:
     """Draw the friction level of each cycle at break-away and in the slip, against time."""
     runs = []
     for side, begin in zip(ranking.sides, begins(ranking), strict=True):
@@ -188,7 +188,7 @@ def levels(ranking: Ranking) -> str:
     return picture("levels", NARROW, 270, [axes], about)
 
 
-def break_aways(statistics: Sequence[StickSlipStatistics], ranking: Ranking, unit: str) -> str:
+def break_aways(statistics: Sequence[StickSlipStatistics], ranking: RankedLaws, unit: str) -> str:
     """Draw the break-away levels: their distribution, their trend, and level against stick time."""
     counted, shown_as = pooled(statistics), _legend(ranking, COLOURS[2], "")
     factor, shown = shown_length(unit)
@@ -233,7 +233,7 @@ PICTURES = (motion_plot.cycle, motion_plot.record, portrait, friction, residuals
 WITHOUT_LAW = (motion_plot.record, portrait)
 
 
-def draw(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
+def draw(ranking: RankedLaws, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
     """Return every picture of the report as an ``<svg>`` element, by name; ``statistics`` are those of each run.
 
     `break_aways` where there are statistics; of a record that no law comes near the measured motion alone besides.

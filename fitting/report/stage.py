@@ -32,16 +32,16 @@ from fitting.drawing.curves import curve, speeds_of_all, unit
 from fitting.estimation.derived import RUNS_OWN
 from fitting.estimation.result import Parameter
 from fitting.report.symbols import formula_of
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 from processing import stage as smoothed_stage
 
 
-def save(ranking: Ranking, path: Path, record: str, smoothed: str, part: str = "") -> None:
+def save(ranking: RankedLaws, path: Path, record: str, smoothed: str, part: str = "") -> None:
     """Write the stage into the run file, replacing an earlier one.
 
     Parameters
     ----------
-    ranking : Ranking
+    ranking : RankedLaws
         The fit.
     path : Path
         The run file.
@@ -74,7 +74,7 @@ def save(ranking: Ranking, path: Path, record: str, smoothed: str, part: str = "
 
 
 def save_joint(
-    ranking: Ranking, runs: Sequence[joint.FittedRun], path: Path, part: str = "", *, force: bool = False
+    ranking: RankedLaws, runs: Sequence[joint.FittedRun], path: Path, part: str = "", *, force: bool = False
 ) -> None:
     """Write the file of a joint fit; InputError where something else stands, without ``force``; ``part`` as `save`."""
 
@@ -91,7 +91,7 @@ def save_joint(
     joint.write(path, runs, write, force=force)
 
 
-def _write(entry: h5py.Group, ranking: Ranking, part: str) -> None:
+def _write(entry: h5py.Group, ranking: RankedLaws, part: str) -> None:
     six = sorted((row for row in ranking.rows if isinstance(row.law, int)), key=_number)
     formulas = ranking.rivals
     shown = "ranking" if six else "formulas" if formulas else "parameters"
@@ -158,7 +158,7 @@ def _ranked(
     return table
 
 
-def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
+def _law(entry: h5py.Group, row: LawResult, ranking: RankedLaws) -> None:
     name = f"fit_law{row.law}" if isinstance(row.law, int) else f"fit_law_{row.law.replace('-', '_')}"
     group = nexus.process(entry, name, "fit-friction", 2, "friction_curve")
     parameters = nexus.group(group, "parameters", "NXparameters")

@@ -9,7 +9,7 @@ from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
 from fitting.report import page
 from fitting.report.symbols import MOTION, formula_of
-from fitting.selection.result import Ranking
+from fitting.selection.result import RankedLaws
 from fitting.selection.verdict import format_probability
 
 if TYPE_CHECKING:
@@ -19,12 +19,14 @@ MOST_FORMS = 4  # shown on the terminal; the document and the report have all
 INTERVAL = 3  # column of the table of parameters that may be broken over two lines
 
 
-def of_ranking(ranking: Ranking, statistics: Sequence[str], written: Sequence[Path | None], alpha: float) -> list[Any]:
+def of_ranking(
+    ranking: RankedLaws, statistics: Sequence[str], written: Sequence[Path | None], alpha: float
+) -> list[Any]:
     """Return the lines and tables of a ranking.
 
     Parameters
     ----------
-    ranking : Ranking
+    ranking : RankedLaws
     statistics : sequence of str
         Of its stick-slip, in words.
     written : sequence of Path or None
@@ -46,7 +48,7 @@ def of_ranking(ranking: Ranking, statistics: Sequence[str], written: Sequence[Pa
     return lines
 
 
-def _laws(ranking: Ranking) -> "Table":
+def _laws(ranking: RankedLaws) -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
     table = application.table("friction laws, best first", ("law", "rms error", "behind", "weight", "in set"))
     for row in ranking.rows:
@@ -87,7 +89,7 @@ def _adequacy(adequacy: Adequacy) -> list[Any]:
     return lines
 
 
-def _parameters(ranking: Ranking, alpha: float) -> "Table":
+def _parameters(ranking: RankedLaws, alpha: float) -> "Table":
     """Return the best law's parameters."""
     headings = ("parameter", "value", "std. error", f"{100 * (1 - alpha):g} % interval", "unit")
     table = application.table(ranking.best.label, headings)

@@ -259,7 +259,7 @@ class LawResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Ranking:
+class RankedLaws:
     """The laws in order, with the verdict, the break-aways and the warnings.
 
     Attributes
@@ -281,7 +281,7 @@ class Ranking:
     adequacy : Adequacy
         Of all runs together.
     cpu_s : float
-    runs : tuple of Ranking
+    runs : tuple of RankedLaws
         Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
     records : tuple of Kinematics
         The smoothed runs.
@@ -299,7 +299,7 @@ class Ranking:
     adequacy: Adequacy
     cpu_s: float = 0.0
     findings: tuple[Finding, ...] = ()
-    runs: "tuple[Ranking, ...]" = ()
+    runs: "tuple[RankedLaws, ...]" = ()
     records: tuple[Kinematics, ...] = field(default=(), repr=False)
     alpha: float = 0.05
 
@@ -323,7 +323,7 @@ class Ranking:
         return tuple(row for row in self.rows if isinstance(row.law, str))
 
     @property
-    def sides(self) -> "tuple[Ranking, ...]":
+    def sides(self) -> "tuple[RankedLaws, ...]":
         """Each run's own side; of a single run the ranking itself."""
         return self.runs or (self,)
 
