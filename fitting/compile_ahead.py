@@ -67,7 +67,6 @@ def compile_derivatives() -> None:
         time=point,
         position=point,
         velocity=point,
-        relative_speed=point,
         belt_speed=point,
         level=point,
         friction=point,

@@ -33,9 +33,6 @@ REST_SD = 3.0
 # Times the variance that noise gives them: how much the levels must scatter to separate datum and friction.  At 4 their
 # noise makes the level's standard error a seventh too small.  Encoder records with 3 % scatter have 1e2 and more.
 SCATTER_SHOWN = 4.0
-# Of the travel: standard deviation of a rest position that is fitted, while far from the minimum.  With `REST_SD` some
-# searches ran along the valley instead, to 40 and 50 % more friction, where the last steps did not lead back.
-SEARCH_REST_SD = 0.5
 LEAST_WIDTH = 0.1  # of the width that a ramp had, after a move
 
 

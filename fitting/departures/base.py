@@ -29,15 +29,12 @@ class Base:
     trajectory : FittedMotion
     counted : (N,) bool
         False for the first sample of a window of blocks, where residual and derivatives are 0.
-    block : int
-        Samples in a block; 1 where there are none.
     """
 
     linear: LinearisedFit
     path: Path
     trajectory: FittedMotion
     counted: Mask
-    block: int = 1
 
     @classmethod
     def of(
@@ -79,7 +76,7 @@ class Base:
             weights=self.linear.weights * stride,
         )
         trajectory = FittedMotion.from_path(path, self.trajectory.records, linear.residual, self.trajectory.revolution)
-        return Base(linear, path, trajectory, blocks.first >= 0, stride)
+        return Base(linear, path, trajectory, blocks.first >= 0)
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
         """Return how the positions answer to forcings, one after another, shape (N, columns of all)."""

@@ -25,7 +25,6 @@ from fitting.driver.passes import (
     finish,
     first_pass,
     regressed_pass,
-    regressed_start,
     restarted_windows,
     settle,
     unmoved,
@@ -66,13 +65,6 @@ def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
     """Fit one task from where a fit ended, whose noise it takes; None where the motion cannot be followed."""
     first = first_pass(task, start, noise)
     settled = None if first is None else settle(first)
-    return None if settled is None else finish(settled) or settled
-
-
-def fit_beside(task: Task, others: Sequence[TaskFit]) -> TaskFit | None:
-    """Fit one task that may also start where others ended; the error after the first pass decides."""
-    starts = [(start_beside(task, other), other.noise.without_fade) for other in others]
-    settled = best_end(task, [*starts, (regressed_start(task), None)])
     return None if settled is None else finish(settled) or settled
 
 

@@ -67,7 +67,7 @@ MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays 
 MOST_BISECTIONS = 60  # halvings that find an event: a double has 53 binary digits
 
 # Rows of the table of points.
-TIME, POSITION, VELOCITY, RELATIVE, BELT, LEVEL, FRICTION, SLOPE, SPEED, RESISTANCE = range(10)
+TIME, POSITION, VELOCITY, BELT, LEVEL, FRICTION, SLOPE, SPEED, RESISTANCE = range(9)
 # Columns of the table of steps: first of its three points, window, sample at its end or -1.
 FIRST_POINT, WINDOW, SAMPLE = range(3)
 X_SLIP, V_SLIP, OWN, NEXT, X_STICK, V_STICK = (int(column) for column in PerCycle)
@@ -179,7 +179,7 @@ def fastest_rate(w: Window, mode: int, t: float, v: float) -> float:
 
 
 def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Array, i: int) -> None:
-    """Store one stage point in column i of ``points`` (10, M)."""
+    """Store one stage point in column i of ``points`` (9, M)."""
     belt, level = belt_speed(w, t), level_at(w, t)
     force, slope, s = 0.0, 0.0, 0.0
     if mode == STICK:
@@ -187,7 +187,7 @@ def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Arra
     else:
         force, slope, s = friction(w.contact, RAMP if mode == CREEP else mode, belt - v, level)
     points[TIME, i], points[POSITION, i], points[VELOCITY, i] = t, x, v
-    points[RELATIVE, i], points[BELT, i], points[LEVEL, i] = belt - v, belt, level
+    points[BELT, i], points[LEVEL, i] = belt, level
     points[FRICTION, i], points[SLOPE, i], points[SPEED, i] = force, slope, s
     points[RESISTANCE, i] = w.u[DAMPING] - drag(w, v)[1]
 
@@ -285,7 +285,7 @@ def follow_window(
 ) -> tuple[int, int]:
     """Follow one window from its start; return the numbers of points and of steps stored, or (-1, 0) or (0, -1).
 
-    ``points`` (10, M), ``kinds`` (2, M) (mode, and 1 after the landing), ``steps`` (S, 3), ``jumps`` (S, 3)
+    ``points`` (9, M), ``kinds`` (2, M) (mode, and 1 after the landing), ``steps`` (S, 3), ``jumps`` (S, 3)
     (`crossing`) and ``reached`` (N,), the point of each sample, are filled from ``m`` and ``s`` on.  Returns (-1, 0)
     where they are too small, and (0, -1) where the motion cannot be followed.
     """

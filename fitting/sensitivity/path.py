@@ -61,8 +61,8 @@ class Path:
         The unknowns that it was followed with.
     time, position, velocity : (M,) f8
         s, m, m/s.
-    relative_speed, belt_speed : (M,) f8
-        m/s; v_belt - x', positive where the belt is faster, and the speed of the unloaded belt.
+    belt_speed : (M,) f8
+        Of the unloaded belt, m/s.
     level : (M,) f8
         The cycle's friction level over F, faded.
     friction, friction_slope : (M,) f8
@@ -93,7 +93,6 @@ class Path:
     time: Array
     position: Array
     velocity: Array
-    relative_speed: Array
     belt_speed: Array
     level: Array
     friction: Array
@@ -197,7 +196,7 @@ def follow(
     size = int(max(STEPS_A_SAMPLE[bool(curve.ramp)] * N, earlier)) + 20 * rows
     most = max(size, MOST_STEPS, MOST_STEPS_A_SAMPLE * N)
     while True:
-        points, kinds = np.empty((10, 2 * size)), np.empty((2, 2 * size), np.int64)
+        points, kinds = np.empty((9, 2 * size)), np.empty((2, 2 * size), np.int64)
         steps, jumps = np.empty((size, 3), np.int64), np.empty((size, 3))
         status = kernel(
             *arguments,
@@ -226,7 +225,6 @@ def follow(
         time=points[flow.TIME, :M],
         position=points[flow.POSITION, :M],
         velocity=points[flow.VELOCITY, :M],
-        relative_speed=points[flow.RELATIVE, :M],
         belt_speed=points[flow.BELT, :M],
         level=points[flow.LEVEL, :M],
         friction=points[flow.FRICTION, :M],
