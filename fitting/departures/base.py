@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
+from daq.base.compute.arrays import Array, Integers
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Forcing
@@ -27,14 +27,11 @@ class Base:
     linear : LinearisedFit
     path : Path
     trajectory : FittedMotion
-    counted : (N,) bool
-        False for the first sample of a window of blocks, where residual and derivatives are 0.
     """
 
     linear: LinearisedFit
     path: Path
     trajectory: FittedMotion
-    counted: Mask
 
     @classmethod
     def of(
@@ -42,7 +39,7 @@ class Base:
     ) -> "Base":
         """Read a path; ``revolution`` is the travel per revolution of the encoder, m, where the calibration has it."""
         trajectory = FittedMotion.from_path(path, records, linear.residual, revolution)
-        return cls(linear, path, trajectory, np.ones(linear.residual.size, np.bool_))
+        return cls(linear, path, trajectory)
 
     def thinned(self) -> "Base":
         """Return the same on blocks of samples, `COARSE_SAMPLES` a slip, for scans.
@@ -76,7 +73,7 @@ class Base:
             weights=self.linear.weights * stride,
         )
         trajectory = FittedMotion.from_path(path, self.trajectory.records, linear.residual, self.trajectory.revolution)
-        return Base(linear, path, trajectory, blocks.first >= 0)
+        return Base(linear, path, trajectory)
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
         """Return how the positions answer to forcings, one after another, shape (N, columns of all)."""
