@@ -121,7 +121,7 @@ class Competitors:
             own_numbers, own_formulas = ([], [one]) if isinstance(one, Law) else _read(str(one), "--laws")
             numbers += own_numbers
             formulas += [law for law in own_formulas if law not in formulas]
-        given = [check_values(own, kind) for own, kind in ((fix, "fix"), (bounds, "bounds"), (start, "start"))]
+        given = [check_values(values, kind) for values, kind in ((fix, "fix"), (bounds, "bounds"), (start, "start"))]
         return cls(tuple(dict.fromkeys(numbers)), tuple(formulas), *given)
 
     @classmethod
@@ -136,13 +136,13 @@ class Competitors:
     ) -> "Competitors":
         """Return the competitors that the flags of a command line name."""
         numbers, formulas = _read(laws, "--laws")
-        formulas += [own for own in map(read_law, law) if own not in formulas]
+        formulas += [one for one in map(read_law, law) if one not in formulas]
         behind = list(ramp)
         for name in behind:
-            check_known(name, [own.name for own in formulas], "law", "--ramp")
+            check_known(name, [one.name for one in formulas], "law", "--ramp")
         return cls(
             tuple(dict.fromkeys(numbers)),
-            tuple(own.behind_ramp() if own.name in behind else own for own in formulas),
+            tuple(one.behind_ramp() if one.name in behind else one for one in formulas),
             {name: _number(value, name, "--fix") for name, value in _pairs(fix, "--fix")},
             {name: _interval(value, name) for name, value in _pairs(bound, "--bound")},
             {name: _number(value, name, "--start") for name, value in _pairs(start, "--start")},
@@ -186,16 +186,16 @@ class Competitors:
         InputError
             For values that the parameter cannot have.
         """
-        found: dict[str, Given] = {}
+        given_of: dict[str, Given] = {}
         for kind, given in (("bounds", self.bounds), ("start", self.start), ("fix", self.fix)):
             for name, value in given.items():
-                own = _named(name, law)
-                if own is not None:
-                    found[own] = _with(found.get(own, Given()), kind, value)
+                own_name = _named(name, law)
+                if own_name is not None:
+                    given_of[own_name] = _with(given_of.get(own_name, Given()), kind, value)
         own_names = () if isinstance(law, int) else law.curve.parameters
-        for name, one in found.items():
+        for name, one in given_of.items():
             _check(name, one, *(LEAST_VALUES.get(_per_mass(name), NO_LIMIT) if name not in own_names else NO_LIMIT))
-        return found
+        return given_of
 
     def _check_name(self, name: str, flag: str) -> None:
         if any(_named(name, law) for law in self.every):
@@ -221,9 +221,9 @@ def names_of(law: int | Law) -> tuple[str, ...]:
         kind = LAWS[law]
         ramp = ("d", "static") if kind.ramp else ()
         return (*OF_EVERY_LAW, "Fs/m", "Fs", *OF_A_CURVE.get(kind.curve, ()), *ramp)
-    own = law.curve.parameters
-    forces = [f"{name}{PER_MASS}" for name in own if law.dimensions.get(name, (0, 0))[0]]
-    return (*own, *forces, *OF_EVERY_LAW, *(("d",) if law.ramp else ()))
+    parameters = law.curve.parameters
+    forces = [f"{name}{PER_MASS}" for name in parameters if law.dimensions.get(name, (0, 0))[0]]
+    return (*parameters, *forces, *OF_EVERY_LAW, *(("d",) if law.ramp else ()))
 
 
 def _label(law: int | Law) -> str:
@@ -232,11 +232,11 @@ def _label(law: int | Law) -> str:
 
 def _named(name: str, law: int | Law) -> str | None:
     """Return a parameter's name in a law, without the law's; None where the law has none of that name."""
-    prefix, dot, own = name.partition(".")
+    prefix, dot, bare = name.partition(".")
     if dot and prefix != _label(law):
         return None
-    own = own if dot else name
-    return own if own in names_of(law) else None
+    bare = bare if dot else name
+    return bare if bare in names_of(law) else None
 
 
 def _with(given: Given, kind: str, value: float | Bound) -> Given:
@@ -288,7 +288,7 @@ def numbers(text: str, flag: str) -> list[int]:
     InputError
         For anything else.
     """
-    found: list[int] = []
+    listed: list[int] = []
     for part in filter(None, (piece.strip() for piece in text.split(","))):
         first, dash, last = part.partition("-")
         try:
@@ -298,8 +298,8 @@ def numbers(text: str, flag: str) -> list[int]:
             raise InputError(f"{part!r} is not a number or range", flag, "write for example 1-3,6") from None
         if not 1 <= low <= high <= LAST_CYCLE:
             raise InputError(f"{part!r} is not an increasing range from 1", flag, "write for example 1-3,6")
-        found.extend(range(low, high + 1))
-    return found
+        listed.extend(range(low, high + 1))
+    return listed
 
 
 def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
@@ -319,12 +319,12 @@ def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
 
 def _number(text: str, name: str, flag: str) -> float:
     try:
-        found = float(text)
+        number = float(text)
     except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
+        number = math.nan
+    if not math.isfinite(number):
         raise InputError(f"{name} is {text!r}, not a number", flag, "give one in the unit of the results, without it")
-    return found
+    return number
 
 
 def _interval(text: str, name: str) -> Bound:

@@ -145,8 +145,8 @@ class Law:
                 return {}
         table = np.concatenate(rows)
         target = np.stack((np.concatenate(level), np.concatenate(fall)), axis=1)
-        found = np.linalg.lstsq(table, target, rcond=None)[0]
-        whole = np.rint(found)
+        powers = np.linalg.lstsq(table, target, rcond=None)[0]
+        whole = np.rint(powers)
         if not np.allclose(table @ whole, target, rtol=0.0, atol=1e-6 * float(np.abs(target).max())):
             return {}
         return {name: (int(a), int(b)) for name, (a, b) in zip(names, whole, strict=True)}

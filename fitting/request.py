@@ -99,9 +99,9 @@ class FitRequest:
                 beside = joint.beside(runs, comparison.SUFFIX)
                 compared = beside if report is None else report.with_stem(f"{report.stem}-each")
         joint_file = joint.beside(runs) if joined else None
-        found = cls(runs, options, outputs, work, tuple(places), joint_file, compared)
-        found._refuse_outputs()
-        return found
+        request = cls(runs, options, outputs, work, tuple(places), joint_file, compared)
+        request._refuse_outputs()
+        return request
 
     def _refuse_outputs(self) -> None:
         """Raise InputError for names of outputs that say another format, are used twice, or stand for other files."""

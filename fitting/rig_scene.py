@@ -123,7 +123,7 @@ def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
     slots = columns(fit.active, fit.runs)[0]
     known = slots >= 0
     spread = covariance(fit, fit.precision)[np.ix_(known, known)]
-    own = fit.u[:PER_RUN]
+    unknowns_of_run = fit.u[:PER_RUN]
     static = None if law.ramp else _static(ranking)
     names = ["spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs"]
     names += {"hyperbolic": ["friction.gamma"], "linear": ["friction.G_slip"], "constant": []}[law.curve]
@@ -132,7 +132,7 @@ def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
     names += ["droop.fraction"] if Global.COMPLIANCE in fit.active else []
 
     def scene_of(unknowns: Array, calibration: Calibration, factor: float, length: float) -> dict[str, float]:
-        u = own.copy()
+        u = unknowns_of_run.copy()
         u[slots[known]] = unknowns
         p = values(u)
         m = calibration.mass_for(p.K, factor)
@@ -147,8 +147,8 @@ def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
 
     if motion.datum_prior is None and law.curve != "hyperbolic":
         spread = _held(spread, slots[known].tolist().index(Global.DATUM))
-    found = _propagated(scene_of, own[slots[known]], spread, motion, names)
-    return _built(ranking, fit.law, found, static, np.empty(0), ramp=False)
+    propagated = _propagated(scene_of, unknowns_of_run[slots[known]], spread, motion, names)
+    return _built(ranking, fit.law, propagated, static, np.empty(0), ramp=False)
 
 
 def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
@@ -181,19 +181,19 @@ def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
         u[places] = unknowns[: len(places)]
         p = values(u)
         m = calibration.mass_for(p.K, factor)
-        found = _rig_of(p, m, motion.sign, length)
-        found |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
+        propagated = _rig_of(p, m, motion.sign, length)
+        propagated |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
         for name, value in fit.curve.values(unknowns[len(places) :]).items():
             force, speed = law.dimensions.get(name, (0, 0))
-            found[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
-        return found
+            propagated[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
+        return propagated
 
-    found = _propagated(scene_of, at.q[index], spread, motion, names)
+    propagated = _propagated(scene_of, at.q[index], spread, motion, names)
     calibration = Calibration(motion.mass, motion.stiffness, motion.length_error)
     at_fit = scene_of(at.q[index], calibration, 1.0, 1.0)
     keys = [f"friction.{taken[name]}" for name in law.curve.parameters if name not in fit.curve.law.free]
     text = law.curve.renamed({name: key for name, key in taken.items() if name != key}).text
-    built = _built(ranking, 0, found, static, np.empty(0), ramp=fit.problem.ramp)
+    built = _built(ranking, 0, propagated, static, np.empty(0), ramp=fit.problem.ramp)
     return replace(
         built,
         formula=text if sized else f"{calibration.mass_for(fit.values.K, 1.0)!r}*({text})",
@@ -203,13 +203,13 @@ def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
 
 def _scene_names(law: Law) -> dict[str, str]:
     """Return the key of each parameter of a formula in a scene, whose section of friction has keys of its own."""
-    found: dict[str, str] = {}
+    keys: dict[str, str] = {}
     for name in law.curve.parameters:
         key = name
         while key in OWN_KEYS or (key != name and key in law.curve.parameters):
             key += "_"
-        found[name] = key
-    return found
+        keys[name] = key
+    return keys
 
 
 def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
@@ -255,11 +255,11 @@ def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipSta
 
         gap, slopes = above(unknowns), _slopes(above, unknowns, spread)
         along = np.einsum("ij,j->i", spread, slopes)
-        own = (spline_fit.fit.values.K * broken.sd) ** 2
-        variance = float(np.sum(along * slopes)) + own
+        variance_of_place = (spline_fit.fit.values.K * broken.sd) ** 2
+        variance = float(np.sum(along * slopes)) + variance_of_place
         rest = float(basis.coefficients(unknowns)[0])
         if gap > max(STATIC_ERRORS * math.sqrt(variance), LEAST_STATIC * rest):
-            static = Measured(1 + gap / rest, math.sqrt(own) / rest)
+            static = Measured(1 + gap / rest, math.sqrt(variance_of_place) / rest)
         else:
             unknowns = unknowns - along * gap / variance
             spread = spread - np.outer(along, along) / variance
@@ -279,8 +279,8 @@ def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipSta
             | {f"friction.curve.{i}": float(F) for i, F in enumerate(friction)}
         )
 
-    found = _propagated(scene_of, unknowns, spread, motion, names)
-    return _built(ranking, 0, found, static, points, ramp=bool(curve.ramp))
+    propagated = _propagated(scene_of, unknowns, spread, motion, names)
+    return _built(ranking, 0, propagated, static, points, ramp=bool(curve.ramp))
 
 
 def _held(spread: Array, place: int) -> Array:
@@ -349,13 +349,13 @@ def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array)
 def _built(
     ranking: RankedLaws,
     law: int,
-    found: tuple[list[str], Array, Array],
+    propagated: tuple[list[str], Array, Array],
     static: Measured | None,
     points: Array,
     *,
     ramp: bool,
 ) -> FittedScene:
-    names, numbers, spread = found
+    names, numbers, spread = propagated
     if static:
         place = names.index("friction.static")
         spread[place, place] = static.sd**2
@@ -377,8 +377,8 @@ def _positive(spread: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
     size, axes = eigen(0.5 * (spread + spread.T) / scale[:, None] / scale)
     root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
-    found = np.asarray(np.einsum("ik,jk->ij", root, root))
-    return np.asarray(0.5 * (found + found.T))
+    positive = np.asarray(np.einsum("ik,jk->ij", root, root))
+    return np.asarray(0.5 * (positive + positive.T))
 
 
 def _static(ranking: RankedLaws) -> Measured | None:
@@ -408,10 +408,10 @@ def _scatter(fit: Fit | FormulaFit) -> float:
 
     0 where no more than noise is seen.
     """
-    own = fit.for_run(0)
-    table = own.windows.table
-    slips = (table[:, 1] == 0) & own.inlier_cycles[table[:, 0]]
-    time, level = own.windows.level_epoch[slips], np.exp(own.local[table[slips, 0], PerCycle.LEVEL])
+    run = fit.for_run(0)
+    table = run.windows.table
+    slips = (table[:, 1] == 0) & run.inlier_cycles[table[:, 0]]
+    time, level = run.windows.level_epoch[slips], np.exp(run.local[table[slips, 0], PerCycle.LEVEL])
     if level.size <= FEWEST_LEVELS:
         return 0.0
     centred = time - time.mean()
@@ -422,18 +422,18 @@ def _scatter(fit: Fit | FormulaFit) -> float:
     return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0
 
 
-def text(found: FittedScene, ranking: RankedLaws, run: Path) -> str:
+def text(scene: FittedScene, ranking: RankedLaws, run: Path) -> str:
     """Return the TOML text of a scene."""
-    number = dict(zip(found.keys, found.values.tolist(), strict=True))
-    assumed = "mass.m" not in number
-    mass = number.get("mass.m", 1.0)
-    curve = [number[f"friction.curve.{i}"] for i in range(found.points.size)]
+    values = dict(zip(scene.keys, scene.values.tolist(), strict=True))
+    assumed = "mass.m" not in values
+    mass = values.get("mass.m", 1.0)
+    curve = [values[f"friction.curve.{i}"] for i in range(scene.points.size)]
     lines = [f"# Fitted rig, written by fit-friction from {_quoted(run.name)}."]
     if assumed:
         lines.append(
             "# No mass or stiffness is known: mass 1 kg is assumed, so that N here are N per kg of the rig's mass."
         )
-    kind = f"law {found.law}" if found.law else ranking.best.label if found.formula else "measured curve"
+    kind = f"law {scene.law}" if scene.law else ranking.best.label if scene.formula else "measured curve"
     lines += [f"title = {_quoted(f'fitted to {run.name}: {kind}')}"]
     lines += [
         "",
@@ -441,39 +441,39 @@ def text(found: FittedScene, ranking: RankedLaws, run: Path) -> str:
         f"m = {mass!r}",
         "",
         "[spring]",
-        f"k = {number['spring.k']!r}",
-        f"x0 = {number['spring.x0']!r}",
+        f"k = {values['spring.k']!r}",
+        f"x0 = {values['spring.x0']!r}",
     ]
     lines += [
         "",
         "[belt]",
-        f"speed = {number['belt.speed']!r}",
+        f"speed = {values['belt.speed']!r}",
         "",
         "[damper]",
-        f"c = {max(number['damper.c'], 0.0)!r}",
+        f"c = {max(values['damper.c'], 0.0)!r}",
     ]
-    lines += ["", "[start]", f"x = {number['spring.x0']!r}", "", "[friction]"]
-    lines += [f"formula = {_quoted(found.formula)}" if found.formula else f"law = {found.law}"]
-    lines += [f"{key} = {value!r}" for key, value in found.fixed.items()]
+    lines += ["", "[start]", f"x = {values['spring.x0']!r}", "", "[friction]"]
+    lines += [f"formula = {_quoted(scene.formula)}" if scene.formula else f"law = {scene.law}"]
+    lines += [f"{key} = {value!r}" for key, value in scene.fixed.items()]
     lines += [
         f"{name.removeprefix('friction.')} = {value!r}"
-        for name, value in number.items()
+        for name, value in values.items()
         if name.startswith("friction.") and not name.startswith("friction.curve.")
     ]
     if curve:
-        lines += ['contact = "ramp"'] if found.ramp else []
+        lines += ['contact = "ramp"'] if scene.ramp else []
         lines += ["# slip speed in m/s, friction in N" + (" per kg" if assumed else ""), "curve = ["]
-        lines += [f"    [{s!r}, {F!r}]," for s, F in zip(found.points.tolist(), curve, strict=True)]
+        lines += [f"    [{s!r}, {F!r}]," for s, F in zip(scene.points.tolist(), curve, strict=True)]
         lines += ["]"]
-    if "droop.fraction" in number:
-        lines += ["", "[droop]", f"fraction = {max(number['droop.fraction'], 0.0)!r}"]
-    if found.scatter > 0:
-        lines += ["", "[scatter]", f"Fs = {found.scatter!r}"]
-    lines += ["", "[fit]", f"verdict = {_quoted(ranking.verdict)}", f"cycles = {found.cycles}"]
+    if "droop.fraction" in values:
+        lines += ["", "[droop]", f"fraction = {max(values['droop.fraction'], 0.0)!r}"]
+    if scene.scatter > 0:
+        lines += ["", "[scatter]", f"Fs = {scene.scatter!r}"]
+    lines += ["", "[fit]", f"verdict = {_quoted(ranking.verdict)}", f"cycles = {scene.cycles}"]
     lines += [f"mass_assumed = {str(assumed).lower()}"]
-    lines += ["parameters = [" + ", ".join(_quoted(name) for name in found.keys) + "]"]
-    lines += [f"values = {found.values.tolist()!r}", "covariance = ["]
-    lines += [f"    {row!r}," for row in found.covariance.tolist()]
+    lines += ["parameters = [" + ", ".join(_quoted(name) for name in scene.keys) + "]"]
+    lines += [f"values = {scene.values.tolist()!r}", "covariance = ["]
+    lines += [f"    {row!r}," for row in scene.covariance.tolist()]
     return "\n".join([*lines, "]"]) + "\n"
 
 

@@ -52,23 +52,23 @@ def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermine
     rng = np.random.default_rng(len(law.formula))
     speeds = fastest * np.linspace(0.0, 1.0, 12 * len(law.free) + 1)
     sizes = np.array([natural_size(law, name, friction, fastest) for name in law.free])
-    found = []
+    groups_of_draws = []
     for _ in range(DRAWS):
-        own = sizes * rng.uniform(*SIZES_DRAWN, sizes.size)
-        values = dict(zip(law.free, own.tolist(), strict=True)) | dict(law.fix or {})
+        drawn = sizes * rng.uniform(*SIZES_DRAWN, sizes.size)
+        values = dict(zip(law.free, drawn.tolist(), strict=True)) | dict(law.fix or {})
         try:
             slopes = law.curve.gradient(speeds, values, law.free)
         except InputError:
             continue
-        found.append(_groups(slopes * own, own))
-    if not found:
+        groups_of_draws.append(_groups(slopes * drawn, drawn))
+    if not groups_of_draws:
         return ()
-    everywhere = set.intersection(*(set(groups) for groups in found))
+    everywhere = set.intersection(*(set(groups) for groups in groups_of_draws))
     return tuple(
         Undetermined(
             tuple(law.free[i] for i in group),
-            _how([groups[group] for groups in found]),
-            min(groups[group][0].shape[0] for groups in found),
+            _how([groups[group] for groups in groups_of_draws]),
+            min(groups[group][0].shape[0] for groups in groups_of_draws),
         )
         for group in sorted(everywhere)
     )
@@ -82,10 +82,10 @@ def _groups(columns: Array, values: Array) -> dict[tuple[int, ...], tuple[Array,
     size = np.linalg.norm(columns, axis=0)
     seen = size > DEPENDENT_BELOW * float(size.max(initial=0.0))
     alone = np.ones((1, 1))
-    found: dict[tuple[int, ...], tuple[Array, Array]] = {(i,): (alone, alone) for i in np.flatnonzero(~seen).tolist()}
+    groups: dict[tuple[int, ...], tuple[Array, Array]] = {(i,): (alone, alone) for i in np.flatnonzero(~seen).tolist()}
     index = np.flatnonzero(seen)
     if not index.size:
-        return found
+        return groups
     _, singular, axes = np.linalg.svd(columns[:, index] / size[index], full_matrices=False)
     null = axes[singular < DEPENDENT_BELOW * float(singular.max())]
     beside = np.abs(np.einsum("ri,rj->ij", null, null)) > LEAST_PART**2
@@ -100,8 +100,8 @@ def _groups(columns: Array, values: Array) -> dict[tuple[int, ...], tuple[Array,
         group.sort()
         places = index[group]
         logs = _basis(null[:, group]) / size[places]
-        found[tuple(places.tolist())] = logs, logs * values[places]
-    return found
+        groups[tuple(places.tolist())] = logs, logs * values[places]
+    return groups
 
 
 def _how(directions: list[tuple[Array, Array]]) -> str:
@@ -111,7 +111,7 @@ def _how(directions: list[tuple[Array, Array]]) -> str:
         return "does not change friction"
     first, others = np.eye(count)[0], np.eye(count)[1:]
     for place, both in enumerate((("a product", "a quotient"), ("a sum", "a difference"))):
-        bases = [_basis(own[place]) for own in directions]
+        bases = [_basis(direction[place]) for direction in directions]
         for sign, kind in zip((-1.0, 1.0), both, strict=True):
             steps = first + sign * others
             if (sign < 0 or count == 2) and all(_inside(steps, basis) for basis in bases):

@@ -109,9 +109,9 @@ def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]
     stuck = InStick.selected(motion, sticks)
     slopes = OwnSlopes.fitted(stuck, motion)
     if slopes.falling(stuck.v) > FALLING_STICKS:
-        found = _harmonics(motion, stuck, slopes)
-        if found:
-            return found
+        ripples = _harmonics(motion, stuck, slopes)
+        if ripples:
+            return ripples
     elif drag:
         # Among a few short sticks several frequencies do equally well; the drag is longer than all of them.
         stuck = InStick.selected(motion, [*drag, *sticks])
@@ -236,12 +236,12 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
         omega = 2 * math.pi * hertz
         waves = (np.cos(omega * (time - origin)), np.sin(omega * (time - origin)))
         if slopes is None:
-            found, left = least_squares(np.c_[stuck.columns, *waves], v)
+            ripples, left = least_squares(np.c_[stuck.columns, *waves], v)
         else:
             lines = slopes.moved(offset)
             shapes = [lines.removed(shape) for shape in (np.ones_like(v), *waves)]
-            found, left = least_squares(np.stack(shapes, axis=1), lines.removed(v))
-        return float(np.mean(left**2)), found[-2:]
+            ripples, left = least_squares(np.stack(shapes, axis=1), lines.removed(v))
+        return float(np.mean(left**2)), ripples[-2:]
 
     def settled(hertz: float, offset: float) -> tuple[float, float]:
         width, step = 0.5 / (time[-1] - time[0]), motion.travel / POINTS_TRIED
@@ -254,7 +254,7 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
 
     offsets = np.zeros(1) if slopes is None else _offsets(motion)
     starts = [min(((harmonic(peak, place)[0], peak, place) for place in offsets), key=itemgetter(0)) for peak in peaks]
-    found: list[Ripple] = []
+    ripples: list[Ripple] = []
     least = math.inf
     for left, peak, place in sorted(starts, key=itemgetter(0)):
         if left > RIVAL_VARIANCE * least:
@@ -268,15 +268,15 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
             and 2 * (before - after) >= (AMPLITUDE_BESIDE_LINES * amplitude) ** 2
             and _gains(motion, every.own, before, after, slopes)
         )
-        if not found and not seen:
+        if not ripples and not seen:
             return []
-        if not seen or any(abs(omega - one.omega) * one.seen_s < 2 * math.pi for one in found):
+        if not seen or any(abs(omega - one.omega) * one.seen_s < 2 * math.pi for one in ripples):
             continue
         cos, sin = math.cos(omega * origin), math.sin(omega * origin)
         seen_s = float(time[-1] - time[0])
-        found.append(Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s))
+        ripples.append(Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s))
         least = min(least, after)
-    return found
+    return ripples
 
 
 def _offsets(motion: MeasuredMotion) -> Array:
@@ -363,12 +363,12 @@ def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: floa
     power = np.abs(np.fft.rfft(grid, size)) ** 2
     hertz = np.fft.rfftfreq(size, slip_s / GRID_SAMPLES)
     power[(hertz < slowest) | (hertz > FASTEST / slip_s)] = 0.0
-    found: list[float] = []
-    while len(found) < count and power.any():
+    strongest: list[float] = []
+    while len(strongest) < count and power.any():
         top = int(np.argmax(power))
-        found.append(float(hertz[top]))
+        strongest.append(float(hertz[top]))
         power[max(top - GRID_REFINEMENT, 0) : top + GRID_REFINEMENT + 1] = 0.0
-    return np.array(found), float(hertz[1])
+    return np.array(strongest), float(hertz[1])
 
 
 def _peaks(time: Array, rest: Array, slip_s: float) -> list[float]:

@@ -71,21 +71,21 @@ def _turns(y: Array, least: float) -> list[tuple[int, bool]]:
     """Return the samples at which y turns by more than ``least``, each with whether it is a top."""
     rises = np.sign(np.diff(y))
     places = np.flatnonzero(np.r_[True, rises[1:] != rises[:-1], True]).tolist()  # tops, feet and ends of equal values
-    found: list[tuple[int, bool]] = []
+    turns: list[tuple[int, bool]] = []
     top = foot = places[0]
     for place in places:
         value = y[place]
         top = place if value > y[top] else top
         foot = place if value < y[foot] else foot
-        rising = not found or not found[-1][1]
-        falling = not found or found[-1][1]
+        rising = not turns or not turns[-1][1]
+        falling = not turns or turns[-1][1]
         if rising and y[top] - value > least:
-            found.append((top, True))
+            turns.append((top, True))
             foot = place
         elif falling and value - y[foot] > least:
-            found.append((foot, False))
+            turns.append((foot, False))
             top = place
-    return found
+    return turns
 
 
 def _middle_speed(time: Array, position: Array) -> float:

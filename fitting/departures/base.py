@@ -135,9 +135,9 @@ class Blocks:
         table, middle, first, total = windows.table.copy(), [], [], 0
         ends = np.zeros(len(windows.rows), np.int64)
         for row, (cycle, _, begin, count, _, _) in enumerate(windows.table):
-            own = begin + size * np.arange(count // size)
-            middle.append(np.r_[begin, own + size // 2])
-            first.append(np.r_[-1, own])
+            begins = begin + size * np.arange(count // size)
+            middle.append(np.r_[begin, begins + size // 2])
+            first.append(np.r_[-1, begins])
             table[row, 2:4] = total, middle[-1].size
             total += middle[-1].size
             ends[cycle] = total
@@ -156,4 +156,4 @@ class Blocks:
 
 def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
     """Return the median of the cycles' errors, m: spoilt cycles do not move it."""
-    return math.sqrt(float(np.median([np.mean(residual[own] ** 2) for own in rows])))
+    return math.sqrt(float(np.median([np.mean(residual[cycle] ** 2) for cycle in rows])))

@@ -107,19 +107,19 @@ def explain_misfit(
     lists = [one for one in lists if one.tested and (near or one.explained > LEAST_EXPLAINED)]
     lists = sorted(lists, key=lambda one: -one.explained)
     judge = describes if near else None
-    found = _with_laws(lists, asked, judge) or _drag_with_laws(lists, asked, judge)
-    if found is None and not near:
-        found = _with_curve(lists, asked)
-    if found is not None or near:
-        return found or ()
+    explained = _with_laws(lists, asked, judge) or _drag_with_laws(lists, asked, judge)
+    if explained is None and not near:
+        explained = _with_curve(lists, asked)
+    if explained is not None or near:
+        return explained or ()
     # what a drag explains in one step, its fit would have confirmed
     lists = [one for one in lists if one.tested[0].departure.drag is None]
-    found = lists[0].found if lists else ()
+    explained = lists[0].found if lists else ()
     agreed = len(lists) > 1 and lists[0].tested[0].departure is lists[1].tested[0].departure
     if free is not None and not agreed:
         memory = suspect_memory(free, max((one.explained for one in lists if one.curve is not None), default=0.0))
-        found = found if memory is None else (memory, *found)
-    return found
+        explained = explained if memory is None else (memory, *explained)
+    return explained
 
 
 def explain_beside_curve(asked: Question, describes: Judge) -> tuple[FoundDeparture, ...]:
@@ -129,9 +129,9 @@ def explain_beside_curve(asked: Question, describes: Judge) -> tuple[FoundDepart
     the curve, and is reported where it describes the record as well.  One linear step does not tell: wrong departures
     of the curves that have a published form explain up to 1.0 of what the law leaves.
     """
-    found = _drag_with_laws([], asked, describes)
-    if found is not None or asked.first is None:
-        return found or ()
+    explained = _drag_with_laws([], asked, describes)
+    if explained is not None or asked.first is None:
+        return explained or ()
     one = _list(asked.first, asked)
     return _with_laws([one], asked, describes) or () if one.explained > LEAST_EXPLAINED else ()
 
@@ -180,8 +180,8 @@ def _drag_with_laws(
     sure = [one for one in refits if one is not None and sigmas(one.score.log_p) > LEAST_SIGMAS]
     for refit in sorted(sure, key=lambda one: one.linear.cost):
         if describes is None or describes(refit):
-            found = lists[0].found if lists else ()
-            return _in_front(refit, sigmas(refit.score.log_p, len(departures())), found, asked)
+            others = lists[0].found if lists else ()
+            return _in_front(refit, sigmas(refit.score.log_p, len(departures())), others, asked)
     return None
 
 
@@ -242,9 +242,9 @@ def confirm(at: tuple[Departure, float, Array], asked: Question, *, hurried: boo
             break
         curves.add(fit.problem.curve)
         quick = hurried or _reached(best, asked.noise) is not None
-        found = refit_with(fit.at, fit.law, *at, asked.noises, hurried=quick)
-        if found is not None and (best is None or found.usual_rms < best.usual_rms):
-            best = found
+        refit = refit_with(fit.at, fit.law, *at, asked.noises, hurried=quick)
+        if refit is not None and (best is None or refit.usual_rms < best.usual_rms):
+            best = refit
     return _reached(best, asked.noise)
 
 

@@ -44,6 +44,8 @@ def suspect_memory(base: Base, explained: float) -> FoundDeparture | None:
 def lag(base: Base) -> Forcing:
     """Return what a lag of friction behind the speed, by 1 s, adds to the acceleration to first order."""
     path = base.path
-    own = path.u.reshape(-1, PER_RUN)[path.run]
-    force = -own[:, Global.K] * base.trajectory.stretch - own[:, Global.DAMPING] * path.velocity + path.friction
+    unknowns = path.u.reshape(-1, PER_RUN)[path.run]
+    force = (
+        -unknowns[:, Global.K] * base.trajectory.stretch - unknowns[:, Global.DAMPING] * path.velocity + path.friction
+    )
     return Forcing(acceleration=np.where(path.stuck, 0.0, path.friction_slope * force)[:, np.newaxis])

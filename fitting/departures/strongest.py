@@ -80,14 +80,16 @@ def strongest(base: Base) -> list[Tested]:
             chosen.append((departure, scale, tried * len(every)))
     columns = base.respond([departure.forcing(base.trajectory, scale) for departure, scale, _ in chosen])
     scores = score(base.linear, columns, [departure.columns for departure, _, _ in chosen])
-    found = [
+    every_tested = [
         Tested(departure, scale, one, sigmas(one.log_p, tried))
         for (departure, scale, tried), one in zip(chosen, scores, strict=True)
         if one is not None
     ]
     least = max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
     shown = [
-        tested for tested in found if tested.sigmas > LEAST_SIGMAS and tested.score.gain > least and tested.possible
+        tested
+        for tested in every_tested
+        if tested.sigmas > LEAST_SIGMAS and tested.score.gain > least and tested.possible
     ]
     shown.sort(key=lambda tested: -tested.score.gain)
     if shown:
@@ -126,11 +128,11 @@ def gains(base: Base, departure: Departure, scales: Array) -> Array:
 
 def _gains(base: Base, departure: Departure, scales: Array) -> Array:
     columns = base.respond([departure.forcing(base.trajectory, float(scale)) for scale in scales])
-    found = base.linear.scores(columns)
+    scores = base.linear.scores(columns)
     shape = (scales.size, departure.columns)
     every = np.arange(columns.shape[1]).reshape(shape)
-    information = found.total_information[every[:, :, np.newaxis], every[:, np.newaxis]]
-    size, raw, total = np.einsum("skk->sk", information), found.raw.reshape(shape), found.total.reshape(shape)
+    information = scores.total_information[every[:, :, np.newaxis], every[:, np.newaxis]]
+    size, raw, total = np.einsum("skk->sk", information), scores.raw.reshape(shape), scores.total.reshape(shape)
     # beside an unstable motion the response to a force grows beyond all numbers
     usable = np.isfinite(raw) & np.isfinite(size) & np.isfinite(total)
     kept = np.all(usable & (size > LEAST_KEPT * np.where(usable, raw, 0.0)), axis=1)

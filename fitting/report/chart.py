@@ -100,8 +100,8 @@ class Axes:
     ) -> None:
         """Draw a line across the whole field at a value of y, or of x where ``upright``."""
         ends = np.array([self.x.low, self.x.high] if not upright else [self.y.low, self.y.high])
-        own = np.full(2, value)
-        x, y = (own, ends) if upright else (ends, own)
+        same = np.full(2, value)
+        x, y = (same, ends) if upright else (ends, same)
         self.line(x, y, colour, width=0.8, dash=dash, label=label)
 
     def band(self, x: Array, low: Array, high: Array, colour: str, *, opacity: float, label: str | None = None) -> None:
@@ -242,11 +242,11 @@ def _legend_places(labels: Sequence[str], width: float) -> list[tuple[float, int
     """Return where each label of a legend begins, px from the left, and in which row; ``width`` is the field's."""
     x, row, places = 0.0, 0, []
     for label in labels:
-        own = 30.0 + text_width(label, SMALL)
-        if x + own > width + 12.0 and x > 0:
+        width_of = 30.0 + text_width(label, SMALL)
+        if x + width_of > width + 12.0 and x > 0:
             x, row = 0.0, row + 1
         places.append((x, row))
-        x += own + 4.0
+        x += width_of + 4.0
     return places
 
 

@@ -32,8 +32,8 @@ def extent(cycle: Cycle) -> slice:
 
 def measured_motion(side: RankedLaws, cycle: Cycle | None = None) -> Part:
     """Return the smoothed motion of a run, or of one cycle of it."""
-    motion, own = side.motion, slice(None) if cycle is None else extent(cycle)
-    return motion.time[own], MM * motion.sign * motion.position[own], motion.sign * motion.velocity[own]
+    motion, samples = side.motion, slice(None) if cycle is None else extent(cycle)
+    return motion.time[samples], MM * motion.sign * motion.position[samples], motion.sign * motion.velocity[samples]
 
 
 def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> list[Part]:
@@ -46,7 +46,8 @@ def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> lis
         if count > 2 and number in (None, row.fit.cycles[cycle].number)
     ]
     return [
-        (windows.time[own], MM * sign * model[own], sign * np.gradient(model[own], windows.time[own])) for own in parts
+        (windows.time[samples], MM * sign * model[samples], sign * np.gradient(model[samples], windows.time[samples]))
+        for samples in parts
     ]
 
 
@@ -83,12 +84,12 @@ def cycle(ranking: RankedLaws) -> str:
     """
     measured, fitted = [], []
     for side in ranking.sides:
-        own = typical_cycle(side.best)
-        time, _, v = measured_motion(side, own)
-        readings = MM * side.motion.sign * side.motion.measured[extent(own)]
-        measured.append((time - own.break_away, readings, v))
-        parts = fitted_motion(side.best, side.motion.sign, own.number)
-        fitted += [(time - own.break_away, x, v) for time, x, v in parts]
+        typical = typical_cycle(side.best)
+        time, _, v = measured_motion(side, typical)
+        readings = MM * side.motion.sign * side.motion.measured[extent(typical)]
+        measured.append((time - typical.break_away, readings, v))
+        parts = fitted_motion(side.best, side.motion.sign, typical.number)
+        fitted += [(time - typical.break_away, x, v) for time, x, v in parts]
     label = "time since break-away (s)"
     return _over_time("cycle", ranking, measured, fitted, label, "Position and velocity of one cycle")
 

@@ -48,12 +48,12 @@ def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
         When two are the same.
     """
     if report is None:
-        found = [default_path(run) for run in runs]
+        places = [default_path(run) for run in runs]
     else:
-        found = [report, *(report.with_stem(f"{report.stem}-{n}") for n in range(2, len(runs) + 1))]
-    if len({place.absolute() for place in found}) < len(found):
-        raise InputError("two runs share one report", ", ".join(map(str, found)), "give a name with --report")
-    return found
+        places = [report, *(report.with_stem(f"{report.stem}-{n}") for n in range(2, len(runs) + 1))]
+    if len({place.absolute() for place in places}) < len(places):
+        raise InputError("two runs share one report", ", ".join(map(str, places)), "give a name with --report")
+    return places
 
 
 def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
@@ -85,10 +85,10 @@ def _holder(digests: set[str], file: Path) -> Path | None:
             continue
         try:
             with store.reading(other) as reader:
-                found = reader.load(slice(1)).digest
+                digest = reader.load(slice(1)).digest
         except (InputError, OSError):  # no run
             continue
-        if found in digests:
+        if digest in digests:
             return other
     return None
 
@@ -247,15 +247,15 @@ def _run(number: int, side: RankedLaws, kinematics: Kinematics) -> dict[str, Any
 
 def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:
     """Return goodness of fit as names and values."""
-    found = adequacy.goodness
-    if found is None:
+    goodness = adequacy.goodness
+    if goodness is None:
         return []
     facts = [
         ("verdict", adequacy.said),
-        ("noise of one position", symbols.pretty(format_length(found.noise_m))),
-        ("residuals of the best law", f"{found.misfit:.3g} times the noise"),
-        ("share that repeats in every cycle", f"{found.repeat:.2g}"),
-        ("probability by noise alone", format_probability(found.p_value).removeprefix("= ")),
+        ("noise of one position", symbols.pretty(format_length(goodness.noise_m))),
+        ("residuals of the best law", f"{goodness.misfit:.3g} times the noise"),
+        ("share that repeats in every cycle", f"{goodness.repeat:.2g}"),
+        ("probability by noise alone", format_probability(goodness.p_value).removeprefix("= ")),
     ]
     facts.append(("smallest departure of friction to be seen", smallest_departure(adequacy)))
     if adequacy.curve is not None:
@@ -308,18 +308,23 @@ def moment(stated: str) -> str:
 
 def _correlations(ranking: RankedLaws) -> dict[str, Any] | None:
     """Return the correlations of the parameters as a triangle of cells, and the strongest of them, strongest first."""
-    found = ranking.correlations()
-    if found is None:
+    correlations = ranking.correlations()
+    if correlations is None:
         return None
-    size = range(len(found.names))
-    pairs = sorted(((i, j) for i in size for j in range(i)), key=lambda pair: -abs(found.matrix[pair]))
-    strong = [pair for pair in pairs if abs(found.matrix[pair]) >= STRONG][:MOST_NAMED]
+    size = range(len(correlations.names))
+    pairs = sorted(((i, j) for i in size for j in range(i)), key=lambda pair: -abs(correlations.matrix[pair]))
+    strong = [pair for pair in pairs if abs(correlations.matrix[pair]) >= STRONG][:MOST_NAMED]
     cells = [
-        (found.names[i], [(_signed(found.matrix[i, j]), _shade(found.matrix[i, j])) for j in range(i)])
+        (
+            correlations.names[i],
+            [(_signed(correlations.matrix[i, j]), _shade(correlations.matrix[i, j])) for j in range(i)],
+        )
         for i in size[1:]
     ]
-    named = [f"{found.names[i]} and {found.names[j]} ({_signed(found.matrix[i, j])})" for i, j in strong]
-    return {"names": found.names[:-1], "cells": cells, "strongest": named}
+    named = [
+        f"{correlations.names[i]} and {correlations.names[j]} ({_signed(correlations.matrix[i, j])})" for i, j in strong
+    ]
+    return {"names": correlations.names[:-1], "cells": cells, "strongest": named}
 
 
 def _signed(value: float) -> str:

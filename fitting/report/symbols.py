@@ -67,8 +67,8 @@ def _with_contact(curve: str, level: str, *, ramp: bool) -> str:
 
 def symbols(parameters: Iterable[str]) -> list[tuple[str, str]]:
     """Return each symbol and its meaning: those of every formula, and those of the named parameters."""
-    named = {name.removesuffix("/m") for name in parameters} | {"k", "c", "x0", "Fs", "v_dr"}
-    return [(symbol, pretty(text)) for symbol, text in SYMBOLS.items() if symbol in ALWAYS or symbol in named]
+    used = {name.removesuffix("/m") for name in parameters} | {"k", "c", "x0", "Fs", "v_dr"}
+    return [(symbol, pretty(text)) for symbol, text in SYMBOLS.items() if symbol in ALWAYS or symbol in used]
 
 
 def pretty(text: str) -> str:

@@ -76,6 +76,6 @@ def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]])
         more = ("formula", "asked") if any("formula" in row for _, row in rows) else ()
         out.writerow(["file", *EVIDENCE, *more, *columns])
         for run, row in rows:
-            found = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]
+            values = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]
             beside = [int(row.get(key, True)) if key == "asked" else row.get(key, "") for key in more]
-            out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *beside, *found])
+            out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *beside, *values])

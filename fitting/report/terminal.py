@@ -63,11 +63,12 @@ def _laws(ranking: RankedLaws) -> "Table":
 def _adequacy(adequacy: Adequacy) -> list[Any]:
     """Return goodness of fit, the published forms of the measured curve, and the departures, in words."""
     lines: list[Any] = []
-    found, curve = adequacy.goodness, adequacy.curve
-    if found is not None:
+    goodness, curve = adequacy.goodness, adequacy.curve
+    if goodness is not None:
         lines.append(
-            f"goodness of fit: {adequacy.said}; residuals {found.misfit:.3g} times the noise of "
-            f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p {format_probability(found.p_value)}; "
+            f"goodness of fit: {adequacy.said}; residuals {goodness.misfit:.3g} times the noise of "
+            f"{1e6 * goodness.noise_m:.3g} um, repeating share {goodness.repeat:.2g}, "
+            f"p {format_probability(goodness.p_value)}; "
             f"smallest visible departure of friction: {page.smallest_departure(adequacy)}"
         )
     if curve is not None and adequacy.rejected and adequacy.of_speed:

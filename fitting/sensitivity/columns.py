@@ -44,13 +44,13 @@ def shared_tangents(path: Path, places: Sequence[int]) -> Array:
     runs = path.u.size // PER_RUN
     slots = sorted({place % PER_RUN for place in places})
     acceleration, edge = parameter_forces(path, slots)
-    found = np.zeros((path.reached.size, len(slots)))
+    columns = np.zeros((path.reached.size, len(slots)))
     plain = [j for j, slot in enumerate(slots) if slot not in BELT]
     moving = [j for j, slot in enumerate(slots) if slot in BELT]
-    found[:, plain] = tangents(path, acceleration[:, plain], edge=edge[:, plain])
+    columns[:, plain] = tangents(path, acceleration[:, plain], edge=edge[:, plain])
     if moving:
         belt = belt_columns(path, [slots[j] for j in moving])
-        found[:, moving] = tangents(path, acceleration[:, moving], belt_speed=belt)
+        columns[:, moving] = tangents(path, acceleration[:, moving], belt_speed=belt)
     table = parameters.columns(places, runs)
     run = path.run[path.reached]
     column = {slot: j for j, slot in enumerate(slots)}
@@ -58,8 +58,8 @@ def shared_tangents(path: Path, places: Sequence[int]) -> Array:
     for j in range(len(places)):
         for r in range(runs):
             if table[r, j] >= 0:
-                own = run == r
-                out[own, j] = found[own, column[int(table[r, j])]]
+                of_run = run == r
+                out[of_run, j] = columns[of_run, column[int(table[r, j])]]
     return out
 
 
@@ -76,10 +76,10 @@ def spline_tangents(path: Path, directions: Array) -> Array:
     edge = np.zeros((path.windows.table.shape[0], directions.shape[0]))
     edge[:, 0] = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
     used = np.flatnonzero(directions.any(axis=0))
-    found = np.zeros((path.reached.size, directions.shape[1]))
+    columns = np.zeros((path.reached.size, directions.shape[1]))
     along = np.ascontiguousarray(directions[:, used])
-    found[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=np.einsum("wn,nk->wk", edge, along))
-    return found
+    columns[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=np.einsum("wn,nk->wk", edge, along))
+    return columns
 
 
 def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
@@ -138,15 +138,15 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
 
 def belt_columns(path: Path, slots: Sequence[int]) -> Array:
     """Return what a unit of each slot adds to the belt's speed, m/s, shape (M, slots)."""
-    found = np.ones((path.time.size, len(slots)))
+    columns = np.ones((path.time.size, len(slots)))
     if any(slot != Global.V_DR for slot in slots):
         turn = path.unknown(Global.OMEGA) * path.time
         cosine, sine = np.cos(turn), np.sin(turn)
         rate = path.time * (path.unknown(Global.SINE) * cosine - path.unknown(Global.COSINE) * sine)
         of = {Global.V_DR: np.ones(turn.size), Global.COSINE: cosine, Global.SINE: sine, Global.OMEGA: rate}
         for j, slot in enumerate(slots):
-            found[:, j] = of[Global(slot)]
-    return found
+            columns[:, j] = of[Global(slot)]
+    return columns
 
 
 def _contact(path: Path) -> tuple[Array | float, Array | float, float]:

@@ -109,8 +109,8 @@ class Path:
 
     def unknown(self, slot: int) -> Array | float:
         """Return a shared unknown at every point, (M,); one number where there is one run."""
-        own = self.u.reshape(-1, PER_RUN)[:, slot]
-        return float(own[0]) if own.size == 1 else np.asarray(own[self.run])
+        of_runs = self.u.reshape(-1, PER_RUN)[:, slot]
+        return float(of_runs[0]) if of_runs.size == 1 else np.asarray(of_runs[self.run])
 
     @property
     def model(self) -> Array:
@@ -253,9 +253,9 @@ def kernel_arguments(
 ) -> tuple[Any, ...]:
     """Return what a kernel that follows windows begins with, from the parameters of `follow`."""
     spline = curve.spline
-    own = np.array(u, float).reshape(-1, PER_RUN)
+    unknowns = np.array(u, float).reshape(-1, PER_RUN)
     if spline is not None:
-        own[:, rates.LOG_F] = 0.0
+        unknowns[:, rates.LOG_F] = 0.0
     extra = rates.Extra(
         np.zeros(1, np.int64) if along is None else along.first_point,
         NOTHING if along is None else along.time,
@@ -265,7 +265,7 @@ def kernel_arguments(
     )
     return (
         curve.code,
-        own,
+        unknowns,
         np.ascontiguousarray(local),
         windows.table,
         windows.level_epoch,

@@ -64,11 +64,11 @@ def positions(
 
     Parameters are those of `fitting.sensitivity.path.follow`.
     """
-    found = np.empty(windows.time.size)
+    out = np.empty(windows.time.size)
     kernel = compiled(follow_values, (*KERNELS, __name__), _nrt=False)
     arguments = kernel_arguments(windows, curve, u, local, along, acceleration, belt_speed, drag)
-    status = kernel(*arguments, longest_step, max(MOST_STEPS, MOST_STEPS_A_SAMPLE * found.size), found)
-    return found if status == 0 and float(np.abs(found).max()) < FARTHEST else None
+    status = kernel(*arguments, longest_step, max(MOST_STEPS, MOST_STEPS_A_SAMPLE * out.size), out)
+    return out if status == 0 and float(np.abs(out).max()) < FARTHEST else None
 
 
 def window_values(

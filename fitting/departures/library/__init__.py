@@ -25,8 +25,8 @@ ROWS = (
 @cache
 def departures(rows: tuple[str, ...] = ROWS) -> tuple[Departure, ...]:
     """Return the departures of the rows."""
-    found = []
+    every = []
     for row in rows:
         departure: Departure = import_module(f"{__name__}.{row}").DEPARTURE
-        found.append(departure)
-    return tuple(found)
+        every.append(departure)
+    return tuple(every)

@@ -27,17 +27,17 @@ def frequencies(trajectory: FittedMotion) -> Array:
     """Return the strongest frequencies of the residuals in stick, Hz, each between its neighbours."""
     window, time = trajectory.window[trajectory.samples], trajectory.time[trajectory.samples]
     times, left = [], []
-    for own in np.flatnonzero(trajectory.sticks):
-        part = window == own
+    for stick in np.flatnonzero(trajectory.sticks):
+        part = window == stick
         times.append(time[part])
         left.append(trajectory.residual[part] - trajectory.residual[part].mean())
     if len(times) < FEWEST_LONG_STICKS:
         return np.empty(0)
     slip_s = trajectory.slip_s
-    found, apart = strongest_frequencies(
+    peaks, apart = strongest_frequencies(
         np.concatenate(times), np.concatenate(left), slip_s, SLOWEST_OF_FEW / slip_s, MOST_PEAKS
     )
-    beside = np.unique(np.add.outer(found, apart * np.arange(-1, 2)).ravel())
+    beside = np.unique(np.add.outer(peaks, apart * np.arange(-1, 2)).ravel())
     return np.asarray(beside[beside > 0])
 
 

@@ -29,13 +29,13 @@ HELD_SLIPS = 8e-3  # time for which the acceleration is held, in slips; at the f
 def forcing(trajectory: FittedMotion, omega: float) -> Forcing:
     """Return what a mass of 1 (times the first) pulls with, in phase and a quarter turn later, m/s^2."""
     out = np.empty((trajectory.time.size, 2))
-    for own, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
+    for run, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
         time, drive = held_acceleration(record)
         pull = _pull(drive, time[1] - time[0], omega)
-        place = (trajectory.time[own] - time[0]) / (time[1] - time[0])
+        place = (trajectory.time[run] - time[0]) / (time[1] - time[0])
         before = np.minimum(place.astype(np.int64), time.size - 2)
         share = (place - before)[:, np.newaxis]
-        out[own] = (1 - share) * pull[before] + share * pull[before + 1]
+        out[run] = (1 - share) * pull[before] + share * pull[before + 1]
     return Forcing(acceleration=out)
 
 
