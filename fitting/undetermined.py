@@ -33,9 +33,12 @@ class Undetermined(NamedTuple):
 
 
 def natural_size(law: Law, name: str, friction: float, speed: float) -> float:
-    """Return the size of a parameter by its unit, for curves of that friction (m/s^2) and speed (m/s); else 1."""
+    """Return the size of a parameter by its unit, for curves of that friction (m/s^2) and speed (m/s); else 1.
+
+    Above 0 also where the friction is not: a measured curve without a known level may be negative.
+    """
     force, power = law.dimensions.get(name, (0, 0))
-    return float(friction**force * speed**power)
+    return float(abs(friction) ** force * speed**power)
 
 
 def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermined, ...]:
