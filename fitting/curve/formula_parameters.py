@@ -124,7 +124,7 @@ def _known(fit: FormulaFit, motion: MeasuredMotion, run: int) -> Known:
     undetermined = {
         slot
         for slot, own, fixed in zip(active, share, held, strict=True)
-        if default.get(slot) and own > derived.UNDETERMINED and not (fixed and slot != Global.DATUM)
+        if default.get(slot) and own > derived.DEFAULT_LEFT and not (fixed and slot != Global.DATUM)
     }
     first = PER_RUN * run if fit.runs > 1 else 0
     return Known(fit.u[first : first + PER_RUN], active, spread, undetermined)

@@ -21,7 +21,7 @@ FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot
 # Weight of a second difference of a regressed curve's coefficients, over that of a typical slip sample times the root
 # of their number: at half the curve follows the smoothing's noise at low speed, at twice it begins to lose its bend.
 SMOOTHNESS = 0.03
-LOW_SPEED = 0.06  # of the last knot: regressed slips show little below
+LOW_SPEED = 0.06  # speed over the last knot's: regressed slips show little below
 OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a curve of its own has no use for
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import (
-    HOLD,
+    HELD_CURVATURE,
     NormalEquations,
     SchurComplement,
     eigen,
@@ -184,7 +184,7 @@ def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None
         return None
     with np.errstate(over="ignore", invalid="ignore"):  # derivatives too large for a number are none
         blocks = normal_equations(problem, u, local, *found)
-        largest = HOLD * (np.abs(np.diag(blocks.H)).sum() + np.abs(np.einsum("cii->c", blocks.Hl)).sum())
+        largest = HELD_CURVATURE * (np.abs(np.diag(blocks.H)).sum() + np.abs(np.einsum("cii->c", blocks.Hl)).sum())
     if not largest < math.inf:
         return None
     return Point(u, local, *found, cost(problem, u, local, found[0]), blocks)
