@@ -14,7 +14,7 @@ from fitting.model.windows import SPOILT
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
 
-TIMES_TRIED = 40  # times of a step that are tried in a slip and in a stick; at 20 the best explains 0.8 of some steps
+TIMES_TRIED = 40  # steps tried, one a time, in a slip and in a stick; at 20 the best explains 0.8 of some steps
 # Share of a cycle's mean square beyond the usual one that a step explains.  Steps of 5 to 20 mm/s explain 0.97 to 1.0
 # of it in a slip; a landing after which the mass overtakes the belt unseen 0.77.
 LEAST_EXPLAINED = 0.9

@@ -35,7 +35,7 @@ from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
 
 GRID_SPEEDS = 300  # speeds at which a form is projected on the spline, as dense as the knots
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # confidence of the intervals, and of a form inside the band
 # Unit of each kind of parameter, and the powers of friction and speed in it.
 KINDS = {
     "friction": ("m s^-2", 1, 0),  # not negative

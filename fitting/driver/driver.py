@@ -50,7 +50,7 @@ LESS_NOISE_ASSUMED = 10.0
 DONOR_ERROR = 0.8  # error over a task's: another that errs less gives it a start; at 0.95 neighbours in noise do
 NARROW_START = 0.02  # width over the first one, of a ramp that starts next to none at its jump law's end
 CONTAINED_ERROR = 1.0005  # error over that of the curve that it contains: a ramp that errs more is in a poor minimum
-# Of the belt's speed: a ramp so narrow, or one that noise hides, is the jump.  Where it errs less than
+# Width over the belt's speed: a ramp so narrow, or one that noise hides, is the jump.  Where it errs less than
 # `CONTAINED_ERROR` allows, the jump is in a poor minimum.
 CLOSED_RAMP = 0.02
 

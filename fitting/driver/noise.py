@@ -18,8 +18,8 @@ INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is thr
 # In the last pass an outlier's weight is this power of weight/`INLIER_WEIGHT` times as large, and at least that share.
 OUTLIER_POWER, LEAST_OUTLIER_SHARE = 3, 0.02
 OUTLIER_LEVEL_SD = 10.0  # standard deviation of the log level of an outlier cycle, so that it has no weight in the mean
-# Times the levels' scatter, for one under which the mass overtakes the belt: it is low for that reason, and it is the
-# next cycle's as well.  With 20 it counts in the mean by 1 in 400; unbounded, a search that leaves the overtaking
+# Scatter over that of the levels, for one under which the mass overtakes the belt: it is low for that reason, and it is
+# the next cycle's as well.  With 20 it counts in the mean by 1 in 400; unbounded, a search that leaves the overtaking
 # loses it.
 OVERTAKING_FACTOR = 20.0
 STICK_SPEED_SD = 0.05  # error over the belt's speed: how well smoothing knows the speed in the middle of a stick

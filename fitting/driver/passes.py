@@ -55,7 +55,7 @@ CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the o
 # Least gain in log likelihood of a ramp's break-away level of its own: of one that is estimated, and, by the first step
 # on the thinned record, of one that is tried.  One contact in three without one has the second.
 STATIC_GAIN, STATIC_HINT = 5.0, 0.5
-# Of the level of slip: where that of the break-away starts, one after the other.  The first reaches every level of a
+# Starts of the break-away level over that of slip, one after the other.  The first reaches every level of a
 # ramp that is nearly straight; where friction falls steeply one of 1.3 is reached from 1.5 or from 2 alone.
 STATIC_STARTS = (1.1, 1.5, 2.0)
 CYCLE_GAIN = 0.99  # cost over that of a cycle before: another start of its own unknowns led to another minimum
