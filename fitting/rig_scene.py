@@ -181,12 +181,12 @@ def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
         u[places] = unknowns[: len(places)]
         p = values(u)
         m = calibration.mass_for(p.K, factor)
-        propagated = _rig_of(p, m, motion.sign, length)
-        propagated |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
+        scene = _rig_of(p, m, motion.sign, length)
+        scene |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
         for name, value in fit.curve.values(unknowns[len(places) :]).items():
             force, speed = law.dimensions.get(name, (0, 0))
-            propagated[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
-        return propagated
+            scene[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
+        return scene
 
     propagated = _propagated(scene_of, at.q[index], spread, motion, names)
     calibration = Calibration(motion.mass, motion.stiffness, motion.length_error)
@@ -255,11 +255,11 @@ def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipSta
 
         gap, slopes = above(unknowns), _slopes(above, unknowns, spread)
         along = np.einsum("ij,j->i", spread, slopes)
-        variance_of_place = (spline_fit.fit.values.K * broken.sd) ** 2
-        variance = float(np.sum(along * slopes)) + variance_of_place
+        placed = (spline_fit.fit.values.K * broken.sd) ** 2
+        variance = float(np.sum(along * slopes)) + placed
         rest = float(basis.coefficients(unknowns)[0])
         if gap > max(STATIC_ERRORS * math.sqrt(variance), LEAST_STATIC * rest):
-            static = Measured(1 + gap / rest, math.sqrt(variance_of_place) / rest)
+            static = Measured(1 + gap / rest, math.sqrt(placed) / rest)
         else:
             unknowns = unknowns - along * gap / variance
             spread = spread - np.outer(along, along) / variance

@@ -152,8 +152,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
             f"add metres_per_count to a rig.toml, then: daq replay {recording.source.name} --rig rig.toml -o NEW.h5",
             python="give metres_per_count: daq.Recording.from_arrays(time, counts, metres_per_count='7.67 um')",
         )
-    stated_by_caller = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else belt_speed
-    if isinstance(stated_by_caller, Measured) and stated_by_caller.value == 0:
+    typed = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else belt_speed
+    if isinstance(typed, Measured) and typed.value == 0:
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
     resolution, step = _resolution(kinematics)
     kept = _kept(kinematics)
@@ -162,11 +162,11 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
         )
-    channel = _channel(kinematics, stated_by_caller)
-    stated = stated_by_caller if isinstance(stated_by_caller, Measured) else rig.belt_speed
+    channel = _channel(kinematics, typed)
+    stated = typed if isinstance(typed, Measured) else rig.belt_speed
     seen = speed_in_sticks(kinematics)
     believed = stated if stated is not None and is_possible_speed(stated, seen) else None
-    speed = _belt_speed(kinematics, believed, seen, given=isinstance(stated_by_caller, Measured))
+    speed = _belt_speed(kinematics, believed, seen, given=isinstance(typed, Measured))
     sign = math.copysign(1.0, speed)
     usual = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig)

@@ -236,12 +236,12 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
         omega = 2 * math.pi * hertz
         waves = (np.cos(omega * (time - origin)), np.sin(omega * (time - origin)))
         if slopes is None:
-            ripples, left = least_squares(np.c_[stuck.columns, *waves], v)
+            coefficients, left = least_squares(np.c_[stuck.columns, *waves], v)
         else:
             lines = slopes.moved(offset)
             shapes = [lines.removed(shape) for shape in (np.ones_like(v), *waves)]
-            ripples, left = least_squares(np.stack(shapes, axis=1), lines.removed(v))
-        return float(np.mean(left**2)), ripples[-2:]
+            coefficients, left = least_squares(np.stack(shapes, axis=1), lines.removed(v))
+        return float(np.mean(left**2)), coefficients[-2:]
 
     def settled(hertz: float, offset: float) -> tuple[float, float]:
         width, step = 0.5 / (time[-1] - time[0]), motion.travel / POINTS_TRIED

@@ -69,5 +69,5 @@ def _growth(stick: Array, ratio: Array) -> Measured | None:
     slope = float(np.sum(x * y)) / square
     rest = y - slope * x
     # each point's own residual, raised by its leverage (HC3: J. MacKinnon, H. White, J. Econometrics 29 (1985) 305)
-    leverage = x * rest / (1 - x**2 / square - 1 / x.size)
-    return Measured(slope, math.sqrt(float(np.sum(leverage**2))) / square)
+    raised = x * rest / (1 - x**2 / square - 1 / x.size)
+    return Measured(slope, math.sqrt(float(np.sum(raised**2))) / square)

@@ -86,7 +86,7 @@ def orbits(ranking: RankedLaws) -> str:
         ]
         for row in rows
     ]
-    x, v = (np.concatenate(columns_of) for columns_of in zip(*measured, *itertools.chain(*fitted), strict=True))
+    x, v = (np.concatenate(parts) for parts in zip(*measured, *itertools.chain(*fitted), strict=True))
     both, width, height = (AxisScale.around(x), AxisScale.around(v)), (HALF - BESIDE) / 3, 172.0
     drawn = []
     for place, row in enumerate(rows):

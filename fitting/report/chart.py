@@ -242,11 +242,11 @@ def _legend_places(labels: Sequence[str], width: float) -> list[tuple[float, int
     """Return where each label of a legend begins, px from the left, and in which row; ``width`` is the field's."""
     x, row, places = 0.0, 0, []
     for label in labels:
-        width_of = 30.0 + text_width(label, SMALL)
-        if x + width_of > width + 12.0 and x > 0:
+        taken = 30.0 + text_width(label, SMALL)
+        if x + taken > width + 12.0 and x > 0:
             x, row = 0.0, row + 1
         places.append((x, row))
-        x += width_of + 4.0
+        x += taken + 4.0
     return places
 
 
