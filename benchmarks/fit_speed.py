@@ -45,6 +45,7 @@ from fitting.model.parameters import Global, PerCycle
 from fitting.model.problem import Run
 from fitting.model.windows import ShootingWindows
 from fitting.selection import ranking
+from fitting.selection.result import RankedLaws
 from fitting.sensitivity import flow
 from processing.record.kinematics import Kinematics
 
@@ -86,7 +87,7 @@ def warm(laws: list[int], lengths: list[float], folder: str) -> list[dict[str, A
     return rows
 
 
-def ranked(kinematics: Kinematics) -> tuple[ranking.Ranking, float]:
+def ranked(kinematics: Kinematics) -> tuple[RankedLaws, float]:
     """Rank one record; also return the CPU seconds of goodness of fit and measured curve."""
     spent, assess = 0.0, ranking.assess
 

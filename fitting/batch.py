@@ -96,9 +96,9 @@ def fit(
     try:
         with workers(min(jobs, len(files)), scheduler) as each:
             pairs = [(file, places[number : number + 1]) for number, file in enumerate(files)]
-            found = each(partial(_fitted, options=options), _read(pairs, options, force))
-            for (file, place), one in zip(pairs, found, strict=True):
-                rows.append(_saved(file, place, one, force))
+            outcomes = each(partial(_fitted, options=options), _read(pairs, options, force))
+            for (file, place), outcome in zip(pairs, outcomes, strict=True):
+                rows.append(_saved(file, place, outcome, force))
                 if progress is not None:
                     progress(float(len(rows)))
     except DeviceError as error:
@@ -170,15 +170,15 @@ def _fitted(run: LoadedRun | Failure, options: FitOptions) -> FitOutput | Failur
         return _failure(error, run.recording.source)
 
 
-def _saved(file: Path, places: Sequence[Path], found: FitOutput | Failure, force: bool) -> BatchRow:
+def _saved(file: Path, places: Sequence[Path], outcome: FitOutput | Failure, force: bool) -> BatchRow:
     """Write what was found where it belongs."""
-    if isinstance(found, Failure):
-        return BatchRow(file, {}, found)
+    if isinstance(outcome, Failure):
+        return BatchRow(file, {}, outcome)
     try:
-        found.save(next(iter(places), None), force=force)
+        outcome.save(next(iter(places), None), force=force)
     except Exception as error:
         return BatchRow(file, {}, _failure(error, file))
-    return BatchRow(file, found.as_json() | {"report": next(iter(places), None)})
+    return BatchRow(file, outcome.as_json() | {"report": next(iter(places), None)})
 
 
 def _failure(error: Exception, file: Path) -> Failure:

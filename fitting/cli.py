@@ -14,10 +14,10 @@ from fitting.flags import (
     DEFAULT_PART,
     DEFAULT_RIG,
     DEFAULT_WORK,
+    CalibrationFlags,
     LawFlags,
     OutputFlags,
     PartFlags,
-    RigFlags,
     WorkFlags,
 )
 
@@ -34,7 +34,7 @@ def fit(
     /,
     *more: Annotated[Path, Parameter(help="More runs of the same contact, fitted jointly with the first.")],
     laws: LawFlags = DEFAULT_LAWS,
-    rig: RigFlags = DEFAULT_RIG,
+    rig: CalibrationFlags = DEFAULT_RIG,
     part: PartFlags = DEFAULT_PART,
     outputs: OutputFlags = DEFAULT_OUTPUTS,
     work: WorkFlags = DEFAULT_WORK,
@@ -133,8 +133,8 @@ def _fit_together(request: "FitRequest") -> Answer:
 
 def _write_tables(done: "FitOutput", request: "FitRequest") -> None:
     """Write the ranking, the measured curve and the scene where they were asked for."""
+    from fitting import rig_scene
     from fitting.report import table
-    from fitting.rig_scene import fitted_scene, scene_file
 
     outputs, files, ranking = request.outputs, request.files, done.ranking
     if outputs.csv is not None:
@@ -146,8 +146,7 @@ def _write_tables(done: "FitOutput", request: "FitRequest") -> None:
             raise DataError("no friction curve could be measured", str(files[0]), "leave out --curve-csv")
         table.write_curve(outputs.curve_csv, ranking, curve)
     if outputs.save_scene is not None:
-        rig = fitted_scene.of_ranking(ranking, done.statistics[0])
-        scene_file.write(outputs.save_scene, scene_file.text(rig, ranking, files[0]))
+        rig_scene.save(outputs.save_scene, ranking, done.statistics[0], files[0])
 
 
 def main() -> NoReturn:

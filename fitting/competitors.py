@@ -29,9 +29,9 @@ from daq.base.errors import InputError, check_known, nearest
 from fitting.law import Bound, Law, check_values, read_law
 from rig_sim.friction.law import LAWS
 
-ALL_LAWS = (1, 2, 3, 4, 5, 6)
+ALL_LAWS = (1, 2, 3, 4, 5, 6)  # numbers of the six laws (`rig_sim.friction.law`)
 # Least value of each parameter of rig and contact, and whether it may be that.
-LEAST: dict[str, tuple[float, bool]] = {
+LEAST_VALUES: dict[str, tuple[float, bool]] = {
     "k/m": (0.0, False),
     "Fs/m": (0.0, False),
     "gamma": (0.0, True),
@@ -40,9 +40,9 @@ LEAST: dict[str, tuple[float, bool]] = {
     "static": (1.0, True),
     "c/m": (0.0, True),
 }
-FREE = (-math.inf, True)
+NO_LIMIT = (-math.inf, True)
 PER_MASS = "/m"
-LAST = 100_000  # number of a cycle: no record holds as many
+LAST_CYCLE = 100_000  # largest number of a cycle: no record holds as many
 OF_EVERY_LAW = ("k/m", "k", "c/m", "c", "v_dr", "x0")
 OF_A_CURVE = {"linear": ("G_slip/m", "G_slip"), "hyperbolic": ("gamma",)}
 FORMULAS = {"constant": "Fs", "linear": "Fs - G_slip*s", "hyperbolic": "Fs/(1 + gamma*s)"}  # of the curves of the six
@@ -121,7 +121,7 @@ class Competitors:
             own_numbers, own_formulas = ([], [one]) if isinstance(one, Law) else _read(str(one), "--laws")
             numbers += own_numbers
             formulas += [law for law in own_formulas if law not in formulas]
-        given = [check_values(own, kind) for own, kind in ((fix, "fix"), (bounds, "bounds"), (start, "start"))]
+        given = [check_values(values, kind) for values, kind in ((fix, "fix"), (bounds, "bounds"), (start, "start"))]
         return cls(tuple(dict.fromkeys(numbers)), tuple(formulas), *given)
 
     @classmethod
@@ -136,13 +136,13 @@ class Competitors:
     ) -> "Competitors":
         """Return the competitors that the flags of a command line name."""
         numbers, formulas = _read(laws, "--laws")
-        formulas += [own for own in map(read_law, law) if own not in formulas]
+        formulas += [one for one in map(read_law, law) if one not in formulas]
         behind = list(ramp)
         for name in behind:
-            check_known(name, [own.name for own in formulas], "law", "--ramp")
+            check_known(name, [one.name for one in formulas], "law", "--ramp")
         return cls(
             tuple(dict.fromkeys(numbers)),
-            tuple(own.behind_ramp() if own.name in behind else own for own in formulas),
+            tuple(one.behind_ramp() if one.name in behind else one for one in formulas),
             {name: _number(value, name, "--fix") for name, value in _pairs(fix, "--fix")},
             {name: _interval(value, name) for name, value in _pairs(bound, "--bound")},
             {name: _number(value, name, "--start") for name, value in _pairs(start, "--start")},
@@ -186,16 +186,16 @@ class Competitors:
         InputError
             For values that the parameter cannot have.
         """
-        found: dict[str, Given] = {}
+        given_of: dict[str, Given] = {}
         for kind, given in (("bounds", self.bounds), ("start", self.start), ("fix", self.fix)):
             for name, value in given.items():
-                own = _named(name, law)
-                if own is not None:
-                    found[own] = _with(found.get(own, Given()), kind, value)
+                own_name = _named(name, law)
+                if own_name is not None:
+                    given_of[own_name] = _with(given_of.get(own_name, Given()), kind, value)
         own_names = () if isinstance(law, int) else law.curve.parameters
-        for name, one in found.items():
-            _check(name, one, *(LEAST.get(_per_mass(name), FREE) if name not in own_names else FREE))
-        return found
+        for name, one in given_of.items():
+            _check(name, one, *(LEAST_VALUES.get(_per_mass(name), NO_LIMIT) if name not in own_names else NO_LIMIT))
+        return given_of
 
     def _check_name(self, name: str, flag: str) -> None:
         if any(_named(name, law) for law in self.every):
@@ -221,9 +221,9 @@ def names_of(law: int | Law) -> tuple[str, ...]:
         kind = LAWS[law]
         ramp = ("d", "static") if kind.ramp else ()
         return (*OF_EVERY_LAW, "Fs/m", "Fs", *OF_A_CURVE.get(kind.curve, ()), *ramp)
-    own = law.curve.parameters
-    forces = [f"{name}{PER_MASS}" for name in own if law.dimensions.get(name, (0, 0))[0]]
-    return (*own, *forces, *OF_EVERY_LAW, *(("d",) if law.ramp else ()))
+    parameters = law.curve.parameters
+    forces = [f"{name}{PER_MASS}" for name in parameters if law.dimensions.get(name, (0, 0))[0]]
+    return (*parameters, *forces, *OF_EVERY_LAW, *(("d",) if law.ramp else ()))
 
 
 def _label(law: int | Law) -> str:
@@ -232,11 +232,11 @@ def _label(law: int | Law) -> str:
 
 def _named(name: str, law: int | Law) -> str | None:
     """Return a parameter's name in a law, without the law's; None where the law has none of that name."""
-    prefix, dot, own = name.partition(".")
+    prefix, dot, bare = name.partition(".")
     if dot and prefix != _label(law):
         return None
-    own = own if dot else name
-    return own if own in names_of(law) else None
+    bare = bare if dot else name
+    return bare if bare in names_of(law) else None
 
 
 def _with(given: Given, kind: str, value: float | Bound) -> Given:
@@ -244,7 +244,7 @@ def _with(given: Given, kind: str, value: float | Bound) -> Given:
     if kind == "bounds":
         low, high = value  # type: ignore[misc]
         return given._replace(
-            low=FREE[0] if low is None else float(low), high=math.inf if high is None else float(high)
+            low=NO_LIMIT[0] if low is None else float(low), high=math.inf if high is None else float(high)
         )
     number = float(value)  # type: ignore[arg-type]
     return Given(number, number, number) if kind == "fix" else given._replace(start=number)
@@ -252,7 +252,7 @@ def _with(given: Given, kind: str, value: float | Bound) -> Given:
 
 def _per_mass(name: str) -> str:
     """Return the name per unit mass of what has a name in newtons too."""
-    return f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in LEAST else name
+    return f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in LEAST_VALUES else name
 
 
 def _check(name: str, given: Given, least: float, itself: bool) -> None:
@@ -288,7 +288,7 @@ def numbers(text: str, flag: str) -> list[int]:
     InputError
         For anything else.
     """
-    found: list[int] = []
+    listed: list[int] = []
     for part in filter(None, (piece.strip() for piece in text.split(","))):
         first, dash, last = part.partition("-")
         try:
@@ -296,10 +296,10 @@ def numbers(text: str, flag: str) -> list[int]:
             high = int(last) if dash else low
         except ValueError:
             raise InputError(f"{part!r} is not a number or range", flag, "write for example 1-3,6") from None
-        if not 1 <= low <= high <= LAST:
+        if not 1 <= low <= high <= LAST_CYCLE:
             raise InputError(f"{part!r} is not an increasing range from 1", flag, "write for example 1-3,6")
-        found.extend(range(low, high + 1))
-    return found
+        listed.extend(range(low, high + 1))
+    return listed
 
 
 def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
@@ -319,12 +319,12 @@ def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
 
 def _number(text: str, name: str, flag: str) -> float:
     try:
-        found = float(text)
+        number = float(text)
     except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
+        number = math.nan
+    if not math.isfinite(number):
         raise InputError(f"{name} is {text!r}, not a number", flag, "give one in the unit of the results, without it")
-    return found
+    return number
 
 
 def _interval(text: str, name: str) -> Bound:

@@ -21,7 +21,7 @@ from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
 from fitting.sensitivity.values import positions
 
-SAMPLES = 5  # of each window: compiled code does not depend on how many
+SAMPLES = 5  # samples of each window: compiled code does not depend on how many
 
 
 def compile_arithmetic() -> None:
@@ -67,7 +67,6 @@ def compile_derivatives() -> None:
         time=point,
         position=point,
         velocity=point,
-        relative_speed=point,
         belt_speed=point,
         level=point,
         friction=point,

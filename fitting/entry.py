@@ -147,7 +147,7 @@ def rank(
     rigs = [rig] * len(given) if rig is None or isinstance(rig, Rig) else list(rig)
     if len(rigs) != len(given):
         raise InputError(f"{len(rigs)} rigs for {len(given)} runs", "rig", "give one for all, or one for each run")
-    runs = [_loaded(one, own, options) for one, own in zip(given, rigs, strict=True)]
+    runs = [_loaded(one, calibration, options) for one, calibration in zip(given, rigs, strict=True)]
     return Ranking.of(job.fit_runs(runs, options, jobs, scheduler, progress).ranking)
 
 

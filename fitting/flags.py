@@ -7,6 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from daq.base.console import flags
+from daq.base.console.rig_flags import Mass, RestPosition, Stiffness
 from daq.base.measured import Measured
 
 
@@ -41,22 +42,12 @@ class LawFlags:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class RigFlags:
+class CalibrationFlags:
     """What is known of the rig, in place of the run's own calibration."""
 
-    mass: Annotated[
-        Measured | None, flags.measured("--mass", "mass", "Mass, kg or with a unit and error: '300 g +- 1 g'.", "mass")
-    ] = None
-    stiffness: Annotated[
-        Measured | None,
-        flags.measured("--stiffness", "stiffness", "Spring: '10.5 N/m +- 0.1 N/m'; instead of the mass.", "stiffness"),
-    ] = None
-    x0: Annotated[
-        Measured | None,
-        flags.measured(
-            "--x0", "length", "Position at which the spring is at rest: '60 mm +- 0.1 mm'; without +- exact.", "x0"
-        ),
-    ] = None
+    mass: Mass = None
+    stiffness: Stiffness = None
+    x0: RestPosition = None
     datum: Annotated[
         Measured | None,
         flags.measured("--datum", "length", "-x0, from the readings of which the run was made; use --x0.", "datum"),
@@ -133,5 +124,5 @@ class WorkFlags:
     scheduler: Annotated[str | None, Parameter(help="Fit on the workers of a dask scheduler: tcp://host:8786.")] = None
 
 
-DEFAULT_LAWS, DEFAULT_RIG, DEFAULT_PART = LawFlags(), RigFlags(), PartFlags()
+DEFAULT_LAWS, DEFAULT_RIG, DEFAULT_PART = LawFlags(), CalibrationFlags(), PartFlags()
 DEFAULT_OUTPUTS, DEFAULT_WORK = OutputFlags(), WorkFlags()

@@ -20,14 +20,14 @@ from fitting.competitors import ALL_LAWS, Competitors
 from fitting.report import page as report
 from fitting.report import stage as store
 from fitting.selection.ranking import rank
-from fitting.selection.result import Ranking
+from fitting.selection.result import RankedLaws
 from processing import stage
 from processing.record.kinematics import Kinematics
 from processing.smoothing import smooth
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 
-# Of a run's duration, at either end, that may be missing from the whole: samples left out there as spikes are fewer.
-AT_THE_ENDS = 0.01
+# Share of a run that may be missing at either end of the whole: samples left out there as spikes are fewer.
+MISSING_AT_ENDS = 0.01
 
 
 SIX = Competitors()
@@ -73,8 +73,8 @@ class LoadedRun:
     @property
     def named(self) -> FittedRun:
         """Which run it is."""
-        own = self.recording
-        return FittedRun(own.source, own.digest, own.title, own.started)
+        recording = self.recording
+        return FittedRun(recording.source, recording.digest, recording.title, recording.started)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ class FitOutput:
     left out: of the runs, of the laws, of the cycles; empty where nothing was.
     """
 
-    ranking: Ranking
+    ranking: RankedLaws
     statistics: tuple[StickSlipStatistics, ...]
     runs: tuple[FittedRun, ...]
     stages: tuple[str, ...]
@@ -97,8 +97,8 @@ class FitOutput:
         document = self.ranking.as_json() | {"statistics": pooled(self.statistics).as_json()}
         if self.ranking.runs:
             document["runs"] = [
-                side | {"statistics": own.as_json()}
-                for side, own in zip(document["runs"], self.statistics, strict=True)
+                side | {"statistics": statistics.as_json()}
+                for side, statistics in zip(document["runs"], self.statistics, strict=True)
             ]
         return document
 
@@ -141,11 +141,11 @@ def load_run(path: Path, options: FitOptions, rig: Rig | None = None) -> LoadedR
     InputError
         For a file that is no run, a calibration that cannot be, or times between which the run has no samples.
     """
-    own = runfile.between(path, options.begin, options.end)
+    samples = runfile.between(path, options.begin, options.end)
     with runfile.opened(path) as file:
         beside = stage.digest(file["entry"])  # before the rest: what replaces it later is another one
-    kinematics = stage.load(path) if own == EVERY else None  # of a part, the smoothing is its own
-    recording = runfile.load(path, own) if kinematics is None else kinematics.recording
+    kinematics = stage.load(path) if samples == EVERY else None  # of a part, the smoothing is its own
+    recording = runfile.load(path, samples) if kinematics is None else kinematics.recording
     time = runfile.times(path)
     known = calibrated(recording.rig if rig is None else rig, options)
     return LoadedRun(recording, kinematics, known, beside, (float(time[0]), float(time[-1])))
@@ -182,7 +182,7 @@ def fit_runs(
         )
     except DataError as error:
         together = pooled(counted)
-        findings = error.data.get("findings", []) + [vars(own) for motion in motions for own in motion.findings]
+        findings = error.data.get("findings", []) + [vars(finding) for motion in motions for finding in motion.findings]
         document = {"statistics": together.as_json(), "findings": findings}
         error.add_result(document, together.sentences(motions[0].unit))
         raise
@@ -197,7 +197,7 @@ def fitted_part(runs: Sequence[LoadedRun], times: Sequence[Array], options: FitO
     said = []
     for run, time in zip(runs, times, strict=True):
         first, last = run.whole
-        if max(time[0] - first, last - time[-1]) > AT_THE_ENDS * (last - first):
+        if max(time[0] - first, last - time[-1]) > MISSING_AT_ENDS * (last - first):
             name = f"{run.recording.source.name}: " if len(runs) > 1 else ""
             said.append(f"{name}{round(time[0], 2):g} to {round(time[-1], 2):g} s")
     said += _fitted_laws(options.competitors)
@@ -224,9 +224,9 @@ def _fitted_laws(competitors: Competitors) -> list[str]:
 def calibrated(rig: Rig, options: FitOptions) -> Rig:
     """Return a run's calibration with the values of the options in place of its own."""
     for name in ("mass", "stiffness"):
-        found = getattr(options, name)
-        if found is not None and not found.value > 0:
-            raise InputError(f"{name} is {found.value}", f"--{name}", "give one above 0")
+        stated = getattr(options, name)
+        if stated is not None and not stated.value > 0:
+            raise InputError(f"{name} is {stated.value}", f"--{name}", "give one above 0")
     if options.mass is not None:
         rig = replace(rig, mass=options.mass)
     if options.stiffness is not None:
@@ -254,8 +254,8 @@ def _changed(flag: str, known: Measured | None, typed: Measured | None, sd: floa
     """Return a calibration with the value, the error, or both replaced; a new value without an error is exact."""
     if typed is not None and typed.sd and sd is not None:
         raise InputError(f"{flag} with +- and {flag}-sd together", "command line", "give the error once")
-    value, own = (typed.value, typed.sd) if typed is not None else (0.0 if known is None else known.value, 0.0)
-    sd = own if sd is None else sd
+    value, typed_sd = (typed.value, typed.sd) if typed is not None else (0.0 if known is None else known.value, 0.0)
+    sd = typed_sd if sd is None else sd
     if not math.isfinite(value):
         raise InputError(f"is {value}", flag, "give a number")
     if not 0 <= sd < math.inf:

@@ -26,7 +26,7 @@ from daq.base.errors import InputError, nearest
 from rig_sim.friction.formula import SPEED, Formula
 
 NAME = re.compile(r"[A-Za-z][\w-]*")
-DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
+UNIT_DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
 Bound = tuple[float | None, float | None]
 
 
@@ -134,7 +134,7 @@ class Law:
         rng = np.random.default_rng(len(self.formula))
         names = self.curve.parameters
         rows, level, fall = [], [], []
-        for _ in range(DRAWS):
+        for _ in range(UNIT_DRAWS):
             values = {name: float(rng.uniform(0.5, 2.0)) for name in names}
             s = rng.uniform(0.1, 2.0, 4 * len(names))
             try:
@@ -145,8 +145,8 @@ class Law:
                 return {}
         table = np.concatenate(rows)
         target = np.stack((np.concatenate(level), np.concatenate(fall)), axis=1)
-        found = np.linalg.lstsq(table, target, rcond=None)[0]
-        whole = np.rint(found)
+        powers = np.linalg.lstsq(table, target, rcond=None)[0]
+        whole = np.rint(powers)
         if not np.allclose(table @ whole, target, rtol=0.0, atol=1e-6 * float(np.abs(target).max())):
             return {}
         return {name: (int(a), int(b)) for name, (a, b) in zip(names, whole, strict=True)}

@@ -9,11 +9,11 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.errors import DataError, InputError
 from daq.base.output import suffix
+from fitting import rig_scene
 from fitting.adequacy.result import Adequacy
 from fitting.curve.result import MeasuredCurve
 from fitting.estimation.result import Correlations, in_columns
 from fitting.report import page
-from fitting.rig_scene import fitted_scene, scene_file
 from fitting.selection import resampling, result
 from processing.statistics import from_kinematics
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ranking(result.Ranking):
+class Ranking(result.RankedLaws):
     """The laws in order, with the verdict, the break-aways and the warnings.
 
     Attributes
@@ -66,10 +66,10 @@ class Ranking(result.Ranking):
     """
 
     @classmethod
-    def of(cls, found: result.Ranking) -> "Ranking":
+    def of(cls, ranking: result.RankedLaws) -> "Ranking":
         """Return a ranking with what Python adds to it."""
-        values = {field.name: getattr(found, field.name) for field in fields(found)}
-        return cls(**(values | {"runs": tuple(map(cls.of, found.runs))}))
+        values = {field.name: getattr(ranking, field.name) for field in fields(ranking)}
+        return cls(**(values | {"runs": tuple(map(cls.of, ranking.runs))}))
 
     @property
     def correlation(self) -> "pd.DataFrame":
@@ -83,9 +83,9 @@ class Ranking(result.Ranking):
         DataError
             No law describes the record: the intervals are withheld.
         """
-        found = self._correlations("correlation")
-        place = [found.names.index(name) for name in self._names]
-        return self._square(found.matrix[np.ix_(place, place)])
+        errors = self._correlations("correlation")
+        place = [errors.names.index(name) for name in self._names]
+        return self._square(errors.matrix[np.ix_(place, place)])
 
     @property
     def covariance(self) -> "pd.DataFrame":
@@ -131,8 +131,8 @@ class Ranking(result.Ranking):
         """
         import pandas as pd
 
-        found = self._measured("curve")
-        table = pd.DataFrame({name: getattr(found, name) for name in ("speed", "friction", "lo", "hi")})
+        measured = self._measured("curve")
+        table = pd.DataFrame({name: getattr(measured, name) for name in ("speed", "friction", "lo", "hi")})
         table.attrs["units"] = {"speed": "m/s"} | dict.fromkeys(("friction", "lo", "hi"), self.adequacy.unit)
         return table
 
@@ -189,9 +189,9 @@ class Ranking(result.Ranking):
         import pandas as pd
 
         self._correlations("bootstrap")
-        found = resampling.bootstrap(self.best.fit, self.sides[0].motion, n, seed)
+        draws = resampling.bootstrap(self.best.fit, self.sides[0].motion, n, seed)
         names = {name.removesuffix(" (1)"): name for name in self._names}
-        return self._with_units(pd.DataFrame({shown: found[name] for name, shown in names.items()}))
+        return self._with_units(pd.DataFrame({shown: draws[name] for name, shown in names.items()}))
 
     def to_xarray(self) -> "xr.Dataset":
         """Return samples, parameters and measured curve as an xarray data set, with units as attributes.
@@ -257,7 +257,7 @@ class Ranking(result.Ranking):
         """
         target, recordings = Path(path), [record.recording for record in self.records]
         suffix.check(target, suffix.PAGE, "--report", {suffix.PDF: "then print the page from a browser"})
-        digests, files = [own.digest for own in recordings], self._files
+        digests, files = [recording.digest for recording in recordings], self._files
         page.refuse_foreign_file(target, digests, files=files, force=force)
         counted = [from_kinematics(record) for record in self.records]
         text = page.render(self, self.records, counted, self.alpha)
@@ -291,9 +291,8 @@ class Ranking(result.Ranking):
         """
         target = Path(path)
         suffix.check(target, suffix.TOML, "--save-scene", {})
-        scene_file.refuse_existing(target, self._files, force=force)
-        rig = fitted_scene.of_ranking(self, from_kinematics(self.records[0]))
-        scene_file.write(target, scene_file.text(rig, self, Path(self.records[0].recording.name)))
+        rig_scene.refuse_existing(target, self._files, force=force)
+        rig_scene.save(target, self, from_kinematics(self.records[0]), Path(self.records[0].recording.name))
         return target
 
     @property
@@ -322,11 +321,11 @@ class Ranking(result.Ranking):
 
     def _correlations(self, what: str) -> Correlations:
         self._best(what)
-        found = self.correlations()
-        if found is None:
+        correlations = self.correlations()
+        if correlations is None:
             do = "take ranking.curve, which needs no law; ranking.adequacy.departures says what may be missing"
             raise DataError("no law describes the record, and the intervals are withheld", what, do)
-        return found
+        return correlations
 
     def _measured(self, what: str) -> MeasuredCurve:
         adequacy: Adequacy = self.adequacy

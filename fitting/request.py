@@ -11,6 +11,7 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from daq.base.output import atomic, suffix
 from daq.runfile import joint
+from fitting import rig_scene
 from fitting.competitors import Competitors, numbers
 from fitting.flags import (
     DEFAULT_LAWS,
@@ -18,16 +19,15 @@ from fitting.flags import (
     DEFAULT_PART,
     DEFAULT_RIG,
     DEFAULT_WORK,
+    CalibrationFlags,
     LawFlags,
     OutputFlags,
     PartFlags,
-    RigFlags,
     WorkFlags,
 )
 from fitting.job import FitOptions
 from fitting.report import comparison, table
 from fitting.report import page as pages
-from fitting.rig_scene import scene_file
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class FitRequest:
         cls,
         files: Sequence[Path],
         laws: LawFlags = DEFAULT_LAWS,
-        rig: RigFlags = DEFAULT_RIG,
+        rig: CalibrationFlags = DEFAULT_RIG,
         part: PartFlags = DEFAULT_PART,
         outputs: OutputFlags = DEFAULT_OUTPUTS,
         work: WorkFlags = DEFAULT_WORK,
@@ -99,9 +99,9 @@ class FitRequest:
                 beside = joint.beside(runs, comparison.SUFFIX)
                 compared = beside if report is None else report.with_stem(f"{report.stem}-each")
         joint_file = joint.beside(runs) if joined else None
-        found = cls(runs, options, outputs, work, tuple(places), joint_file, compared)
-        found._refuse_outputs()
-        return found
+        request = cls(runs, options, outputs, work, tuple(places), joint_file, compared)
+        request._refuse_outputs()
+        return request
 
     def _refuse_outputs(self) -> None:
         """Raise InputError for names of outputs that say another format, are used twice, or stand for other files."""
@@ -124,7 +124,7 @@ class FitRequest:
         if outputs.curve_csv is not None:
             atomic.refuse_existing(outputs.curve_csv, force, *files, flag="--curve-csv")
         if outputs.save_scene is not None:
-            scene_file.refuse_existing(outputs.save_scene, files, force=force)
+            rig_scene.refuse_existing(outputs.save_scene, files, force=force)
 
 
 def _without_fits(files: Sequence[Path]) -> list[Path]:
@@ -138,7 +138,7 @@ def _without_fits(files: Sequence[Path]) -> list[Path]:
     return runs
 
 
-def _refuse_together(runs: Sequence[Path], rig: RigFlags, outputs: OutputFlags, work: WorkFlags) -> None:
+def _refuse_together(runs: Sequence[Path], rig: CalibrationFlags, outputs: OutputFlags, work: WorkFlags) -> None:
     """Raise InputError for flags and runs that do not go together."""
     given, alone = "command line", "fit the runs one at a time"
     twice = len({path.resolve() for path in runs}) < len(runs)

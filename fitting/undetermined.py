@@ -14,10 +14,10 @@ from daq.base.errors import InputError
 from fitting.law import Law
 
 DRAWS = 4  # sets of values: at half of them a chance dependence would pass, at twice nothing changes
-DRAWN = (0.5, 2.0)  # times the natural sizes
-NONE_LEFT = 1e-8  # of the largest singular value: below it columns are dependent, above 1e-6 they are not
-PART = 0.1  # of a direction's largest part: less is rounding
-SAME = 1e-4  # relative: sizes of a direction's parts that are equal
+SIZES_DRAWN = (0.5, 2.0)  # least and largest size drawn, over the natural one
+DEPENDENT_BELOW = 1e-8  # singular value over the largest: below, columns are dependent; above 1e-6 they are not
+LEAST_PART = 0.1  # part of a direction over its largest: less is rounding
+EQUAL_SIZES = 1e-4  # relative difference of a direction's parts that are equal
 
 
 class Undetermined(NamedTuple):
@@ -33,9 +33,12 @@ class Undetermined(NamedTuple):
 
 
 def natural_size(law: Law, name: str, friction: float, speed: float) -> float:
-    """Return the size of a parameter by its unit, for curves of that friction (m/s^2) and speed (m/s); else 1."""
+    """Return the size of a parameter by its unit, for curves of that friction (m/s^2) and speed (m/s); else 1.
+
+    Above 0 also where the friction is not: a measured curve without a known level may be negative.
+    """
     force, power = law.dimensions.get(name, (0, 0))
-    return float(friction**force * speed**power)
+    return float(abs(friction) ** force * speed**power)
 
 
 def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermined, ...]:
@@ -52,23 +55,23 @@ def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermine
     rng = np.random.default_rng(len(law.formula))
     speeds = fastest * np.linspace(0.0, 1.0, 12 * len(law.free) + 1)
     sizes = np.array([natural_size(law, name, friction, fastest) for name in law.free])
-    found = []
+    groups_of_draws = []
     for _ in range(DRAWS):
-        own = sizes * rng.uniform(*DRAWN, sizes.size)
-        values = dict(zip(law.free, own.tolist(), strict=True)) | dict(law.fix or {})
+        drawn = sizes * rng.uniform(*SIZES_DRAWN, sizes.size)
+        values = dict(zip(law.free, drawn.tolist(), strict=True)) | dict(law.fix or {})
         try:
             slopes = law.curve.gradient(speeds, values, law.free)
         except InputError:
             continue
-        found.append(_groups(slopes * own, own))
-    if not found:
+        groups_of_draws.append(_groups(slopes * drawn, drawn))
+    if not groups_of_draws:
         return ()
-    everywhere = set.intersection(*(set(groups) for groups in found))
+    everywhere = set.intersection(*(set(groups) for groups in groups_of_draws))
     return tuple(
         Undetermined(
             tuple(law.free[i] for i in group),
-            _how([groups[group] for groups in found]),
-            min(groups[group][0].shape[0] for groups in found),
+            _how([groups[group] for groups in groups_of_draws]),
+            min(groups[group][0].shape[0] for groups in groups_of_draws),
         )
         for group in sorted(everywhere)
     )
@@ -80,15 +83,15 @@ def _groups(columns: Array, values: Array) -> dict[tuple[int, ...], tuple[Array,
     Once in the logarithms of the parameters, once in the parameters.
     """
     size = np.linalg.norm(columns, axis=0)
-    seen = size > NONE_LEFT * float(size.max(initial=0.0))
+    seen = size > DEPENDENT_BELOW * float(size.max(initial=0.0))
     alone = np.ones((1, 1))
-    found: dict[tuple[int, ...], tuple[Array, Array]] = {(i,): (alone, alone) for i in np.flatnonzero(~seen).tolist()}
+    groups: dict[tuple[int, ...], tuple[Array, Array]] = {(i,): (alone, alone) for i in np.flatnonzero(~seen).tolist()}
     index = np.flatnonzero(seen)
     if not index.size:
-        return found
+        return groups
     _, singular, axes = np.linalg.svd(columns[:, index] / size[index], full_matrices=False)
-    null = axes[singular < NONE_LEFT * float(singular.max())]
-    beside = np.abs(np.einsum("ri,rj->ij", null, null)) > PART**2
+    null = axes[singular < DEPENDENT_BELOW * float(singular.max())]
+    beside = np.abs(np.einsum("ri,rj->ij", null, null)) > LEAST_PART**2
     left = [i for i in range(index.size) if beside[i, i]]
     while left:
         group: list[int] = []
@@ -100,8 +103,8 @@ def _groups(columns: Array, values: Array) -> dict[tuple[int, ...], tuple[Array,
         group.sort()
         places = index[group]
         logs = _basis(null[:, group]) / size[places]
-        found[tuple(places.tolist())] = logs, logs * values[places]
-    return found
+        groups[tuple(places.tolist())] = logs, logs * values[places]
+    return groups
 
 
 def _how(directions: list[tuple[Array, Array]]) -> str:
@@ -111,7 +114,7 @@ def _how(directions: list[tuple[Array, Array]]) -> str:
         return "does not change friction"
     first, others = np.eye(count)[0], np.eye(count)[1:]
     for place, both in enumerate((("a product", "a quotient"), ("a sum", "a difference"))):
-        bases = [_basis(own[place]) for own in directions]
+        bases = [_basis(direction[place]) for direction in directions]
         for sign, kind in zip((-1.0, 1.0), both, strict=True):
             steps = first + sign * others
             if (sign < 0 or count == 2) and all(_inside(steps, basis) for basis in bases):
@@ -122,10 +125,10 @@ def _how(directions: list[tuple[Array, Array]]) -> str:
 def _basis(directions: Array) -> Array:
     """Return an orthonormal basis of the space of some directions (r, m)."""
     _, singular, axes = np.linalg.svd(directions, full_matrices=False)
-    return np.asarray(axes[singular > SAME * float(singular.max())])
+    return np.asarray(axes[singular > EQUAL_SIZES * float(singular.max())])
 
 
 def _inside(steps: Array, basis: Array) -> bool:
     """Return whether steps (n, m) lie in a space."""
     left = steps - np.einsum("nm,rm,rj->nj", steps, basis, basis)
-    return bool(np.all(np.abs(left) < SAME * np.abs(steps).max()))
+    return bool(np.all(np.abs(left) < EQUAL_SIZES * np.abs(steps).max()))

@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.base.compute.arrays import Array
+from fitting import noise_levels
 from fitting.adequacy.goodness import GoodnessOfFit, RunSlips, goodness_of_fit, judge
 from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_SPEED, Adequacy
 from fitting.adequacy.struck import left_out
 from fitting.adequacy.visible import smallest_visible
+from fitting.competitors import ALL_LAWS
 from fitting.curve.measure import band_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
@@ -24,11 +26,6 @@ from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
-
-NUMBER_OF_LAWS = 6
-# Times the noise: a curve that leaves so much beside an adequate law has not been found, as where the mass never sticks
-# for long; then its k/m has no interval.  Curves of the six laws leave 0.98 to 1.02.
-MISSED = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +45,7 @@ class Assessment:
 
         Noise alone may have made what the best law leaves; less is left of the same record by a rival.
         """
-        outcome = NONE_FITTED if laws < NUMBER_OF_LAWS else NONE_OF_SIX
+        outcome = NONE_FITTED if laws < len(ALL_LAWS) else NONE_OF_SIX
         runs = tuple(replace(own, verdict=outcome) for own in self.runs)
         return replace(self, together=replace(self.together, verdict=outcome), runs=runs, beaten=True)
 
@@ -143,13 +140,13 @@ def assess(
     chosen = _first_not_rejected(members, motions, {of_six.fit.law: of_six})
     rejected = chosen.together.rejected
     curve_goodness = None
-    if curve is not None and (rejected or curve.chi > MISSED):
+    if curve is not None and (rejected or curve.chi > noise_levels.CLEARLY_ABOVE):
         curve_goodness = _judge_curve(curve, motions)
     of_speed = curve is not None and (curve_goodness is None or not curve_goodness.rejected)
     outcome: str | None
     if not rejected:
         outcome = ADEQUATE if chosen.together.judged else None
-    elif laws < NUMBER_OF_LAWS:
+    elif laws < len(ALL_LAWS):
         outcome = NONE_FITTED
     else:
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED

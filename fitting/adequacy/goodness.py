@@ -24,17 +24,17 @@ from fitting.estimation.fitted_law import FittedLaw
 from fitting.model.windows import SPOILT, ShootingWindows
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
-SEED = 13
+SEED = 13  # seed of the repetitions: the same for every record
 MOST_AT_ONCE = 2_000_000  # residuals held at a time: 16 MB an array
 FEWEST_SLIPS = 2  # at least: what repeats needs two
 # Probability below which noise is not what made the residuals.  The tails are those of a gamma distribution with the
 # moments of 60 repetitions of a linearised refit, so small probabilities are rough; 1e-6 is five standard deviations.
 REJECTED = 1e-6
 TESTS = 4  # what repeats, what is smooth, the worst cycle, and the size of all
-# Times the noise by which all judged cycles together may exceed that of the repetitions: a noise that is not quite that
+# Noise of all judged cycles together over that of the repetitions, at the most: a noise that is not quite that
 # of the model is no misfit.  True laws leave 0.97 to 1.04.
 NOISE_KNOWN = 1.2
-ROUNDING = 1e-9  # of a statistic's mean: numbers that differ by less are equal but for rounding
+ROUNDING = 1e-9  # difference over a statistic's mean: numbers that differ by less are equal but for rounding
 
 
 @dataclass(frozen=True)

@@ -16,18 +16,20 @@ from daq.base.compute.arrays import Array, Mask
 from fitting.data.frame import MeasuredMotion
 from fitting.model.windows import ShootingWindows
 
-ORDER, SQUARED_WEIGHTS = 4, 70.0  # of the differences: (1, 4, 6, 4, 1) squared and summed
+# Order of differences, and their weights (1, 4, 6, 4, 1) squared and summed.
+DIFFERENCE_ORDER, SQUARED_WEIGHTS = 4, 70.0
 ROUNDED_TWICE = 0.1  # pitches: counts printed with a few decimals are that near whole multiples of the pitch
-# Of the belt's speed: how near to it a reading's speed is left out where counts are rounded.  At half a count a sample
-# in the sticks the errors alternate, which the differences take for 1.4 times the noise; at whole counts for none.
-STEADY = 0.1
+# Distance from the belt's speed, over it, within which a reading is left out where counts are rounded.  At half a count
+# a sample in the sticks the errors alternate, which the differences take for 1.4 times the noise; at whole counts for
+# none.
+STEADY_SPEED = 0.1
 FASTEST_PATTERN = 0.8  # pitches a sample: slower readings repeat patterns, whose differences are not white
-# Variance of rounding: less white noise beside it is not distinguished from it.  True encoders give up to 0.3 by
-# chance, because fast rounding is not quite white; noise as large as the rounding gives 1.
-LEAST_WHITE = 0.5
-SURE = 4.0  # standard errors of the jitter's variance
-FEWEST = 50  # differences
-ROUNDING = 1e-9  # of the range of the readings: nearer ones are the same
+# Variance over that of rounding: less white noise beside it is not distinguished from it.  True encoders give up to 0.3
+# by chance, because fast rounding is not quite white; noise as large as the rounding gives 1.
+LEAST_WHITE_NOISE = 0.5
+JITTER_SHOWN = 4.0  # variance of the jitter, in its standard errors, that is shown
+FEWEST_DIFFERENCES = 50  # differences from which noise is estimated
+ROUNDING = 1e-9  # distance over the range of the readings: nearer ones are the same
 
 
 @dataclass(frozen=True)
@@ -93,27 +95,27 @@ def estimate_noise(
     slowest = FASTEST_PATTERN * pitch / interval if motion.resolution < pitch else 0.0
     squares, speeds = [], []
     for k, _, first, count, _, own in windows.table:
-        if own == run and inliers[k] and count > ORDER:
+        if own == run and inliers[k] and count > DIFFERENCE_ORDER:
             part = slice(first, first + count)
-            speed = motion.velocity[windows.source[part]][ORDER // 2 : -ORDER // 2]
+            speed = motion.velocity[windows.source[part]][DIFFERENCE_ORDER // 2 : -DIFFERENCE_ORDER // 2]
             fast = np.abs(speed) >= slowest
             if slowest > 0:
-                fast &= np.abs(speed - motion.belt_speed) > STEADY * abs(motion.belt_speed)
-            squares.append((np.diff(residual[part], ORDER) ** 2 / SQUARED_WEIGHTS)[fast])
+                fast &= np.abs(speed - motion.belt_speed) > STEADY_SPEED * abs(motion.belt_speed)
+            squares.append((np.diff(residual[part], DIFFERENCE_ORDER) ** 2 / SQUARED_WEIGHTS)[fast])
             speeds.append(speed[fast] ** 2)
     square, v2 = (np.concatenate(parts) if parts else np.empty(0) for parts in (squares, speeds))
-    if square.size < FEWEST:
+    if square.size < FEWEST_DIFFERENCES:
         return PositionNoise(pitch, math.sqrt(max(motion.resolution**2 - rounding, 0.0)), 0.0)
     middle = v2 - v2.mean()
     slope = float(np.sum(middle * square) / max(np.sum(middle**2), 1e-300))
     white2 = max(float(square.mean()) - max(slope, 0.0) * float(v2.mean()) - rounding, 0.0)
-    if white2 < LEAST_WHITE * rounding:
+    if white2 < LEAST_WHITE_NOISE * rounding:
         white2 = 0.0
     excess = square - rounding - white2
     scale = max(float(np.sum(v2**2)), 1e-300)
     jitter2 = float(np.sum(excess * v2)) / scale
     error = math.sqrt(float(np.sum(((excess - jitter2 * v2) * v2) ** 2))) / scale
-    return PositionNoise(pitch, math.sqrt(white2), math.sqrt(jitter2) if jitter2 > SURE * error else 0.0)
+    return PositionNoise(pitch, math.sqrt(white2), math.sqrt(jitter2) if jitter2 > JITTER_SHOWN * error else 0.0)
 
 
 def reading_pitch(reading: Array) -> float:
@@ -125,7 +127,7 @@ def reading_pitch(reading: Array) -> float:
     values = np.unique(reading)
     gaps = np.diff(values)
     apart = gaps[gaps > ROUNDING * (values[-1] - values[0])]
-    if apart.size < FEWEST:
+    if apart.size < FEWEST_DIFFERENCES:
         return 0.0
     place = values - values.mean()
     for least in (float(apart.min()), float(np.quantile(apart, 0.2))):  # a few stray readings spoil the smallest gap

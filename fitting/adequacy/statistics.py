@@ -13,7 +13,7 @@ import numpy as np
 from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.model.windows import ShootingWindows
 
-MOST_BINS = 60  # of a slip, with 8 to 20 samples each at 1 kHz
+MOST_BINS = 60  # bins of a slip, with 8 to 20 samples each at 1 kHz
 # Samples in a bin of the usual slip, at the least.  Chosen: the mean of one sample is that sample, so a bin of 1.5
 # hides what is smooth in a slip; with 6, a slip of 12 samples has two bins, in which what repeats from slip to slip
 # cancels.

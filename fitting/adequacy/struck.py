@@ -14,10 +14,10 @@ from fitting.model.windows import SPOILT
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
 
-TIMES = 40  # of a step that are tried in a slip and in a stick; at 20 the best explains 0.8 of some steps
-# Of a cycle's mean square beyond the usual one.  Steps of 5 to 20 mm/s explain 0.97 to 1.0 of it in a slip; a landing
-# after which the mass overtakes the belt unseen 0.77.
-EXPLAINED = 0.9
+TIMES_TRIED = 40  # steps tried, one a time, in a slip and in a stick; at 20 the best explains 0.8 of some steps
+# Share of a cycle's mean square beyond the usual one that a step explains.  Steps of 5 to 20 mm/s explain 0.97 to 1.0
+# of it in a slip; a landing after which the mass overtakes the belt unseen 0.77.
+LEAST_EXPLAINED = 0.9
 # Other cycles of a run that may fit badly by chance: a touch of a hand, an overtaking that was not seen.
 MOST_ODD, MOST_ODD_SHARE = 1, 0.1
 
@@ -62,7 +62,7 @@ def _struck(path: Path, linear: LinearisedFit, landings: Array, spoilt: Mask, ru
         rows = linear.rows[k]
         usual = float(np.median(square[run == run[k]]))
         left = square[k] - _best_gain(linear, int(k), columns[rows]) / (rows.stop - rows.start)
-        found[k] = left < SPOILT * usual or left - usual < (1 - EXPLAINED) * (square[k] - usual)
+        found[k] = left < SPOILT * usual or left - usual < (1 - LEAST_EXPLAINED) * (square[k] - usual)
     return found
 
 
@@ -80,8 +80,8 @@ def _best_gain(linear: LinearisedFit, k: int, columns: Array) -> float:
 
 
 def _impulses(path: Path, landings: Array, spoilt: Mask) -> Array:
-    """Return accelerations (M, TIMES) that change the velocity by about 1 m/s within one step of each spoilt slip."""
-    found = np.zeros((path.time.size, TIMES))
+    """Return accelerations (M, TIMES_TRIED) that change the velocity by about 1 m/s in one step of each spoilt slip."""
+    found = np.zeros((path.time.size, TIMES_TRIED))
     table = path.windows.table
     for row in np.flatnonzero((table[:, 1] == 0) & spoilt[table[:, 0]]):
         first = path.steps[path.first_step[row] : path.first_step[row + 1], 0]
@@ -89,20 +89,20 @@ def _impulses(path: Path, landings: Array, spoilt: Mask) -> Array:
         slips = (path.time[first] < landings[table[row, 0]]) & (length > 0)
         first, length = first[slips], length[slips]
         if first.size:
-            chosen = np.round(np.linspace(0, first.size - 1, TIMES)).astype(np.int64)
+            chosen = np.round(np.linspace(0, first.size - 1, TIMES_TRIED)).astype(np.int64)
             # a step's middle counts four times as much as its ends, which belong to its neighbours too
-            found[first[chosen] + 1, np.arange(TIMES)] = 1.5 / length[chosen]
+            found[first[chosen] + 1, np.arange(TIMES_TRIED)] = 1.5 / length[chosen]
     return found
 
 
 def _position_steps(path: Path, landings: Array, spoilt: Mask) -> Array:
-    """Return steps of the position (N, 2 TIMES) in each spoilt cycle's stick, and after its landing."""
+    """Return steps of the position (N, 2 TIMES_TRIED) in each spoilt cycle's stick, and after its landing."""
     windows = path.windows
-    found = np.zeros((windows.time.size, 2 * TIMES))
+    found = np.zeros((windows.time.size, 2 * TIMES_TRIED))
     for k, stick, first, count, _, _ in windows.table[spoilt[windows.table[:, 0]]]:
         own = slice(first, first + count)
         begin = windows.time[first] if stick else landings[k]
-        times = np.linspace(begin, windows.time[first + count - 1], TIMES + 1)[:-1]
-        place = slice(0, TIMES) if stick else slice(TIMES, 2 * TIMES)
+        times = np.linspace(begin, windows.time[first + count - 1], TIMES_TRIED + 1)[:-1]
+        place = slice(0, TIMES_TRIED) if stick else slice(TIMES_TRIED, 2 * TIMES_TRIED)
         found[own, place] = windows.time[own, np.newaxis] >= times
     return found

@@ -25,8 +25,9 @@ from fitting.sensitivity.tangents import tangents
 PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameters make up for nearly all
 PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spring makes up for most
 SMALLEST, LARGEST = 1e-6, 1.0  # amplitudes looked between, of Fs; a larger one is none that friction can have
-EVERY = 2  # repetitions are counted: half of 30 is known to 0.1, and the share rises steeply through it
-STEPS = 12  # of the bisection: to 0.4 %
+# Repetitions of which one is counted: half of 30 is known to 0.1, and the share rises steeply through it.
+COUNTED_EVERY = 2
+BISECTIONS = 12  # bisections: to 0.4 %
 
 
 def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
@@ -86,7 +87,7 @@ def half_seen(own: RunSlips, wave: Array, by_cycle: Array) -> float:
     """
     if not own.judged:
         return math.inf
-    draws = slice(None, None, EVERY)
+    draws = slice(None, None, COUNTED_EVERY)
     sums, squares = own.bins.sums(wave[:, None]), own.bins.sums(wave[:, None] ** 2)
     whole, null_whole = float(np.mean(by_cycle[own.counted])), own.null_cycles.rms[draws] ** 2
     repeat, smooth, rms = own.limits(REJECTED)
@@ -100,7 +101,7 @@ def half_seen(own: RunSlips, wave: Array, by_cycle: Array) -> float:
     if not share(LARGEST) > 0.5:
         return math.inf
     low, high = math.log(SMALLEST), math.log(LARGEST)
-    for _ in range(STEPS):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if share(math.exp(middle)) > 0.5 else (middle, high)
     return math.exp(0.5 * (low + high))

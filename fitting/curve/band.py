@@ -14,7 +14,7 @@ from fitting.estimation.linearised import LinearisedFit
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
 
-SPEEDS = 200
+SPEEDS = 200  # speeds of the curve: the band is smooth between them
 SEEN_FROM, SEEN_TO = 0.03, 0.985  # of the fastest slip: below, few samples; beyond, few cycles
 DRAWS = 400  # the quantile of 95 % is then known to 2 %
 SEED = 20_240  # the draws are the same for every record

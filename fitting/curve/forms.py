@@ -34,8 +34,8 @@ from fitting.estimation.result import Parameter
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
 
-GRID = 300  # speeds at which a form is projected on the spline, as dense as the knots
-CONFIDENCE = 0.95
+GRID_SPEEDS = 300  # speeds at which a form is projected on the spline, as dense as the knots
+CONFIDENCE = 0.95  # confidence of the intervals, and of a form inside the band
 # Unit of each kind of parameter, and the powers of friction and speed in it.
 KINDS = {
     "friction": ("m s^-2", 1, 0),  # not negative
@@ -47,13 +47,13 @@ KINDS = {
     "1/speed": ("s/m", 0, -1),
     "": ("", 0, 0),
 }
-LOWEST = 2  # coefficients, which act below a twentieth of the largest slip speed
-ROUNDING = 1e-12  # of the largest information
-LEAST_SEEN = 1e-10  # of the best known combination of a form's parameters: less is rounding
+LOW_COEFFICIENTS = 2  # coefficients, which act below a twentieth of the largest slip speed
+LEAST_INFORMATION = 1e-12  # information over the largest: less is rounding
+LEAST_SEEN = 1e-10  # singular value over that of the best known combination of a form's parameters: less is rounding
 # The parameter that is not linear: values tried over its range, and how often each bracket of a minimum is divided
 # again.  Half as many over the range still find the same minima; each division narrows the bracket four times.
 TRIED, DIVISIONS, DIVIDED = 60, 11, 9
-SLOPE_STEP = 1e-5  # of its logarithm: central differences err by 1e-10
+SLOPE_STEP = 1e-5  # step of its logarithm: central differences err by 1e-10
 
 
 class Term(NamedTuple):
@@ -212,7 +212,7 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
     if fit.rest is not None:  # taken as known here: how far it may be off is `Metric.level_sd`
         known = fit.places.index(Global.DATUM)
         data[known], data[:, known], prior[known, known], gradient[known] = 0.0, 0.0, 1.0, 0.0
-    first = places + LOWEST
+    first = places + LOW_COEFFICIENTS
     others = data[:first, :first] + prior[:first, :first]
     cross = data[first:, :first]
     follow = followed(others, cross)
@@ -220,10 +220,10 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
     size, axes = eigen(0.5 * (own + own.T))
     # shown is what the record knows better than the prior
     held = np.einsum("ik,ij,jk->k", axes, prior[first:, first:], axes)
-    shown = size > np.maximum(held, ROUNDING * size.max())
+    shown = size > np.maximum(held, LEAST_INFORMATION * size.max())
     deviation = np.sqrt(size[shown])
     root = np.zeros((deviation.size, n))
-    root[:, LOWEST:] = deviation[:, None] * axes[:, shown].T
+    root[:, LOW_COEFFICIENTS:] = deviation[:, None] * axes[:, shown].T
     # where the record alone would have the curve: not pulled by its prior, and at the very minimum
     pull = gradient[first:] - np.einsum("ki,k->i", follow, gradient[:first])
     aim = np.einsum("ki,i->k", root, fit.spline.coefficients)
@@ -250,14 +250,14 @@ def followed(curvature: Array, cross: Array) -> Array:
 
 def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> FormFit:
     fastest, size = float(fit.spline.knots[-1]), float(np.median(fit.spline.coefficients))
-    x = np.linspace(0.0, 1.0, GRID) ** 1.6
+    x = np.linspace(0.0, 1.0, GRID_SPEEDS) ** 1.6
     onto = size * np.einsum("ij,jg->ig", metric.root, fit.spline.projection(x * fastest))
 
     aim = metric.aim
     constant = np.zeros((aim.size, 0))
     if metric.level_sd > 0:  # one unknown more, and what is known of it
         constant = np.append(size * metric.root.sum(axis=1), size / metric.level_sd)[:, None]
-        onto, aim = np.append(onto, np.zeros((1, GRID)), axis=0), np.append(aim, 0.0)
+        onto, aim = np.append(onto, np.zeros((1, GRID_SPEEDS)), axis=0), np.append(aim, 0.0)
 
     def columns(bend: float) -> Array:
         return np.hstack((np.einsum("ig,lg->il", onto, np.stack(form.columns(x, bend))), constant))

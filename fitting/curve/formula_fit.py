@@ -16,12 +16,12 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.measured import Measured
-from fitting.curve.forms import GRID, metric_of
+from fitting.curve.forms import GRID_SPEEDS, metric_of
 from fitting.curve.level import rest_prior
 from fitting.curve.spline_fit import SplineFit
 from fitting.driver.driver import best_end, start_beside
 from fitting.driver.fit import TaskFit
-from fitting.driver.formula import BEYOND, FormulaCurve, Target
+from fitting.driver.formula import SPLINE_REACH, FormulaCurve, Target
 from fitting.driver.passes import finish
 from fitting.driver.task import KNOT_POWER, OF_THE_LAW, Task
 from fitting.estimation.covariance import covariances
@@ -31,12 +31,12 @@ from fitting.model.parameters import NUISANCE, PER_RUN, Global
 from fitting.model.problem import EstimationProblem
 from fitting.undetermined import Undetermined
 
-LEAST_SHOWN = 1e-6  # of a prior's precision: a record that adds less shows nothing of the unknown
-LEVEL = 1e-6  # of a constant: what is left of it beside the derivatives of a formula that has one
+LEAST_SHOWN = 1e-6  # precision over a prior's: a record that adds less shows nothing of the unknown
+CONSTANT_LEFT = 1e-6  # share of a constant: what is left of it beside the derivatives of a formula that has one
 # Other minima on the measured curve are starts too: those that are off it by less than its errors, or by less than so
 # many times the nearest one's chi square.  A fall over which the record has few samples has two such minima; at twice a
 # wrong formula is started once or twice more.
-AS_NEAR = 4.0
+START_MISFIT = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def fit_formula(
     InputError
         With none of the values tried is the formula a friction curve.
     """
-    fastest = BEYOND * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
+    fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
     measured, level_sd = _measured(host)
     near = measured.off_by_a_constant(level_sd)
     curve = FormulaCurve(law, fastest, near)
@@ -150,7 +150,7 @@ def fit_formula(
     beside = start_beside(task, host.at)
     starts = []
     for start in curve.starts:
-        if start.misfit <= max(AS_NEAR * curve.starts[0].misfit, near.aim.size):
+        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, near.aim.size):
             theta = curve.theta(start.values)
             rise = measured.constant_beside(curve.at_speeds(theta, measured.speeds), level_sd) / host.u[Global.K]
             shared = beside.q[: len(task.places)] + [rise * _is_free_rest(problem, place) for place in task.places]
@@ -178,7 +178,7 @@ def _measured(host: SplineFit) -> tuple[Target, float]:
     That metric is `fitting.curve.forms.Metric`.
     """
     metric, fastest = metric_of(host, host.linearised()), float(host.spline.knots[-1])
-    s = fastest * np.linspace(0.0, 1.0, GRID) ** KNOT_POWER
+    s = fastest * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER
     root = np.einsum("mn,nk->mk", metric.root, host.spline.projection(s))
     return Target(s, root, metric.aim, float(np.median(host.spline.coefficients))), metric.level_sd
 
@@ -201,7 +201,7 @@ def _has_constant(curve: FormulaCurve) -> bool:
     slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
     one = np.ones(speeds.size)
     left = one - np.einsum("kp,p->k", slopes, np.linalg.lstsq(slopes, one, rcond=None)[0])
-    return bool(np.max(np.abs(left)) < LEVEL)
+    return bool(np.max(np.abs(left)) < CONSTANT_LEFT)
 
 
 def _problem(law: Law, host: SplineFit, *, rest_free: bool) -> EstimationProblem:

@@ -13,13 +13,11 @@ from fitting.data.frame import MeasuredMotion
 from fitting.estimation import derived
 from fitting.estimation.covariance import upper_bound
 from fitting.estimation.derived import IndependentParameters, Known
-from fitting.estimation.result import Correlations, Parameter
+from fitting.estimation.result import STATED_ERROR, Correlations, Parameter
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
 
 LEVELS = ("Fs/m", "Fs/k", "Fs", "Fs0/m", "x0 + Fs/k", "(G_slip - c)/m", "static")  # of the six alone
-# Of a level of friction: with a larger standard error it is not stated alone, but its difference to another one.
-LEVEL_KNOWN = 0.5
 SLOTS = {"k/m": Global.K, "v_dr": Global.V_DR, "d": Global.D, "x0": Global.DATUM, "c/m": Global.DAMPING}
 
 
@@ -126,7 +124,7 @@ def _known(fit: FormulaFit, motion: MeasuredMotion, run: int) -> Known:
     undetermined = {
         slot
         for slot, own, fixed in zip(active, share, held, strict=True)
-        if default.get(slot) and own > derived.UNDETERMINED and not (fixed and slot != Global.DATUM)
+        if default.get(slot) and own > derived.DEFAULT_LEFT and not (fixed and slot != Global.DATUM)
     }
     first = PER_RUN * run if fit.runs > 1 else 0
     return Known(fit.u[first : first + PER_RUN], active, spread, undetermined)
@@ -189,7 +187,7 @@ def _differences(fit: FormulaFit, own: dict[str, Parameter], quantile: float) ->
 
 
 def _level_known(item: Parameter) -> bool:
-    return item.stderr < LEVEL_KNOWN * abs(item.value)
+    return item.stderr < STATED_ERROR * abs(item.value)
 
 
 def _interval(value: float, error: float, quantile: float, limits: tuple[float, float], *, by_log: bool) -> Parameter:

@@ -27,16 +27,13 @@ from fitting.sensitivity.path import Path
 from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS
 
-# Of the record's travel: standard deviation of an assumed rest position.  Friction that falls by a fifth stretches the
-# spring to 2.5 travels, where the start-up is not recorded.  Only the band and the intervals depend on it.
+# Standard deviation of an assumed rest position, over the record's travel.  Friction that falls by a fifth stretches
+# the spring to 2.5 travels, where the start-up is not recorded.  Only the band and the intervals depend on it.
 REST_SD = 3.0
-# Times the variance that noise gives them: how much the levels must scatter to separate datum and friction.  At 4 their
+# Variance over what noise gives them: how much the levels must scatter to separate datum and friction.  At 4 their
 # noise makes the level's standard error a seventh too small.  Encoder records with 3 % scatter have 1e2 and more.
 SCATTER_SHOWN = 4.0
-# Of the travel: standard deviation of a rest position that is fitted, while far from the minimum.  With `REST_SD` some
-# searches ran along the valley instead, to 40 and 50 % more friction, where the last steps did not lead back.
-SEARCH_REST_SD = 0.5
-LEAST_WIDTH = 0.1  # of the width that a ramp had, after a move
+NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
 
 
 def rest_prior(run: Run, sd: float = REST_SD) -> Measured:
@@ -106,7 +103,7 @@ def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tu
     moved[Global.DATUM :: PER_RUN] += rest.value - u[Global.DATUM]
     moved[Global.V_DR :: PER_RUN] -= u[Global.COMPLIANCE] * (rest.value - u[Global.DATUM])
     if ramp:
-        wider = u[Global.D] * max(rise / coefficients[0], LEAST_WIDTH - 1)
+        wider = u[Global.D] * max(rise / coefficients[0], NARROWEST_MOVED - 1)
         moved[Global.D :: PER_RUN] += wider
         moved[Global.V_DR :: PER_RUN] += wider
     return moved, coefficients + rise

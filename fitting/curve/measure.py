@@ -8,6 +8,7 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.distributions import normal_quantile, student_quantile
+from fitting import noise_levels
 from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
 from fitting.curve.forms import fit_forms
 from fitting.curve.result import BandExit, FormFit, MeasuredCurve
@@ -18,11 +19,9 @@ from fitting.model.parameters import Global
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 
-# Times the nearest jump law's error: a ramp law contains its jump law and is always a little nearer, by 1 % at most
-# where there is no ramp.
+# Error over that of the nearest jump law: a ramp law contains its jump law and is always a little nearer, by 1 % at
+# most where there is no ramp.
 RAMP_NEARER = 0.97
-NEAR = 1.3  # times the noise
-REACHED = 1.03  # times the noise: the other contact can be no better
 NEWTON = {"m s^-2": "N", "s^-1": "N s/m", "m^-1": "N s^2/m^2", "s m^-2": "N s^3/m^3"}  # units per unit mass, with it
 
 
@@ -61,7 +60,9 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
         found = fit_spline(fit, noise)
         if found is not None and (best is None or found.chi < best.chi):
             best = found
-        if best is not None and (best.chi < REACHED or not (prefers_ramp or best.solution.outcome == "no progress")):
+        if best is not None and (
+            best.chi < noise_levels.DESCRIBES or not (prefers_ramp or best.solution.outcome == "no progress")
+        ):
             break
     return None if best is None else _measured(best, alpha, begun)
 
@@ -74,7 +75,7 @@ def _contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
     if jump is None or ramp is None:
         return [fit for fit in nearest if fit is not None], False
     prefers_ramp = ramp.geometric_mean_rms < RAMP_NEARER * jump.geometric_mean_rms
-    near = ramp.geometric_mean_rms < NEAR * float(np.max(noise))
+    near = ramp.geometric_mean_rms < noise_levels.NEAR * float(np.max(noise))
     return [ramp, jump] if prefers_ramp and near else [jump, ramp], prefers_ramp
 
 

@@ -7,10 +7,9 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.linearised import LinearisedFit
-from fitting.estimation.result import Parameter
+from fitting.estimation.result import STATED_ERROR, Parameter
 
 LEVELS = ("Fs", "Fc")
-LEVEL_KNOWN = 0.5  # of a level of friction: with a larger error it is not stated in words
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ class FormFit:
 
 
 def _known(level: Parameter) -> bool:
-    return level.stderr < LEVEL_KNOWN * abs(level.value)
+    return level.stderr < STATED_ERROR * abs(level.value)
 
 
 @dataclass(frozen=True)
@@ -120,4 +119,4 @@ class MeasuredCurve:
     @property
     def level_known(self) -> bool:
         """Whether the level is better known than to half of it."""
-        return bool(np.median(self.hi - self.lo) < 2 * LEVEL_KNOWN * np.median(self.friction))
+        return bool(np.median(self.hi - self.lo) < 2 * STATED_ERROR * np.median(self.friction))

@@ -21,9 +21,9 @@ from daq.base.compute.least_squares import least_squares
 from daq.base.measured import Measured
 from processing.record.kinematics import Kinematics
 
-SURE = 3.0  # standard errors: a belt that gives by less is taken as stiff
-LEAST_VARIATION = 2e-3  # of the belt's speed: larger residual variation gives a warning
-LOUD = 2.0  # times the variation that counting alone would show
+COMPLIANCE_SHOWN = 3.0  # standard errors of the slope: a belt with a smaller one is taken as stiff
+LEAST_VARIATION = 2e-3  # residual variation, over the belt's speed, that gives a warning
+VARIATION_SHOWN = 2.0  # residual variation over what counting alone shows: less is none
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class BeltLine:
     @property
     def slows_under_load(self) -> bool:
         """Whether the belt is seen to slow under load."""
-        return -self.slope.value > SURE * self.slope.sd
+        return -self.slope.value > COMPLIANCE_SHOWN * self.slope.sd
 
     @property
     def is_unsteady(self) -> bool:
@@ -88,15 +88,15 @@ def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
     x, v = kinematics.steady_position[index], velocity[index]
     middle = float(x.mean())
     columns = np.c_[np.ones_like(x), x - middle]
-    found, rest = least_squares(columns, v)
+    line, rest = least_squares(columns, v)
     spread = np.maximum(_alike_in_windows(columns, rest, kinematics.window), _alike_in_sticks(columns, rest, parts))
     noise = float(np.sqrt(np.mean(errors[index] ** 2)))
     seen = float(np.sqrt(np.mean(rest**2)))
-    variation = math.sqrt(max(seen**2 - noise**2, 0.0)) if seen > LOUD * noise else 0.0
+    variation = math.sqrt(max(seen**2 - noise**2, 0.0)) if seen > VARIATION_SHOWN * noise else 0.0
     pitch = kinematics.recording.rig.belt_metres_per_count
     scale = 0.0 if pitch is None else abs(pitch.sd / pitch.value)
-    speed = Measured(float(found[0]), math.hypot(float(spread[0]), scale * float(found[0])))
-    return BeltLine(speed, Measured(float(found[1]), float(spread[1])), middle, variation)
+    speed = Measured(float(line[0]), math.hypot(float(spread[0]), scale * float(line[0])))
+    return BeltLine(speed, Measured(float(line[1]), float(spread[1])), middle, variation)
 
 
 def _alike_in_windows(columns: Array, rest: Array, window: int) -> Array:

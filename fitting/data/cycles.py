@@ -19,23 +19,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.base.compute.arrays import Array, runs
-from fitting.data.frame import REST_FRACTION, SHORTEST, SLIPPING, MeasuredMotion
+from fitting.data.frame import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, MeasuredMotion
 
 # Times below are in slips (`MeasuredMotion.slip_s`).
 # At half the smoothed corner is still random in camera tracks; twice loses the end of short sticks.
 BEFORE_BREAK_AWAY = 0.1
-LEFT_THE_BELT = 0.05  # of the belt's speed
-OVERTAKING = 0.02  # of the belt's speed, above the plateau
-REST = 1.0  # a mass at rest for longer stands on a belt that stands; a sliding mass only turns there
+LEFT_BELT_BY = 0.05  # speed below the belt's, over it, at which a slip's window begins
+OVERTAKES_BY = 0.02  # speed above the plateau, over the belt's, at which the mass overtakes it
+LONGEST_TURN = 1.0  # time at rest: for longer, a mass stands on a belt that stands; a sliding mass only turns there
 FEWEST_AT_REST = 8  # samples of a line that shows rest
-SURE = 4.0  # standard errors of that line's slope: at 400 a second and 1 mm of noise 5.5 mm/s each in a quarter second
-WIDEST_SLACK = 0.25  # of the belt's speed: a line less certain than that shows nothing
-SCATTER_AT_REST = 2.0  # times the noise: more is motion
-SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
-# Times the deceleration of a mass that still sticks: while the belt drags it from rest on a ramp, 0.3 of the belt's
-# speed wide, it is slowed down by 3 times as much; in the first half of a slip by 5 times and more.
-FASTEST_CREEP = 4.0
-STILL = 0.05  # of the slip's acceleration: less than this, the mass sticks (or crosses the top of a sine)
+REST_SPEED_ERRORS = 4.0  # slope of that line, in standard errors, that is still rest
+WIDEST_SLACK = 0.25  # error of that slope, over the belt's speed, from which it shows nothing
+SCATTER_AT_REST = 2.0  # scatter about that line over the noise: more is motion
+SUSTAINED_SHARE = 0.15  # share of the record in plateaus: below it the mass only grazes the belt
+# Deceleration over that of a mass that still sticks, from which it slips: while the belt drags it from rest on a ramp,
+# 0.3 of the belt's speed wide, it is slowed down by 3 times as much; in the first half of a slip by 5 times and more.
+SLIP_DECELERATION = 4.0
+STILL_ACCELERATION = 0.05  # acceleration over a slip's: with less the mass sticks, or crosses the top of a sine
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class CycleSegmentation:
     @property
     def sustained(self) -> bool:
         """Whether the mass sticks in the long run."""
-        return self.plateau_fraction >= SUSTAINED
+        return self.plateau_fraction >= SUSTAINED_SHARE
 
     @property
     def shows_belt(self) -> bool:
@@ -125,20 +125,20 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     """
     time, v, a = motion.time, motion.velocity, motion.acceleration
     n = time.size
-    shortest = max(3, round(SHORTEST * motion.slip_s / float(np.median(np.diff(time)))))
-    slow = [(i, j) for i, j in runs(v < SLIPPING * motion.belt_speed) if j - i >= shortest]
+    shortest = max(3, round(SHORTEST_PHASE * motion.slip_s / float(np.median(np.diff(time)))))
+    slow = [(i, j) for i, j in runs(v < SLIP_SPEED * motion.belt_speed) if j - i >= shortest]
     if not slow:
         return CycleSegmentation((), 0.0, False, (0, 0))
-    at_rest = np.abs(v) < REST_FRACTION * motion.belt_speed
+    at_rest = np.abs(v) < REST_SPEED * motion.belt_speed
     starts_at_rest = slow[0][0] == 0 and (bool(at_rest[: min(shortest, n)].all()) or _rests(motion, slow[0][1]))
-    rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > REST * motion.slip_s]
+    rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > LONGEST_TURN * motion.slip_s]
     slipping = np.zeros(n, np.bool_)
     for stretch in slow:
         slipping[slice(*stretch)] = True
     for stretch in rests:
         slipping[slice(*stretch)] = False
     strongest = float(np.percentile(np.abs(a[slipping]), 95)) if slipping.any() else 0.0
-    still = STILL * strongest
+    still = STILL_ACCELERATION * strongest
 
     onsets = [_onset(a, i, still) for i, _ in slow]
     landings = [_landing(a, j, still) for _, j in slow]
@@ -157,7 +157,7 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
         if k == 0:
             first = _calm(motion, onset, still)
         elif k == 1 and starts_at_rest:
-            settle = max(SHORTEST * motion.slip_s, motion.half_window)
+            settle = max(SHORTEST_PHASE * motion.slip_s, motion.half_window)
             first = int(np.searchsorted(time, time[min(landings[0], n - 1)] + settle))
         else:
             first = _sticking(motion, middles[k - 1], last)
@@ -166,7 +166,7 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
             stick = (onset, onset)
         if k == 1 and starts_at_rest and stick[1] > stick[0]:
             drag = stick
-        left = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_THE_BELT * motion.belt_speed))
+        left = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_BELT_BY * motion.belt_speed))
         slip = (left, min(middles[k], n))
         if end >= n or landings[k] >= n:
             continue  # the record ends inside this slip
@@ -199,13 +199,13 @@ def _rests(motion: MeasuredMotion, end: int) -> bool:
     ``end`` is the end of the first slow stretch, in samples.  The line must be flat to within its own error, and that
     error small against the belt's speed.
     """
-    last = min(int(np.searchsorted(motion.time, motion.time[0] + 0.5 * REST * motion.slip_s)), end)
+    last = min(int(np.searchsorted(motion.time, motion.time[0] + 0.5 * LONGEST_TURN * motion.slip_s)), end)
     if last < FEWEST_AT_REST:
         return False
     t, x = motion.time[:last] - motion.time[:last].mean(), motion.measured[:last]
     spread = float(np.sum(t**2))
     slope = float(np.sum(t * (x - x.mean()))) / spread
-    slack = max(REST_FRACTION * motion.belt_speed, SURE * motion.resolution / math.sqrt(spread))
+    slack = max(REST_SPEED * motion.belt_speed, REST_SPEED_ERRORS * motion.resolution / math.sqrt(spread))
     flat = abs(slope) < slack < WIDEST_SLACK * motion.belt_speed
     return flat and float(np.std(x)) < SCATTER_AT_REST * motion.resolution
 
@@ -223,7 +223,7 @@ def _sticking(motion: MeasuredMotion, middle: int, last: int) -> int:
     v = motion.velocity[middle:last]
     if v.size < 4:
         return middle
-    fast = np.flatnonzero(v - np.median(v[v.size // 2 :]) > OVERTAKING * motion.belt_speed)
+    fast = np.flatnonzero(v - np.median(v[v.size // 2 :]) > OVERTAKES_BY * motion.belt_speed)
     if not fast.size:
         return middle
     return int(np.searchsorted(motion.time, motion.time[middle + fast[-1]] + motion.half_window))
@@ -236,7 +236,7 @@ def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
     if settled.size < 3 or early >= end:
         return False
     peak = float(motion.velocity[early : (early + end) // 2].max(initial=-np.inf))
-    return peak - float(np.median(settled)) > OVERTAKING * motion.belt_speed
+    return peak - float(np.median(settled)) > OVERTAKES_BY * motion.belt_speed
 
 
 def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> float:
@@ -245,10 +245,12 @@ def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> fl
     On a wide ramp it creeps the more the larger the load, and slows down from the first.  0 where that is less than
     ``still``, or as much as in a slip.
     """
-    first = int(np.searchsorted(motion.time, motion.time[landing] + max(SHORTEST * motion.slip_s, motion.half_window)))
+    first = int(
+        np.searchsorted(motion.time, motion.time[landing] + max(SHORTEST_PHASE * motion.slip_s, motion.half_window))
+    )
     part = motion.acceleration[first : (first + begin) // 2]
     slowing = -float(np.median(part)) if part.size else 0.0
-    return slowing if still < slowing < FASTEST_CREEP * still else 0.0
+    return slowing if still < slowing < SLIP_DECELERATION * still else 0.0
 
 
 def _onset(a: Array, begin: int, still: float) -> int:

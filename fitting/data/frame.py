@@ -23,13 +23,13 @@ from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
 from processing.record.setting import is_possible_speed
 
-SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
-REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
+SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
+REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest
 FEWEST_STICKS = 4  # whose median is the belt's speed; of fewer one misplaced stick moves it
-# Slips (`MeasuredMotion.slip_s`) that the shortest stick or slip lasts; a hole as long may hide one.  At half noise
+# Length of the shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a hole as long may hide one.  At half noise
 # beside a corner is a stick, twice is half a stick at the end of stick-slip.
-SHORTEST = 0.06
-FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
+SHORTEST_PHASE = 0.06
+GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +152,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
             f"add metres_per_count to a rig.toml, then: daq replay {recording.source.name} --rig rig.toml -o NEW.h5",
             python="give metres_per_count: daq.Recording.from_arrays(time, counts, metres_per_count='7.67 um')",
         )
-    given = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else belt_speed
-    if isinstance(given, Measured) and given.value == 0:
+    typed = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else belt_speed
+    if isinstance(typed, Measured) and typed.value == 0:
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
     resolution, step = _resolution(kinematics)
     kept = _kept(kinematics)
@@ -162,15 +162,15 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
         )
-    channel = _channel(kinematics, given)
-    stated = given if isinstance(given, Measured) else rig.belt_speed
+    channel = _channel(kinematics, typed)
+    stated = typed if isinstance(typed, Measured) else rig.belt_speed
     seen = speed_in_sticks(kinematics)
     believed = stated if stated is not None and is_possible_speed(stated, seen) else None
-    speed = _belt_speed(kinematics, believed, seen, given=isinstance(given, Measured))
+    speed = _belt_speed(kinematics, believed, seen, given=isinstance(typed, Measured))
     sign = math.copysign(1.0, speed)
     usual = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig)
-    slip = usual_slip(time, sign * position, sign * velocity < SLIPPING * abs(speed))
+    slip = usual_slip(time, sign * position, sign * velocity < SLIP_SPEED * abs(speed))
     # What smoothing leaves out as faults is in them: few samples a slip look like spikes.
     readings = recording.position - kinematics.offset
     prior = believed
@@ -257,10 +257,10 @@ def _broken(kinematics: Kinematics, usual: float, slip: float) -> NDArray[np.boo
     Samples are usually ``usual`` seconds apart, slips last ``slip`` seconds.
     """
     time, kept = kinematics.time, _kept(kinematics)
-    new = (np.diff(time) > FASTER_GAP * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
+    new = (np.diff(time) > GAP_INTERVALS * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
     piece = np.r_[0, np.cumsum(new)][kept]
     broken = np.ones(piece.size, np.bool_)
-    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[kept]) > max(HOLE * usual, SHORTEST * slip))
+    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[kept]) > max(HOLE * usual, SHORTEST_PHASE * slip))
     return broken
 
 

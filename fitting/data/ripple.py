@@ -24,34 +24,34 @@ from daq.base.compute.least_squares import least_squares
 from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 
-LEFT = 0.45  # of the velocity's variance in stick: a ripple worth the name leaves no more than this
-SMALLEST = 2e-3  # of the belt's speed
-# Of the amplitude that the lines do not take up.  True ripples show 0.28 to 1.0 of theirs; one that ageing sticks of a
-# steady belt seemed to have, slower than a stick is long, 0.17.
-VISIBLE = 0.25
-# Periods in a slip (`MeasuredMotion.slip_s`).  Slower, or below `ANYHOW` with fewer periods, it may be wear or a drift;
-# faster, smoothing has taken it away.  When 0.1 was the slowest, a ripple of half of it was missed, or taken for one
-# that the sticks meet at the same phases.
-SLOWEST, ANYHOW, FASTEST = 0.025, 0.1, 12.5
-FEWEST_PERIODS = 2.0  # of the slowest, in the time that the sticks span: one cannot be told from a drift
-GRID = 50.0  # samples a slip of the thinned record that is transformed: four of the fastest period
-FINER = 4  # times the transform's own grid of frequencies
-CANDIDATES = 5  # the gaps between sticks make false peaks beside the true one
-# Times the mean square that the likeliest frequency leaves in stick: what leaves more is not tried in its place.  Over
-# sticks of a fifth of each cycle the other frequencies of a cycle leave 1.0 to 1.3 times as much.
-LIKE = 2.0
-OUTLYING = 4.0  # robust standard deviations: corners that the cut left in
-FEWEST = 4  # long sticks
-SURE_LOG = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
-NOISE_ALONE = 1.5  # times the noise of a velocity: so much a harmonic may leave where values are few
-HARMONIC = 3  # unknowns: amplitude, phase and frequency
-RAMP_LIKE = 0.9  # of the sticks have velocities that fall: on a ramp all but those that noise hides, else half
-PLACES = 41  # of the point that lines of own slopes share, over twice the travel, before it is looked for more closely
-HALVINGS = 9  # of the steps of frequency and point: the frequency is then known to 1e-3 of a turn over the record
-SETTLED = 0.04  # slips after a landing, at the least
-# Of a stick: so much of it at the most is left out at an end for the times above and before a break-away.  Of a stick
+VARIANCE_LEFT = 0.45  # share of the velocity's variance in stick that a ripple leaves at the most
+SMALLEST_AMPLITUDE = 2e-3  # amplitude over the belt's speed: less is none
+# Share of the amplitude that the lines do not take up.  True ripples show 0.28 to 1.0 of theirs; one that ageing sticks
+# of a steady belt seemed to have, slower than a stick is long, 0.17.
+AMPLITUDE_BESIDE_LINES = 0.25
+# Periods in a slip (`MeasuredMotion.slip_s`).  Slower, or below `SLOWEST_OF_FEW` with fewer periods, it may be wear or
+# a drift; faster, smoothing has taken it away.  When 0.1 was the slowest, a ripple of half of it was missed, or taken
+# for one that the sticks meet at the same phases.
+SLOWEST, SLOWEST_OF_FEW, FASTEST = 0.025, 0.1, 12.5
+FEWEST_PERIODS = 2.0  # periods in the time that the sticks span: one cannot be told from a drift
+GRID_SAMPLES = 50.0  # samples a slip of the thinned record that is transformed: four of the fastest period
+GRID_REFINEMENT = 4  # frequencies looked at for each of the transform's own
+CANDIDATES = 5  # frequencies tried: the gaps between sticks make false peaks beside the true one
+# Mean square in stick over what the likeliest frequency leaves: a frequency that leaves more is not tried in its place.
+# Over sticks of a fifth of each cycle the other frequencies of a cycle leave 1.0 to 1.3 times as much.
+RIVAL_VARIANCE = 2.0
+OUTLIER_ABOVE = 4.0  # distance in robust standard deviations: further off are corners that the cut left in
+FEWEST_LONG_STICKS = 4  # sticks longer than the smoothing blurs: of fewer, none is used
+LOG_ODDS = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
+LEFT_ABOVE_NOISE = 1.5  # rms that a harmonic may leave where values are few, over the noise of a velocity
+HARMONIC_UNKNOWNS = 3  # unknowns: amplitude, phase and frequency
+FALLING_STICKS = 0.9  # share of sticks whose velocity falls: on a ramp all but those that noise hides, else half
+POINTS_TRIED = 41  # places, over twice the travel, first tried for the point that lines of own slopes share
+HALVINGS = 9  # steps of frequency and point, each half the last: to 1e-3 of a turn over the record
+SETTLING_TIME = 0.04  # least time after a landing that is left out, in slips
+# Share of a stick that is left out at the most at an end, for the times above and before a break-away.  Of a stick
 # of a tenth of a slip they left nothing, and the ripple went unseen: a true law was "none of the six", or another's.
-LEFT_OUT = 1 / 6
+LEFT_OUT_OF_STICK = 1 / 6
 
 
 @dataclass(frozen=True)
@@ -108,10 +108,10 @@ def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]
         return _harmonics(motion, InStick.selected(motion, drag), None) if drag else []
     stuck = InStick.selected(motion, sticks)
     slopes = OwnSlopes.fitted(stuck, motion)
-    if slopes.falling(stuck.v) > RAMP_LIKE:
-        found = _harmonics(motion, stuck, slopes)
-        if found:
-            return found
+    if slopes.falling(stuck.v) > FALLING_STICKS:
+        ripples = _harmonics(motion, stuck, slopes)
+        if ripples:
+            return ripples
     elif drag:
         # Among a few short sticks several frequencies do equally well; the drag is longer than all of them.
         stuck = InStick.selected(motion, [*drag, *sticks])
@@ -151,7 +151,7 @@ class InStick:
         kept = np.abs(v - np.median(v)) < 0.5 * motion.belt_speed
         for _ in range(3):
             rest = v - np.sum(columns * least_squares(columns[kept], v[kept])[0], axis=1)
-            kept = np.abs(rest) <= OUTLYING * 1.4826 * np.median(np.abs(rest[kept]))
+            kept = np.abs(rest) <= OUTLIER_ABOVE * 1.4826 * np.median(np.abs(rest[kept]))
         return cls(motion.time[index][kept], x[kept], v[kept], own[kept], columns[kept], rest[kept])
 
     def thinned(self, thin: slice) -> "InStick":
@@ -226,7 +226,7 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
     if slopes is not None:
         rest = slopes.left(stuck.v)
         peaks += _peaks(stuck.time, rest, motion.slip_s)
-    thin = slice(None, None, max(1, int(motion.time.size / motion.span * motion.slip_s / GRID)))
+    thin = slice(None, None, max(1, int(motion.time.size / motion.span * motion.slip_s / GRID_SAMPLES)))
     every, stuck, before = stuck, stuck.thinned(thin), float(np.mean(rest[thin] ** 2))
     time, v = stuck.time, stuck.v
     slopes = None if slopes is None else slopes.thinned(thin)
@@ -236,15 +236,15 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
         omega = 2 * math.pi * hertz
         waves = (np.cos(omega * (time - origin)), np.sin(omega * (time - origin)))
         if slopes is None:
-            found, left = least_squares(np.c_[stuck.columns, *waves], v)
+            coefficients, left = least_squares(np.c_[stuck.columns, *waves], v)
         else:
             lines = slopes.moved(offset)
             shapes = [lines.removed(shape) for shape in (np.ones_like(v), *waves)]
-            found, left = least_squares(np.stack(shapes, axis=1), lines.removed(v))
-        return float(np.mean(left**2)), found[-2:]
+            coefficients, left = least_squares(np.stack(shapes, axis=1), lines.removed(v))
+        return float(np.mean(left**2)), coefficients[-2:]
 
     def settled(hertz: float, offset: float) -> tuple[float, float]:
-        width, step = 0.5 / (time[-1] - time[0]), motion.travel / PLACES
+        width, step = 0.5 / (time[-1] - time[0]), motion.travel / POINTS_TRIED
         for _ in range(HALVINGS):
             hertz = min((hertz - width, hertz, hertz + width), key=lambda near: harmonic(near, offset)[0])
             if slopes is not None:
@@ -254,34 +254,34 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
 
     offsets = np.zeros(1) if slopes is None else _offsets(motion)
     starts = [min(((harmonic(peak, place)[0], peak, place) for place in offsets), key=itemgetter(0)) for peak in peaks]
-    found: list[Ripple] = []
+    ripples: list[Ripple] = []
     least = math.inf
     for left, peak, place in sorted(starts, key=itemgetter(0)):
-        if left > LIKE * least:
+        if left > RIVAL_VARIANCE * least:
             break
         hertz, offset = settled(peak, place)
         after, (even, odd) = harmonic(hertz, offset)
         omega, amplitude = 2 * math.pi * hertz, math.hypot(even, odd)
         seen = (
-            after <= min(LEFT * before, LIKE * least)
-            and amplitude >= SMALLEST * motion.belt_speed
-            and 2 * (before - after) >= (VISIBLE * amplitude) ** 2
+            after <= min(VARIANCE_LEFT * before, RIVAL_VARIANCE * least)
+            and amplitude >= SMALLEST_AMPLITUDE * motion.belt_speed
+            and 2 * (before - after) >= (AMPLITUDE_BESIDE_LINES * amplitude) ** 2
             and _gains(motion, every.own, before, after, slopes)
         )
-        if not found and not seen:
+        if not ripples and not seen:
             return []
-        if not seen or any(abs(omega - one.omega) * one.seen_s < 2 * math.pi for one in found):
+        if not seen or any(abs(omega - one.omega) * one.seen_s < 2 * math.pi for one in ripples):
             continue
         cos, sin = math.cos(omega * origin), math.sin(omega * origin)
         seen_s = float(time[-1] - time[0])
-        found.append(Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s))
+        ripples.append(Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s))
         least = min(least, after)
-    return found
+    return ripples
 
 
 def _offsets(motion: MeasuredMotion) -> Array:
     """Return how far from a place the common point of lines of own slopes is looked for, m."""
-    return np.linspace(-1.0, 1.0, PLACES) * motion.travel
+    return np.linspace(-1.0, 1.0, POINTS_TRIED) * motion.travel
 
 
 def _gains(
@@ -301,19 +301,19 @@ def _gains(
     slopes : OwnSlopes or None
         Lines that are also fitted; one for all sticks without.
     """
-    window = max(2 * motion.half_window, SETTLED * motion.slip_s)
+    window = max(2 * motion.half_window, SETTLING_TIME * motion.slip_s)
     samples = np.bincount(own)
     lengths = samples[samples > 0] * float(np.median(np.diff(motion.time)))
     independent = float(np.sum(np.maximum(lengths / window, 1.0)))
     lines = 2 if slopes is None else lengths.size
-    needed = 2 * (math.log((FASTEST - SLOWEST) / motion.slip_s * motion.span) + SURE_LOG)
+    needed = 2 * (math.log((FASTEST - SLOWEST) / motion.slip_s * motion.span) + LOG_ODDS)
     noise = motion.velocity_error**2
     if independent * (before - after) <= needed * noise:
         return False
-    if (independent - lines - HARMONIC) * math.log(before / max(after, 1e-300)) > needed:
+    if (independent - lines - HARMONIC_UNKNOWNS) * math.log(before / max(after, 1e-300)) > needed:
         return True
     # Few values, but the harmonic leaves no more of them than their noise.
-    return after < NOISE_ALONE**2 * noise
+    return after < LEFT_ABOVE_NOISE**2 * noise
 
 
 def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np.int64]]:
@@ -325,14 +325,14 @@ def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np
     parts, long = [], 0
     for before, after in zip(cut.cycles[:-1], cut.cycles[1:], strict=True):
         stick_s = max(after.break_away - before.landing, 0.0)
-        settle = max(motion.half_window, min(SETTLED * motion.slip_s, LEFT_OUT * stick_s))
+        settle = max(motion.half_window, min(SETTLING_TIME * motion.slip_s, LEFT_OUT_OF_STICK * stick_s))
         first = int(np.searchsorted(motion.time, before.landing + settle))
-        before_break_away = min(BEFORE_BREAK_AWAY * motion.slip_s, LEFT_OUT * stick_s)
+        before_break_away = min(BEFORE_BREAK_AWAY * motion.slip_s, LEFT_OUT_OF_STICK * stick_s)
         end = int(np.searchsorted(motion.time, after.break_away - before_break_away))
         if end > first:
             parts.append(np.arange(first, end))
             long += motion.time[end - 1] - motion.time[first] > settle
-    return parts if long >= FEWEST else []
+    return parts if long >= FEWEST_LONG_STICKS else []
 
 
 def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: float, count: int) -> tuple[Array, float]:
@@ -358,21 +358,21 @@ def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: floa
     apart : float
         Hz.
     """
-    grid = np.bincount(((time - time[0]) * (GRID / slip_s)).astype(np.int64), weights=rest)
-    size = FINER * grid.size
+    grid = np.bincount(((time - time[0]) * (GRID_SAMPLES / slip_s)).astype(np.int64), weights=rest)
+    size = GRID_REFINEMENT * grid.size
     power = np.abs(np.fft.rfft(grid, size)) ** 2
-    hertz = np.fft.rfftfreq(size, slip_s / GRID)
+    hertz = np.fft.rfftfreq(size, slip_s / GRID_SAMPLES)
     power[(hertz < slowest) | (hertz > FASTEST / slip_s)] = 0.0
-    found: list[float] = []
-    while len(found) < count and power.any():
+    strongest: list[float] = []
+    while len(strongest) < count and power.any():
         top = int(np.argmax(power))
-        found.append(float(hertz[top]))
-        power[max(top - FINER, 0) : top + FINER + 1] = 0.0
-    return np.array(found), float(hertz[1])
+        strongest.append(float(hertz[top]))
+        power[max(top - GRID_REFINEMENT, 0) : top + GRID_REFINEMENT + 1] = 0.0
+    return np.array(strongest), float(hertz[1])
 
 
 def _peaks(time: Array, rest: Array, slip_s: float) -> list[float]:
     """Return the strongest frequencies of what is left in stick, Hz."""
-    slowest = min(max(SLOWEST / slip_s, FEWEST_PERIODS / (time[-1] - time[0])), ANYHOW / slip_s)
+    slowest = min(max(SLOWEST / slip_s, FEWEST_PERIODS / (time[-1] - time[0])), SLOWEST_OF_FEW / slip_s)
     found, _ = strongest_frequencies(time, rest, slip_s, slowest, CANDIDATES)
     return [float(hertz) for hertz in found]

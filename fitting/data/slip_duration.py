@@ -13,11 +13,11 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 
-# Standard deviations of the difference of two readings: a smaller turn is none.  With half of it the noise of 1,000
-# samples in a stick makes turns; with twice, readings of four samples a slip, whose motion itself counts as noise,
-# lose theirs.
-TURN = 6.0
-ROUNDS = 30  # of the fixed point in `harmonic_share`, which gains a digit in two
+# Size of a turn, in standard deviations of the difference of two readings: a smaller one is none.  With half of it the
+# noise of 1,000 samples in a stick makes turns; with twice, readings of four samples a slip, whose motion itself counts
+# as noise, lose theirs.
+TURN_ABOVE_NOISE = 6.0
+ITERATIONS = 30  # towards the fixed point in `harmonic_share`: two gain a digit
 
 
 def slip_duration(time: Array, position: Array, noise: float) -> float:
@@ -33,7 +33,7 @@ def slip_duration(time: Array, position: Array, noise: float) -> float:
     noise : float
         Standard deviation of one position, m.
     """
-    least = TURN * math.sqrt(2) * noise
+    least = TURN_ABOVE_NOISE * math.sqrt(2) * noise
     rises = _way(position, least, 1)
     if not rises:
         return float(time[-1] - time[0])
@@ -56,7 +56,7 @@ def harmonic_share(ratio: float) -> float:
         The way of the belt, in the time in which the motion is slower than half the belt, over the motion's height.
     """
     share = 0.0
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         share = min(1.0, 2 * ratio / (math.pi + 2 * math.asin(0.5 * share)))
     return share
 
@@ -71,21 +71,21 @@ def _turns(y: Array, least: float) -> list[tuple[int, bool]]:
     """Return the samples at which y turns by more than ``least``, each with whether it is a top."""
     rises = np.sign(np.diff(y))
     places = np.flatnonzero(np.r_[True, rises[1:] != rises[:-1], True]).tolist()  # tops, feet and ends of equal values
-    found: list[tuple[int, bool]] = []
+    turns: list[tuple[int, bool]] = []
     top = foot = places[0]
     for place in places:
         value = y[place]
         top = place if value > y[top] else top
         foot = place if value < y[foot] else foot
-        rising = not found or not found[-1][1]
-        falling = not found or found[-1][1]
+        rising = not turns or not turns[-1][1]
+        falling = not turns or turns[-1][1]
         if rising and y[top] - value > least:
-            found.append((top, True))
+            turns.append((top, True))
             foot = place
         elif falling and value - y[foot] > least:
-            found.append((foot, False))
+            turns.append((foot, False))
             top = place
-    return found
+    return turns
 
 
 def _middle_speed(time: Array, position: Array) -> float:

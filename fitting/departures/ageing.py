@@ -17,11 +17,11 @@ from fitting.data.cycles import CycleSegmentation
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.result import BreakAway
 
-FEWEST = 6  # break-aways
-# Of the level of slip.  Under the six laws the ratio errs by up to 0.7 % (36 records, counts of 50 um and 8 % scatter
-# among them): the break-away is read from a corner that lies in no window.
+FEWEST_BREAK_AWAYS = 6  # break-aways of which a scatter is taken
+# Excess of the break-away level, over the level of slip.  Under the six laws the ratio errs by up to 0.7 % (36 records,
+# counts of 50 um and 8 % scatter among them): the break-away is read from a corner that lies in no window.
 LEAST_EXCESS = 0.02
-SURE = 5.0  # standard errors
+ERRORS_SHOWN = 5.0  # standard errors by which an excess, or a growth, is shown
 # The growth with time is compared with its own scatter; it comes out at half to three quarters of the truth, because a
 # high level also makes the stick before it longer.
 
@@ -40,18 +40,18 @@ def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation, level_error
     """
     landing = {cycle.number + 1: cycle.landing for cycle in cut.cycles}
     good = [event for event in events if not event.flag and math.isfinite(event.break_away_level)]
-    if len(good) < FEWEST:
+    if len(good) < FEWEST_BREAK_AWAYS:
         return None
     ratio = np.array([event.break_away_level / event.kinetic_scale for event in good])
     mean = float(ratio.mean())
     error = math.hypot(float(ratio.std(ddof=1)) / math.sqrt(ratio.size), level_error)
-    known = math.hypot(error, LEAST_EXCESS / SURE)
-    if mean - 1 < SURE * known:
+    known = math.hypot(error, LEAST_EXCESS / ERRORS_SHOWN)
+    if mean - 1 < ERRORS_SHOWN * known:
         return None
     stick = np.array([event.t - landing.get(event.number, math.nan) for event in good])
     growth = _growth(stick, ratio)
     text = "a break-away level above the level of slip"
-    if growth is not None and growth.value > SURE * growth.sd:
+    if growth is not None and growth.value > ERRORS_SHOWN * growth.sd:
         text += f", which grows by about {100 * growth.value:.2g} % for every e-fold of the time at rest"
     return FoundDeparture("ageing", (mean - 1) / known, "break-away level / Fs", mean, error, "", text)
 
@@ -59,7 +59,7 @@ def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation, level_error
 def _growth(stick: Array, ratio: Array) -> Measured | None:
     """Return the slope of the log ratio over the log of the stick time, with a standard error robust to outliers."""
     good = np.isfinite(stick) & (stick > 0)
-    if good.sum() < FEWEST:
+    if good.sum() < FEWEST_BREAK_AWAYS:
         return None
     x, y = np.log(stick[good]), np.log(ratio[good])
     x, y = x - x.mean(), y - y.mean()
@@ -69,5 +69,5 @@ def _growth(stick: Array, ratio: Array) -> Measured | None:
     slope = float(np.sum(x * y)) / square
     rest = y - slope * x
     # each point's own residual, raised by its leverage (HC3: J. MacKinnon, H. White, J. Econometrics 29 (1985) 305)
-    own = x * rest / (1 - x**2 / square - 1 / x.size)
-    return Measured(slope, math.sqrt(float(np.sum(own**2))) / square)
+    raised = x * rest / (1 - x**2 / square - 1 / x.size)
+    return Measured(slope, math.sqrt(float(np.sum(raised**2))) / square)

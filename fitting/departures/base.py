@@ -6,17 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
+from daq.base.compute.arrays import Array, Integers
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Forcing
 from fitting.forces.fitted_motion import FittedMotion
+from fitting.model.problem import COARSE_SAMPLES
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.flow import SEARCH_STEP
 from fitting.sensitivity.path import Path, follow
 from fitting.sensitivity.tangents import tangents
-
-BLOCKS = 62.5  # a slip, of a scan; at half as many the shortest wavelengths blur, twice as many take twice the time
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,17 +27,11 @@ class Base:
     linear : LinearisedFit
     path : Path
     trajectory : FittedMotion
-    counted : (N,) bool
-        False for the first sample of a window of blocks, where residual and derivatives are 0.
-    block : int
-        Samples in a block; 1 where there are none.
     """
 
     linear: LinearisedFit
     path: Path
     trajectory: FittedMotion
-    counted: Mask
-    block: int = 1
 
     @classmethod
     def of(
@@ -46,17 +39,17 @@ class Base:
     ) -> "Base":
         """Read a path; ``revolution`` is the travel per revolution of the encoder, m, where the calibration has it."""
         trajectory = FittedMotion.from_path(path, records, linear.residual, revolution)
-        return cls(linear, path, trajectory, np.ones(linear.residual.size, np.bool_))
+        return cls(linear, path, trajectory)
 
     def thinned(self) -> "Base":
-        """Return the same on blocks of samples, `BLOCKS` a slip, for scans.
+        """Return the same on blocks of samples, `COARSE_SAMPLES` a slip, for scans.
 
         A block has the mean residual and the mean derivatives of its samples, and the path is that at its middle.  Its
         position is what leaves that residual: the mean position of a curved path is not that at its middle.
         Where the motion cannot be followed with these longer steps, all samples are kept.
         """
         whole = self.path.windows
-        stride = max(1, round(self.trajectory.samples_per_slip / BLOCKS))
+        stride = max(1, round(self.trajectory.samples_per_slip / COARSE_SAMPLES))
         if stride == 1:
             return self
         blocks = Blocks.of(whole, stride)
@@ -80,7 +73,7 @@ class Base:
             weights=self.linear.weights * stride,
         )
         trajectory = FittedMotion.from_path(path, self.trajectory.records, linear.residual, self.trajectory.revolution)
-        return Base(linear, path, trajectory, blocks.first >= 0, stride)
+        return Base(linear, path, trajectory)
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
         """Return how the positions answer to forcings, one after another, shape (N, columns of all)."""
@@ -142,9 +135,9 @@ class Blocks:
         table, middle, first, total = windows.table.copy(), [], [], 0
         ends = np.zeros(len(windows.rows), np.int64)
         for row, (cycle, _, begin, count, _, _) in enumerate(windows.table):
-            own = begin + size * np.arange(count // size)
-            middle.append(np.r_[begin, own + size // 2])
-            first.append(np.r_[-1, own])
+            begins = begin + size * np.arange(count // size)
+            middle.append(np.r_[begin, begins + size // 2])
+            first.append(np.r_[-1, begins])
             table[row, 2:4] = total, middle[-1].size
             total += middle[-1].size
             ends[cycle] = total
@@ -163,4 +156,4 @@ class Blocks:
 
 def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
     """Return the median of the cycles' errors, m: spoilt cycles do not move it."""
-    return math.sqrt(float(np.median([np.mean(residual[own] ** 2) for own in rows])))
+    return math.sqrt(float(np.median([np.mean(residual[cycle] ** 2) for cycle in rows])))

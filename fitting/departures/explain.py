@@ -7,33 +7,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.base.compute.arrays import Array
+from fitting import noise_levels
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
+from fitting.departures.library import departures
 from fitting.departures.memory import suspect_memory
 from fitting.departures.refit import Refit, refit_with
 from fitting.departures.result import FoundDeparture
 from fitting.departures.scores import sigmas
 from fitting.departures.strongest import LEAST_SIGMAS, Tested, describe, misfit_beyond_noise, strongest
-from fitting.departures.table import departures
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
 
-# Usual error of a cycle over the noise, below which a law with a departure describes the record.  True departures end
-# at 0.99 to 1.02; a wrong one that comes near, friction by position for a hard spring, at 1.1.
-REACHED = 1.05
-# Of the gain of the linear step: a refit of the free curve that gains less has not come to its end.  A curve often is
-# near the noise without the departure, so its error alone does not tell.
-LEAST_PART = 0.5
-# Of the misfit, in one linear step: a departure that explains less is not fitted, and not reported.  True departures
-# but forces by the velocity explain 0.72 to 1; of LuGre contacts the strongest explained 0.1 to 1.
+# Gain of a refit of the free curve over that of the linear step: one that gains less has not come to its end.  A curve
+# often is near the noise without the departure, so its error alone does not tell.
+LEAST_GAIN_KEPT = 0.5
+# Share of the misfit explained in one linear step: a departure with less is not fitted, and not reported.  True
+# departures but forces by the velocity explain 0.72 to 1; of LuGre contacts the strongest explained 0.1 to 1.
 LEAST_EXPLAINED = 0.5
-MOST_LAWS = 2  # that a departure is fitted with: the best, and the best of another curve
-
-# Of the strongest's gain in one linear step: a departure with more is fitted too, as one step does not tell them apart.
-# A spring that hardens by 1 % gained 0.94 of what friction by position did, and left 3.76 um instead of 4.07.
-RIVAL = 0.9
+MOST_LAWS = 2  # laws that a departure is fitted with: the best, and the best of another curve
+# Gain over the strongest's, in one linear step: a departure with more is fitted too, as one step does not tell them
+# apart.  A spring that hardens by 1 % gained 0.94 of what friction by position did, and left 3.76 um instead of 4.07.
+RIVAL_GAIN = 0.9
 
 # Whether noise may have made what a refit leaves over.
 Judge = Callable[[Refit], bool]
@@ -99,7 +96,7 @@ def explain_misfit(
         error are then those of that fit.  Else memory, where it is suspected, and what was tested on the base of which
         the first explains more.
     """
-    near = curve is not None and curve.chi < REACHED
+    near = curve is not None and curve.chi < noise_levels.DESCRIBES
     free = None
     if curve is not None:
         free = Base.of(curve.linear, curve.spline_fit.path, asked.records, asked.revolution)
@@ -110,19 +107,19 @@ def explain_misfit(
     lists = [one for one in lists if one.tested and (near or one.explained > LEAST_EXPLAINED)]
     lists = sorted(lists, key=lambda one: -one.explained)
     judge = describes if near else None
-    found = _with_laws(lists, asked, judge) or _drag_with_laws(lists, asked, judge)
-    if found is None and not near:
-        found = _with_curve(lists, asked)
-    if found is not None or near:
-        return found or ()
+    explained = _with_laws(lists, asked, judge) or _drag_with_laws(lists, asked, judge)
+    if explained is None and not near:
+        explained = _with_curve(lists, asked)
+    if explained is not None or near:
+        return explained or ()
     # what a drag explains in one step, its fit would have confirmed
     lists = [one for one in lists if one.tested[0].departure.drag is None]
-    found = lists[0].found if lists else ()
+    explained = lists[0].found if lists else ()
     agreed = len(lists) > 1 and lists[0].tested[0].departure is lists[1].tested[0].departure
     if free is not None and not agreed:
         memory = suspect_memory(free, max((one.explained for one in lists if one.curve is not None), default=0.0))
-        found = found if memory is None else (memory, *found)
-    return found
+        explained = explained if memory is None else (memory, *explained)
+    return explained
 
 
 def explain_beside_curve(asked: Question, describes: Judge) -> tuple[FoundDeparture, ...]:
@@ -132,9 +129,9 @@ def explain_beside_curve(asked: Question, describes: Judge) -> tuple[FoundDepart
     the curve, and is reported where it describes the record as well.  One linear step does not tell: wrong departures
     of the curves that have a published form explain up to 1.0 of what the law leaves.
     """
-    found = _drag_with_laws([], asked, describes)
-    if found is not None or asked.first is None:
-        return found or ()
+    explained = _drag_with_laws([], asked, describes)
+    if explained is not None or asked.first is None:
+        return explained or ()
     one = _list(asked.first, asked)
     return _with_laws([one], asked, describes) or () if one.explained > LEAST_EXPLAINED else ()
 
@@ -159,7 +156,7 @@ def _least_left(refit: Refit, listed: Sequence[Tested], asked: Question) -> tupl
     """Return the refit of the first departure listed, or of a rival that leaves less; and how sure its test was."""
     best, sure = refit, listed[0].sigmas
     for rival in listed[1:]:
-        if rival.score.gain > RIVAL * listed[0].score.gain:
+        if rival.score.gain > RIVAL_GAIN * listed[0].score.gain:
             again = confirm(rival.at, asked, hurried=True)
             if again is not None and again.usual_rms < best.usual_rms:
                 best, sure = again, rival.sigmas
@@ -183,8 +180,8 @@ def _drag_with_laws(
     sure = [one for one in refits if one is not None and sigmas(one.score.log_p) > LEAST_SIGMAS]
     for refit in sorted(sure, key=lambda one: one.linear.cost):
         if describes is None or describes(refit):
-            found = lists[0].found if lists else ()
-            return _in_front(refit, sigmas(refit.score.log_p, len(departures())), found, asked)
+            others = lists[0].found if lists else ()
+            return _in_front(refit, sigmas(refit.score.log_p, len(departures())), others, asked)
     return None
 
 
@@ -245,21 +242,21 @@ def confirm(at: tuple[Departure, float, Array], asked: Question, *, hurried: boo
             break
         curves.add(fit.problem.curve)
         quick = hurried or _reached(best, asked.noise) is not None
-        found = refit_with(fit.at, fit.law, *at, asked.noises, hurried=quick)
-        if found is not None and (best is None or found.usual_rms < best.usual_rms):
-            best = found
+        refit = refit_with(fit.at, fit.law, *at, asked.noises, hurried=quick)
+        if refit is not None and (best is None or refit.usual_rms < best.usual_rms):
+            best = refit
     return _reached(best, asked.noise)
 
 
 def confirm_on_curve(tested: Tested, curve: MeasuredCurve, noise: float) -> Refit | None:
     """Fit a departure with the free curve; None where that does not reach the noise, or stops before its end."""
     refit = _reached(refit_with(curve.spline_fit.at, None, *tested.at, curve.spline_fit.noise), noise)
-    return None if refit is None or refit.score.gain < LEAST_PART * tested.score.gain else refit
+    return None if refit is None or refit.score.gain < LEAST_GAIN_KEPT * tested.score.gain else refit
 
 
 def _reached(refit: Refit | None, noise: float) -> Refit | None:
     """Return a refit that describes the record, else None."""
-    return refit if refit is not None and refit.usual_rms < REACHED * noise else None
+    return refit if refit is not None and refit.usual_rms < noise_levels.DESCRIBES * noise else None
 
 
 def base_of(fit: Fit, records: Sequence[MeasuredMotion], revolution: float | None = None) -> Base | None:

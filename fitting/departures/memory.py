@@ -13,13 +13,13 @@ import numpy as np
 from fitting.departures.base import Base
 from fitting.departures.result import FoundDeparture
 from fitting.departures.scores import score, sigmas
+from fitting.departures.strongest import LEAST_SIGMAS
 from fitting.forces.departure import Forcing
 from fitting.model.parameters import PER_RUN, Global
 
-# Of the misfit beyond the noise: a departure that explains more needs no memory beside it.  True departures explain 0.8
-# to 1; of LuGre contacts the best explained 0.35 and 0.65.
+# Share of the misfit beyond the noise: a departure that explains more needs no memory beside it.  True departures
+# explain 0.8 to 1; of LuGre contacts the best explained 0.35 and 0.65.
 MOST_EXPLAINED = 0.7
-LEAST_SIGMAS = 4.0  # that the lag must show
 
 
 def suspect_memory(base: Base, explained: float) -> FoundDeparture | None:
@@ -44,6 +44,8 @@ def suspect_memory(base: Base, explained: float) -> FoundDeparture | None:
 def lag(base: Base) -> Forcing:
     """Return what a lag of friction behind the speed, by 1 s, adds to the acceleration to first order."""
     path = base.path
-    own = path.u.reshape(-1, PER_RUN)[path.run]
-    force = -own[:, Global.K] * base.trajectory.stretch - own[:, Global.DAMPING] * path.velocity + path.friction
+    unknowns = path.u.reshape(-1, PER_RUN)[path.run]
+    force = (
+        -unknowns[:, Global.K] * base.trajectory.stretch - unknowns[:, Global.DAMPING] * path.velocity + path.friction
+    )
     return Forcing(acceleration=np.where(path.stuck, 0.0, path.friction_slope * force)[:, np.newaxis])

@@ -21,9 +21,9 @@ from fitting.forces.departure import Departure
 from fitting.forces.force import Force
 from fitting.sensitivity.path import Path
 
-# Times the noise: a search that then errs more is given up.  True departures are at 0.9 to 1.0; LuGre contacts are at 9
-# and more, and drag on a steep ramp took a minute to end at 3.
-LOST = 2.0
+# Error over the noise: a search that then errs more is given up.  True departures are at 0.9 to 1.0; LuGre contacts are
+# at 9 and more, and drag on a steep ramp took a minute to end at 3.
+GIVEN_UP_ABOVE_NOISE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +105,12 @@ def refit_with(
     task = replace(host.task, forces=(Force(departure, scale),))
     starts = _starts(task, host, size, law)
     settled = best_end(task, starts[:1] if hurried else starts, noise)
-    if settled is None or settled.geometric_mean_rms > LOST * float(np.max(noise)):
+    if settled is None or settled.geometric_mean_rms > GIVEN_UP_ABOVE_NOISE * float(np.max(noise)):
         return None
-    found = finish(settled, noise)
-    if found is None or usual_rms(found.residual, found.windows.rows) > LOST * float(np.max(noise)):
+    fit = finish(settled, noise)
+    if fit is None or usual_rms(fit.residual, fit.windows.rows) > GIVEN_UP_ABOVE_NOISE * float(np.max(noise)):
         return None
-    return _judged(found, host, law, noise)
+    return _judged(fit, host, law, noise)
 
 
 def _starts(task: Task, host: TaskFit, size: Array, law: int | None) -> list[tuple[FitStart, PassNoise | None]]:
@@ -130,15 +130,15 @@ def _starts(task: Task, host: TaskFit, size: Array, law: int | None) -> list[tup
     return [(regressed._replace(q=begin), None), (tested, None)]
 
 
-def _judged(found: TaskFit, host: TaskFit, law: int | None, noise: Array) -> Refit | None:
+def _judged(fit: TaskFit, host: TaskFit, law: int | None, noise: Array) -> Refit | None:
     """Return a fit with the errors of its departure; None where nothing distinguishes it from what the law adjusts."""
-    (force,) = found.task.forces
-    linear, path = LinearisedFit.at(found), found.path
+    (force,) = fit.task.forces
+    linear, path = LinearisedFit.at(fit), fit.path
     if linear is None or path is None:
         return None
-    first, k = found.q.size - force.width, force.departure.columns
-    size = found.q[first:]
-    order = [*range(first), *range(first + k, found.q.size)]  # its own scale is adjusted besides
+    first, k = fit.q.size - force.width, force.departure.columns
+    size = fit.q[first:]
+    order = [*range(first), *range(first + k, fit.q.size)]  # its own scale is adjusted besides
     without = replace(
         linear,
         shared=np.ascontiguousarray(linear.shared[:, order]),

@@ -18,11 +18,12 @@ from daq.base.compute.arrays import Array
 from daq.base.compute.distributions import fisher_log_tail, normal_quantile
 from fitting.estimation.linearised import LinearisedFit, Scores
 
-# Of a column's curvature: where no more is left of it after the projection, the fit already adjusts it.  Derivatives
+# Share of a column's curvature left after the projection: with no more, the fit already adjusts it.  Derivatives
 # err by 3e-6 of their size, so 1e-11 is rounding.  Quadratic drag, the least distinguishable beside a damping and a
 # law's shape, keeps 2e-7; at 1e-6 it was never found.
 LEAST_KEPT = 1e-9
-RIDGE = 1e-12  # of a curvature: two columns that do the same stay solvable, and no estimate changes by more
+# What is added to a curvature, over it: two columns that do the same stay solvable, and no estimate changes by more.
+RIDGE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +66,16 @@ def score(base: LinearisedFit, columns: Array, widths: Sequence[int]) -> list[Sc
     list of Score or None
         None where the fit already adjusts the parameters, or where fewer than four cycles are left to judge by.
     """
-    found = base.scores(columns)
+    scores = base.scores(columns)
     ends = np.cumsum(widths)
-    return [_score(found, slice(end - width, end)) for end, width in zip(ends, widths, strict=True)]
+    return [_score(scores, slice(end - width, end)) for end, width in zip(ends, widths, strict=True)]
 
 
-def _score(found: Scores, own: slice) -> Score | None:
-    information, total = found.information[:, own, own], found.score[:, own]
+def _score(scores: Scores, columns: slice) -> Score | None:
+    information, total = scores.information[:, columns, columns], scores.score[:, columns]
     k, n = total.shape[1], int(np.sum(np.any(total != 0, axis=1)))
-    whole, gradient = found.total_information[own, own], found.total[own]
-    kept = float(np.min(np.diag(whole) / np.maximum(found.raw[own], 1e-300)))
+    whole, gradient = scores.total_information[columns, columns], scores.total[columns]
+    kept = float(np.min(np.diag(whole) / np.maximum(scores.raw[columns], 1e-300)))
     if not kept > LEAST_KEPT or n < k + 3:
         return None
     coefficients = -_solve(whole, gradient)

@@ -1,4 +1,8 @@
-"""Which departures would explain what a fit leaves over, the strongest first."""
+"""Which departures would explain what a fit leaves over, the strongest first.
+
+Every gain is that of one linear step (`fitting.departures.scores`).  What else a departure depends on, a frequency or a
+wavelength, is scanned first, on a thinned record.
+"""
 
 import math
 from dataclasses import dataclass
@@ -9,23 +13,25 @@ from daq.base.compute.arrays import Array
 from daq.base.measured import Measured
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
+from fitting.departures.library import departures
 from fitting.departures.result import FoundDeparture, Scale
-from fitting.departures.scan import best_scale
-from fitting.departures.scores import Score, score, sigmas
-from fitting.departures.table import departures
+from fitting.departures.scores import LEAST_KEPT, RIDGE, Score, score, sigmas
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
 
 # Least standard deviations and least fall of the cost of a departure that is reported.  On six records that one of
 # the six laws describes, the best of all departures reached a gain of 6.
 LEAST_SIGMAS, LEAST_GAIN = 4.0, 12.0
-# Of the whole cost: a departure that explains less is not reported.  Rounding to counts is not white; a free curve that
+# Gain over the whole cost: a departure with less is not reported.  Rounding to counts is not white; a free curve that
 # describes a record leaves patterns of counts, of which a belt ripple of 7 um/s explained 0.4 %.
-LEAST_SHARE = 0.01
-# Of the best gain: departures so near it explain the record equally well, and the one with the fewest parameters comes
-# first.  A hard spring and friction by position at a wavelength of about the travel differ by 1 %.
-EQUAL = 0.04
-SAME_SCALE = 0.01  # relative: a search moves a scale by more
+LEAST_COST_SHARE = 0.01
+# Gain short of the best, over it: departures so near explain the record equally well, and the one with the fewest
+# parameters comes first.  A hard spring and friction by position at a wavelength of about the travel differ by 1 %.
+EQUAL_GAIN = 0.04
+SAME_SCALE = 0.01  # relative difference of two scales: a search moves a scale by more
+SCALES_AT_ONCE = 16  # scales at a time: curvatures between all columns are made, and only those of one scale used
+# Scales that are tried about the best of a scan, in steps between neighbours.
+STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,21 +80,69 @@ def strongest(base: Base) -> list[Tested]:
             chosen.append((departure, scale, tried * len(every)))
     columns = base.respond([departure.forcing(base.trajectory, scale) for departure, scale, _ in chosen])
     scores = score(base.linear, columns, [departure.columns for departure, _, _ in chosen])
-    found = [
+    every_tested = [
         Tested(departure, scale, one, sigmas(one.log_p, tried))
         for (departure, scale, tried), one in zip(chosen, scores, strict=True)
         if one is not None
     ]
-    least = max(LEAST_GAIN, LEAST_SHARE * base.linear.cost)
+    least = max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
     shown = [
-        tested for tested in found if tested.sigmas > LEAST_SIGMAS and tested.score.gain > least and tested.possible
+        tested
+        for tested in every_tested
+        if tested.sigmas > LEAST_SIGMAS and tested.score.gain > least and tested.possible
     ]
     shown.sort(key=lambda tested: -tested.score.gain)
     if shown:
-        equal = [tested for tested in shown if tested.score.gain > (1 - EQUAL) * shown[0].score.gain]
+        equal = [tested for tested in shown if tested.score.gain > (1 - EQUAL_GAIN) * shown[0].score.gain]
         equal.sort(key=lambda tested: tested.parameters)
         shown[: len(equal)] = equal
     return shown
+
+
+def best_scale(base: Base, departure: Departure) -> tuple[float, int]:
+    """Return the scale that explains most, and how many were tried; NaN without one, or where there is none to try."""
+    if departure.scales is None:
+        return np.nan, 1
+    scales = departure.scales(base.trajectory)
+    if scales.size == 0:
+        return np.nan, 0
+    gain = gains(base, departure, scales)
+    top = int(np.argmax(gain))
+    if scales.size == 1:
+        return float(scales[0]), 1
+    gaps = np.abs(np.diff(np.log(scales)))
+    gap = float(np.min(gaps[max(top - 1, 0) : top + 1]))
+    nearer = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
+    return float(nearer[np.argmax(gains(base, departure, nearer))]), scales.size
+
+
+def gains(base: Base, departure: Departure, scales: Array) -> Array:
+    """Return by how much the cost would fall with the departure at each of the scales (n,)."""
+    return np.concatenate(
+        [
+            _gains(base, departure, scales[first : first + SCALES_AT_ONCE])
+            for first in range(0, scales.size, SCALES_AT_ONCE)
+        ]
+    )
+
+
+def _gains(base: Base, departure: Departure, scales: Array) -> Array:
+    columns = base.respond([departure.forcing(base.trajectory, float(scale)) for scale in scales])
+    scores = base.linear.scores(columns)
+    shape = (scales.size, departure.columns)
+    every = np.arange(columns.shape[1]).reshape(shape)
+    information = scores.total_information[every[:, :, np.newaxis], every[:, np.newaxis]]
+    size, raw, total = np.einsum("skk->sk", information), scores.raw.reshape(shape), scores.total.reshape(shape)
+    # beside an unstable motion the response to a force grows beyond all numbers
+    usable = np.isfinite(raw) & np.isfinite(size) & np.isfinite(total)
+    kept = np.all(usable & (size > LEAST_KEPT * np.where(usable, raw, 0.0)), axis=1)
+    unit = 1 / np.sqrt(size[kept])
+    total = total[kept] * unit
+    information = information[kept] * unit[:, :, np.newaxis] * unit[:, np.newaxis]
+    information += RIDGE * np.eye(departure.columns)
+    gain = np.zeros(scales.size)
+    gain[kept] = 0.5 * np.sum(total * np.linalg.solve(information, total[:, :, np.newaxis])[:, :, 0], axis=1)
+    return gain
 
 
 def misfit_beyond_noise(linear: LinearisedFit, noise: Array | float) -> float:

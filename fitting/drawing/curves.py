@@ -42,9 +42,9 @@ def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
     """Return relative velocities (m/s) that span the motions of all runs: `speeds` of the widest in each direction."""
     widest: dict[float, Array] = {}
     for motion in motions:
-        own = speeds(motion)
-        if motion.sign not in widest or np.ptp(own) > np.ptp(widest[motion.sign]):
-            widest[motion.sign] = own
+        spanned = speeds(motion)
+        if motion.sign not in widest or np.ptp(spanned) > np.ptp(widest[motion.sign]):
+            widest[motion.sign] = spanned
     return np.unique(np.concatenate(list(widest.values())))
 
 

@@ -32,12 +32,12 @@ def law_dashes(laws: Iterable[int | str]) -> dict[int | str, str]:
 
 
 def _by_law(laws: Iterable[int | str], six: Mapping[int, str], formulas: Sequence[str]) -> dict[int | str, str]:
-    found: dict[int | str, str] = {}
+    by_law: dict[int | str, str] = {}
     names = 0
     for law in laws:
         if isinstance(law, int):
-            found[law] = six[law]
+            by_law[law] = six[law]
         else:
-            found[law] = formulas[names % len(formulas)]
+            by_law[law] = formulas[names % len(formulas)]
             names += 1
-    return found
+    return by_law

@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 
-# Of the middle coefficient: standard deviation of a second difference.  Twice or half of it moves curves of the rig
+# Standard deviation of a second difference, over the middle coefficient.  Twice or half of it moves curves of the rig
 # scene by less than a tenth of their band.
 BEND_SD = 0.5
 

@@ -12,12 +12,10 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from fitting.driver.coordinates import CurveCoordinates
 from fitting.model import parameters
-from fitting.model.parameters import PER_RUN, Global
-from fitting.sensitivity.columns import shared_tangents
+from fitting.model.parameters import PER_RUN
+from fitting.sensitivity.columns import shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, Path, law_curve, spline_curve
 from fitting.sensitivity.spline import FrictionSpline
-from fitting.sensitivity.tangents import tangents
-from rig_sim.flow.modes import STICK
 from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS
 
@@ -131,7 +129,7 @@ class ThroughSpline(FrictionCurve):
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
         """See `FrictionCurve`."""
-        found = along_spline(path, self.coefficients(theta, path.u[list(places)])[1])
+        found = spline_tangents(path, self.coefficients(theta, path.u[list(places)])[1])
         found[:, : len(places)] += shared_tangents(path, places)
         return found
 
@@ -170,31 +168,3 @@ class FreeCurve(ThroughSpline):
     def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:
         """See `ThroughSpline`."""
         return self.basis.coefficients(np.concatenate([beside, theta])), self.basis.slopes
-
-
-def along_spline(path: Path, directions: Array) -> Array:
-    """Return the derivatives of the positions along directions of the spline's coefficients, shape (N, k).
-
-    As `fitting.sensitivity.columns.spline_tangents` times ``directions`` (n, k), but k columns are integrated, not n,
-    and of those only the ones that are not 0.
-    """
-    spline = path.curve.spline
-    if spline is None:
-        raise ValueError("this path follows a law's curve: there are no coefficients")
-    ramp_width = path.unknown(Global.D) if path.curve.ramp else 0.0
-    at_rest = float(spline.coefficients[0])
-    loss = path.unknown(Global.COMPLIANCE) * np.exp(path.unknown(Global.LOG_F)) / path.unknown(Global.K)
-    yields = bool(np.any(loss))
-    giving = 1 - loss * path.friction_slope / path.level if yields else 1.0
-    forces = spline.basis(path.slip_speed, path.level * path.side * giving)
-    if path.curve.ramp or yields:
-        ramp = ~path.slips & (path.mode != STICK)
-        share = ramp_width / np.maximum(ramp_width + loss * at_rest, 1e-300)
-        forces[ramp, 0] = (path.friction / at_rest * share)[ramp]
-    edge = np.zeros((path.windows.table.shape[0], directions.shape[0]))
-    edge[:, 0] = np.broadcast_to(loss, path.time.shape)[path.first_point[:-1]]
-    used = np.flatnonzero(directions.any(axis=0))
-    found = np.zeros((path.reached.size, directions.shape[1]))
-    along = np.ascontiguousarray(directions[:, used])
-    found[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=np.einsum("wn,nk->wk", edge, along))
-    return found

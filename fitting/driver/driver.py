@@ -1,8 +1,8 @@
 """Tasks fitted to the same runs: which start from where others ended, and which are worth every sample.
 
-Three levels of error decide.  A task that errs more than `LOST` times the resolution after its first pass may start
-from others too.  One that errs `GIVEN_UP` times as much as the best one then is not settled, one that errs `NEAR` times
-as much as the best one when settled is fitted to the thinned record alone.
+Three levels of error decide.  A task that is `noise_levels.LOST` after its first pass may start from others too.  One
+that errs `GIVEN_UP_BEYOND_BEST` times as much as the best one then is not settled, one that errs `FAR_BEYOND_BEST`
+times as much as the best one when settled is fitted to the thinned record alone.
 """
 
 import logging
@@ -14,6 +14,8 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.compute.ordered import Map
 from daq.base.compute.workers import workers
+from fitting import noise_levels
+from fitting.competitors import ALL_LAWS
 from fitting.driver.curves import LawCurve
 from fitting.driver.fit import TaskFit
 from fitting.driver.noise import PassNoise
@@ -23,7 +25,6 @@ from fitting.driver.passes import (
     finish,
     first_pass,
     regressed_pass,
-    regressed_start,
     restarted_windows,
     settle,
     unmoved,
@@ -35,25 +36,23 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
 
 logger = logging.getLogger(__name__)
-SIX = (1, 2, 3, 4, 5, 6)
-# Times the resolution, after the first pass: at half true laws are started again for nothing, at twice a ramp law that
-# ended in a poor minimum is not.
-LOST = 3.0
-# Times the best error after the first pass.  True laws reach 20 there in harsh records; twice costs time alone.
-GIVEN_UP = 30.0
-NEAR = 10.0  # times the best error; no law that errs 5 times as much was in a set, and at 20 every sample costs time
-# Times the error of the best, where that is lost: what errs less starts again.  At half a wrong law is judged by a poor
+# Error over the best after the first pass, from which a task is not settled.  True laws reach 20 there in harsh
+# records; twice costs time alone.
+GIVEN_UP_BEYOND_BEST = 30.0
+# Error over the best, or over the resolution, from which a task is not looked at more closely: no law that errs 5 times
+# as much was in a set, and at 20 every sample costs time.
+FAR_BEYOND_BEST = 10.0
+# Error over the best, where that is lost: what errs less starts again.  At half a wrong law is judged by a poor
 # minimum, at twice laws that cannot be the nearest take time.
-RIVAL = 3.0
-LESS_NOISE = 10.0  # times the resolution: assumed in another first pass of a task that leaves more than noise
-DONATES = 0.8  # of a task's error: another that errs less gives it a start; at 0.95 neighbours in noise do
-NARROW = 0.02  # of the first width of a ramp that starts next to none, where it starts at its jump law's end
-CONTAINED = 1.0005  # times the error of the curve that it contains: a ramp that errs more is in a poor minimum
-# Of the belt's speed: a ramp so narrow, or one that noise hides, is the jump.  Where it errs less than
-# `CONTAINED` allows, the jump is in a poor minimum.
-CLOSED = 0.02
-REACHED = 1.03  # times the noise: no other start can be much better
-NOISE_ALONE = 1.2  # times the resolution: an error that is noise alone
+RESTART_NEAR_BEST = 3.0
+# Noise, over the resolution, assumed in another first pass of a task that leaves more than noise.
+LESS_NOISE_ASSUMED = 10.0
+DONOR_ERROR = 0.8  # error over a task's: another that errs less gives it a start; at 0.95 neighbours in noise do
+NARROW_START = 0.02  # width over the first one, of a ramp that starts next to none at its jump law's end
+CONTAINED_ERROR = 1.0005  # error over that of the curve that it contains: a ramp that errs more is in a poor minimum
+# Width over the belt's speed: a ramp so narrow, or one that noise hides, is the jump.  Where it errs less than
+# `CONTAINED_ERROR` allows, the jump is in a poor minimum.
+CLOSED_RAMP = 0.02
 
 
 def fit(task: Task) -> TaskFit | None:
@@ -69,13 +68,6 @@ def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
     return None if settled is None else finish(settled) or settled
 
 
-def fit_beside(task: Task, others: Sequence[TaskFit]) -> TaskFit | None:
-    """Fit one task that may also start where others ended; the error after the first pass decides."""
-    starts = [(start_beside(task, other), other.noise.without_fade) for other in others]
-    settled = best_end(task, [*starts, (regressed_start(task), None)])
-    return None if settled is None else finish(settled) or settled
-
-
 def best_end(
     task: Task, starts: Sequence[tuple[FitStart, PassNoise | None]], noise_m: Array | None = None
 ) -> TaskFit | None:
@@ -84,7 +76,7 @@ def best_end(
     Starts come with the noise of the fit that they are from; that errs least after its first pass comes first.
     ``noise_m`` (runs,) is the noise of a position, m, where it is known; else the resolution.
     """
-    reached = REACHED * (_resolution(task) if noise_m is None else float(np.max(noise_m)))
+    reached = noise_levels.DESCRIBES * (_resolution(task) if noise_m is None else float(np.max(noise_m)))
     best: TaskFit | None = None
     tried = [first_pass(task, start, noise) for start, noise in starts]
     for first in sorted((one for one in tried if one is not None), key=lambda one: one.geometric_mean_rms):
@@ -99,7 +91,7 @@ def best_end(
 def fit_laws(
     laws: Sequence[int],
     runs: Sequence[Run],
-    among: Sequence[int] = SIX,
+    among: Sequence[int] = ALL_LAWS,
     *,
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
@@ -169,18 +161,18 @@ def fit_all(
     chosen = list(each(partial(_from_donors, tasks=tasks, first=tuple(first)), range(len(tasks))))
     begun = [(one, own) for one, own in zip(chosen, first, strict=True) if one is not None]
     found = _again([one for one, _ in begun], each)
-    limit = GIVEN_UP * min((one.geometric_mean_rms for one in found), default=0.0)
+    limit = GIVEN_UP_BEYOND_BEST * min((one.geometric_mean_rms for one in found), default=0.0)
     found = list(each(partial(_settled, limit=limit), found))
     left = [own if own is not None and not np.array_equal(own.q, one.q) else None for one, own in begun]
     found = from_left_starts(found, left, each)
     found = _overtaking(found, each)
     found = _contained(beside_better(_opened(found, each), each), settle, each)
     found = _opened(found, each)  # a ramp that started from its jump may have ended below it
-    limit = NEAR * min((one.geometric_mean_rms for one in found), default=0.0)
+    limit = FAR_BEYOND_BEST * min((one.geometric_mean_rms for one in found), default=0.0)
     found = list(each(partial(_with_static, limit=limit), found))
     for one in found:
         logger.debug("settled: law %d, %.4g um", _law(one.task), 1e6 * one.geometric_mean_rms)
-    limit = NEAR * min((one.geometric_mean_rms for one in found), default=0.0)
+    limit = FAR_BEYOND_BEST * min((one.geometric_mean_rms for one in found), default=0.0)
     wanted = [one for one in found if asked(one.task)]
     needed = [
         one for one in found if asked(one.task) or any(other.task.curve.contains(one.task.curve) for other in wanted)
@@ -196,19 +188,19 @@ def _from_regression(task: Task) -> TaskFit | None:
     calibrations as strong as that noise close.
     """
     found = regressed_pass(task)
-    if found is not None and found.geometric_mean_rms < NOISE_ALONE * _resolution(task):
+    if found is not None and found.geometric_mean_rms < noise_levels.NEAR * _resolution(task):
         return found
-    other = regressed_pass(task, assumed_noise(task, LESS_NOISE))
+    other = regressed_pass(task, assumed_noise(task, LESS_NOISE_ASSUMED))
     return other if found is None else _better(found, other)
 
 
 def _from_donors(k: int, tasks: Sequence[Task], first: Sequence[TaskFit | None]) -> TaskFit | None:
     """Return the first pass of task k, or one that starts where another's ended and errs less."""
     task, own = tasks[k], first[k]
-    far = LOST * _resolution(task)
+    far = noise_levels.LOST * _resolution(task)
     for donor in _donors(task, k, first):
         if own is None or (
-            far < own.geometric_mean_rms and donor.geometric_mean_rms < DONATES * own.geometric_mean_rms
+            far < own.geometric_mean_rms and donor.geometric_mean_rms < DONOR_ERROR * own.geometric_mean_rms
         ):
             trial = first_pass(task, start_beside(task, donor))
             if trial is not None and (own is None or trial.geometric_mean_rms < own.geometric_mean_rms):
@@ -262,9 +254,9 @@ def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit
 def _again(found: list[TaskFit], each: Map) -> list[TaskFit]:
     """Let tasks start again with their windows at the smoothed motion, where even the best of them is lost."""
     lowest = min((one.geometric_mean_rms for one in found), default=0.0)
-    if not found or lowest <= LOST * _resolution(found[0].task):
+    if not found or lowest <= noise_levels.LOST * _resolution(found[0].task):
         return found
-    near = [one for one in found if one.geometric_mean_rms < RIVAL * lowest]
+    near = [one for one in found if one.geometric_mean_rms < RESTART_NEAR_BEST * lowest]
     trials = dict(zip(map(id, near), each(_restarted, near), strict=True))
     return [_better(one, trials.get(id(one))) for one in found]
 
@@ -276,7 +268,7 @@ def from_left_starts(found: list[TaskFit], left: Sequence[TaskFit | None], each:
     is far off, and a search that starts there is not over when a wrong law's end seems the better start.
     """
     lowest = min((one.geometric_mean_rms for one in found), default=0.0)
-    if not found or lowest <= LOST * _resolution(found[0].task):
+    if not found or lowest <= noise_levels.LOST * _resolution(found[0].task):
         return found
     trials = each(_resettled, left)
     return [_better(one, trial) for one, trial in zip(found, trials, strict=True)]
@@ -295,7 +287,7 @@ def _overtaking(found: Sequence[TaskFit], each: Map) -> list[TaskFit]:
 
     A ramp may describe such a cycle by a very low level, where its jump shows that it is spoilt.
     """
-    near = [one for one in found if one.geometric_mean_rms < NEAR * _resolution(one.task)]
+    near = [one for one in found if one.geometric_mean_rms < FAR_BEYOND_BEST * _resolution(one.task)]
     seen = {id(one): find_overtaking(one) for one in near}
     out, moved = list(found), []
     for k, one in enumerate(found):
@@ -327,7 +319,11 @@ def beside_better(found: list[TaskFit], each: Map) -> list[TaskFit]:
     for one in found:
         others = [other for other in found if other.task.curve.ramp == one.task.curve.ramp]
         best = min(others, key=lambda other: other.geometric_mean_rms)
-        if CONTAINED * best.geometric_mean_rms < one.geometric_mean_rms < RIVAL * best.geometric_mean_rms:
+        if (
+            CONTAINED_ERROR * best.geometric_mean_rms
+            < one.geometric_mean_rms
+            < RESTART_NEAR_BEST * best.geometric_mean_rms
+        ):
             pairs.append((one, best))
     return _kept(found, pairs, each, settle)
 
@@ -338,7 +334,7 @@ def _contained(found: list[TaskFit], again: Callable[[TaskFit], TaskFit | None],
     for one in found:
         inner = [other for other in found if one.task.curve.contains(other.task.curve)]
         best = min(inner, key=lambda other: other.geometric_mean_rms, default=one)
-        if one.geometric_mean_rms > CONTAINED * best.geometric_mean_rms:
+        if one.geometric_mean_rms > CONTAINED_ERROR * best.geometric_mean_rms:
             pairs.append((one, best))
     return _kept(found, pairs, each, again)
 
@@ -349,7 +345,7 @@ def _opened(found: list[TaskFit], each: Map) -> list[TaskFit]:
     Of one that errs no more, single cycles may: in harsh records one in twenty has a better minimum.
     """
     closed = [(jump, ramp) for ramp, jump in _with_ramps(found) if _is_closed(ramp, jump)]
-    errs = [jump.geometric_mean_rms > CONTAINED * ramp.geometric_mean_rms for jump, ramp in closed]
+    errs = [jump.geometric_mean_rms > CONTAINED_ERROR * ramp.geometric_mean_rms for jump, ramp in closed]
     found = _kept(found, [pair for pair, more in zip(closed, errs, strict=True) if more], each, settle)
     pairs = [pair for pair, more in zip(closed, errs, strict=True) if not more]
     trials = zip(pairs, each(with_cycles_of, pairs), strict=True)
@@ -376,8 +372,8 @@ def _kept(
 
 def _is_closed(ramp: TaskFit, jump: TaskFit) -> bool:
     slowest = min(motion.belt_speed for motion in ramp.task.problem.motions)
-    hidden = jump.geometric_mean_rms < NOISE_ALONE * _resolution(jump.task)
-    return hidden or float(ramp.u[Global.D]) < CLOSED * slowest
+    hidden = jump.geometric_mean_rms < noise_levels.NEAR * _resolution(jump.task)
+    return hidden or float(ramp.u[Global.D]) < CLOSED_RAMP * slowest
 
 
 def _moved(pair: tuple[TaskFit, TaskFit], again: Callable[[TaskFit], TaskFit | None]) -> TaskFit | None:
@@ -387,10 +383,10 @@ def _moved(pair: tuple[TaskFit, TaskFit], again: Callable[[TaskFit], TaskFit | N
     stays, or the start.
     """
     one, inner = pair
-    start, noise = start_beside(one.task, inner, NARROW), inner.noise.without_fade
+    start, noise = start_beside(one.task, inner, NARROW_START), inner.noise.without_fade
     trial = first_pass(one.task, start, noise)
     settled = None if trial is None else again(trial)
-    if settled is not None and settled.geometric_mean_rms <= CONTAINED * inner.geometric_mean_rms:
+    if settled is not None and settled.geometric_mean_rms <= CONTAINED_ERROR * inner.geometric_mean_rms:
         return settled
     ends = [settled, trial, unmoved(one.task, start, inner)]
     return min((end for end in ends if end is not None), key=lambda end: end.geometric_mean_rms, default=None)

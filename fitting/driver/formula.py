@@ -1,6 +1,6 @@
 """A law given as a formula as the curve of a fit: followed through a spline, started from another friction.
 
-The spline's knots are set closer until it errs by less than `TOLERANCE` of the friction; the derivatives by the
+The spline's knots are set closer until it errs by less than `SPLINE_ERROR` of the friction; the derivatives by the
 parameters are the formula's own.  A parameter that bends the curve and is never negative is fitted by its logarithm.
 A trial whose formula is not finite or is negative at a speed of the motion is refused as one that cannot be followed.
 
@@ -28,24 +28,24 @@ from fitting.sensitivity.tangents import tangents
 from fitting.undetermined import natural_size
 from rig_sim.flow.modes import STICK
 
-TOLERANCE = 1e-6  # of the largest friction: how far the spline may be from the formula
+SPLINE_ERROR = 1e-6  # distance of the spline from the formula, over the largest friction
 FIRST_PIECES, KNOT_POWER = 24, 1.8  # knots s_max u^1.8, before they are set closer where the curve bends most
 MOST_PIECES = 300  # a power with an infinite slope at rest takes 150; more are a curve with a corner
 PER_PIECE = 6  # speeds of each piece at which the spline is put through the formula, and compared with it
-BEYOND = 1.1  # of the measured curve's last knot: slips of the fit may be a little faster
+SPLINE_REACH = 1.1  # last knot over the measured curve's: slips of the fit may be a little faster
 # At which starting values are compared with another friction, from the slowest on: below few samples show it.
 SPEEDS, SLOWEST = 61, 0.06
-DOUBLED = 2.0  # of a parameter: whether the derivative by it changes then shows whether it bends the curve
-DRAWS = 3  # of values at which that is looked at
-SAME = 1e-9  # of a derivative: less is rounding
+DOUBLED = 2.0  # factor on a parameter: whether the derivative by it changes then shows whether it bends the curve
+BEND_DRAWS = 3  # sets of values at which that is looked at
+DERIVATIVE_ROUNDING = 1e-9  # change over a derivative: less is rounding
 # Trials of a parameter that bends the curve, over its natural size: half as many a decade still start Stribeck curves.
 TRIALS = 10.0 ** np.arange(-2.5, 2.1, 0.5)
-MOST_TRIALS, SEED = 300, 7  # of all such parameters together; more than that are drawn
-IMPROVED = 4  # of the best trials, each in a valley of its own
-SAME_VALLEY = 0.25  # of what is left of a start: curves that differ by less are in one valley
-ROUNDING = 1e-12  # of a misfit: less is rounding
-CHECKED = 400  # slip speeds at which a formula must be friction
-FAR = 1e9  # a residual of no number: the step is refused
+MOST_TRIALS, SEED = 300, 7  # trials of all such parameters together; more than that are drawn
+BEST_TRIALS = 4  # best trials that are improved, each in a valley of its own
+SAME_VALLEY = 0.25  # difference over what a start leaves: curves that differ by less are in one valley
+ROUNDING = 1e-12  # change over a misfit: less is rounding
+SPEEDS_CHECKED = 400  # slip speeds at which a formula must be friction
+REFUSED_RESIDUAL = 1e9  # a residual of no number: the step is refused
 
 
 class Target(NamedTuple):
@@ -194,7 +194,7 @@ class FormulaCurve(FrictionCurve):
             except InputError:
                 return None
             found = self._spline.with_coefficients(np.einsum("ij,j->i", self._project, target))
-            away = np.abs(found(self._at) - target) > TOLERANCE * target.max()
+            away = np.abs(found(self._at) - target) > SPLINE_ERROR * target.max()
             if not away.any():
                 return found
             knots = self._spline.knots
@@ -258,7 +258,7 @@ class StartSearch:
     def __init__(self, law: Law, near: Target, fastest: float = 0.0) -> None:
         self.law, self.near = law, near
         self.fixed, self.given = dict(law.fix or {}), dict(law.start or {})
-        self.checked = np.linspace(0.0, max(fastest, float(near.speeds[-1])), CHECKED)
+        self.checked = np.linspace(0.0, max(fastest, float(near.speeds[-1])), SPEEDS_CHECKED)
         self.sizes = {name: natural_size(law, name, near.size, float(near.speeds[-1])) for name in law.free}
         first = self.sizes | self.given
         self.begin = {name: self._inside(name, first[name]) for name in law.free}
@@ -301,7 +301,7 @@ class StartSearch:
         These differ from each other by chance: where two friction levels are equal, a Stribeck speed seems to act not.
         """
         rng = np.random.default_rng(SEED)
-        for _ in range(DRAWS):
+        for _ in range(BEND_DRAWS):
             whole = self.fixed | {
                 name: self._inside(name, value * rng.uniform(0.5, 2.0)) for name, value in self.begin.items()
             }
@@ -310,7 +310,7 @@ class StartSearch:
                 first, other = (self.law.curve.gradient(self.near.speeds, at, group) for at in (whole, moved))
             except InputError:
                 return True
-            if np.any(np.abs(first - other) > SAME * np.max(np.abs(first))):
+            if np.any(np.abs(first - other) > DERIVATIVE_ROUNDING * np.max(np.abs(first))):
                 return True
         return False
 
@@ -373,7 +373,7 @@ class StartSearch:
             left = self._left(start.values)
             if left is not None and all(np.sum((left - other) ** 2) > SAME_VALLEY * start.misfit for _, other in kept):
                 kept.append((start, left))
-            if len(kept) == IMPROVED:
+            if len(kept) == BEST_TRIALS:
                 break
         return [start for start, _ in kept]
 
@@ -384,7 +384,7 @@ class StartSearch:
         names = self.law.free
         low, high = np.array([self.law.limits(name) for name in names]).T
         begin = np.array([start.values[name] for name in names])
-        size = np.maximum(np.abs(begin), [SAME * self.sizes[name] for name in names])
+        size = np.maximum(np.abs(begin), [DERIVATIVE_ROUNDING * self.sizes[name] for name in names])
         bounds = (low / size, high / size)
 
         def values(z: Array) -> dict[str, float]:
@@ -392,7 +392,7 @@ class StartSearch:
 
         def residual(z: Array) -> Array:
             left = self._left(values(z))
-            return np.full(self.near.aim.size, FAR) if left is None else left
+            return np.full(self.near.aim.size, REFUSED_RESIDUAL) if left is None else left
 
         def slopes(z: Array) -> Array:
             try:

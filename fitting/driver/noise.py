@@ -13,22 +13,23 @@ from fitting.model.parameters import PerCycle
 from fitting.model.windows import ShootingWindows
 
 DEFAULT_FADE_SD = 0.005  # a slip: what a friction level may fade by where a run has too few cycles to show wear
-LEAST_FADE_SD = 5e-7  # a slip
+LEAST_FADE_SD = 5e-7  # least of that, a slip
 INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
 # In the last pass an outlier's weight is this power of weight/`INLIER_WEIGHT` times as large, and at least that share.
 OUTLIER_POWER, LEAST_OUTLIER_SHARE = 3, 0.02
-OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
-# Times the levels' scatter, for one under which the mass overtakes the belt: it is low for that reason, and it is the
-# next cycle's as well.  With 20 it counts in the mean by 1 in 400; unbounded, a search that leaves the overtaking
+OUTLIER_LEVEL_SD = 10.0  # standard deviation of the log level of an outlier cycle, so that it has no weight in the mean
+# Scatter over that of the levels, for one under which the mass overtakes the belt: it is low for that reason, and it is
+# the next cycle's as well.  With 20 it counts in the mean by 1 in 400; unbounded, a search that leaves the overtaking
 # loses it.
 OVERTAKING_FACTOR = 20.0
-STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
+STICK_SPEED_SD = 0.05  # error over the belt's speed: how well smoothing knows the speed in the middle of a stick
 # Of the logarithms of the friction levels: their standard deviation before a fit has seen them, and within what limits
 # one that was seen is believed.  At half the lower limit a record of few cycles holds its levels together; at twice the
 # upper one a level runs off where its slip shows next to none.
 FIRST_SCATTER, LEAST_SCATTER, MOST_SCATTER = 0.1, 0.01, 0.5
-COUNTED_WEIGHT = 0.5  # of a cycle in the noise; its error is at most 1.7 times the median, twice that lets kicks in
-START_SD = 0.1  # of the travel: how far a window may start from the smoothed motion
+# Weight of a cycle in the noise; its error is at most 1.7 times the median, twice that lets kicks in.
+COUNTED_WEIGHT = 0.5
+START_SD = 0.1  # distance over the travel: how far a window may start from the smoothed motion
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ from fitting.driver.task import FitStart
 from fitting.least_squares import levenberg_marquardt
 from fitting.model.starts import cycle_starts
 
-LEFT_BY_OVERTAKING = 0.5  # of a spoilt cycle's mean square beyond the usual one: less is left where the mass overtakes
+# Share of a spoilt cycle's mean square beyond the usual one: less is left where the mass overtakes.
+LEFT_BY_OVERTAKING = 0.5
 
 
 def find_overtaking(at: TaskFit) -> Mask:

@@ -46,18 +46,19 @@ FIRST_NOISE = 30.0
 SEARCH = Limits(12, 1e-3, 1e-3)
 AT_START = Limits(0, 1e-3, 1e-3)  # no step at all
 WHOLE = Limits(30, 1e-5, np.inf)  # of every sample: at half, a level that fades is not at its end
-MOST_PASSES = 4  # after the first; the noise of a true law stays after two
-SETTLED = 0.8  # of the noise assumed: a pass that shows no less was the last.  At 0.9 each law takes one pass more
-APPROACH = 4.0  # by which the noise assumed falls from pass to pass, where it is known
+MOST_PASSES = 4  # passes after the first; the noise of a true law stays after two
+# Noise shown over the noise assumed: a pass that shows no less was the last.  At 0.9 each law takes one pass more.
+NOISE_SETTLED = 0.8
+NOISE_CUT = 4.0  # factor by which the noise assumed falls from pass to pass, where it is known
 FIRST_DAMPING, LATER_DAMPING = 1e-4, 1e-6  # of the curvatures: far from the end, and near it
 CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the own unknowns of outlying cycles
 # Least gain in log likelihood of a ramp's break-away level of its own: of one that is estimated, and, by the first step
 # on the thinned record, of one that is tried.  One contact in three without one has the second.
 STATIC_GAIN, STATIC_HINT = 5.0, 0.5
-# Of the level of slip: where that of the break-away starts, one after the other.  The first reaches every level of a
+# Starts of the break-away level over that of slip, one after the other.  The first reaches every level of a
 # ramp that is nearly straight; where friction falls steeply one of 1.3 is reached from 1.5 or from 2 alone.
 STATIC_STARTS = (1.1, 1.5, 2.0)
-CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
+CYCLE_GAIN = 0.99  # cost over that of a cycle before: another start of its own unknowns led to another minimum
 # Of forces along an earlier path: how often the path is followed before a pass, the passes in which they settle, the
 # most steps of each, and the change of their size at which they have.
 FOLLOWED, FORCE_PASSES, FORCE_STEPS, FORCE_SETTLED = 4, 6, 8, 1e-3
@@ -133,9 +134,9 @@ def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
             return None
         before, at = at, _with_noise(found, first=False)
         if noise_m is not None:
-            nearer = np.maximum(np.minimum(at.noise.sigma, before.noise.sigma / APPROACH), noise_m)
+            nearer = np.maximum(np.minimum(at.noise.sigma, before.noise.sigma / NOISE_CUT), noise_m)
             at = replace(at, noise=replace(at.noise, sigma=nearer))
-        same = bool(np.all(at.noise.sigma > SETTLED * before.noise.sigma))
+        same = bool(np.all(at.noise.sigma > NOISE_SETTLED * before.noise.sigma))
         if same and at.solution.outcome == "converged":
             break
     return replace(at, cpu_s=spent + clock.process_time() - begun)

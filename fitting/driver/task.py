@@ -21,7 +21,7 @@ FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot
 # Weight of a second difference of a regressed curve's coefficients, over that of a typical slip sample times the root
 # of their number: at half the curve follows the smoothing's noise at low speed, at twice it begins to lose its bend.
 SMOOTHNESS = 0.03
-LOW_SPEED = 0.06  # of the last knot: regressed slips show little below
+LOW_SPEED = 0.06  # speed over the last knot's: regressed slips show little below
 OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a curve of its own has no use for
 
 
@@ -178,16 +178,3 @@ def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -
         low = max(3, int(np.sum(knots < LOW_SPEED * knots[-1])) + 1)
         coefficients[:low] = np.linspace(float(np.median(loads)), coefficients[low], low, endpoint=False)
     return K, coefficients
-
-
-def curve_task(runs: Sequence[Run], forces: Sequence[Force] = (), *, ramp: bool = False) -> Task:
-    """Return the task of the free curve, which starts from the regression."""
-    problem = EstimationProblem.build(6 if ramp else 5, runs)
-    start = problem.start.copy()
-    d = float(start[Global.D]) if ramp else 0.0
-    knots = curve_knots(runs, d)
-    coefficients = np.full(knots.size + 2, math.exp(start[Global.LOG_F]))
-    regressed = regressed_curve(runs, start, knots, d)
-    if regressed is not None:  # else the law's regression, which says something of any record
-        start[Global.K :: PER_RUN], coefficients = regressed
-    return replace(free_curve_task(problem, knots, start, coefficients), forces=tuple(forces))

@@ -19,9 +19,9 @@ from fitting.model.windows import ShootingWindows
 
 # Times in slips (`MeasuredMotion.slip_s`).
 SEARCH_RANGE, SEARCH_STEP = 0.3, 2e-4  # about the smoothed break-away
-AFTER = 0.1  # of the slip that the break-away is judged by
-ROUNDS, TRIALS = 3, 21  # of the search: each round looks closer, about the best trial before
-POOR_CYCLE = 3.0  # times the usual error of a cycle: a larger one means that something else happened in it
+JUDGED_SLIP = 0.1  # length of the slip that the break-away is judged by
+SEARCH_ROUNDS, TRIALS = 3, 21  # rounds and trials of the search: each round looks closer, about the best trial before
+POOR_CYCLE = 3.0  # error over a cycle's usual one: a larger one means that something else happened in it
 
 
 def find_break_aways(fit: FittedLaw, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
@@ -59,7 +59,7 @@ def _break_aways(fit: FittedLaw, motion: MeasuredMotion) -> tuple[Array, Array]:
     latest = np.array([float(motion.time[cycle.slip[0]]) for cycle in fit.cycles])
     low, high = earliest, np.maximum(latest, earliest)
     best = earliest
-    for _ in range(ROUNDS):
+    for _ in range(SEARCH_ROUNDS):
         trials = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, TRIALS)
         best = trials[np.arange(count), np.argmin(_misfit(fit, motion, trials), axis=1)]
         step = (high - low) / (TRIALS - 1)
@@ -117,7 +117,7 @@ def _misfit(fit: FittedLaw, motion: MeasuredMotion, trials: Array) -> Array:
     total = 0
     for k, cycle in enumerate(fit.cycles):
         first = int(np.searchsorted(motion.time, trials[k].min() - BEFORE_BREAK_AWAY * motion.slip_s))
-        last = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + AFTER * motion.slip_s))
+        last = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + JUDGED_SLIP * motion.slip_s))
         starts = zip(trials[k], _in_stick(fit, motion, k, trials[k]), _edge_speed(fit, trials[k]), strict=True)
         for j, (begin, x, edge) in enumerate(starts):
             after = max(first, int(np.searchsorted(motion.time, begin, side="right")))

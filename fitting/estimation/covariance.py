@@ -24,13 +24,13 @@ from fitting.estimation.fitted_law import FittedLaw
 from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, normal_equations, scaled_inverse
 from fitting.model.parameters import PerCycle
 
-# Times the variance that the fit assumes of a cycle's residuals: what they may have, since a correlation time from one
+# Variance of a cycle's residuals over what the fit assumes, at the most, since a correlation time from one
 # window is uncertain.  With 4 the error of the belt's speed from a drag on a rippling belt would be too small by 2.
-ALLOWED = 2.0
-# Standard errors of a mean square by which the levels must scatter more than their errors to inform anything.  With 20
+LARGEST_VARIANCE = 2.0
+# Scatter of the levels beyond their errors, in standard errors of a mean square, from which they inform.  With 20
 # cycles that is a scatter as large as the errors, which noise alone shows once in 150 contacts; with half of it once in
 # 13, with twice of it the scatter must be 1.4 times the errors.
-SEEN = 3.0
+SCATTER_ERRORS = 3.0
 
 
 def without_level_errors(fit: Fit) -> Fit:
@@ -64,7 +64,7 @@ def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
     """Return the mean square of a cycle's unknown beyond what its errors make likely, and their squares (cycles,)."""
     own = fit.inlier_cycles
     error = np.asarray(np.linalg.inv(fit.solution.blocks.Hl)[:, column, column])
-    likely = float(np.mean(error[own])) * (1 + SEEN * math.sqrt(2 / own.sum()))
+    likely = float(np.mean(error[own])) * (1 + SCATTER_ERRORS * math.sqrt(2 / own.sum()))
     return max(float(np.mean(fit.local[own, column] ** 2)) - likely, 0.0), error
 
 
@@ -127,7 +127,7 @@ def _founded(fit: FittedLaw) -> Array:
     for cycle, _, first, size, *_ in fit.windows.table:  # a drag is a window of the first cycle
         part = fit.residual[first : first + size]
         own[cycle] = max(own[cycle], float(np.mean(part**2)) * autocorrelation_time([part]))
-    return np.asarray(np.minimum(ALLOWED * assumed / own, 1.0))
+    return np.asarray(np.minimum(LARGEST_VARIANCE * assumed / own, 1.0))
 
 
 def _excess(fit: FittedLaw) -> Array:

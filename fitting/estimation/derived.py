@@ -22,9 +22,9 @@ from fitting.model.problem import datum_calibration
 from fitting.model.wear import Wear
 from rig_sim.friction.law import LAWS
 
-# Of a default's variance: where more is left of it after the fit, the default still decides, and what depends on it is
+# Share of a default's variance left after the fit: with more the default still decides, and what depends on it is
 # not given.  Chosen by trial; not swept.
-UNDETERMINED = 0.01
+DEFAULT_LEFT = 0.01
 
 
 class Derived(NamedTuple):
@@ -233,7 +233,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
     undetermined = {
         slot
         for slot, share in zip(active, left, strict=True)
-        if default.get(slot) and not held[slot] and share > UNDETERMINED
+        if default.get(slot) and not held[slot] and share > DEFAULT_LEFT
     }
     if default[Global.DATUM] and law.curve == "constant":
         undetermined.add(Global.DATUM)

@@ -19,7 +19,7 @@ from fitting.driver.fit import TaskFit
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import scaled_inverse
 
-UNSEEN = 1e-6  # of its weight: what is left to a cycle that does not count, so that its own unknowns stay determined
+WEIGHT_LEFT = 1e-6  # share of its weight left to a cycle that does not count: its own unknowns stay determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +224,7 @@ class LinearisedFit:
 
         As it was where that raises the cost of the others: there the derivatives do not hold.
         """
-        others = replace(self, weights=np.where(spoilt, UNSEEN * self.weights, self.weights))
+        others = replace(self, weights=np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights))
         step, own = others.step()
         out = self.residual[:, None].copy()
         self._add(np.broadcast_to(step[:, None], (len(self.rows), step.size, 1)), own[:, :, None], out)

@@ -12,16 +12,17 @@ from fitting.forces.fitted_motion import FittedMotion
 from fitting.sensitivity.path import NO_DRAG
 from fitting.sensitivity.rates import Drag
 
-# Of the largest velocity: where a drag jumps at rest.  Without the drag in the motion a sample's change of velocity is
-# 1 %, so a narrower turn is none that a step sees; ten times as wide, the kink by which a guide is recognised is lost.
-TURN = 0.005
+# Velocity, over the largest, within which a drag may jump at rest.  Without the drag in the motion a sample's change of
+# velocity is 1 %, so a narrower turn is none that a step sees; ten times as wide, the kink by which a guide is
+# recognised is lost.
+TURN_IN_COLUMN = 0.005
 # The same where the motion is followed with the drag, in steps as short as the turn.  At 0.005 the friction of a strong
 # guide comes out 0.6 % too large.
-SHARP = 0.0005
+TURN_IN_MOTION = 0.0005
 # A drag's table: up to how far, of the largest velocity; how close its rows are about rest; how many they are.  They
-# are a fifteenth of `SHARP` apart there, and 0.03 at that velocity, where a square errs by 2e-4; half as many rows err
-# by four times as much.
-BEYOND, CLOSER, ROWS = 1.5, 8.0, 801
+# are a fifteenth of `TURN_IN_MOTION` apart there, and 0.03 at that velocity, where a square errs by 2e-4; half as many
+# rows err by four times as much.
+TABLE_REACH, TABLE_CONTRAST, TABLE_ROWS = 1.5, 8.0, 801
 
 
 class Forcing(NamedTuple):
@@ -93,8 +94,13 @@ class Departure:
         """Return the force of a unit by velocity, of motions about as fast as ``fastest``, m/s; empty without one."""
         if self.drag is None:
             return NO_DRAG
-        velocity = fastest * BEYOND * np.sinh(CLOSER * np.linspace(-1.0, 1.0, ROWS)) / math.sinh(CLOSER)
-        turn = SHARP * fastest
+        velocity = (
+            fastest
+            * TABLE_REACH
+            * np.sinh(TABLE_CONTRAST * np.linspace(-1.0, 1.0, TABLE_ROWS))
+            / math.sinh(TABLE_CONTRAST)
+        )
+        turn = TURN_IN_MOTION * fastest
         return Drag(velocity, self.drag(velocity, turn), turn)
 
 
@@ -102,7 +108,7 @@ def by_velocity(drag: Callable[[Array, float], Array]) -> Callable[[FittedMotion
     """Return the forcing of a departure that is a force by the mass's own velocity alone."""
 
     def forcing(trajectory: FittedMotion, _: float) -> Forcing:
-        turn = TURN * float(np.max(np.abs(trajectory.velocity)))
+        turn = TURN_IN_COLUMN * float(np.max(np.abs(trajectory.velocity)))
         return Forcing(acceleration=drag(trajectory.velocity, turn)[:, np.newaxis])
 
     return forcing

@@ -70,14 +70,14 @@ class FittedMotion:
         cls, path: Path, records: Sequence[MeasuredMotion], residual: Array, revolution: float | None = None
     ) -> "FittedMotion":
         """Read a path along the windows of ``records``, with ``residual`` (N,) at its samples."""
-        runs = [parameters.values(own) for own in path.u.reshape(-1, PER_RUN)]
+        runs = [parameters.values(of_run) for of_run in path.u.reshape(-1, PER_RUN)]
         belt, speed, middle = np.empty((3, path.time.size))
         for number, (p, record) in enumerate(zip(runs, records, strict=True)):
-            own = path.run == number
-            time = path.time[own]
+            of_run = path.run == number
+            time = path.time[of_run]
             position, velocity, _ = Ripple(p.cosine, p.sine, p.omega).belt_motion(time)
-            belt[own], speed[own] = p.v_dr * time + position, p.v_dr + velocity
-            middle[own] = 0.5 * (record.time[0] + record.time[-1])
+            belt[of_run], speed[of_run] = p.v_dr * time + position, p.v_dr + velocity
+            middle[of_run] = 0.5 * (record.time[0] + record.time[-1])
         return cls(
             time=path.time,
             position=path.position,
@@ -121,4 +121,4 @@ class FittedMotion:
     @property
     def belt_way(self) -> float:
         """Way of the belt in the longest run, m."""
-        return max(float(np.ptp(self.belt_position[own])) for own in self.rows_of_runs)
+        return max(float(np.ptp(self.belt_position[run])) for run in self.rows_of_runs)

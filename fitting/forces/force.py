@@ -9,8 +9,9 @@ from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, Forcing
 from fitting.forces.fitted_motion import FittedMotion
 
-SCALE_STEP = 1e-4  # relative: derivative by the scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path
-SCALE_RANGE = 0.15  # relative: how far a scale may move from where the scan found it
+# Relative step of the derivative by a scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path.
+SCALE_STEP = 1e-4
+SCALE_RANGE = 0.15  # relative range of a scale: how far a scale may move from where the scan found it
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ import math
 
 from daq.base.compute.arrays import Array, Integers
 
-LEAST_PIVOT = 1e-14  # of a unit diagonal, where rounding alone leaves about 1e-16 times the size
-MOST_SWEEPS = 40  # of Jacobi rotations; matrices of 12 rows take 6 to 9
+LEAST_PIVOT = 1e-14  # least pivot over a unit diagonal, where rounding alone leaves about 1e-16 times the size
+MOST_SWEEPS = 40  # sweeps of Jacobi rotations; matrices of 12 rows take 6 to 9
 TINY = 1e-200  # least curvature: its inverse stays a number
 
 

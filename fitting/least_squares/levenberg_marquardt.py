@@ -20,7 +20,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import (
-    HOLD,
+    HELD_CURVATURE,
     NormalEquations,
     SchurComplement,
     eigen,
@@ -32,14 +32,15 @@ from fitting.least_squares.problem import LeastSquaresProblem, cost, cost_by_cyc
 # Chosen by trial on the runs of docs/identification.md, not swept.  The objective does not depend on them.
 FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # of the curvatures; factors after a step taken, refused
 CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
-PROBE_STEP = 0.1  # of the step: where the second derivative along it is measured
+PROBE_STEP = 0.1  # share of the step: where the second derivative along it is measured
 LARGEST_DAMPING, LEAST_DAMPING = 1e10, 1e-12
-LEAST_CHANGE = 1e-12  # of the cost: less is rounding
-# Of the rise of the cost in all cycles where a step fails: a cycle with more is fitted anew.  0.03 does the same.
+LEAST_CHANGE = 1e-12  # change over the cost: less is rounding
+# Share of the rise of the cost where a step fails: a cycle with more is fitted anew.  0.03 does the same.
 FAILED_SHARE = 0.1
 ANEW: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": 1e-6}  # three or five steps gain no more
-ROUNDED = 1e-13  # of the largest eigenvalue: weaker directions are rounding; not swept
-LARGEST_ACCELERATION = 0.75  # of the step: twice the acceleration may be as long, else the step is too long for it
+ROUNDED = 1e-13  # eigenvalue over the largest: weaker directions are rounding; not swept
+# Length over the step: twice the acceleration may be as long, else the step is too long for it.
+LARGEST_ACCELERATION = 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +185,7 @@ def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None
         return None
     with np.errstate(over="ignore", invalid="ignore"):  # derivatives too large for a number are none
         blocks = normal_equations(problem, u, local, *found)
-        largest = HOLD * (np.abs(np.diag(blocks.H)).sum() + np.abs(np.einsum("cii->c", blocks.Hl)).sum())
+        largest = HELD_CURVATURE * (np.abs(np.diag(blocks.H)).sum() + np.abs(np.einsum("cii->c", blocks.Hl)).sum())
     if not largest < math.inf:
         return None
     return Point(u, local, *found, cost(problem, u, local, found[0]), blocks)

@@ -10,8 +10,8 @@ from daq.base.compute.compile import compiled
 from fitting.least_squares import elimination
 from fitting.least_squares.problem import LeastSquaresProblem
 
-HOLD = 1e12  # times its curvature: an unknown that does not move
-ROUNDING = 1e-14  # of a curvature: as little left of it after elimination is rounding; sums of 1e4 terms err by less
+HELD_CURVATURE = 1e12  # curvature over its own, of an unknown that does not move
+ROUNDING = 1e-14  # what elimination leaves of a curvature, over it: as little is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class SchurComplement:
     def __init__(self, blocks: NormalEquations, damping: float = 0.0, held: Mask | None = None) -> None:
         c, q = blocks.gl.shape
         p = blocks.g.size
-        raised = damping if held is None else np.where(held, HOLD, damping)
+        raised = damping if held is None else np.where(held, HELD_CURVATURE, damping)
         Hl = blocks.Hl + (raised * np.einsum("cii->ci", blocks.Hl))[:, :, None] * np.eye(q)
         self._cross = blocks.cross
         self._inverse, self._spread = np.empty((c, q, q)), np.empty((c, q, p))

@@ -18,22 +18,25 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import LAWS
 
-COARSE = 62.5  # samples a slip: residuals are correlated over many samples, and the search runs on a thinned record
-DEFAULT_DAMPING_SD = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
-LEAST_LINEAR_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
-RIPPLE_AMPLITUDE_SD = 0.2  # of its amplitude: how well the sticks show it
-RIPPLE_FREQUENCY_SD = 0.1  # of a turn over the time in which it was seen: further off lie other minima
+# Samples a slip of a thinned record, on which searches and scans run, as residuals are correlated over many samples: at
+# half as many the shortest wavelengths blur, twice as many take twice the time.
+COARSE_SAMPLES = 62.5
+DEFAULT_DAMPING_SD = 0.01  # standard deviation of the damping over the critical one, when no ring-down was recorded
+LEAST_LINEAR_FRICTION = 0.97  # fall of the linear curve at the fastest slip, over the level, at the most
+RIPPLE_AMPLITUDE_SD = 0.2  # error over the amplitude: how well the sticks show it
+RIPPLE_FREQUENCY_SD = 0.1  # turns in the time in which it was seen: further off lie other minima
 LARGEST_LOG_DROP = 30.0  # log: so far below its first value friction is none, and its exponential still a number
 LARGEST_STATIC = 5.0  # break-away level over Fs: dry contacts have 1 to 2
-# Of the levels' own scatter, without a datum: their prior would otherwise pull at the datum, as the larger Fs is, the
-# less the levels scatter relative to it.  On camera tracks under 1 mm of noise d of law 4 is 1 to 2 standard errors too
-# large; twice the limit halves that, but there, as at 25, some of a ramp's levels run off to another minimum.
+# Scatter of the levels' prior over their own, without a datum: the prior would otherwise pull at the datum, as the
+# larger Fs is, the less the levels scatter relative to it.  On camera tracks under 1 mm of noise d of law 4 is 1 to 2
+# standard errors too large; twice the limit halves that, but there, as at 25, some of a ramp's levels run off to
+# another minimum.
 LOOSE_LEVELS = 5.0
-FIRST_RAMP = 1e-4  # of the belt's speed: where a ramp law starts from its jump law
-NARROWEST_RAMP = 1e-6  # of the belt's speed: no fit makes a ramp narrower
+FIRST_RAMP = 1e-4  # width over the belt's speed where a ramp law starts from its jump law
+NARROWEST_RAMP = 1e-6  # width over the belt's speed: no fit makes a ramp narrower
 
 
-EXACT = 1e-6  # of an unknown's size: standard deviation of one that is held
+HELD_SD = 1e-6  # standard deviation of an unknown that is held, over its size
 
 
 class GivenUnknown(NamedTuple):
@@ -150,7 +153,7 @@ class EstimationProblem:
                 first = start[at] if given.start is None else given.start
                 if given.low == given.high:
                     lower[at] = upper[at] = first = prior[at] = given.low
-                    precision[at] = (EXACT * sizes[given.slot]) ** -2.0
+                    precision[at] = (HELD_SD * sizes[given.slot]) ** -2.0
                 start[at] = min(max(first, lower[at]), upper[at])
         return replace(self, start=start, lower=lower, upper=upper, prior=prior, precision=precision)
 
@@ -198,7 +201,7 @@ class EstimationProblem:
         return np.where(self.held, self.start, start)
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
-        """Return the windows of all runs, of every sample or thinned to `COARSE` a slip."""
+        """Return the windows of all runs, of every sample or thinned to `COARSE_SAMPLES` a slip."""
         return ShootingWindows.join(
             [
                 ShootingWindows.from_cycles(run.motion, run.cut.used, coarse_stride(run.motion) if thinned else 1)
@@ -249,8 +252,8 @@ def _regressed(
 
 
 def coarse_stride(motion: MeasuredMotion) -> int:
-    """Return every how many samples one is left of a record thinned to `COARSE` a slip."""
-    return max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE))
+    """Return every how many samples one is left of a record thinned to `COARSE_SAMPLES` a slip."""
+    return max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE_SAMPLES))
 
 
 def level_prior(motions: Sequence[MeasuredMotion]) -> float:

@@ -21,12 +21,12 @@ from fitting.model.parameters import PER_RUN, Global, PerCycle, Values
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, magnitude
 
-LOOSE = 0.05  # of the travel: a rest position with a larger error is also fitted
-NO_REVERSAL = 0.8  # a linear curve starts with friction left at the fastest slip
-LEAST_SHAPE = 1e-3  # of one over the fastest slip: next to a constant
-BREAK_AWAY_MARGIN = 0.1  # of the travel: how far beyond the observed break-aways the level at rest may lie
-OVERTAKING_LEVEL = 0.9  # of the load at landing: the friction level where the mass overtakes the belt
-LEAST_LEVEL = 0.2  # of Fs: of that
+LOOSE_REST = 0.05  # error of a rest position over the travel: with a larger one it is also fitted
+STEEPEST_LINE = 0.8  # fall over the level: a linear curve starts with friction left at the fastest slip
+LEAST_SHAPE = 1e-3  # shape times the fastest slip: next to a constant
+BREAK_AWAY_MARGIN = 0.1  # how far beyond the observed break-aways the level at rest may lie, over the travel
+OVERTAKING_LEVEL = 0.9  # level over the load at landing: the friction level where the mass overtakes the belt
+LEAST_LEVEL = 0.2  # least of that level, over Fs
 STICK_SLOPE = 0.12  # slips: shortest stretch of stick whose slope is worth a fit
 
 
@@ -119,7 +119,7 @@ def regress_start(
     """
     samples = slip_samples(motion, cut)
     level, slope = stick_velocity_line(motion, cut)
-    loose = datum.sd > LOOSE * motion.travel
+    loose = datum.sd > LOOSE_REST * motion.travel
     besides, while_stuck = np.empty((samples.x.size, 0)), np.empty(0)
     if drag is not None:
         besides = drag(motion.belt_speed - samples.s)[:, np.newaxis]
@@ -174,7 +174,7 @@ def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float
     if curve == LINEAR:
         slope = (near - far) / (s[1] - s[0])
         level = near + slope * s[0]
-        return float(level), float(min(slope / level, NO_REVERSAL / fastest))
+        return float(level), float(min(slope / level, STEEPEST_LINE / fastest))
     gamma = (near - far) / max(far * s[1] - near * s[0], 1e-2 * near * s[0])
     return float(near * (1 + gamma * s[0])), float(gamma)
 
@@ -232,7 +232,7 @@ def _curve(
     shape, shift = 0.0, 0.0
     if curve == LINEAR:
         (K, F, G, *_), _ = _solve(np.c_[-x, one, -s, besides], a)
-        shape = float(np.clip(G / F if F > 0 else np.inf, 1e-3 / v_dr, NO_REVERSAL / float(s.max())))
+        shape = float(np.clip(G / F if F > 0 else np.inf, 1e-3 / v_dr, STEEPEST_LINE / float(s.max())))
         (K, F, *size), _ = _solve(np.c_[-x, 1 - shape * s, besides], a)
     elif curve == HYPERBOLIC:
         best = np.inf

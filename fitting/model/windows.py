@@ -16,7 +16,7 @@ from fitting.model.parameters import PER_CYCLE, PER_RUN, PerCycle
 # Mean square of a cycle over the usual one of its run, above which it is spoilt.  Noise alone gives up to 1.2; a joint
 # that steps by 10 mm/s gives 3 to 20.  At 3 slips that were struck lightly still pulled true laws to p = 1e-8.
 SPOILT = 1.5
-BESIDE_BELT = 0.9995  # of the belt's speed: the fastest start of a slip window
+BESIDE_BELT = 0.9995  # speed over the belt's: the fastest start of a slip window
 
 
 @dataclass(frozen=True, eq=False)

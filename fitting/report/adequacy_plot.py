@@ -13,42 +13,42 @@ from fitting.report.chart import SMALL, Axes, legend_rows, picture, text_width
 from fitting.report.motion_plot import BROAD, PALE, fitted_motion, measured_motion, typical_cycle
 from fitting.report.scale import AxisScale
 from fitting.report.symbols import pretty
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 
 HALF, BESIDE = 560.0, 18.0  # px: of the picture of orbits, and for the name of its ordinate
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 
 
-def by_law(ranking: Ranking) -> list[LawResult]:
+def by_law(ranking: RankedLaws) -> list[LawResult]:
     """Return the rows in the order of their laws: the six by number, then formulas, best first."""
     return sorted(ranking.rows, key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
 
 
-def colours_of(ranking: Ranking) -> dict[int | str, str]:
+def colours_of(ranking: RankedLaws) -> dict[int | str, str]:
     """Return the colour of each law, the same in every picture."""
     return law_colours(row.law for row in ranking.rows)
 
 
-def measured_curve(ranking: Ranking) -> str:
+def measured_curve(ranking: RankedLaws) -> str:
     """Draw friction against relative speed: the measured curve with its band, the laws behind it, and a zoom near 0.
 
     Each law has its own dashes; those of the set are heavier.  Where the record hardly determines the level of
     friction, the laws are drawn at the level of the measured curve.
     """
-    found = ranking.adequacy.curve
-    if found is None:
+    curve = ranking.adequacy.curve
+    if curve is None:
         raise ValueError("no curve was measured")
     height, drawn, colours, dashes = 320.0, [], colours_of(ranking), law_dashes(row.law for row in ranking.rows)
-    lo, hi, band = found.lo, found.hi, f"{100 * found.confidence:g} % band"
+    lo, hi, band = curve.lo, curve.hi, f"{100 * curve.confidence:g} % band"
     label = "measured, without a law"
-    if not found.level_known:  # the band of every level would hide the shape
-        lo, hi, band = found.friction - found.shape_half, found.friction + found.shape_half, f"{band} of the shape"
+    if not curve.level_known:  # the band of every level would hide the shape
+        lo, hi, band = curve.friction - curve.shape_half, curve.friction + curve.shape_half, f"{band} of the shape"
         label += ", level not determined"
     rows = max(2, legend_rows([*(row.label for row in ranking.rows), band, label], WIDE / 2))
-    for place, reach in enumerate((float(found.speed[-1]), ZOOM * float(found.speed[-1]))):
-        seen = found.speed <= 1.02 * reach
-        own = seen if seen.sum() > 2 else np.ones_like(seen)
-        low, high = float(lo[own].min()), float(hi[own].max())
+    for place, reach in enumerate((float(curve.speed[-1]), ZOOM * float(curve.speed[-1]))):
+        seen = curve.speed <= 1.02 * reach
+        shown = seen if seen.sum() > 2 else np.ones_like(seen)
+        low, high = float(lo[shown].min()), float(hi[shown].max())
         tall = AxisScale(low - 0.25 * (high - low), high + 0.35 * (high - low))
         axes = Axes(place * WIDE / 2, 0, WIDE / 2, height, AxisScale(0.0, 1.02 * reach), tall, rows=rows)
         axes.title = "low speeds" if place else "all speeds"
@@ -56,19 +56,19 @@ def measured_curve(ranking: Ranking) -> str:
         grid = np.linspace(0.0, 1.02 * reach, 400)
         for row in by_law(ranking):
             force = np.abs(curves.curve(row.fit, ranking.motion, -grid))
-            if not found.level_known:
-                at = np.abs(curves.curve(row.fit, ranking.motion, -found.speed))
-                force = force + np.mean(found.friction - at)
+            if not curve.level_known:
+                at = np.abs(curves.curve(row.fit, ranking.motion, -curve.speed))
+                force = force + np.mean(curve.friction - at)
             width = 1.8 if row.in_set else 1.0
             axes.line(grid, force, colours[row.law], width=width, dash=dashes[row.law], label=row.label)
-        axes.band(found.speed, lo, hi, INK, opacity=0.22, label=band)
-        axes.line(found.speed, found.friction, INK, width=1.8, label=label)
+        axes.band(curve.speed, lo, hi, INK, opacity=0.22, label=band)
+        axes.line(curve.speed, curve.friction, INK, width=1.8, label=label)
         drawn.append(axes)
     about = "Friction against relative speed: measured without a law, with its band, and the curves of the fitted laws."
     return picture("measured-curve", WIDE, height, drawn, about)
 
 
-def orbits(ranking: Ranking) -> str:
+def orbits(ranking: RankedLaws) -> str:
     """Draw the phase portrait once a law: one cycle of each run as measured, and over it the law, with its error.
 
     It is the cycle in the middle of all by the best law's error.
@@ -86,7 +86,7 @@ def orbits(ranking: Ranking) -> str:
         ]
         for row in rows
     ]
-    x, v = (np.concatenate(own) for own in zip(*measured, *itertools.chain(*fitted), strict=True))
+    x, v = (np.concatenate(parts) for parts in zip(*measured, *itertools.chain(*fitted), strict=True))
     both, width, height = (AxisScale.around(x), AxisScale.around(v)), (HALF - BESIDE) / 3, 172.0
     drawn = []
     for place, row in enumerate(rows):
@@ -106,16 +106,16 @@ def orbits(ranking: Ranking) -> str:
 
 def departures(adequacy: Adequacy) -> str:
     """Draw the departures as bars, in standard deviations."""
-    found = adequacy.departures[::-1]
-    names = tuple(one.name for one in found)
-    sigmas = np.array([one.sigmas for one in found])
-    height = 52.0 + 26 * len(found)
+    shown = adequacy.departures[::-1]
+    names = tuple(one.name for one in shown)
+    sigmas = np.array([one.sigmas for one in shown])
+    height = 52.0 + 26 * len(shown)
     axes = Axes(
-        0, 0, NARROW, height, AxisScale(0.0, 1.2 * float(sigmas.max())), AxisScale(-0.6, len(found) - 0.4, names=names)
+        0, 0, NARROW, height, AxisScale(0.0, 1.2 * float(sigmas.max())), AxisScale(-0.6, len(shown) - 0.4, names=names)
     )
     axes.rows, axes.margin = 0, 14.0 + max(text_width(name, SMALL) for name in names)
     axes.xlabel = "standard deviations (share of the misfit explained)"
-    for place, one in enumerate(found):
+    for place, one in enumerate(shown):
         edge = np.array([place - 0.3, place + 0.3])
         axes.band(np.array([0.0, one.sigmas]), edge[[0, 0]], edge[[1, 1]], COLOURS[2], opacity=0.8)
         axes.text(one.sigmas, place, f"{100 * one.explained:.0f} %")

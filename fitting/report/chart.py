@@ -6,13 +6,14 @@ By matplotlib the ten pictures of a report took 4 s of CPU time (docs/decisions/
 import base64
 import html
 import math
+import struct
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from fitting.report.cloud import along, dots, png
 from fitting.report.scale import AxisScale
 
 FONT, SMALL = 11.0, 10.0  # sizes, px
@@ -20,9 +21,10 @@ THIN, BROAD = frozenset(" !'()*,-./:;I[]fijlrt|"), frozenset("%MWmw")
 WIDTHS = 0.39, 0.63, 0.93  # of thin, other and broad characters over their size, in the broadest usual font (DejaVu)
 LEFT, RIGHT, BOTTOM = 54.0, 8.0, 38.0  # px beside the axes: tick labels
 TITLE, ROW, CLOSE = 19.0, 15.0, 4.0  # px above them: title, a row of the legend, nothing
-GRID, FRAME, QUIET = "#e3e3e3", "#444444", "#6b6b70"
+GRID, FRAME = "#e3e3e3", "#444444"
 DENSITY, FINER = 2, 2  # image pixels per px; points drawn per image pixel, whose mean smooths the edges
 FAR = 4.0  # fields beyond the edge: there longer numbers help nobody
+OPACITIES = 16  # steps of the opacity of an image
 MOST_TICKS, PX_PER_TICK = 6, (62.0, 34.0)  # along x and y
 
 
@@ -72,11 +74,8 @@ class Axes:
 
     def _at(self, x: Array, y: Array) -> tuple[Array, Array]:
         left, top, right, bottom = self.frame
-        far = 4.0  # fields away: longer numbers help nobody
-        px, py = (
-            np.clip(self.x.place(np.asarray(x, float)), -far, far),
-            np.clip(self.y.place(np.asarray(y, float)), -far, far),
-        )
+        px = np.clip(self.x.place(np.asarray(x, float)), -FAR, FAR)
+        py = np.clip(self.y.place(np.asarray(y, float)), -FAR, FAR)
         return left + (right - left) * px, bottom - (bottom - top) * py
 
     def key(self, label: str, colour: str, dash: str = "") -> None:
@@ -101,8 +100,8 @@ class Axes:
     ) -> None:
         """Draw a line across the whole field at a value of y, or of x where ``upright``."""
         ends = np.array([self.x.low, self.x.high] if not upright else [self.y.low, self.y.high])
-        own = np.full(2, value)
-        x, y = (own, ends) if upright else (ends, own)
+        same = np.full(2, value)
+        x, y = (same, ends) if upright else (ends, same)
         self.line(x, y, colour, width=0.8, dash=dash, label=label)
 
     def band(self, x: Array, low: Array, high: Array, colour: str, *, opacity: float, label: str | None = None) -> None:
@@ -143,7 +142,7 @@ class Axes:
         self, x: Array, y: Array, colour: str, *, size: float = 1.4, opacity: float = 0.5, label: str | None = None
     ) -> None:
         """Draw many dots (n,) as an image; where they lie on each other it is darker."""
-        self._image(lambda shape, fine: dots(*self._fine(x, y, fine), shape, round(size * fine), opacity), colour)
+        self._image(lambda shape, fine: _dots(*self._fine(x, y, fine), shape, round(size * fine), opacity), colour)
         self._key(label, f'<circle cx="9" r="3" fill="{colour}"/>')
 
     def trace(
@@ -158,9 +157,9 @@ class Axes:
         """Draw many lines of many points, (n,) each, as an image."""
 
         def drawn(shape: tuple[int, int], fine: float) -> Array:
-            points = [along(*self._fine(x, y, fine)) for x, y in parts if x.size > 1]
+            points = [_along(*self._fine(x, y, fine)) for x, y in parts if x.size > 1]
             px, py = (np.concatenate(one) for one in zip(*points, strict=True)) if points else np.empty((2, 0))
-            return opacity * np.minimum(dots(px, py, shape, max(round(width * fine), 1), 1.0), 1.0)
+            return opacity * np.minimum(_dots(px, py, shape, max(round(width * fine), 1), 1.0), 1.0)
 
         self._image(drawn, colour)
         self._key(
@@ -178,7 +177,7 @@ class Axes:
         fine = DENSITY * FINER
         rows, columns = math.ceil((bottom - top) * DENSITY), math.ceil((right - left) * DENSITY)
         cover = drawn((rows * FINER, columns * FINER), fine).reshape(rows, FINER, columns, FINER).mean(axis=(1, 3))
-        data = base64.b64encode(png(cover, colour)).decode()
+        data = base64.b64encode(_png(cover, colour)).decode()
         size = f'x="{left:.1f}" y="{top:.1f}" width="{columns / DENSITY:g}" height="{rows / DENSITY:g}"'
         self._drawn.append(f'<image {size} preserveAspectRatio="none" href="data:image/png;base64,{data}"/>')
 
@@ -243,11 +242,11 @@ def _legend_places(labels: Sequence[str], width: float) -> list[tuple[float, int
     """Return where each label of a legend begins, px from the left, and in which row; ``width`` is the field's."""
     x, row, places = 0.0, 0, []
     for label in labels:
-        own = 30.0 + text_width(label, SMALL)
-        if x + own > width + 12.0 and x > 0:
+        taken = 30.0 + text_width(label, SMALL)
+        if x + taken > width + 12.0 and x > 0:
             x, row = 0.0, row + 1
         places.append((x, row))
-        x += own + 4.0
+        x += taken + 4.0
     return places
 
 
@@ -284,3 +283,52 @@ def _path(px: Array, py: Array) -> str:
             parts.append(("L" if down else "M") + point)
         before, down = point, True
     return "".join(parts)
+
+
+def _along(px: Array, py: Array) -> tuple[Array, Array]:
+    """Return points no further apart than one pixel along a line through points (n,)."""
+    good = np.isfinite(px + py)
+    px, py = px[good], py[good]
+    steps = np.maximum(np.ceil(np.maximum(np.abs(np.diff(px)), np.abs(np.diff(py)))), 1).astype(np.int64)
+    start = np.repeat(np.arange(steps.size), steps)
+    part = (np.arange(start.size) - np.repeat(np.cumsum(steps) - steps, steps)) / steps[start]
+    return px[start] + part * (px[start + 1] - px[start]), py[start] + part * (py[start + 1] - py[start])
+
+
+def _dots(px: Array, py: Array, shape: tuple[int, int], size: int, opacity: float) -> Array:
+    """Return how far square dots cover an image of this shape, rows by columns."""
+    rows, columns = shape
+    x, y = np.floor(px).astype(np.int64), np.floor(py).astype(np.int64)
+    inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+    count = np.bincount(y[inside] * columns + x[inside], minlength=rows * columns).reshape(shape).astype(np.float32)
+    if opacity >= 1:
+        count = np.minimum(count, 1)
+    for axis in (0, 1):  # a square is a row of columns
+        whole, count = count, count.copy()
+        for shift in range(1, size):
+            step = (shift + 1) // 2 * (1 if shift % 2 else -1)
+            to, of = (slice(step, None), slice(None, -step)) if step > 0 else (slice(None, step), slice(-step, None))
+            if axis == 0:
+                count[to] += whole[of]
+            else:
+                count[:, to] += whole[:, of]
+    return np.asarray(np.minimum(count, 1) if opacity >= 1 else 1 - (1 - opacity) ** count)
+
+
+def _png(cover: Array, colour: str) -> bytes:
+    """Return an image of one colour as PNG; ``cover`` (rows, columns) is its opacity, 0 to 1, in `OPACITIES` steps."""
+    rows, columns = cover.shape
+    opacity = bytes(round(255 * n / (OPACITIES - 1)) for n in range(OPACITIES))
+    data = np.zeros((rows, columns + 1), np.uint8)  # each row begins with the number of its filter
+    data[:, 1:] = np.rint(np.clip(cover, 0, 1) * (OPACITIES - 1))
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", columns, rows, 8, 3, 0, 0, 0)),
+        (b"PLTE", bytes.fromhex(colour[1:]) * OPACITIES),
+        (b"tRNS", opacity),
+        (b"IDAT", zlib.compress(data.tobytes(), 6)),
+        (b"IEND", b""),
+    )
+    parts = [
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in chunks
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)

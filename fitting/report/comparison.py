@@ -11,7 +11,6 @@ import numpy as np
 
 from daq.base.errors import InputError
 from daq.base.output import atomic
-from daq.base.text import storable
 from daq.base.version import VERSION
 from fitting.drawing.palette import INK, WIDE, law_colours
 from fitting.estimation.result import Parameter
@@ -54,16 +53,16 @@ class ComparedRun:
     @property
     def decided(self) -> bool:
         """Whether one law is left that describes the record."""
-        found = (self.parameter(name) for name in SHOWN)
-        return self.members == (self.law,) and all(p is None or p.trusted for p in found)
+        shown = (self.parameter(name) for name in SHOWN)
+        return self.members == (self.law,) and all(p is None or p.trusted for p in shown)
 
     @property
     def names(self) -> list[str]:
         """The parameters of the best law that are shown, per unit mass."""
         best = self._best or {}
-        own = best.get("parameters", {})
-        others = (name for name in own if name not in (*NOT_SHOWN, *SHOWN) and f"{name}/m" not in own)
-        return [name for name in SHOWN if name in own] + (list(others) if "formula" in best else [])
+        parameters = best.get("parameters", {})
+        others = (name for name in parameters if name not in (*NOT_SHOWN, *SHOWN) and f"{name}/m" not in parameters)
+        return [name for name in SHOWN if name in parameters] + (list(others) if "formula" in best else [])
 
     def parameter(self, name: str) -> Parameter | None:
         """Return a parameter of the best law; None where it has none of this name."""
@@ -113,9 +112,7 @@ def write(runs: Sequence[ComparedRun], path: Path, alpha: float, summary: str, *
         The disk refuses; an older page still stands.
     """
     refuse_foreign_file(path, [run.file for run in runs], force=force)
-    text = render(runs, alpha, summary)
-    with atomic.replacing(path, force=True) as temporary:
-        temporary.write_text(storable(text), encoding="utf-8")
+    page.put(render(runs, alpha, summary), path)
 
 
 def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
@@ -124,7 +121,7 @@ def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
 
     known = dict.fromkeys(name for run in runs for name in run.names)
     names = [name for name in SHOWN if name in known] + [name for name in known if name not in SHOWN]
-    units = {name: next(found.unit for run in runs if (found := run.parameter(name))) for name in names}
+    units = {name: next(parameter.unit for run in runs if (parameter := run.parameter(name))) for name in names}
     colours = law_colours(dict.fromkeys(run.law for run in runs if run.law is not None))
     return page.template("comparison.html").render(
         mark=Markup(_mark([run.file for run in runs])),
@@ -164,7 +161,9 @@ def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, 
     width, height = WIDE / COLUMNS, HEAD + PER_RUN * len(runs)
     drawn = []
     for place, name in enumerate(names):
-        shown = [(len(runs) - 1 - k, run, found) for k, run in enumerate(runs) if (found := run.parameter(name))]
+        shown = [
+            (len(runs) - 1 - k, run, parameter) for k, run in enumerate(runs) if (parameter := run.parameter(name))
+        ]
         ends = np.array([[item.value, item.lo, item.hi] for _, _, item in shown])
         line, column = divmod(place, COLUMNS)
         axes = Axes(column * width, line * height, width, height, AxisScale.around(ends), down, rows=0)

@@ -9,7 +9,7 @@ from fitting.data.cycles import Cycle
 from fitting.drawing.palette import DASH, INK, MEASURED, NARROW, run_colour
 from fitting.report.chart import BOTTOM, CLOSE, ROW, Axes, legend_rows, picture
 from fitting.report.scale import AxisScale
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 
 MM = 1e3  # positions are drawn in mm, speeds in m/s
 HEIGHT = 300.0  # px
@@ -30,10 +30,10 @@ def extent(cycle: Cycle) -> slice:
     return slice(min(first for first, _ in parts), max(end for _, end in parts))
 
 
-def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
+def measured_motion(side: RankedLaws, cycle: Cycle | None = None) -> Part:
     """Return the smoothed motion of a run, or of one cycle of it."""
-    motion, own = side.motion, slice(None) if cycle is None else extent(cycle)
-    return motion.time[own], MM * motion.sign * motion.position[own], motion.sign * motion.velocity[own]
+    motion, samples = side.motion, slice(None) if cycle is None else extent(cycle)
+    return motion.time[samples], MM * motion.sign * motion.position[samples], motion.sign * motion.velocity[samples]
 
 
 def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> list[Part]:
@@ -46,11 +46,12 @@ def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> lis
         if count > 2 and number in (None, row.fit.cycles[cycle].number)
     ]
     return [
-        (windows.time[own], MM * sign * model[own], sign * np.gradient(model[own], windows.time[own])) for own in parts
+        (windows.time[samples], MM * sign * model[samples], sign * np.gradient(model[samples], windows.time[samples]))
+        for samples in parts
     ]
 
 
-def begins(ranking: Ranking) -> list[float]:
+def begins(ranking: RankedLaws) -> list[float]:
     """Return what is added to the times of each run so that they follow one another, s; 0 for a single run."""
     if not ranking.runs:
         return [0.0]
@@ -60,12 +61,12 @@ def begins(ranking: Ranking) -> list[float]:
     return list(np.cumsum(spans + gap) - spans - gap - firsts)
 
 
-def time_label(ranking: Ranking) -> str:
+def time_label(ranking: RankedLaws) -> str:
     """Return the name of the times that `begins` shifts."""
     return "time, one run after another (s)" if ranking.runs else "time (s)"
 
 
-def record(ranking: Ranking) -> str:
+def record(ranking: RankedLaws) -> str:
     """Draw position and velocity of the whole record, and the best law's motion in every window."""
     measured, fitted = [], []
     for side, begin in zip(ranking.sides, begins(ranking), strict=True):
@@ -76,25 +77,25 @@ def record(ranking: Ranking) -> str:
     return _over_time("record", ranking, measured, fitted, time_label(ranking), "Position and velocity of the record")
 
 
-def cycle(ranking: Ranking) -> str:
+def cycle(ranking: RankedLaws) -> str:
     """Draw position and velocity of one cycle of each run against the time since its break-away.
 
     Measured positions are the readings themselves; the velocity is the smoothed one.  The cycle is the typical one.
     """
     measured, fitted = [], []
     for side in ranking.sides:
-        own = typical_cycle(side.best)
-        time, _, v = measured_motion(side, own)
-        readings = MM * side.motion.sign * side.motion.measured[extent(own)]
-        measured.append((time - own.break_away, readings, v))
-        parts = fitted_motion(side.best, side.motion.sign, own.number)
-        fitted += [(time - own.break_away, x, v) for time, x, v in parts]
+        typical = typical_cycle(side.best)
+        time, _, v = measured_motion(side, typical)
+        readings = MM * side.motion.sign * side.motion.measured[extent(typical)]
+        measured.append((time - typical.break_away, readings, v))
+        parts = fitted_motion(side.best, side.motion.sign, typical.number)
+        fitted += [(time - typical.break_away, x, v) for time, x, v in parts]
     label = "time since break-away (s)"
     return _over_time("cycle", ranking, measured, fitted, label, "Position and velocity of one cycle")
 
 
 def _over_time(
-    name: str, ranking: Ranking, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
+    name: str, ranking: RankedLaws, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
 ) -> str:
     """Draw position above velocity against one time; what is measured broad and pale, the fit thin and dark."""
     runs = [("measured", MEASURED)]

@@ -19,7 +19,7 @@ from fitting.adequacy.result import Adequacy
 from fitting.drawing.palette import law_colours, run_colour
 from fitting.estimation.result import Parameter
 from fitting.report import mathml, symbols
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 from fitting.selection.verdict import format_probability
 from processing.record.kinematics import Kinematics
 from processing.statistics import StickSlipStatistics, pooled
@@ -48,12 +48,12 @@ def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
         When two are the same.
     """
     if report is None:
-        found = [default_path(run) for run in runs]
+        places = [default_path(run) for run in runs]
     else:
-        found = [report, *(report.with_stem(f"{report.stem}-{n}") for n in range(2, len(runs) + 1))]
-    if len({place.absolute() for place in found}) < len(found):
-        raise InputError("two runs share one report", ", ".join(map(str, found)), "give a name with --report")
-    return found
+        places = [report, *(report.with_stem(f"{report.stem}-{n}") for n in range(2, len(runs) + 1))]
+    if len({place.absolute() for place in places}) < len(places):
+        raise InputError("two runs share one report", ", ".join(map(str, places)), "give a name with --report")
+    return places
 
 
 def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
@@ -85,10 +85,10 @@ def _holder(digests: set[str], file: Path) -> Path | None:
             continue
         try:
             with store.reading(other) as reader:
-                found = reader.load(slice(1)).digest
+                digest = reader.load(slice(1)).digest
         except (InputError, OSError):  # no run
             continue
-        if found in digests:
+        if digest in digests:
             return other
     return None
 
@@ -117,6 +117,11 @@ def write(page: str, path: Path, digests: Sequence[str], *, files: Sequence[Path
         The disk refuses; an older report still stands.
     """
     refuse_foreign_file(path, digests, files=files, force=force)
+    put(page, path)
+
+
+def put(page: str, path: Path) -> None:
+    """Write a page, replacing what stands at ``path``."""
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(storable(page), encoding="utf-8")
 
@@ -135,13 +140,13 @@ def now() -> str:
 
 
 def render(
-    ranking: Ranking, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
+    ranking: RankedLaws, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
 ) -> str:
     """Return the report as HTML.
 
     Parameters
     ----------
-    ranking : Ranking
+    ranking : RankedLaws
     motions, statistics : sequence
         Of each run: its smoothed motion, and the statistics of its stick-slip.
     alpha : float
@@ -188,7 +193,7 @@ def render(
     )
 
 
-def _best(ranking: Ranking) -> dict[str, Parameter]:
+def _best(ranking: RankedLaws) -> dict[str, Parameter]:
     """Return the parameters of the best law; none where no law came near."""
     return ranking.best.parameters if ranking.rows else {}
 
@@ -207,7 +212,7 @@ def _rival(row: LawResult) -> dict[str, Any]:
     return {"label": row.label, "asked": row.asked, "parameters": shown}
 
 
-def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
+def _run(number: int, side: RankedLaws, kinematics: Kinematics) -> dict[str, Any]:
     """Return what the page says of one run: where it comes from, what was fitted, and how well."""
     recording, cut, motion = kinematics.recording, side.cut, side.motion
     best = side.best if side.rows else None
@@ -242,25 +247,29 @@ def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
 
 def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:
     """Return goodness of fit as names and values."""
-    found = adequacy.goodness
-    if found is None:
+    goodness = adequacy.goodness
+    if goodness is None:
         return []
     facts = [
         ("verdict", adequacy.said),
-        ("noise of one position", symbols.pretty(format_length(found.noise_m))),
-        ("residuals of the best law", f"{found.misfit:.3g} times the noise"),
-        ("share that repeats in every cycle", f"{found.repeat:.2g}"),
-        ("probability by noise alone", format_probability(found.p_value).removeprefix("= ")),
+        ("noise of one position", symbols.pretty(format_length(goodness.noise_m))),
+        ("residuals of the best law", f"{goodness.misfit:.3g} times the noise"),
+        ("share that repeats in every cycle", f"{goodness.repeat:.2g}"),
+        ("probability by noise alone", format_probability(goodness.p_value).removeprefix("= ")),
     ]
-    visible = adequacy.smallest_visible
-    size = f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
-    facts.append(("smallest departure of friction to be seen", size))
+    facts.append(("smallest departure of friction to be seen", smallest_departure(adequacy)))
     if adequacy.curve is not None:
         K = adequacy.curve.k_over_m
         interval = f"{K.lo:.6g} … {K.hi:.6g}" if K.trusted else "interval withheld"
         facts.append(("k/m of the measured curve", f"{K.value:.6g} s⁻² ({interval})"))
         facts.append(("residuals of the measured curve", f"{adequacy.curve.chi:.3g} times the noise"))
     return facts
+
+
+def smallest_departure(adequacy: Adequacy) -> str:
+    """Return the smallest departure of friction that the record would show, in words."""
+    visible = adequacy.smallest_visible
+    return f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
 
 
 def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
@@ -297,20 +306,25 @@ def moment(stated: str) -> str:
         return stated
 
 
-def _correlations(ranking: Ranking) -> dict[str, Any] | None:
+def _correlations(ranking: RankedLaws) -> dict[str, Any] | None:
     """Return the correlations of the parameters as a triangle of cells, and the strongest of them, strongest first."""
-    found = ranking.correlations()
-    if found is None:
+    correlations = ranking.correlations()
+    if correlations is None:
         return None
-    size = range(len(found.names))
-    pairs = sorted(((i, j) for i in size for j in range(i)), key=lambda pair: -abs(found.matrix[pair]))
-    strong = [pair for pair in pairs if abs(found.matrix[pair]) >= STRONG][:MOST_NAMED]
+    size = range(len(correlations.names))
+    pairs = sorted(((i, j) for i in size for j in range(i)), key=lambda pair: -abs(correlations.matrix[pair]))
+    strong = [pair for pair in pairs if abs(correlations.matrix[pair]) >= STRONG][:MOST_NAMED]
     cells = [
-        (found.names[i], [(_signed(found.matrix[i, j]), _shade(found.matrix[i, j])) for j in range(i)])
+        (
+            correlations.names[i],
+            [(_signed(correlations.matrix[i, j]), _shade(correlations.matrix[i, j])) for j in range(i)],
+        )
         for i in size[1:]
     ]
-    named = [f"{found.names[i]} and {found.names[j]} ({_signed(found.matrix[i, j])})" for i, j in strong]
-    return {"names": found.names[:-1], "cells": cells, "strongest": named}
+    named = [
+        f"{correlations.names[i]} and {correlations.names[j]} ({_signed(correlations.matrix[i, j])})" for i, j in strong
+    ]
+    return {"names": correlations.names[:-1], "cells": cells, "strongest": named}
 
 
 def _signed(value: float) -> str:

@@ -16,7 +16,7 @@ from fitting.report.adequacy_plot import by_law, colours_of
 from fitting.report.chart import LEFT, SMALL, Axes, legend_rows, picture, text_width
 from fitting.report.motion_plot import BROAD, PALE, begins, fitted_motion, measured_motion, time_label
 from fitting.report.scale import AxisScale
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 from processing.statistics import StickSlipStatistics, pooled
 
 MOST_POINTS = 12_000
@@ -27,10 +27,10 @@ RESIDUAL, NOISE = "model minus measurement", "noise, ±2 sd"
 BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
 
 
-def portrait(ranking: Ranking) -> str:
+def portrait(ranking: RankedLaws) -> str:
     """Draw velocity against position: the whole record, or all, and the best law's motion in every window."""
     runs = [measured_motion(side)[1:] for side in ranking.sides]
-    x, v = (np.concatenate(own) for own in zip(*runs, strict=True))
+    x, v = (np.concatenate(parts_of) for parts_of in zip(*runs, strict=True))
     legend = _legend(ranking, MEASURED, "measured")
     fitted = [f"{ranking.best.label}, fitted"] if ranking.rows else []
     rows = legend_rows([label for _, label in legend] + (fitted and [*fitted, "belt speed"]), NARROW)
@@ -49,21 +49,21 @@ def portrait(ranking: Ranking) -> str:
     return picture("portrait", NARROW, 350, [axes], about)
 
 
-def _legend(ranking: Ranking, colour: str, label: str) -> list[tuple[str, str]]:
+def _legend(ranking: RankedLaws, colour: str, label: str) -> list[tuple[str, str]]:
     """Return colour and label of each run: those given of a single run, and of several those of the run's number."""
     if not ranking.runs:
         return [(colour, label)]
     return [(run_colour(number), f"run {number}") for number in range(1, len(ranking.runs) + 1)]
 
 
-def friction(ranking: Ranking) -> str:
+def friction(ranking: RankedLaws) -> str:
     """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest.
 
     Each law has its own dashes.
     """
     motion = ranking.motion
     clouds = [curves.points(side.best.fit, side.motion)[:2] for side in ranking.sides]
-    force = np.concatenate([own for _, own in clouds])
+    force = np.concatenate([forces for _, forces in clouds])
     most = MOST_POINTS // len(clouds)
     grid = curves.speeds_of_all([side.motion for side in ranking.sides])
     drawn = {row.law: curves.curve(row.fit, motion, grid) for row in ranking.rows}
@@ -81,14 +81,14 @@ def friction(ranking: Ranking) -> str:
         heavy = row is ranking.best
         width = 2.4 if heavy else 1.6 if row.in_set else 1.0
         axes.line(grid, values, colours[row.law], width=width, dash=dashes[row.law], label=row.label)
-    for (w, own), (colour, label) in zip(clouds, legend, strict=True):
+    for (w, forces), (colour, label) in zip(clouds, legend, strict=True):
         thin = slice(None, None, max(1, w.size // most))
-        axes.cloud(w[thin], own[thin], colour, opacity=0.35, label=label)
+        axes.cloud(w[thin], forces[thin], colour, opacity=0.35, label=label)
     about = "Friction against relative velocity: points of the force balance, and the curves of the laws."
     return picture("friction", NARROW, 350, [axes], about)
 
 
-def residuals(ranking: Ranking) -> str:
+def residuals(ranking: RankedLaws) -> str:
     """Draw model minus measurement with the band of the noise: the best law over time and phase, a rival over phase.
 
     Of several runs the times follow one another.
@@ -103,10 +103,10 @@ def residuals(ranking: Ranking) -> str:
     rows = legend_rows([*named, NOISE], float(widths.min()))
     drawn = []
     for (row, whole), left, width in zip(panels, np.cumsum(widths) - widths, widths, strict=True):
-        own = [side.row(row.law) for side in ranking.sides]
+        sides = [side.row(row.law) for side in ranking.sides]
         times = [
             one.fit.windows.time + begin if whole else _since_break_away(one)
-            for one, begin in zip(own, begins(ranking), strict=True)
+            for one, begin in zip(sides, begins(ranking), strict=True)
         ]
         noise = 1e6 * BAND * ranking.adequacy.noise_m
         reach = 1.4 * max(1e6 * float(np.percentile(np.abs(row.fit.residual), SPREAD)), noise)
@@ -115,7 +115,7 @@ def residuals(ranking: Ranking) -> str:
         axes.title = f"{row.label}, {_whole(ranking) if whole else 'all cycles'}"
         axes.xlabel = time_label(ranking) if whole else "time since break-away (s)"
         axes.ylabel = "residual (µm)"
-        for one, time, (colour, label) in zip(own, times, _legend(ranking, colours[row.law], RESIDUAL), strict=True):
+        for one, time, (colour, label) in zip(sides, times, _legend(ranking, colours[row.law], RESIDUAL), strict=True):
             axes.cloud(time, 1e6 * one.fit.residual, colour, label=label)
         ends, level = np.array([axes.x.low, axes.x.high]), np.full(2, noise)
         axes.band(ends, -level, level, INK, opacity=0.16, label=NOISE)
@@ -124,11 +124,11 @@ def residuals(ranking: Ranking) -> str:
     return picture("residuals", WIDE, 265, drawn, about)
 
 
-def _whole(ranking: Ranking) -> str:
+def _whole(ranking: RankedLaws) -> str:
     return "all runs" if ranking.runs else "whole record"
 
 
-def evidence(ranking: Ranking) -> str:
+def evidence(ranking: RankedLaws) -> str:
     """Draw each cycle's error under each law: what the ranking is made of."""
     rows = list(reversed(ranking.rows))
     errors = [1e6 * row.fit.cycle_rms for row in rows]
@@ -140,14 +140,14 @@ def evidence(ranking: Ranking) -> str:
     if ranking.rivals:
         axes.margin = max(LEFT, 14.0 + max(text_width(name, SMALL) for name in names))
     axes.xlabel = "error of each cycle (µm rms); dot: their geometric mean"
-    for place, (row, own) in enumerate(zip(rows, errors, strict=True)):
-        axes.marks(own, np.full(own.size, place), colours[row.law], sign="|", size=8)
-        axes.marks(np.exp([np.mean(np.log(own))]), np.array([place]), colours[row.law], size=4)
+    for place, (row, cycles) in enumerate(zip(rows, errors, strict=True)):
+        axes.marks(cycles, np.full(cycles.size, place), colours[row.law], sign="|", size=8)
+        axes.marks(np.exp([np.mean(np.log(cycles))]), np.array([place]), colours[row.law], size=4)
     about = "Error of each cycle under each law."
     return picture("evidence", NARROW, height, [axes], about)
 
 
-def cost(ranking: Ranking) -> str:
+def cost(ranking: RankedLaws) -> str:
     """Draw each law's error against the CPU time of its fit."""
     time, error = np.array([row.cpu_s for row in ranking.rows]), 1e6 * np.array([row.rms_m for row in ranking.rows])
     across = AxisScale(0.0, 1.12 * max(float(time.max()), 1e-3))
@@ -158,19 +158,19 @@ def cost(ranking: Ranking) -> str:
     colours, numbered = colours_of(ranking), [row.law for row in by_law(ranking)]
     for k, row in enumerate(ranking.rows):
         axes.marks(time[k : k + 1], error[k : k + 1], colours[row.law], size=4.0 if row.in_set else 3.0)
-        near = next((own for own in named if np.max(np.abs(places[own[0]] - places[k])) < ALIKE), None)
+        near = next((group for group in named if np.max(np.abs(places[group[0]] - places[k])) < ALIKE), None)
         if near is None:
             named.append([k])
         else:
             near.append(k)
-    for own in named:
-        laws = ", ".join(str(law) for law in sorted((ranking.rows[k].law for k in own), key=numbered.index))
-        axes.text(float(time[own].max()), float(error[own].max()), laws, (7.0, -4.0))
+    for group in named:
+        laws = ", ".join(str(law) for law in sorted((ranking.rows[k].law for k in group), key=numbered.index))
+        axes.text(float(time[group].max()), float(error[group].max()), laws, (7.0, -4.0))
     about = "Error of each law against the CPU time of its fit."
     return picture("cost", NARROW, 230, [axes], about)
 
 
-def levels(ranking: Ranking) -> str:
+def levels(ranking: RankedLaws) -> str:
     """Draw the friction level of each cycle at break-away and in the slip, against time."""
     runs = []
     for side, begin in zip(ranking.sides, begins(ranking), strict=True):
@@ -181,18 +181,18 @@ def levels(ranking: Ranking) -> str:
     axes = Axes(0, 0, NARROW, 270, AxisScale.around(every[:, 0]), AxisScale.around(every[:, 1:].ravel()))
     axes.xlabel, axes.ylabel = time_label(ranking), "friction level / mean sliding level"
     for column, colour, sign, label in ((1, COLOURS[4], "c", "break-away"), (2, COLOURS[2], "o", "sliding")):
-        for own in runs:
-            axes.line(own[:, 0], own[:, column], colour, width=0.5)
+        for run in runs:
+            axes.line(run[:, 0], run[:, column], colour, width=0.5)
         axes.marks(every[:, 0], every[:, column], colour, sign=sign, label=label)
     about = "Friction level of each cycle at break-away and in the slip, against time."
     return picture("levels", NARROW, 270, [axes], about)
 
 
-def break_aways(statistics: Sequence[StickSlipStatistics], ranking: Ranking, unit: str) -> str:
+def break_aways(statistics: Sequence[StickSlipStatistics], ranking: RankedLaws, unit: str) -> str:
     """Draw the break-away levels: their distribution, their trend, and level against stick time."""
     counted, shown_as = pooled(statistics), _legend(ranking, COLOURS[2], "")
     factor, shown = shown_length(unit)
-    times = [begin + own.column("t") for begin, own in zip(begins(ranking), statistics, strict=True)]
+    times = [begin + run.column("t") for begin, run in zip(begins(ranking), statistics, strict=True)]
     time, level, stick = np.concatenate(times), factor * counted.column("break_away_m"), counted.column("stick_s")
     label, width, height = f"break-away level ({shown})", WIDE / 3, 260.0
     number, edges = np.histogram(level, int(np.clip(np.sqrt(level.size), *BINS)))
@@ -209,10 +209,10 @@ def break_aways(statistics: Sequence[StickSlipStatistics], ranking: Ranking, uni
     against = Axes(
         2 * width, 0, width, height, AxisScale.around(stick), tall, "against stick time", "stick time (s)", label, rows
     )
-    for own, when, (colour, named) in zip(statistics, times, shown_as, strict=True):
-        levels_of_run = factor * own.column("break_away_m")
+    for run, when, (colour, named) in zip(statistics, times, shown_as, strict=True):
+        levels_of_run = factor * run.column("break_away_m")
         trend.marks(when, levels_of_run, colour, label=named)
-        against.marks(own.column("stick_s"), levels_of_run, colour, label=named)
+        against.marks(run.column("stick_s"), levels_of_run, colour, label=named)
     summary = counted.summary("break_away_m")
     if summary is not None and summary["trend_per_s"] is not None:
         slope, reach = factor * summary["trend_per_s"], np.array([time.min(), time.max()])
@@ -233,7 +233,7 @@ PICTURES = (motion_plot.cycle, motion_plot.record, portrait, friction, residuals
 WITHOUT_LAW = (motion_plot.record, portrait)
 
 
-def draw(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
+def draw(ranking: RankedLaws, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
     """Return every picture of the report as an ``<svg>`` element, by name; ``statistics`` are those of each run.
 
     `break_aways` where there are statistics; of a record that no law comes near the measured motion alone besides.

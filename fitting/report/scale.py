@@ -51,15 +51,15 @@ class AxisScale:
         if self.names:
             return [(float(place), name) for place, name in enumerate(self.names)]
         if self.log:
-            found = self._log_ticks(most)
+            values = self._log_ticks(most)
         else:
             step = 10 ** math.floor(math.log10((self.high - self.low) / most))
             steps = [step * n for n in (0.5, 1, 2, 5, 10, 20)]
             place = next(k for k, one in enumerate(steps) if k and (self.high - self.low) / one <= most)
-            found = self._multiples(steps[place])
-            if len(found) < 2:  # one label says nothing of the scale
-                found = self._multiples(steps[place - 1])
-        return [(value, f"{value:.10g}".replace("-", "\N{MINUS SIGN}")) for value in found]
+            values = self._multiples(steps[place])
+            if len(values) < 2:  # one label says nothing of the scale
+                values = self._multiples(steps[place - 1])
+        return [(value, f"{value:.10g}".replace("-", "\N{MINUS SIGN}")) for value in values]
 
     def _multiples(self, step: float) -> list[float]:
         return [step * n for n in range(math.ceil(self.low / step), math.floor(self.high / step) + 1)]
@@ -67,8 +67,8 @@ class AxisScale:
     def _log_ticks(self, most: int) -> list[float]:
         decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
         for factors in ((1, 2, 3, 5), (1, 2, 5), (1, 3), (1,)):
-            found = [n * 10.0**decade for decade in decades for n in factors]
-            found = [value for value in found if self.low <= value <= self.high]
-            if len(found) <= most:
-                return found
-        return found[:: math.ceil(len(found) / most)]
+            values = [n * 10.0**decade for decade in decades for n in factors]
+            values = [value for value in values if self.low <= value <= self.high]
+            if len(values) <= most:
+                return values
+        return values[:: math.ceil(len(values) / most)]

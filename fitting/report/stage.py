@@ -32,16 +32,16 @@ from fitting.drawing.curves import curve, speeds_of_all, unit
 from fitting.estimation.derived import RUNS_OWN
 from fitting.estimation.result import Parameter
 from fitting.report.symbols import formula_of
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 from processing import stage as smoothed_stage
 
 
-def save(ranking: Ranking, path: Path, record: str, smoothed: str, part: str = "") -> None:
+def save(ranking: RankedLaws, path: Path, record: str, smoothed: str, part: str = "") -> None:
     """Write the stage into the run file, replacing an earlier one.
 
     Parameters
     ----------
-    ranking : Ranking
+    ranking : RankedLaws
         The fit.
     path : Path
         The run file.
@@ -59,8 +59,8 @@ def save(ranking: Ranking, path: Path, record: str, smoothed: str, part: str = "
 
     def write(entry: h5py.Group) -> None:
         raw = nexus.read_text(entry, "provenance/sha256_raw", path) if "provenance/sha256_raw" in entry else ""
-        found = raw, smoothed_stage.digest(entry)
-        for now, before, done in zip(found, (record, smoothed), ("recorded", "smoothed"), strict=True):
+        digests = raw, smoothed_stage.digest(entry)
+        for now, before, done in zip(digests, (record, smoothed), ("recorded", "smoothed"), strict=True):
             if now != before:
                 what = f"it was {done} anew while it was fitted; the fit was not stored"
                 raise InputError(what, str(path), f"run: fit-friction {path.name}")
@@ -74,7 +74,7 @@ def save(ranking: Ranking, path: Path, record: str, smoothed: str, part: str = "
 
 
 def save_joint(
-    ranking: Ranking, runs: Sequence[joint.FittedRun], path: Path, part: str = "", *, force: bool = False
+    ranking: RankedLaws, runs: Sequence[joint.FittedRun], path: Path, part: str = "", *, force: bool = False
 ) -> None:
     """Write the file of a joint fit; InputError where something else stands, without ``force``; ``part`` as `save`."""
 
@@ -91,7 +91,7 @@ def save_joint(
     joint.write(path, runs, write, force=force)
 
 
-def _write(entry: h5py.Group, ranking: Ranking, part: str) -> None:
+def _write(entry: h5py.Group, ranking: RankedLaws, part: str) -> None:
     six = sorted((row for row in ranking.rows if isinstance(row.law, int)), key=_number)
     formulas = ranking.rivals
     shown = "ranking" if six else "formulas" if formulas else "parameters"
@@ -158,19 +158,19 @@ def _ranked(
     return table
 
 
-def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
+def _law(entry: h5py.Group, row: LawResult, ranking: RankedLaws) -> None:
     name = f"fit_law{row.law}" if isinstance(row.law, int) else f"fit_law_{row.law.replace('-', '_')}"
     group = nexus.process(entry, name, "fit-friction", 2, "friction_curve")
     parameters = nexus.group(group, "parameters", "NXparameters")
     nexus.field(parameters, "law_name", row.name if row.formula is None else str(row.law))
     nexus.field(parameters, "formula", formula_of(row))
-    found = ranking.sides[0].row(row.law).parameters
-    own = RUNS_OWN if ranking.runs else ()
-    _parameters(parameters, {name: item for name, item in found.items() if name not in own})
+    parameters_of_law = ranking.sides[0].row(row.law).parameters
+    of_runs = RUNS_OWN if ranking.runs else ()
+    _parameters(parameters, {name: item for name, item in parameters_of_law.items() if name not in of_runs})
     for number, side in enumerate(ranking.runs, start=1):
-        found = side.row(row.law).parameters
+        parameters_of_law = side.row(row.law).parameters
         its = nexus.group(group, f"parameters_run{number}", "NXparameters")
-        _parameters(its, {name: item for name, item in found.items() if name in own})
+        _parameters(its, {name: item for name, item in parameters_of_law.items() if name in of_runs})
     w = speeds_of_all([side.motion for side in ranking.sides])
     nexus.table(
         group,
@@ -182,8 +182,8 @@ def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
     )
 
 
-def _parameters(group: h5py.Group, found: Mapping[str, Parameter]) -> None:
-    for name, item in found.items():
+def _parameters(group: h5py.Group, parameters: Mapping[str, Parameter]) -> None:
+    for name, item in parameters.items():
         key = name.replace("/", "_over_")
         nexus.field(group, key, np.float64(item.value), item.unit)
         nexus.field(group, f"{key}_errors", np.float64(item.stderr if item.trusted else np.nan), item.unit)

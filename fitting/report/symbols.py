@@ -8,11 +8,6 @@ from fitting.selection.result import LawResult
 from rig_sim.friction.law import LAWS
 
 MOTION = "m dv/dt = F(w) - k (x - x0) - c v, with w = v - v_dr"
-CURVES = {
-    "constant": "Fs",
-    "linear": "Fs - G_slip s",
-    "hyperbolic": "Fs/(1 + gamma s)",
-}
 # Every symbol of the formulas, and every parameter that a fit reports, without "/m".
 SYMBOLS = {
     "x": "position of the mass, positive towards +x (m)",
@@ -45,7 +40,7 @@ ALWAYS = ("x", "v", "w", "s", "F", "m")
 def formula(law: int) -> str:
     """Return one of the six friction laws as a formula in plain text."""
     kind = LAWS[law]
-    return _with_contact(CURVES[kind.curve], "Fs", ramp=bool(kind.ramp))
+    return _with_contact(FORMULAS[kind.curve].replace("*", " "), "Fs", ramp=bool(kind.ramp))
 
 
 def formula_of(row: LawResult) -> str:
@@ -72,8 +67,8 @@ def _with_contact(curve: str, level: str, *, ramp: bool) -> str:
 
 def symbols(parameters: Iterable[str]) -> list[tuple[str, str]]:
     """Return each symbol and its meaning: those of every formula, and those of the named parameters."""
-    named = {name.removesuffix("/m") for name in parameters} | {"k", "c", "x0", "Fs", "v_dr"}
-    return [(symbol, pretty(text)) for symbol, text in SYMBOLS.items() if symbol in ALWAYS or symbol in named]
+    used = {name.removesuffix("/m") for name in parameters} | {"k", "c", "x0", "Fs", "v_dr"}
+    return [(symbol, pretty(text)) for symbol, text in SYMBOLS.items() if symbol in ALWAYS or symbol in used]
 
 
 def pretty(text: str) -> str:

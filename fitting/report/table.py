@@ -11,7 +11,7 @@ from daq.base.errors import InputError
 from daq.base.output import atomic
 from fitting.curve.result import MeasuredCurve
 from fitting.drawing import curves
-from fitting.selection.result import Ranking
+from fitting.selection.result import RankedLaws
 
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
 
@@ -33,7 +33,7 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
             raise InputError(what, str(path), "give another name (--csv), or --force to replace it")
 
 
-def write_curve(path: Path, ranking: Ranking, curve: MeasuredCurve) -> None:
+def write_curve(path: Path, ranking: RankedLaws, curve: MeasuredCurve) -> None:
     """Write friction against relative speed with its band, a row for each speed; an older table is replaced.
 
     Laws given as formulas have a column each.
@@ -41,7 +41,7 @@ def write_curve(path: Path, ranking: Ranking, curve: MeasuredCurve) -> None:
     Parameters
     ----------
     path : Path
-    ranking : Ranking
+    ranking : RankedLaws
     curve : MeasuredCurve
         Its own.
     """
@@ -76,6 +76,6 @@ def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]])
         more = ("formula", "asked") if any("formula" in row for _, row in rows) else ()
         out.writerow(["file", *EVIDENCE, *more, *columns])
         for run, row in rows:
-            found = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]
+            values = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]
             beside = [int(row.get(key, True)) if key == "asked" else row.get(key, "") for key in more]
-            out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *beside, *found])
+            out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *beside, *values])

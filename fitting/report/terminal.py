@@ -9,7 +9,7 @@ from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
 from fitting.report import page
 from fitting.report.symbols import MOTION, formula_of
-from fitting.selection.result import Ranking
+from fitting.selection.result import RankedLaws
 from fitting.selection.verdict import format_probability
 
 if TYPE_CHECKING:
@@ -19,12 +19,14 @@ MOST_FORMS = 4  # shown on the terminal; the document and the report have all
 INTERVAL = 3  # column of the table of parameters that may be broken over two lines
 
 
-def of_ranking(ranking: Ranking, statistics: Sequence[str], written: Sequence[Path | None], alpha: float) -> list[Any]:
+def of_ranking(
+    ranking: RankedLaws, statistics: Sequence[str], written: Sequence[Path | None], alpha: float
+) -> list[Any]:
     """Return the lines and tables of a ranking.
 
     Parameters
     ----------
-    ranking : Ranking
+    ranking : RankedLaws
     statistics : sequence of str
         Of its stick-slip, in words.
     written : sequence of Path or None
@@ -46,7 +48,7 @@ def of_ranking(ranking: Ranking, statistics: Sequence[str], written: Sequence[Pa
     return lines
 
 
-def _laws(ranking: Ranking) -> "Table":
+def _laws(ranking: RankedLaws) -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
     table = application.table("friction laws, best first", ("law", "rms error", "behind", "weight", "in set"))
     for row in ranking.rows:
@@ -61,14 +63,13 @@ def _laws(ranking: Ranking) -> "Table":
 def _adequacy(adequacy: Adequacy) -> list[Any]:
     """Return goodness of fit, the published forms of the measured curve, and the departures, in words."""
     lines: list[Any] = []
-    found, curve = adequacy.goodness, adequacy.curve
-    if found is not None:
-        visible = adequacy.smallest_visible
-        size = f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
+    goodness, curve = adequacy.goodness, adequacy.curve
+    if goodness is not None:
         lines.append(
-            f"goodness of fit: {adequacy.said}; residuals {found.misfit:.3g} times the noise of "
-            f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p {format_probability(found.p_value)}; "
-            f"smallest visible departure of friction: {size}"
+            f"goodness of fit: {adequacy.said}; residuals {goodness.misfit:.3g} times the noise of "
+            f"{1e6 * goodness.noise_m:.3g} um, repeating share {goodness.repeat:.2g}, "
+            f"p {format_probability(goodness.p_value)}; "
+            f"smallest visible departure of friction: {page.smallest_departure(adequacy)}"
         )
     if curve is not None and adequacy.rejected and adequacy.of_speed:
         table = application.table("published forms of the measured curve", ("form", "chi", "inside band", "parameters"))
@@ -89,7 +90,7 @@ def _adequacy(adequacy: Adequacy) -> list[Any]:
     return lines
 
 
-def _parameters(ranking: Ranking, alpha: float) -> "Table":
+def _parameters(ranking: RankedLaws, alpha: float) -> "Table":
     """Return the best law's parameters."""
     headings = ("parameter", "value", "std. error", f"{100 * (1 - alpha):g} % interval", "unit")
     table = application.table(ranking.best.label, headings)

@@ -27,7 +27,7 @@ from fitting.selection.contradictions import (
     without_those_of_the_law,
 )
 from fitting.selection.phase_distance import MeasuredOrbit
-from fitting.selection.result import LawResult, Ranking
+from fitting.selection.result import LawResult, RankedLaws
 from fitting.selection.rivals import Competition
 from fitting.selection.verdict_warnings import JudgedRun
 from processing.record.finding import Finding
@@ -110,7 +110,7 @@ class Rows:
     depends: tuple[tuple[str, ...], ...]
 
 
-def ranking(decision: Decision, begun: float) -> Ranking:
+def ranking(decision: Decision, begun: float) -> RankedLaws:
     """Return the ranking; ``begun`` is the process's CPU time when it began, s."""
     rows = _rows(decision)
     contradicted = _contradicted(decision, rows)
@@ -119,7 +119,9 @@ def ranking(decision: Decision, begun: float) -> Ranking:
     return _together(decision, rows, words, sides, clock.process_time() - begun)
 
 
-def without_law(reason: str, asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics], begun: float) -> Ranking:
+def without_law(
+    reason: str, asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics], begun: float
+) -> RankedLaws:
     """Return the verdict on stick-slip that no law comes near: no rows, and what is known without any law."""
     words = verdict.refused_sentence(reason, asked.competitors)
     outcome = NONE_OF_SIX if asked.competitors.laws == ALL_LAWS else NONE_FITTED
@@ -128,7 +130,7 @@ def without_law(reason: str, asked: Asked, runs: Sequence[Run], records: Sequenc
         adequacy = Adequacy(outcome, run.motion.resolution)
         warned = tuple(finding.text for finding in record.findings)
         cpu_s = clock.process_time() - begun
-        side = Ranking(words, (), (), (), warned, run.motion, run.cut, adequacy, cpu_s, findings=record.findings)
+        side = RankedLaws(words, (), (), (), warned, run.motion, run.cut, adequacy, cpu_s, findings=record.findings)
         sides.append(replace(side, records=(record,), alpha=asked.alpha))
     if len(sides) == 1:
         return sides[0]
@@ -245,7 +247,7 @@ def _words(decision: Decision, rows: Rows, contradicted: Contradictions) -> str:
     return name_contradictions(words, contradicted)
 
 
-def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted: Sequence[Finding]) -> Ranking:
+def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted: Sequence[Finding]) -> RankedLaws:
     """Return one run's side: its rows, break-aways, findings and warnings."""
     run, record, own = decision.runs[number], decision.records[number], rows.runs[number]
     best = next(row for row in own if row.law == decision.best.law)
@@ -267,7 +269,7 @@ def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted:
         aged = find_ageing(events, run.cut, _level_error(decision.best, run, number))
         if aged is not None:
             adequacy = replace(adequacy, departures=(*adequacy.departures, aged))
-    return Ranking(
+    return RankedLaws(
         verdict=words,
         members=members,
         rows=own,
@@ -289,12 +291,12 @@ def _level_error(fit: Fit | FormulaFit, run: Run, number: int) -> float:
     return formula_level_error(fit, number)
 
 
-def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Ranking], cpu_s: float) -> Ranking:
+def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[RankedLaws], cpu_s: float) -> RankedLaws:
     """Return the ranking of all runs together; of a single run its side."""
     if len(sides) == 1:
         return replace(sides[0], cpu_s=cpu_s)
     warnings, findings = _merged(sides, decision.records)
-    return Ranking(
+    return RankedLaws(
         verdict=words,
         members=decision.competition.members,
         rows=rows.together,
@@ -311,7 +313,7 @@ def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Rankin
     )
 
 
-def _merged(sides: Sequence[Ranking], records: Sequence[Kinematics]) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
+def _merged(sides: Sequence[RankedLaws], records: Sequence[Kinematics]) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
     """Return the warnings and the findings of several runs."""
     names = [record.recording.source.name for record in records]
     warnings = verdict_warnings.merge_warnings([side.warnings for side in sides], names)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from daq.base.errors import DataError, InputError
 from fitting.adequacy.assess import describes
+from fitting.competitors import ALL_LAWS
 from fitting.data import cycles, ripple
 from fitting.data.frame import MeasuredMotion
 from fitting.driver import driver
@@ -18,9 +19,9 @@ from fitting.selection import evidence, screening
 from fitting.selection.evidence import FEWEST_CYCLES
 from processing.record.kinematics import Kinematics
 
-# Times the error that a rippling belt leaves in the start-up drag: a steady belt that leaves more was none.  On belts
+# Error in the start-up drag over what a rippling belt leaves: a steady belt that leaves more was none.  On belts
 # with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.
-SWINGING = 1.3
+STEADY_DRAG_ERROR = 1.3
 CONSTANT = (1, 2)  # laws of constant friction, which alone make a mass graze the belt
 MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each costs another fit of all laws
 
@@ -121,7 +122,7 @@ def fit_runs(
     return FittedSix(fits, list(runs), sustained, doubt)
 
 
-def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = driver.SIX, **how: Any) -> list[Fit]:
+def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = ALL_LAWS, **how: Any) -> list[Fit]:
     """Fit laws by the driver; what all of them know is without the errors of the levels."""
     return [without_level_errors(Fit.of(one)) for one in driver.fit_laws(laws, runs, among, **how)]
 
@@ -167,7 +168,7 @@ def _fit_grazing(
     if any(run.ripple is not None for run in rippled):
         tried.append((fit_to(CONSTANT, rippled, CONSTANT), rippled))
         still, swinging = (evidence.drag_error(*one) for one in tried)
-        if still > SWINGING * swinging:
+        if still > STEADY_DRAG_ERROR * swinging:
             tried.reverse()
     for fits, runs in tried:
         if not _more_than_constant(fits, runs):

@@ -21,9 +21,10 @@ from processing.record.kinematics import Kinematics
 from processing.record.setting import with_error
 from rig_sim.friction.law import LAWS
 
-# Standard deviations.  At 3 one true calibration in 400 would be reported, and as many again because an interval from
-# 16 cycles is itself uncertain; at 5 a belt speed wrong by less than 5 % of its stated value would pass.
-SURE = 4.0
+# Distance of a calibration from the fit, in standard deviations, that contradicts it.  At 3 one true calibration in 400
+# would be reported, and as many again because an interval from 16 cycles is itself uncertain; at 5 a belt speed wrong
+# by less than 5 % of its stated value would pass.
+CONTRADICTED_BY = 4.0
 UNITS = {"belt-speed": "m/s", "datum": "m", "x0": "m", "damping": "N s/m", "stiffness": "N/m"}
 
 
@@ -33,7 +34,7 @@ def find_contradictions(
     rows: Sequence[LawResult],
     records: Sequence[Kinematics],
 ) -> list[list[Finding]]:
-    """Return what of each run's calibration its record contradicts by more than `SURE` standard deviations.
+    """Return what of each run's calibration its record contradicts by more than `CONTRADICTED_BY` standard deviations.
 
     Parameters
     ----------
@@ -65,7 +66,7 @@ def _of_run(
         unit = UNITS[code]
         spread = math.hypot(value.sd, expected.sd)
         sigmas = abs(value.value - expected.value) / spread if spread > 0 else 0.0
-        if sigmas > SURE:
+        if sigmas > CONTRADICTED_BY:
             text = (
                 f"{code.replace('-', ' ')}: {expected.value:.4g} {unit} was stated, the record shows {value.value:.4g} "
                 f"+- {value.sd:.2g} {unit} ({sigmas:.3g} standard deviations apart); the fit used {used}"
@@ -99,7 +100,7 @@ def _agrees(fit: FormulaFit, code: str, run: int) -> bool:
     place, places, task = PER_RUN * run + slot, fit.places, fit.at.problem
     index = places.index(place if place in places else slot)
     spread = math.hypot(seen.sd, 1 / math.sqrt(float(task.precision[index])))
-    return abs(seen.value - float(task.prior[index])) <= SURE * spread
+    return abs(seen.value - float(task.prior[index])) <= CONTRADICTED_BY * spread
 
 
 def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:

@@ -25,19 +25,20 @@ from fitting.model.problem import Run
 from fitting.selection.evidence import ModelSet
 from rig_sim.friction.law import LAWS
 
-WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs
-WIDEST_OF_RIPPLE = 0.08  # of the belt's speed: a ramp that a belt with 3 % ripple can imitate in half a second
-UNSTEADY = 1.3  # times the rms of the whole record; the drag on a steady belt stays below.  Not swept
-# Of the belt's speed: a ramp whose width may be larger is not excluded.  At 1 mm of noise the interval reaches 0.1 to
+WIDEST_BELT_LOSS = 0.03  # speed that a belt may lose under the load Fs, over its own
+WIDEST_BY_RIPPLE = 0.08  # width over the belt's speed of a ramp that a belt with 3 % ripple can imitate
+UNSTEADY_DRAG = 1.3  # rms of the drag over that of the whole record; the drag on a steady belt stays below.  Not swept
+# Width over the belt's speed: a ramp that may be wider is not excluded.  At 1 mm of noise the interval reaches 0.1 to
 # 0.3; on an encoder's records 0.001 to 0.02, so that half or twice the limit changes none.
 OPEN_RAMP = 0.05
-# Of the belt's speed: a narrower ramp is a jump.  It is left within 0.1 ms; an encoder's records show widths from 0.001
-# to 0.02 on.  In harsh records of law 3 one cycle in 21 ends in a better minimum under law 4, at widths to 0.0012.
+# Width over the belt's speed: a narrower ramp is a jump.  It is left within 0.1 ms; an encoder's records show widths
+# from 0.001 to 0.02 on.  In harsh records of law 3 one cycle in 21 ends in a better minimum under law 4, at widths to
+# 0.0012.
 CLOSED = 2e-3
 # Score beyond what the ramp's parameters cost: a ramp law that errs plainly more than its jump law stays out.
 # Chosen by trial; not swept.
-NO_WORSE = 4.0
-SAME = 0.05  # log error: a hyperbola on a compliant belt and a ramp differ by less.  Not swept
+RAMP_SCORE_MARGIN = 4.0
+SAME = 0.05  # difference in log error: a hyperbola on a compliant belt and a ramp differ by less.  Not swept
 
 
 def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit | None:
@@ -64,7 +65,7 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     if ramp is None or ramp - 1 in members or ramp - 1 not in found:
         return None
     near = found[ramp]
-    if near.values.d > WIDEST * min(run.motion.belt_speed for run in runs):
+    if near.values.d > WIDEST_BELT_LOSS * min(run.motion.belt_speed for run in runs):
         return None
     compliance = near.values.d * near.values.K / near.values.F
     u = near.u.copy()
@@ -112,9 +113,9 @@ def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> boo
     """
     noise = max(run.motion.resolution for run in runs)
     rest = math.hypot(ramp.geometric_mean_rms, noise)  # as the log errors are floored
-    narrow = ramp.values.d <= WIDEST_OF_RIPPLE * min(run.motion.belt_speed for run in runs)
+    narrow = ramp.values.d <= WIDEST_BY_RIPPLE * min(run.motion.belt_speed for run in runs)
     measured = any(run.motion.belt_measured for run in runs)
-    return not measured and bool(narrow) and float(np.median(drag)) > math.log(UNSTEADY * rest)
+    return not measured and bool(narrow) and float(np.median(drag)) > math.log(UNSTEADY_DRAG * rest)
 
 
 def with_open_ramps(
@@ -147,7 +148,7 @@ def with_open_ramps(
         if ramp is None or ramp.law in chosen.members:
             continue
         extra = ramp.law_parameters - found[law].law_parameters
-        if chosen.score[ramp.law] - chosen.score[law] > extra * math.log(max(samples, 1.0)) + NO_WORSE:
+        if chosen.score[ramp.law] - chosen.score[law] > extra * math.log(max(samples, 1.0)) + RAMP_SCORE_MARGIN:
             continue
         width = derived.derived_parameters(ramp, runs[0].motion, alpha, sustained=sustained).get("d")
         if width is None or width.hi > open_width:

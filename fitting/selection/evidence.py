@@ -1,8 +1,8 @@
 """Evidence between laws, and the model confidence set: the laws that it cannot distinguish.
 
 Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
-Where the best law leaves white noise alone, a cycle falls into pieces of `PIECE` correlation times, because there a
-law may fail in a small part of a cycle.  The score is a BIC: with N effective samples (samples over the correlation
+Where the best law leaves white noise alone, a cycle falls into pieces of `PIECE_TIMES` correlation times, because there
+a law may fail in a small part of a cycle.  The score is a BIC: with N effective samples (samples over the correlation
 time of the best law's residuals) each unit pays (p/2N) log N in log error for the law's p parameters, and 1/2N of the
 misfit to the calibrations.  Cycles that not even the best law describes (a kick) are no evidence.  The t-interval of a
 mean difference assumes that the units are independent of each other.
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array, autocorrelation_time
 from daq.base.compute.distributions import student_quantile
+from fitting import noise_levels
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.driver.curves import NESTED
@@ -31,18 +32,19 @@ from fitting.law import LIMITS
 from fitting.model.problem import Run
 from fitting.model.windows import ShootingWindows
 
-FEWEST_CYCLES = 4  # trusted: of fewer, all count
+FEWEST_CYCLES = 4  # cycles of which the usual are trusted: of fewer, all count
 DRAG_PIECES = 8  # equal pieces of a start-up drag, where it is all the evidence
-RELATED_FACTOR = 2.0  # times the best law's error: a limit of it that is further off is no near relative
+RELATED_FACTOR = 2.0  # error over the best law's: a limit of it that is further off is no near relative
 # Constant friction leaves 2 of an encoder's error (0.6 of a count), even with 200 us of jitter and a belt that ripples;
 # the shortest sticks tested leave 170 (test_ranking): half or twice the limit changes neither.  Of white noise it
 # leaves 1.0: a fit's rms over 400 samples and more is known to 4 %.
 COUNTING_LIMIT = 8.0
-NOISE_LIMIT = 1.25  # times the resolution
-PIECE = 16  # correlation times: twice as many lose evidence on a start-up drag, half as many have skewed log errors
-NOISE_ALONE = 1.2  # times the noise: with an error below it a law is taken to leave white noise alone
-LONGEST_WHITE = 3.0  # samples: with a longer correlation time residuals are not white
-TIE = 1.0  # score: a law that is a limit of the winner, and whose evidence differs by less, is as good
+NOISE_LIMIT = 1.25  # error over the resolution that white noise leaves
+# Length in correlation times: twice as many lose evidence on a start-up drag, half as many have skewed log errors.
+PIECE_TIMES = 16
+LONGEST_WHITE_TIME = 3.0  # correlation time in samples: with a longer one residuals are not white
+# Difference of scores: a law that is a limit of the winner, and whose evidence differs by less, is as good.
+TIED_SCORE = 1.0
 # The same where neither law is a limit of the other.  Laws whose motions differ by S (chi square) have scores that
 # differ by S +- 2 sqrt(S), so that the wrong one leads by more than this in 2 % of the records at most; with half of it
 # in 8 %.  The t-interval does not show this: where motions are nearly the same, differences are small but regular.
@@ -185,9 +187,9 @@ def common_units(fits: Sequence[Candidate], runs: Sequence[Run], *, sustained: b
         tau = autocorrelation_time(kept)
         samples = size / tau
         floor = max(run.motion.resolution for run in runs)
-        if best.geometric_mean_rms < NOISE_ALONE * floor and tau < LONGEST_WHITE:
+        if best.geometric_mean_rms < noise_levels.NEAR * floor and tau < LONGEST_WHITE_TIME:
             usual = float(np.median([residual.size for residual in kept]))
-            pieces = max(round(usual / (PIECE * tau)), pieces)
+            pieces = max(round(usual / (PIECE_TIMES * tau)), pieces)
     sizes = [[part.size for _, part in _judged(fit, runs, inliers, sustained=sustained)] for fit in fits]
     return Units(sustained, inliers, tuple(min(pieces, *of_laws) for of_laws in zip(*sizes, strict=True)), samples)
 
@@ -308,7 +310,9 @@ def model_confidence_set(evidence: Evidence, alpha: float) -> ModelSet:
         difference = errors[i] - errors[winner]
         behind[law] = (float(difference.mean()), float(np.std(difference, ddof=1)) / math.sqrt(n))
     limits = nested(laws[winner])
-    alike = {law for law in laws if score[law] < (TIE if law in limits else OPEN) and laws[winner] not in nested(law)}
+    alike = {
+        law for law in laws if score[law] < (TIED_SCORE if law in limits else OPEN) and laws[winner] not in nested(law)
+    }
     near = {law for law in laws if behind[law][0] <= quantile * behind[law][1]} | alike
     members = [law for law in sorted(laws, key=score.__getitem__) if law in near]
     preferred = [law for law in members if law in limits]

@@ -21,21 +21,22 @@ from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
 from processing.record.kinematics import Kinematics
 
-# Samples of a piece: the shortest that shows the share to `CERTAIN` is taken, or the last.  In 16 a law's misfit leaves
-# nothing, in 256 (0.64 s at 400 frames a second) constant friction shows the share under 1 mm of noise.
-PIECES = (16, 32, 64, 128, 192, 256)
-DEGREE = 3  # of the polynomial taken off each piece
-LAGS = 3  # samples over which noise may be correlated
+# Samples of a piece: the shortest that shows the share to `SHARE_ERROR` is taken, or the last.  In 16 a law's misfit
+# leaves nothing, in 256 (0.64 s at 400 frames a second) constant friction shows the share under 1 mm of noise.
+PIECE_SAMPLES = (16, 32, 64, 128, 192, 256)
+TREND_DEGREE = 3  # degree of the polynomial taken off each piece
+NOISE_LAGS = 3  # samples over which noise may be correlated
 # Standard error of the share without lost frames.  With twice as much, 5 % would be five errors away, which is no sure
 # finding; half as much wants longer pieces, and none is long enough for constant friction under 1 mm of noise.
-CERTAIN = 0.005
-# Standard errors.  Of 40 sound tracks (0.2 to 1 mm of noise, also of other laws than the six) none exceeds 2.1, of 24
-# that miss 5 % of their frames none has less than 10.  Between the two limits longer pieces decide.
-POSSIBLE, SURE = 3.0, 6.0
-LEAST = 0.01  # share: less moves parameters by less than 1 %
-SURE_OF_CYCLES = 2.5  # standard errors by the scatter between cycles, which the walk itself makes large
+SHARE_ERROR = 0.005
+# Share of lost frames in standard errors: where losses are possible, and sure.  Of 40 sound tracks (0.2 to 1 mm of
+# noise, also of other laws than the six) none exceeds 2.1, of 24 that miss 5 % of their frames none has less than 10.
+# Between the two limits longer pieces decide.
+POSSIBLE_ERRORS, SURE_ERRORS = 3.0, 6.0
+LEAST_SHARE = 0.01  # share of lost frames: less moves parameters by less than 1 %
+ERRORS_BETWEEN_CYCLES = 2.5  # share in standard errors by the scatter between cycles, which the walk makes large
 FEWEST_PIECES, FEWEST_CYCLES = 8, 4
-ROUNDS = 4  # of reweighting
+REWEIGHTINGS = 4  # fits, each with the weights of the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,7 @@ class PieceModes:
     Attributes
     ----------
     vectors : array of shape (n, m)
-    noise : array of shape (LAGS + 1, m)
+    noise : array of shape (NOISE_LAGS + 1, m)
         Variance that noise of unit autocovariance at each lag gives to each mode.
     walk : array of shape (m,)
         The same of a random walk of unit steps.
@@ -56,15 +57,15 @@ class PieceModes:
     walk: Array
 
 
-@lru_cache(maxsize=len(PIECES))
+@lru_cache(maxsize=len(PIECE_SAMPLES))
 def piece_modes(n: int) -> PieceModes:
     """Return the modes of pieces of ``n`` samples."""
-    smooth = np.linalg.qr(np.vander(np.linspace(-1, 1, n), DEGREE + 1))[0]
+    smooth = np.linalg.qr(np.vander(np.linspace(-1, 1, n), TREND_DEGREE + 1))[0]
     left = np.eye(n) - smooth @ smooth.T
     steps = left @ np.tril(np.ones((n, n)))
     size, vectors = np.linalg.eigh(steps @ steps.T)
-    size, vectors = size[DEGREE + 1 :], vectors[:, DEGREE + 1 :]  # the smallest belong to the cubic
-    lags = [np.eye(n, k=lag) + (lag > 0) * np.eye(n, k=-lag) for lag in range(LAGS + 1)]
+    size, vectors = size[TREND_DEGREE + 1 :], vectors[:, TREND_DEGREE + 1 :]  # the smallest belong to the cubic
+    lags = [np.eye(n, k=lag) + (lag > 0) * np.eye(n, k=-lag) for lag in range(NOISE_LAGS + 1)]
     return PieceModes(vectors, np.array([np.sum(vectors * (lag @ vectors), axis=0) for lag in lags]), size)
 
 
@@ -84,16 +85,16 @@ def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None
         return None
     own = fit.for_run(run)
     interval = float(np.median(np.diff(record.time)))
-    for n in PIECES:
+    for n in PIECE_SAMPLES:
         squares, speeds, cycle = _pieces(own, n, interval)
         if len(cycle) < FEWEST_PIECES or np.unique(cycle).size < FEWEST_CYCLES:
             return None
-        found = _regressed(squares, speeds, cycle, piece_modes(n), CERTAIN if n < PIECES[-1] else math.inf)
+        found = _regressed(squares, speeds, cycle, piece_modes(n), SHARE_ERROR if n < PIECE_SAMPLES[-1] else math.inf)
         if found is not None:
             share, null = found
-            if share.value > max(LEAST, SURE * null, SURE_OF_CYCLES * share.sd):
+            if share.value > max(LEAST_SHARE, SURE_ERRORS * null, ERRORS_BETWEEN_CYCLES * share.sd):
                 return share
-            if share.value < POSSIBLE * null:
+            if share.value < POSSIBLE_ERRORS * null:
                 return None
     return None
 
@@ -138,13 +139,13 @@ def _regressed(
 
     None where the latter is larger than ``certain``.
     """
-    noise = np.broadcast_to(modes.noise[:, None, :], (LAGS + 1, *squares.shape))
+    noise = np.broadcast_to(modes.noise[:, None, :], (NOISE_LAGS + 1, *squares.shape))
     columns = np.concatenate((noise, (steps[:, None] * modes.walk)[None]))
     level = float(np.mean(squares[:, : squares.shape[1] // 2]))  # of the modes that the walk hardly has
-    scale = np.append(np.full(LAGS + 1, level), 1.0)
+    scale = np.append(np.full(NOISE_LAGS + 1, level), 1.0)
     variance = np.full(squares.shape, level)
     null = 0.0
-    for round_ in range(ROUNDS):
+    for round_ in range(REWEIGHTINGS):
         weight = variance**-2
         curvature = np.einsum("akm,bkm,km->ab", columns, columns, weight) * np.outer(scale, scale)
         inverse = np.linalg.inv(curvature) * np.outer(scale, scale)

@@ -14,7 +14,7 @@ from daq.base.compute.compile import compiled
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fitted_law import FittedLaw
 
-MOST_POINTS = 4000  # of each curve
+MOST_POINTS = 4000  # points of each curve
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from fitting.selection.asked import Asked
 from fitting.selection.evidence import ModelSet
 from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import judge
-from fitting.selection.result import Ranking as Ranking
+from fitting.selection.result import RankedLaws
 from fitting.selection.rivals import Competition, Formulas, compete, fit_formulas
 from processing.record.kinematics import Kinematics
 
@@ -44,7 +44,7 @@ def rank(
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
     scheduler: str | None = None,
-) -> Ranking:
+) -> RankedLaws:
     """Fit the laws to a record, or to several records of one contact together, and rank them.
 
     Parameters
@@ -63,7 +63,7 @@ def rank(
 
     Returns
     -------
-    Ranking
+    RankedLaws
     """
     begun = clock.process_time()
     competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)

@@ -35,11 +35,13 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.selection.given import SIGNED, UNKNOWNS
 from rig_sim.friction.law import LAWS
 
-FIRST_DAMPING = 1e-6  # of the curvatures: each fit starts near its end, which does not depend on it
-# Of the draws that must be fitted.  Those that cannot are the outermost, and the outermost tenth of normal draws has
-# 44 % of their variance: at half of this the spread is that of the middle alone, at 1 a single odd draw refuses all.
+FIRST_DAMPING = 1e-6  # damping over the curvatures: each fit starts near its end, which does not depend on it
+# Share of the draws that must be fitted.  Those that cannot are the outermost, and the outermost tenth of normal draws
+# has 44 % of their variance: at half of this the spread is that of the middle alone, at 1 a single odd draw refuses
+# all.
 FEWEST_FITTED = 0.9
-REACH, STEPS = 3.0, 6  # standard errors on either side, and fits on each: half as many leave a bent profile unseen
+# Reach in standard errors on either side, and fits on each: half as many leave a bent profile unseen.
+PROFILE_REACH, PROFILE_STEPS = 3.0, 6
 
 
 def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int | None) -> dict[str, Array]:
@@ -128,8 +130,8 @@ def profile(
     found = [(place.value(middle), least)]
     for side in (-1.0, 1.0):
         at = least
-        for step in range(1, STEPS + 1):
-            u = middle + side * REACH * step / STEPS * sd
+        for step in range(1, PROFILE_STEPS + 1):
+            u = middle + side * PROFILE_REACH * step / PROFILE_STEPS * sd
             if not problem.lower[place.number] <= u <= problem.upper[place.number]:
                 break
             solution = _fitted(_held(problem, place.number, u), at.u, at.local)

@@ -17,7 +17,7 @@ from fitting.drawing import curves
 from fitting.estimation.derived import RUNS_OWN, correlations
 from fitting.estimation.fit import Fit
 from fitting.estimation.motion_at import motion_at
-from fitting.estimation.result import BreakAway, Correlations, Parameter, in_columns
+from fitting.estimation.result import STATED_ERROR, BreakAway, Correlations, Parameter, in_columns
 from fitting.law import TITLES
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
-MOST_ERROR = 0.5  # of a parameter: with a larger standard error its value is not stated in words
 CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
 
@@ -122,7 +121,7 @@ class LawResult:
         return ", ".join(
             f"{name} = {item.value:.3g} {item.unit}".rstrip()
             for name, item in self.parameters.items()
-            if self.is_own(name) and (item.stderr < MOST_ERROR * abs(item.value) or not item.trusted)
+            if self.is_own(name) and (item.stderr < STATED_ERROR * abs(item.value) or not item.trusted)
         )
 
     def is_own(self, name: str) -> bool:
@@ -260,7 +259,7 @@ class LawResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Ranking:
+class RankedLaws:
     """The laws in order, with the verdict, the break-aways and the warnings.
 
     Attributes
@@ -282,7 +281,7 @@ class Ranking:
     adequacy : Adequacy
         Of all runs together.
     cpu_s : float
-    runs : tuple of Ranking
+    runs : tuple of RankedLaws
         Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
     records : tuple of Kinematics
         The smoothed runs.
@@ -300,7 +299,7 @@ class Ranking:
     adequacy: Adequacy
     cpu_s: float = 0.0
     findings: tuple[Finding, ...] = ()
-    runs: "tuple[Ranking, ...]" = ()
+    runs: "tuple[RankedLaws, ...]" = ()
     records: tuple[Kinematics, ...] = field(default=(), repr=False)
     alpha: float = 0.05
 
@@ -324,7 +323,7 @@ class Ranking:
         return tuple(row for row in self.rows if isinstance(row.law, str))
 
     @property
-    def sides(self) -> "tuple[Ranking, ...]":
+    def sides(self) -> "tuple[RankedLaws, ...]":
         """Each run's own side; of a single run the ranking itself."""
         return self.runs or (self,)
 

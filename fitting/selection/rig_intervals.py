@@ -12,9 +12,9 @@ from fitting.estimation.result import Parameter
 from fitting.selection.result import LawResult
 
 RIG = ("k/m", "v_dr", "x0", "c/m", "k", "c", "m")  # the others are parameters of a law, each with a meaning in it alone
-# Of a belt speed, the relative standard error from which a law does not determine it: one drag too short to show it
+# Relative standard error of a belt speed from which a law does not determine it: one drag too short to show it
 # gives 1.  Laws that determine it have errors below 0.3.
-OPEN = 0.5
+OPEN_BELT_SPEED = 0.5
 
 
 def over_the_set(rows: Sequence[LawResult]) -> list[LawResult]:
@@ -55,7 +55,7 @@ def _determined(name: str, members: Sequence[LawResult]) -> dict[int | str, Para
     """Return a parameter by each law that determines it."""
     known = {row.law: row.parameters[name] for row in members if name in row.parameters}
     if name.startswith("v_dr"):
-        return {law: item for law, item in known.items() if item.stderr < OPEN * abs(item.value)}
+        return {law: item for law, item in known.items() if item.stderr < OPEN_BELT_SPEED * abs(item.value)}
     return known
 
 

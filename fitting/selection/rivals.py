@@ -28,8 +28,8 @@ from fitting.selection.given import formula_given
 from fitting.undetermined import natural_size, undetermined
 
 logger = logging.getLogger(__name__)
-# Of the friction: curves that differ by less are one.  Half or twice decides the same for formulas written in another
-# way, which agree to rounding, and for other families, which are off by more than a hundredth.
+# Difference over the friction: curves that differ by less are one.  Half or twice decides the same for formulas written
+# in another way, which agree to rounding, and for other families, which are off by more than a hundredth.
 SAME_CURVE = 1e-3
 OF_THE_SIX = ("constant", "linear", "hyperbolic")
 FORM = {  # of the measured curve, of each published law

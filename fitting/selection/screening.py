@@ -16,7 +16,7 @@ from daq.base.compute.least_squares import least_squares
 from daq.base.errors import DataError, InputError
 from daq.runfile.rest_position import impossible
 from fitting.data.cycles import Cycle, CycleSegmentation
-from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion
+from fitting.data.frame import REST_SPEED, SLIP_SPEED, MeasuredMotion
 from fitting.driver.passes import first_pass, regressed_start
 from fitting.driver.task import law_task
 from fitting.estimation.fit import Fit
@@ -28,38 +28,41 @@ from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
-COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more
-ONE_SPEED = 0.2  # of the usual stick's: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1
-FEWEST_STICKS = 2  # to distinguish one speed from several
+COMES_BACK = 0.2  # way back over a slip's range; with sustained sticks a slip leads back by half of it and more
+# Difference over the usual stick's speed: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1.
+ONE_SPEED = 0.2
+FEWEST_STICKS = 2  # sticks to distinguish one speed from several
 # Samples in the usual slip.  Chosen: with 4, wrong laws are named alone and corners are found at the wrong places; from
 # 16 on nothing is gained.
 FEWEST_SAMPLES = 8
-BEYOND_NOISE = 20.0  # standard deviations of a position: a mass that moves by less does not move
+BEYOND_NOISE = 20.0  # way in standard deviations of a position: a mass that moves by less does not move
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
-FILLED = 0.5  # of a record that sticks, slips and rest fill at least
-STICK_SPEEDS = (0.6, 1.2)  # of the belt's speed
-SINE = 0.05  # of its amplitude: closer, a motion is a sine
-ONE_PLACE = 4.0  # of a slip's range: where friction hardly falls a slip is short, and scatter moves its start by more
-# Of the slip speed: least change of velocity in the middle half of a slip.  Spring and mass alone make 0.3 to 0.5, 39
+LEAST_FILLED = 0.5  # share of a record that sticks, slips and rest fill at least
+STICK_SPEEDS = (0.6, 1.2)  # speeds of sticks over the belt's
+SINE_DISTANCE = 0.05  # distance from a sine over its amplitude: closer, a motion is one
+# Scatter of starts over a slip's range: where friction hardly falls a slip is short, and scatter moves its start by
+# more.
+ONE_PLACE = 4.0
+# Least change of velocity in the middle half of a slip, over the slip speed.  Spring and mass alone make 0.3 to 0.5, 39
 # runs of all laws and disturbances 0.45 to 1.5, a triangular wave 0.000; half and twice the bound refuse the same.
 EVEN_SLIP = 0.1
-LONG_STICK = 20  # samples
-DIES_AWAY = 0.7  # of the speed at first: a last third slower than that
-WORST_FIT = 0.02  # of a slip's length: a best law that usually errs by more describes something else
-LEAST_FRICTION = 1e-3  # of the spring's pull over a slip: with less, nothing holds the mass
+LONG_STICK = 20  # samples of a long stick
+DIES_AWAY = 0.7  # speed in the last third over that at first, of a motion that dies away
+WORST_ERROR = 0.02  # error over a slip's length: a best law that usually errs by more describes something else
+LEAST_FRICTION = 1e-3  # friction over the spring's pull in a slip: with less, nothing holds the mass
 # Rough fits before the six laws: eight cycles cost 0.02 to 0.2 CPU s a law.  The first law tried leaves
 # at most 0.004 of a slip on five sample runs and a rippled one; noise, drives and hands left 0.04 to 0.4 by the best
 # law, a triangular wave 0.007.  Half the bound would still pass those runs; at twice more noise reaches the full fits.
-SCREENED_MISFIT = 0.03
-SCREENED_CYCLES = 8  # of the record, evenly spread
+SCREENED_ERROR = 0.03
+SCREENED_CYCLES = 8  # cycles of the record, evenly spread
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
 WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
 NONE_NEAR = "no law comes near it"
 NOT_DESCRIBED = "no law describes it"  # though one comes near
 SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
-# Of the record in sticks.  Records of paper on paper have 0.69 and 0.86, the rig's 0.24 to 0.8; moves of positioning
-# drives at nearly constant speed fill up to 0.25, plateaus of a random walk 0.12.
+# Share of the record in sticks.  Records of paper on paper have 0.69 and 0.86, the rig's 0.24 to 0.8; moves of
+# positioning drives at nearly constant speed fill up to 0.25, plateaus of a random walk 0.12.
 LEAST_SHARE = 0.3
 # Median way back in a slip, over the median way of a stick: in the long run both are equal.  Records of paper on paper
 # have 0.83 and 1.01, steps 0.04.
@@ -224,7 +227,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int,
         return "a decaying oscillation, without a start-up; constant friction with damping is possible"
     drag = cut.starts_at_rest and not sustained  # constant friction with damping: a start-up, then less and less motion
     filled = 1.0 if drag else _filled(motion, cut)
-    if filled < FILLED:
+    if filled < LEAST_FILLED:
         count = f"{len(seen)} cycle{'' if len(seen) == 1 else 's'}"
         return f"{count}, sticks and rests fill {100 * filled:.2g} % of {motion.span:.3g} s: the rest is other motion"
     return ""
@@ -234,7 +237,7 @@ def reject_by_coarse_fits(laws: Sequence[int], runs: Sequence[Run], *, sustained
     """Return why no law can describe the runs, from rough fits of a few cycles; "" as soon as one law comes near them.
 
     Real stick-slip passes with the first law tried: the windows and the levels of the cycles are free enough for any of
-    the six to leave less than `SCREENED_MISFIT`.  What no law can follow is refused here within a second, before the
+    the six to leave less than `SCREENED_ERROR`.  What no law can follow is refused here within a second, before the
     whole record is fitted by all of them.
 
     Parameters
@@ -253,7 +256,7 @@ def reject_by_coarse_fits(laws: Sequence[int], runs: Sequence[Run], *, sustained
         if law in laws or (law in (1, 2) and not sustained):
             task = law_task(law, few)
             fit = first_pass(task, regressed_start(task))
-            if fit is not None and fit.misfit < SCREENED_MISFIT * longest:
+            if fit is not None and fit.misfit < SCREENED_ERROR * longest:
                 return ""
     return _sine_or(NONE_NEAR, runs, sustained=sustained)
 
@@ -278,7 +281,7 @@ def swings_alone(swings: int) -> str:
 def comes_near(fits: Sequence[FittedLaw], runs: Sequence[Run]) -> bool:
     """Return whether one of some laws comes near the runs."""
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
-    return any(fit.misfit < WORST_FIT * longest for fit in fits)
+    return any(fit.misfit < WORST_ERROR * longest for fit in fits)
 
 
 def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
@@ -288,7 +291,7 @@ def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: boo
 
 def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
-    near = [fit for fit in fits if fit.misfit < WORST_FIT * longest]
+    near = [fit for fit in fits if fit.misfit < WORST_ERROR * longest]
     if not near:
         return NONE_NEAR
     best = min(near, key=lambda fit: fit.geometric_mean_rms)
@@ -318,11 +321,11 @@ def _of_motion(motion: MeasuredMotion) -> str:
     v = motion.velocity
     if motion.travel < BEYOND_NOISE * motion.resolution or motion.travel == 0:
         return "nothing moves beyond the noise" if motion.travel else "nothing moves"
-    if v.min() >= SLIPPING * motion.belt_speed:
+    if v.min() >= SLIP_SPEED * motion.belt_speed:
         return f"the mass moves on at {motion.sign * np.median(v):.3g} m/s and never slips"
     if _is_sine(motion):
         return SINE_ALONE
-    if v.max() < SLIPPING * motion.belt_speed:
+    if v.max() < SLIP_SPEED * motion.belt_speed:
         return f"the mass never moves with the belt, nominal speed {motion.sign * motion.belt_speed:.3g} m/s"
     return "no slip between two sticks"
 
@@ -337,7 +340,7 @@ def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Ar
 def _filled(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
     """Return the share of the record in which the mass sticks, slips in a cycle that was found, or stands still."""
     speed = motion.velocity / motion.belt_speed
-    known = (np.abs(speed) < REST_FRACTION) | ((speed > STICK_SPEEDS[0]) & (speed < STICK_SPEEDS[1]))
+    known = (np.abs(speed) < REST_SPEED) | ((speed > STICK_SPEEDS[0]) & (speed < STICK_SPEEDS[1]))
     for cycle in cut.cycles:
         known |= (motion.time >= cycle.break_away) & (motion.time <= cycle.landing)
     return float(np.mean(known))
@@ -345,7 +348,7 @@ def _filled(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
 
 def _is_sine(motion: MeasuredMotion) -> bool:
     """Return whether the position is a sine, to a twentieth of its amplitude."""
-    return _sine_residual(motion) < SINE * float(np.std(motion.position))
+    return _sine_residual(motion) < SINE_DISTANCE * float(np.std(motion.position))
 
 
 def _is_sine_alone(run: Run) -> bool:

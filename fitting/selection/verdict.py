@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from daq.base.output.lengths import format_length
+from fitting import noise_levels
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.competitors import ALL_LAWS, Competitors
@@ -18,8 +19,6 @@ OTHER_SPEEDS = " or runs at other belt speeds"
 # Chi of a published form.  The true one is outside the 95 % band in one record of twenty, at 1.3 to 2.0, other forms at
 # 4 and more.
 NEAR_FORM = 2.5
-SIX = len(ALL_LAWS)
-CLEARLY_ABOVE_NOISE = 1.1  # times the noise: a smaller excess is seen in what the residuals repeat, not in their size
 SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
     frozenset((3, 4)): f"a belt tachometer{OTHER_SPEEDS}",
@@ -135,7 +134,7 @@ def _named_sentence(
         rest = [row for row in rows if not row.in_set]
         return f"{head}; {_behind(best, min(rest, key=lambda row: row.score))}" if rest else head
     lead = competition.lead(best.law, six.law)
-    whole = len([row for row in rows if isinstance(row.law, int)]) == SIX
+    whole = len([row for row in rows if isinstance(row.law, int)]) == len(ALL_LAWS)
     return f"{head}; {six.called}{', the best of the six,' if whole else ''} is behind by {lead:.3g} in log evidence"
 
 
@@ -172,7 +171,7 @@ def rival_sentence(rows: Sequence[LawResult], competition: Competition) -> str:
     best = next(row for row in rows if row.asked)
     rival, *others = [row for row in rows if row.in_set]
     six = [row for row in rows if isinstance(row.law, int)]
-    which = "of the six" if len(six) == SIX and best in six else "of the laws fitted"
+    which = "of the six" if len(six) == len(ALL_LAWS) and best in six else "of the laws fitted"
     equal = f"; {' and '.join(row.called for row in others)} cannot be distinguished from it" if others else ""
     return (
         f"{best.called} is the best {which}; {rival.called} describes the record better "
@@ -222,7 +221,11 @@ def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
     found, outside = adequacy.goodness, best.outside_band
     if found is None:
         return left
-    times = f", {found.misfit:.3g} times the noise" if found.misfit > CLEARLY_ABOVE_NOISE else ", too regular for noise"
+    times = (
+        f", {found.misfit:.3g} times the noise"
+        if found.misfit > noise_levels.CLEARLY_ABOVE
+        else ", too regular for noise"
+    )
     band = ""
     if adequacy.of_speed and outside is not None and outside.half_widths > 1:
         band = f", and leaves the measured band by {outside.half_widths:.2g} half-widths at {outside.speed:.2g} m/s"

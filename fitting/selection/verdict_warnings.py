@@ -16,7 +16,7 @@ from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
-POOR_FIT = 0.003  # of the motion's range: five times what 12 % scatter, ripple and jitter leave over
+POOR_ERROR = 0.003  # error over the motion's range: five times what 12 % scatter, ripple and jitter leave over
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class Warned(NamedTuple):
 
 OF_THE_FIT = (
     Warned(
-        lambda run: run.best.fit.misfit > POOR_FIT * run.motion.travel,
+        lambda run: run.best.fit.misfit > POOR_ERROR * run.motion.travel,
         lambda run: (
             f"no law fits well: the typical error of the best one is {run.percent_of_travel:.2g} % of the motion, "
             "so the friction may follow none of the six"

@@ -44,13 +44,13 @@ def shared_tangents(path: Path, places: Sequence[int]) -> Array:
     runs = path.u.size // PER_RUN
     slots = sorted({place % PER_RUN for place in places})
     acceleration, edge = parameter_forces(path, slots)
-    found = np.zeros((path.reached.size, len(slots)))
+    columns = np.zeros((path.reached.size, len(slots)))
     plain = [j for j, slot in enumerate(slots) if slot not in BELT]
     moving = [j for j, slot in enumerate(slots) if slot in BELT]
-    found[:, plain] = tangents(path, acceleration[:, plain], edge=edge[:, plain])
+    columns[:, plain] = tangents(path, acceleration[:, plain], edge=edge[:, plain])
     if moving:
         belt = belt_columns(path, [slots[j] for j in moving])
-        found[:, moving] = tangents(path, acceleration[:, moving], belt_speed=belt)
+        columns[:, moving] = tangents(path, acceleration[:, moving], belt_speed=belt)
     table = parameters.columns(places, runs)
     run = path.run[path.reached]
     column = {slot: j for j, slot in enumerate(slots)}
@@ -58,26 +58,28 @@ def shared_tangents(path: Path, places: Sequence[int]) -> Array:
     for j in range(len(places)):
         for r in range(runs):
             if table[r, j] >= 0:
-                own = run == r
-                out[own, j] = found[own, column[int(table[r, j])]]
+                of_run = run == r
+                out[of_run, j] = columns[of_run, column[int(table[r, j])]]
     return out
 
 
-def spline_tangents(path: Path) -> Array:
-    """Return the derivatives of the positions by the coefficients of the path's spline, shape (N, n + 3)."""
+def spline_tangents(path: Path, directions: Array) -> Array:
+    """Return the derivatives of the positions along ``directions`` (n + 3, k) of the spline's coefficients, (N, k)."""
     spline = path.curve.spline
     if spline is None:
         raise ValueError("this path follows a law's curve: there are no coefficients")
-    slips = path.slips
-    forces = spline.basis(path.slip_speed, path.level * path.side * _yielding(path))
     d, q, at_rest = _contact(path)
+    forces = spline.basis(path.slip_speed, path.level * path.side * _yielding(path))
     if path.curve.ramp or np.any(q):
-        ramp = ~slips & ~(path.mode == STICK)
-        width = np.maximum(d + q * at_rest, 1e-300)
-        forces[ramp, 0] = (path.friction / at_rest * (d / width))[ramp]
-    edge = np.zeros((path.windows.table.shape[0], spline.coefficients.size))
+        ramp = ~path.slips & (path.mode != STICK)
+        forces[ramp, 0] = (path.friction / at_rest * (d / np.maximum(d + q * at_rest, 1e-300)))[ramp]
+    edge = np.zeros((path.windows.table.shape[0], directions.shape[0]))
     edge[:, 0] = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
-    return tangents(path, forces, edge=edge)
+    used = np.flatnonzero(directions.any(axis=0))
+    columns = np.zeros((path.reached.size, directions.shape[1]))
+    along = np.ascontiguousarray(directions[:, used])
+    columns[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=np.einsum("wn,nk->wk", edge, along))
+    return columns
 
 
 def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
@@ -136,15 +138,15 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
 
 def belt_columns(path: Path, slots: Sequence[int]) -> Array:
     """Return what a unit of each slot adds to the belt's speed, m/s, shape (M, slots)."""
-    found = np.ones((path.time.size, len(slots)))
+    columns = np.ones((path.time.size, len(slots)))
     if any(slot != Global.V_DR for slot in slots):
         turn = path.unknown(Global.OMEGA) * path.time
         cosine, sine = np.cos(turn), np.sin(turn)
         rate = path.time * (path.unknown(Global.SINE) * cosine - path.unknown(Global.COSINE) * sine)
         of = {Global.V_DR: np.ones(turn.size), Global.COSINE: cosine, Global.SINE: sine, Global.OMEGA: rate}
         for j, slot in enumerate(slots):
-            found[:, j] = of[Global(slot)]
-    return found
+            columns[:, j] = of[Global(slot)]
+    return columns
 
 
 def _contact(path: Path) -> tuple[Array | float, Array | float, float]:

@@ -11,8 +11,8 @@ times that of slip, at the half-width d.
 
 The motion is stepped, for any curve and any small force besides.  A step ends at every sample and every change of mode.
 It is short enough for the fastest rate of the motion.  A ramp is followed with next to no inertia (`CREEP`), in steps
-as long as those of a stick, once its transient has died out, or where that moves the mass by less than `NO_TRANSIENT`
-of the spring's stretch.
+as long as those of a stick, once its transient has died out, or where that moves the mass by less than
+`TRANSIENT_HIDDEN` of the spring's stretch.
 
 Every function runs as written or compiled (`daq.base.compute.compile`).
 """
@@ -50,23 +50,24 @@ from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
 # Longest step times the fastest rate: at 100 Hz positions of the rig scene's slips err by 2e-8 m, doubled by 1e-7 m,
 # against microns of noise.  At 1 kHz one step a sample is shorter than that anyhow, but on steep ramps.
 LONGEST_STEP = 0.1
-SEARCH_STEP = 0.4  # the same while searching: positions err by 0.5 um, which the last steps mend
-# Of the spring's stretch under F.  At 1e-5 a ramp's creep would miss a micron of its transient; at 1e-9 a steep ramp
-# takes ten times as many steps.
-NO_TRANSIENT = 1e-7
+SEARCH_STEP = 0.4  # longest step while searching: positions err by 0.5 um, which the last steps mend
+# Way of a ramp's transient over the spring's stretch under F.  At 1e-5 a ramp's creep would miss a micron of its
+# transient; at 1e-9 a steep ramp takes ten times as many steps.
+TRANSIENT_HIDDEN = 1e-7
 # Longest time constant of a ramp that creeps once its transient has died out, over the longest step of the oscillation.
 # At twice that, tangents of a search err by 3e-3; at half, ramps of 12 mm/s take 9 steps a sample of 125 Hz, not 1.4.
-STEEP = 0.1
-SETTLED = 18.0  # time constants of a ramp after which its transient has died out: exp(-18) is 1.5e-8
-# Of the time to rest: at a half a sharp guide's force is followed to 1e-3 of its change in one step.
-PART_OF_TURN = 0.5
-# Of the time in which a creep changes: its rate errs by so much of itself, and by rounding, 1e-12 m/s over d.
-DIFFERENCE = 1e-4
+STEEP_RAMP = 0.1
+TRANSIENT_TIMES = 18.0  # time constants of a ramp after which its transient has died out: exp(-18) is 1.5e-8
+# Step over the time to rest: at a half a sharp guide's force is followed to 1e-3 of its change in one step.
+STEP_IN_TURN = 0.5
+# Step of a difference over the time in which a creep changes: its rate errs by so much of itself, and by rounding,
+# 1e-12 m/s over d.
+CREEP_DIFFERENCE = 1e-4
 MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays on an edge
-MOST_BISECTIONS = 60  # of an event time: a double has 53 binary digits
+MOST_BISECTIONS = 60  # halvings that find an event: a double has 53 binary digits
 
 # Rows of the table of points.
-TIME, POSITION, VELOCITY, RELATIVE, BELT, LEVEL, FRICTION, SLOPE, SPEED, RESISTANCE = range(10)
+TIME, POSITION, VELOCITY, BELT, LEVEL, FRICTION, SLOPE, SPEED, RESISTANCE = range(9)
 # Columns of the table of steps: first of its three points, window, sample at its end or -1.
 FIRST_POINT, WINDOW, SAMPLE = range(3)
 X_SLIP, V_SLIP, OWN, NEXT, X_STICK, V_STICK = (int(column) for column in PerCycle)
@@ -141,7 +142,7 @@ def ramp_mode(w: Window, held: bool, t: float, x: float) -> int:
     edge = edge_speed(w.contact)
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
     stretch = w.contact.F * w.contact.at_rest / w.u[K]
-    return CREEP if edge < NO_TRANSIENT * rise * stretch and balances(w, held, t, x) else RAMP
+    return CREEP if edge < TRANSIENT_HIDDEN * rise * stretch and balances(w, held, t, x) else RAMP
 
 
 def balances(w: Window, held: bool, t: float, x: float) -> bool:
@@ -155,8 +156,8 @@ def settled(w: Window, held: bool, t: float, x: float, since: float, longest: fl
     What is left out then is of second order in K/rise^2, and so of the order of what a step leaves out.
     """
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
-    steep = math.sqrt(w.u[K]) < STEEP * longest * rise
-    return steep and (t - since) * rise > SETTLED and balances(w, held, t, x)
+    steep = math.sqrt(w.u[K]) < STEEP_RAMP * longest * rise
+    return steep and (t - since) * rise > TRANSIENT_TIMES and balances(w, held, t, x)
 
 
 def turning_step(w: Window, mode: int, t: float, x: float, v: float) -> float:
@@ -164,7 +165,7 @@ def turning_step(w: Window, mode: int, t: float, x: float, v: float) -> float:
     turn = w.extra.drag.turn
     if turn == 0.0 or mode == STICK or mode == CREEP:
         return math.inf
-    return float(PART_OF_TURN * (abs(v) + turn) / (abs(acceleration(w, mode, t, x, v)) + 1e-300))
+    return float(STEP_IN_TURN * (abs(v) + turn) / (abs(acceleration(w, mode, t, x, v)) + 1e-300))
 
 
 def fastest_rate(w: Window, mode: int, t: float, v: float) -> float:
@@ -178,7 +179,7 @@ def fastest_rate(w: Window, mode: int, t: float, v: float) -> float:
 
 
 def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Array, i: int) -> None:
-    """Store one stage point in column i of ``points`` (10, M)."""
+    """Store one stage point in column i of ``points`` (9, M)."""
     belt, level = belt_speed(w, t), level_at(w, t)
     force, slope, s = 0.0, 0.0, 0.0
     if mode == STICK:
@@ -186,7 +187,7 @@ def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Arra
     else:
         force, slope, s = friction(w.contact, RAMP if mode == CREEP else mode, belt - v, level)
     points[TIME, i], points[POSITION, i], points[VELOCITY, i] = t, x, v
-    points[RELATIVE, i], points[BELT, i], points[LEVEL, i] = belt - v, belt, level
+    points[BELT, i], points[LEVEL, i] = belt, level
     points[FRICTION, i], points[SLOPE, i], points[SPEED, i] = force, slope, s
     points[RESISTANCE, i] = w.u[DAMPING] - drag(w, v)[1]
 
@@ -284,7 +285,7 @@ def follow_window(
 ) -> tuple[int, int]:
     """Follow one window from its start; return the numbers of points and of steps stored, or (-1, 0) or (0, -1).
 
-    ``points`` (10, M), ``kinds`` (2, M) (mode, and 1 after the landing), ``steps`` (S, 3), ``jumps`` (S, 3)
+    ``points`` (9, M), ``kinds`` (2, M) (mode, and 1 after the landing), ``steps`` (S, 3), ``jumps`` (S, 3)
     (`crossing`) and ``reached`` (N,), the point of each sample, are filled from ``m`` and ``s`` on.  Returns (-1, 0)
     where they are too small, and (0, -1) where the motion cannot be followed.
     """
@@ -359,7 +360,7 @@ def rates_at(w: Window, mode: int, t: float, x: float, v: float) -> tuple[float,
         return v, 0.0
     if mode == CREEP:
         # Of the difference of both velocities: on a steep ramp the difference of both accelerations is rounding.
-        h = DIFFERENCE / fastest_rate(w, mode, t, v)
+        h = CREEP_DIFFERENCE / fastest_rate(w, mode, t, v)
         later = belt_speed(w, t + h) - bound_velocity(w, mode, t + h, x + h * v)
         return v, (later - (belt_speed(w, t) - bound_velocity(w, mode, t, x))) / h
     return v, belt_acceleration(w, t) - acceleration(w, mode, t, x, v)

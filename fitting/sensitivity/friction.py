@@ -18,7 +18,7 @@ from rig_sim.friction.curve import MEASURED, magnitude, slope
 from rig_sim.friction.spline import piece_of
 
 SPLINE = MEASURED  # code of a curve given by knots and pieces
-MOST_ITERATIONS = 30  # of Newton's method on a compliant belt; it needs 3 to 5
+MOST_ITERATIONS = 30  # Newton steps on a compliant belt; it needs 3 to 5
 
 
 class Contact(NamedTuple):

@@ -61,8 +61,8 @@ class Path:
         The unknowns that it was followed with.
     time, position, velocity : (M,) f8
         s, m, m/s.
-    relative_speed, belt_speed : (M,) f8
-        m/s; v_belt - x', positive where the belt is faster, and the speed of the unloaded belt.
+    belt_speed : (M,) f8
+        Of the unloaded belt, m/s.
     level : (M,) f8
         The cycle's friction level over F, faded.
     friction, friction_slope : (M,) f8
@@ -93,7 +93,6 @@ class Path:
     time: Array
     position: Array
     velocity: Array
-    relative_speed: Array
     belt_speed: Array
     level: Array
     friction: Array
@@ -110,8 +109,8 @@ class Path:
 
     def unknown(self, slot: int) -> Array | float:
         """Return a shared unknown at every point, (M,); one number where there is one run."""
-        own = self.u.reshape(-1, PER_RUN)[:, slot]
-        return float(own[0]) if own.size == 1 else np.asarray(own[self.run])
+        of_runs = self.u.reshape(-1, PER_RUN)[:, slot]
+        return float(of_runs[0]) if of_runs.size == 1 else np.asarray(of_runs[self.run])
 
     @property
     def model(self) -> Array:
@@ -197,7 +196,7 @@ def follow(
     size = int(max(STEPS_A_SAMPLE[bool(curve.ramp)] * N, earlier)) + 20 * rows
     most = max(size, MOST_STEPS, MOST_STEPS_A_SAMPLE * N)
     while True:
-        points, kinds = np.empty((10, 2 * size)), np.empty((2, 2 * size), np.int64)
+        points, kinds = np.empty((9, 2 * size)), np.empty((2, 2 * size), np.int64)
         steps, jumps = np.empty((size, 3), np.int64), np.empty((size, 3))
         status = kernel(
             *arguments,
@@ -226,7 +225,6 @@ def follow(
         time=points[flow.TIME, :M],
         position=points[flow.POSITION, :M],
         velocity=points[flow.VELOCITY, :M],
-        relative_speed=points[flow.RELATIVE, :M],
         belt_speed=points[flow.BELT, :M],
         level=points[flow.LEVEL, :M],
         friction=points[flow.FRICTION, :M],
@@ -255,9 +253,9 @@ def kernel_arguments(
 ) -> tuple[Any, ...]:
     """Return what a kernel that follows windows begins with, from the parameters of `follow`."""
     spline = curve.spline
-    own = np.array(u, float).reshape(-1, PER_RUN)
+    unknowns = np.array(u, float).reshape(-1, PER_RUN)
     if spline is not None:
-        own[:, rates.LOG_F] = 0.0
+        unknowns[:, rates.LOG_F] = 0.0
     extra = rates.Extra(
         np.zeros(1, np.int64) if along is None else along.first_point,
         NOTHING if along is None else along.time,
@@ -267,7 +265,7 @@ def kernel_arguments(
     )
     return (
         curve.code,
-        own,
+        unknowns,
         np.ascontiguousarray(local),
         windows.table,
         windows.level_epoch,

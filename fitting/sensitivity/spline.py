@@ -10,7 +10,7 @@ from daq.base.compute.compile import compiled
 from fitting.least_squares.normal_equations import scaled_inverse
 from rig_sim.friction.spline import piece_of
 
-DEGREE = 3
+DEGREE = 3  # degree of the pieces: slopes and curvatures are continuous
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,12 +55,12 @@ def tangents(
     k = acceleration.shape[1]
     none = np.zeros((path.windows.table.shape[0], k))
     x, v = start if start is not None else (none, none)
-    own = path.u.reshape(-1, PER_RUN)[path.windows.table[:, 5]]
+    rows = path.u.reshape(-1, PER_RUN)[path.windows.table[:, 5]]
     out = np.empty((path.reached.size, k))
     compiled(integrate, KERNELS, _nrt=False)(
         path.first_step,
         path.windows.table,
-        np.ascontiguousarray(own[:, Global.K]),
+        np.ascontiguousarray(rows[:, Global.K]),
         path.steps,
         path.jumps,
         path.mode,

@@ -43,9 +43,9 @@ from fitting.sensitivity.path import (
 from fitting.sensitivity.rates import CREEP, Extra, Window, advance, bound_velocity
 from rig_sim.flow.modes import RAMP, STICK
 
-# Of the longest step of a path.  The cubic between its ends errs by the fourth power: by 1e-9 m in slips of the rig
+# Longest step over that of a path.  The cubic between its ends errs by the fourth power: by 1e-9 m in slips of the rig
 # scene, at twice that by 2e-8 m, as a path at 100 Hz does; half takes twice the time.
-PART_OF_STEP = 0.4
+VALUE_STEP = 0.4
 
 
 def positions(
@@ -64,11 +64,11 @@ def positions(
 
     Parameters are those of `fitting.sensitivity.path.follow`.
     """
-    found = np.empty(windows.time.size)
+    out = np.empty(windows.time.size)
     kernel = compiled(follow_values, (*KERNELS, __name__), _nrt=False)
     arguments = kernel_arguments(windows, curve, u, local, along, acceleration, belt_speed, drag)
-    status = kernel(*arguments, longest_step, max(MOST_STEPS, MOST_STEPS_A_SAMPLE * found.size), found)
-    return found if status == 0 and float(np.abs(found).max()) < FARTHEST else None
+    status = kernel(*arguments, longest_step, max(MOST_STEPS, MOST_STEPS_A_SAMPLE * out.size), out)
+    return out if status == 0 and float(np.abs(out).max()) < FARTHEST else None
 
 
 def window_values(
@@ -101,7 +101,7 @@ def window_values(
             mode = CREEP
             v = bound_velocity(w, mode, t, x)
         # What a step leaves out of a ramp dies away with its transient.
-        step = longest if mode == RAMP else PART_OF_STEP * longest
+        step = longest if mode == RAMP else VALUE_STEP * longest
         rate = fastest_rate(w, mode, t, v)
         h = step / rate if rate * (end - t) > step else end - t
         h = min(h, turning_step(w, mode, t, x, v))

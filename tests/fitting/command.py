@@ -6,7 +6,7 @@ from fitting import cli, flags
 
 GROUPS = {
     "laws": flags.LawFlags,
-    "rig": flags.RigFlags,
+    "rig": flags.CalibrationFlags,
     "part": flags.PartFlags,
     "outputs": flags.OutputFlags,
     "work": flags.WorkFlags,

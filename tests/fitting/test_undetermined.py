@@ -3,7 +3,7 @@
 import pytest
 
 from fitting.law import PUBLISHED, Law
-from fitting.undetermined import undetermined
+from fitting.undetermined import natural_size, undetermined
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,12 @@ from fitting.undetermined import undetermined
 )
 def test_parameters_that_are_known_only_together_are_named(formula, said):
     assert [str(one) for one in undetermined(Law("mine", formula), 4.6, 0.5)] == said
+
+
+def test_sizes_are_above_0_beside_a_measured_curve_below_0():
+    """A curve without a known level may be negative; a fit of its formulas ended in "Initial guess is outside"."""
+    law = PUBLISHED["stribeck-gaussian-viscous"]
+    assert [natural_size(law, name, -38.0, 0.5) for name in ("Fs", "v_s", "Fv")] == [38.0, 0.5, 76.0]
 
 
 def test_a_fixed_parameter_leaves_the_other_determined():

@@ -10,6 +10,17 @@ from daq.base.console.application import Whole
 from daq.base.errors import InputError
 from daq.base.measured import Measured, checked
 
+Mass = Annotated[
+    Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
+]
+Stiffness = Annotated[
+    Measured | None, flags.measured("--stiffness", "stiffness", "Spring: '10.5', '10.5 N/m +- 0.1 N/m'.", "stiffness")
+]
+RestPosition = Annotated[
+    Measured | None,
+    flags.measured("--x0", "length", "Reading at the spring's rest: '60 mm', '-60 mm +- 0.1 mm'.", "x0"),
+]
+
 
 @Parameter(name="*")
 @dataclass(frozen=True)
@@ -62,19 +73,12 @@ class PitchFlags:
 class RigFlags(PitchFlags):
     """What is known of a rig; None where not given."""
 
-    mass: Annotated[
-        Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
-    ] = None
-    stiffness: Annotated[
-        Measured | None, flags.measured("--stiffness", "stiffness", "Spring: '10.5', '10.5 N/m'.", "stiffness")
-    ] = None
+    mass: Mass = None
+    stiffness: Stiffness = None
     belt_speed: Annotated[
         Measured | None, flags.measured("--belt", "speed", "Belt speed towards +x: '0.22', '22 cm/s'.", "belt_speed")
     ] = None
-    x0: Annotated[
-        Measured | None,
-        flags.measured("--x0", "length", "Reading at the spring's rest: '60 mm', '-60 mm +- 0.1 mm'.", "x0"),
-    ] = None
+    x0: RestPosition = None
 
     def stated(self) -> dict[str, Measured | int]:
         """Return what is given, by the attributes of `daq.runfile.rig.Rig`; InputError as of `PitchFlags`."""

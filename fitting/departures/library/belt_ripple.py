@@ -11,13 +11,11 @@ import math
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from fitting.data.ripple import strongest_frequencies
+from fitting.data.ripple import FEWEST_LONG_STICKS, SLOWEST_OF_FEW, strongest_frequencies
 from fitting.forces.departure import Departure, Forcing, harmonic
 from fitting.forces.fitted_motion import FittedMotion
 
-SLOWEST = 0.1  # periods in a slip: slower, it may be wear or a drift
-FEWEST = 4  # sticks
-PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
+MOST_PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
 
 
 def forcing(trajectory: FittedMotion, hertz: float) -> Forcing:
@@ -29,15 +27,17 @@ def frequencies(trajectory: FittedMotion) -> Array:
     """Return the strongest frequencies of the residuals in stick, Hz, each between its neighbours."""
     window, time = trajectory.window[trajectory.samples], trajectory.time[trajectory.samples]
     times, left = [], []
-    for own in np.flatnonzero(trajectory.sticks):
-        part = window == own
+    for stick in np.flatnonzero(trajectory.sticks):
+        part = window == stick
         times.append(time[part])
         left.append(trajectory.residual[part] - trajectory.residual[part].mean())
-    if len(times) < FEWEST:
+    if len(times) < FEWEST_LONG_STICKS:
         return np.empty(0)
     slip_s = trajectory.slip_s
-    found, apart = strongest_frequencies(np.concatenate(times), np.concatenate(left), slip_s, SLOWEST / slip_s, PEAKS)
-    beside = np.unique(np.add.outer(found, apart * np.arange(-1, 2)).ravel())
+    peaks, apart = strongest_frequencies(
+        np.concatenate(times), np.concatenate(left), slip_s, SLOWEST_OF_FEW / slip_s, MOST_PEAKS
+    )
+    beside = np.unique(np.add.outer(peaks, apart * np.arange(-1, 2)).ravel())
     return np.asarray(beside[beside > 0])
 
 

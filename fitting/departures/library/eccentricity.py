@@ -12,7 +12,7 @@ from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
 from fitting.forces.fitted_motion import FittedMotion
 
-SMALLEST = 0.04  # of the travel: a smaller wheel would turn 25 times in a slip
+SMALLEST_REVOLUTION = 0.04  # revolution over the travel: a smaller wheel would turn 25 times in a slip
 
 
 def forcing(trajectory: FittedMotion, revolution: float) -> Forcing:
@@ -25,7 +25,7 @@ def revolutions(trajectory: FittedMotion) -> Array:
     """Return the length of one revolution, m: the calibrated one, or those up to the travel."""
     if trajectory.revolution is not None:
         return np.array([trajectory.revolution])
-    return spaced(SMALLEST * trajectory.travel, trajectory.travel, trajectory.travel)
+    return spaced(SMALLEST_REVOLUTION * trajectory.travel, trajectory.travel, trajectory.travel)
 
 
 DEPARTURE = Departure(

@@ -8,8 +8,9 @@ from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
 from fitting.forces.fitted_motion import FittedMotion
 
-SHORTEST = 0.7  # of the way between mass and belt in a cycle: a shorter belt turns more than once in a cycle
-LONGEST = 0.7  # of the way in the whole record: a place that does not come back is wear
+# Length over the way between mass and belt in a cycle: a shorter belt turns more than once in a cycle.
+SHORTEST_BELT = 0.7
+LONGEST_BELT = 0.7  # length over the way in the whole record: on a longer one a place that does not come back is wear
 
 
 def forcing(trajectory: FittedMotion, length: float) -> Forcing:
@@ -21,7 +22,7 @@ def forcing(trajectory: FittedMotion, length: float) -> Forcing:
 def lengths(trajectory: FittedMotion) -> Array:
     """Return lengths of belts, m."""
     way = trajectory.belt_way
-    return spaced(SHORTEST * way / trajectory.cycles, LONGEST * way, way)
+    return spaced(SHORTEST_BELT * way / trajectory.cycles, LONGEST_BELT * way, way)
 
 
 DEPARTURE = Departure(

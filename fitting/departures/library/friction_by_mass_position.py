@@ -8,7 +8,7 @@ from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
 from fitting.forces.fitted_motion import FittedMotion
 
-SMALLEST = 0.08  # of the travel: what repeats more often in a slip averages out
+SHORTEST_WAVELENGTH = 0.08  # wavelength over the travel: what repeats more often in a slip averages out
 
 
 def forcing(trajectory: FittedMotion, wavelength: float) -> Forcing:
@@ -19,7 +19,7 @@ def forcing(trajectory: FittedMotion, wavelength: float) -> Forcing:
 
 def wavelengths(trajectory: FittedMotion) -> Array:
     """Return wavelengths up to the travel, m."""
-    return spaced(SMALLEST * trajectory.travel, trajectory.travel, trajectory.travel)
+    return spaced(SHORTEST_WAVELENGTH * trajectory.travel, trajectory.travel, trajectory.travel)
 
 
 DEPARTURE = Departure(

@@ -19,22 +19,23 @@ from fitting.forces import oscillator
 from fitting.forces.departure import Departure, Forcing
 from fitting.forces.fitted_motion import FittedMotion
 
-DAMPING = 0.01  # of the critical one
-SLOWEST, FASTEST = 1.5, 15.0  # times the main spring's frequency: slower is a second spring, faster moves with the mass
-STEP = 0.012  # of the frequency: about half the width of the resonance
-DRIVE = 8e-3  # slips: for so long the acceleration is held; at the fastest mode a tenth of its period
+MODE_DAMPING = 0.01  # damping over the critical one
+# Frequency over the main spring's: slower is a second spring, faster moves with the mass.
+SLOWEST_MODE, FASTEST_MODE = 1.5, 15.0
+FREQUENCY_STEP = 0.012  # relative step between frequencies: about half the width of the resonance
+HELD_SLIPS = 8e-3  # time for which the acceleration is held, in slips; at the fastest mode a tenth of its period
 
 
 def forcing(trajectory: FittedMotion, omega: float) -> Forcing:
     """Return what a mass of 1 (times the first) pulls with, in phase and a quarter turn later, m/s^2."""
     out = np.empty((trajectory.time.size, 2))
-    for own, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
+    for run, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
         time, drive = held_acceleration(record)
         pull = _pull(drive, time[1] - time[0], omega)
-        place = (trajectory.time[own] - time[0]) / (time[1] - time[0])
+        place = (trajectory.time[run] - time[0]) / (time[1] - time[0])
         before = np.minimum(place.astype(np.int64), time.size - 2)
         share = (place - before)[:, np.newaxis]
-        out[own] = (1 - share) * pull[before] + share * pull[before + 1]
+        out[run] = (1 - share) * pull[before] + share * pull[before + 1]
     return Forcing(acceleration=out)
 
 
@@ -42,15 +43,15 @@ def frequencies(trajectory: FittedMotion) -> Array:
     """Return angular frequencies that the samples can show, rad/s."""
     interval = max(float(np.median(np.diff(record.time))) for record in trajectory.records)
     main = math.sqrt(trajectory.K)
-    fastest = min(FASTEST * main, 0.5 * math.pi / interval)
-    return np.asarray(np.exp(np.arange(math.log(SLOWEST * main), math.log(fastest), STEP)))
+    fastest = min(FASTEST_MODE * main, 0.5 * math.pi / interval)
+    return np.asarray(np.exp(np.arange(math.log(SLOWEST_MODE * main), math.log(fastest), FREQUENCY_STEP)))
 
 
 @lru_cache(maxsize=8)  # one a run: every frequency uses the same drive
 def held_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
-    """Return times and mean accelerations, m/s^2, of steps of about `DRIVE` slips; shapes (n,)."""
+    """Return times and mean accelerations, m/s^2, of steps of about `HELD_SLIPS` slips; shapes (n,)."""
     interval = float(np.median(np.diff(record.time)))
-    held = max(1, int(DRIVE * record.slip_s / interval))
+    held = max(1, int(HELD_SLIPS * record.slip_s / interval))
     count = int((record.time[-1] - record.time[0]) / (held * interval))
     fine = record.time[0] + interval * np.arange(count * held)
     mean = np.interp(fine, record.time, record.acceleration).reshape(count, held).mean(axis=1)
@@ -62,7 +63,7 @@ def _pull(acceleration: Array, step: float, omega: float) -> Array:
 
     ``acceleration`` (n,) of the base holds for ``step`` s each.  In the complex plane the oscillator is one pole.
     """
-    rate = omega * complex(-DAMPING, math.sqrt(1 - DAMPING**2))
+    rate = omega * complex(-MODE_DAMPING, math.sqrt(1 - MODE_DAMPING**2))
     turn = cmath.exp(rate * step)
     state = np.empty(acceleration.size, np.complex128)
     compiled(oscillator.follow_pole, (oscillator.__name__,))(-acceleration, turn, (turn - 1) / rate, state)

@@ -40,5 +40,6 @@ def test_a_rest_position_is_hidden_by_what_follows_it(one_window, contact, stick
 
     beside = unseen(PLACES, path)
     beside[PLACES.index(Global.DATUM)] = 1.0
-    columns, curved = shared_tangents(path, PLACES), spline_tangents(path) @ np.full(coefficients.size, -K)
+    columns = shared_tangents(path, PLACES)
+    curved = spline_tangents(path, np.full((coefficients.size, 1), -K))[:, 0]
     assert np.abs(columns @ beside + curved).max() <= 1e-4 * max(np.abs(curved).max(), np.abs(columns[:, 3]).max())

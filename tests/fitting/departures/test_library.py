@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.departures import table
+from fitting.departures import library
 from fitting.forces.departure import spaced
 
-ROOT = Path(table.__file__).parents[2]
+ROOT = Path(library.__file__).parents[3]
 
 
 def test_every_file_of_the_library_has_a_row_and_every_row_a_file():
-    files = {path.stem for path in (Path(table.__file__).parent / "library").glob("*.py")} - {"__init__"}
-    assert files == set(table.ROWS)
+    files = {path.stem for path in Path(library.__file__).parent.glob("*.py")} - {"__init__"}
+    assert files == set(library.ROWS)
 
 
-@pytest.mark.parametrize("departure", table.departures(), ids=lambda departure: departure.name)
+@pytest.mark.parametrize("departure", library.departures(), ids=lambda departure: departure.name)
 def test_a_departure_says_what_it_is(departure):
     assert departure.columns in (1, 2)
     assert departure.parameter
@@ -29,23 +29,23 @@ def test_a_departure_says_what_it_is(departure):
     assert " in " in module.__doc__ or "relative" in module.__doc__ or "m2/m" in module.__doc__
 
 
-def test_no_departure_is_named_outside_its_file_and_the_table():
-    folder = Path(table.__file__).parent
-    others = [path for path in folder.rglob("*.py") if path.parent.name != "library" and path.name != "table.py"]
+def test_no_departure_is_named_outside_its_folder():
+    folder = Path(library.__file__).parents[1]
+    others = [path for path in folder.rglob("*.py") if path.parent.name != "library"]
     for path in others:
         named = {node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)}
-        assert not named & {departure.name for departure in table.departures()}, path
+        assert not named & {departure.name for departure in library.departures()}, path
         assert "fitting.departures.library." not in path.read_text()
 
 
-@pytest.mark.parametrize("row", table.ROWS)
+@pytest.mark.parametrize("row", library.ROWS)
 def test_without_its_file_and_its_row_the_others_are_still_there(row, monkeypatch):
-    monkeypatch.setitem(sys.modules, f"{table.LIBRARY}.{row}", None)  # as if the file were not there
-    others = tuple(name for name in table.ROWS if name != row)
-    table.departures.cache_clear()
-    found = table.departures(others)
-    table.departures.cache_clear()
-    assert len(found) == len(table.ROWS) - 1
+    monkeypatch.setitem(sys.modules, f"{library.__name__}.{row}", None)  # as if the file were not there
+    others = tuple(name for name in library.ROWS if name != row)
+    library.departures.cache_clear()
+    found = library.departures(others)
+    library.departures.cache_clear()
+    assert len(found) == len(library.ROWS) - 1
 
 
 def test_wavelengths_are_a_quarter_of_the_resolution_apart():

@@ -8,9 +8,9 @@ import pytest
 
 from fitting.departures import explain, strongest
 from fitting.departures.ageing import find_ageing
+from fitting.departures.library import departures
 from fitting.departures.memory import suspect_memory
 from fitting.departures.result import FoundDeparture
-from fitting.departures.table import departures
 from fitting.estimation.result import BreakAway
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth

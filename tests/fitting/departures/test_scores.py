@@ -13,10 +13,9 @@ import pytest
 
 from fitting.data import frame
 from fitting.departures import strongest as strongest_module
-from fitting.departures.scan import best_scale, gains
+from fitting.departures.library import departures
 from fitting.departures.scores import Score, score, sigmas
-from fitting.departures.strongest import describe, misfit_beyond_noise, strongest
-from fitting.departures.table import departures
+from fitting.departures.strongest import best_scale, describe, gains, misfit_beyond_noise, strongest
 from fitting.forces.fitted_motion import FittedMotion
 from fitting.model.parameters import Global
 from fitting.sensitivity.path import follow

@@ -5,8 +5,8 @@ import pytest
 
 import rig_sim
 from daq.runfile.rig import Rig
+from fitting import noise_levels
 from fitting.data import cycles, frame
-from fitting.driver import driver
 from fitting.driver.driver import fit_laws
 from fitting.driver.noise import without_outliers
 from fitting.driver.passes import first_pass, regressed_start
@@ -64,7 +64,7 @@ def test_a_search_that_is_lost_starts_again(simulated):
     run = candidates.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
     task = law_task(5, [run])
     lost = first_pass(task, regressed_start(task))
-    assert lost.geometric_mean_rms > driver.LOST * run.motion.resolution
+    assert lost.geometric_mean_rms > noise_levels.LOST * run.motion.resolution
     (found,) = fit_laws((5,), [run])
     assert found.geometric_mean_rms < 2 * run.motion.resolution
     assert found.u[Global.K] == pytest.approx(35.184, rel=1e-4)

@@ -113,7 +113,7 @@ def test_a_spline_that_is_a_line_moves_as_the_linear_law(one_window, ramp, compl
 def test_tangents_of_spline_coefficients_are_differences(one_window, ramp):
     curve = spline_curve(spline_of(lambda s: F / (1 + 9.6 * s)), ramp)
     u, windows, local = unknowns(d=0.02, fade=0.01, compliance=0.03), one_window(), SLIP[None]
-    found = spline_tangents(follow(windows, curve, u, local))
+    found = spline_tangents(follow(windows, curve, u, local), np.eye(curve.spline.coefficients.size))
     for j in range(found.shape[1]):
         ends = []
         for h in (1e-5, -1e-5):

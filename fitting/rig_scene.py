@@ -1,4 +1,4 @@
-"""The numbers of the scene that a fitted rig is: its keys, values and covariance.
+"""A fitted rig as a scene of the simulator: its keys, values and covariance, and the TOML file of them.
 
 Without a mass or a stiffness a record shows forces per unit mass alone.  The scene then has a mass of 1 kg, and its
 newtons are per kilogram: times, positions and speeds are those of the rig all the same, and dampings those per kg.
@@ -16,6 +16,7 @@ predictions are for a steady belt.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.errors import DataError
 from daq.base.measured import Measured
+from daq.base.output import atomic
 from fitting.curve.band import covariances
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.result import MeasuredCurve
@@ -34,20 +36,20 @@ from fitting.law import Law
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
-from fitting.selection.result import Ranking
+from fitting.model.wear import FEWEST_LEVELS
+from fitting.selection.result import RankedLaws
 from processing.statistics import StickSlipStatistics
 from rig_sim.friction.law import LAWS
 
-STEP = 1e-6  # of the derivatives, of an unknown or, where that is larger, of its error: they err by 1e-9
+DERIVATIVE_STEP = 1e-6  # step over an unknown or, where that is larger, over its error: derivatives err by 1e-9
 # A break-away level above that of slip is written where it exceeds it by this many standard errors, and by this share.
 # With 2 errors one in 40 contacts without such a level would be given one; 8 would hide a level twice as high.
 STATIC_ERRORS, LEAST_STATIC = 4.0, 0.005
-FEWEST_LEVELS = 4  # a line through fewer leaves next to nothing of their scatter
-BLUR = 0.5  # of the smoothing's half-window: how far it moves a break-away found without a law
-LEAST_FRICTION = 0.1  # of a curve's fall: it must not reach 0, and how far it stays above changes no motion
+BREAK_AWAY_BLUR = 0.5  # how far smoothing moves a break-away found without a law, over its half-window
+LEAST_FRICTION = 0.1  # least friction over a curve's fall: above 0, which changes no motion
 # Keys of a scene's section of friction that no parameter of a formula can have (`rig_sim.scenes.checks`).
 OWN_KEYS = ("law", "curve", "formula", "contact", "static", "d", "G_stick")
-LEAST_SCATTER = 2.0  # times what the noise makes of the levels, below which the scene has no scatter
+LEAST_SCATTER = 2.0  # scatter of the levels over what noise makes of it: with less the scene has none
 
 
 class Calibration(NamedTuple):
@@ -91,7 +93,7 @@ class FittedScene:
     fixed: Mapping[str, float] = field(default_factory=dict)
 
 
-def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene:
+def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedScene:
     """Return the scene of a ranking: its best law, or the measured curve where no law describes the record.
 
     ``statistics`` are those of the first run.
@@ -114,14 +116,14 @@ def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene
     return of_curve(ranking, adequacy.curve, statistics)
 
 
-def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
+def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
     """Return the scene of the best law, one of the six."""
     motion = ranking.motion
     law = LAWS[fit.law]
     slots = columns(fit.active, fit.runs)[0]
     known = slots >= 0
     spread = covariance(fit, fit.precision)[np.ix_(known, known)]
-    own = fit.u[:PER_RUN]
+    unknowns_of_run = fit.u[:PER_RUN]
     static = None if law.ramp else _static(ranking)
     names = ["spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs"]
     names += {"hyperbolic": ["friction.gamma"], "linear": ["friction.G_slip"], "constant": []}[law.curve]
@@ -130,7 +132,7 @@ def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
     names += ["droop.fraction"] if Global.COMPLIANCE in fit.active else []
 
     def scene_of(unknowns: Array, calibration: Calibration, factor: float, length: float) -> dict[str, float]:
-        u = own.copy()
+        u = unknowns_of_run.copy()
         u[slots[known]] = unknowns
         p = values(u)
         m = calibration.mass_for(p.K, factor)
@@ -145,11 +147,11 @@ def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
 
     if motion.datum_prior is None and law.curve != "hyperbolic":
         spread = _held(spread, slots[known].tolist().index(Global.DATUM))
-    found = _propagated(scene_of, own[slots[known]], spread, motion, names)
-    return _built(ranking, fit.law, found, static, np.empty(0), ramp=False)
+    propagated = _propagated(scene_of, unknowns_of_run[slots[known]], spread, motion, names)
+    return _built(ranking, fit.law, propagated, static, np.empty(0), ramp=False)
 
 
-def of_formula(ranking: Ranking, fit: FormulaFit) -> FittedScene:
+def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
     """Return the scene of the best law, given as a formula.
 
     Raises
@@ -179,19 +181,19 @@ def of_formula(ranking: Ranking, fit: FormulaFit) -> FittedScene:
         u[places] = unknowns[: len(places)]
         p = values(u)
         m = calibration.mass_for(p.K, factor)
-        found = _rig_of(p, m, motion.sign, length)
-        found |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
+        scene = _rig_of(p, m, motion.sign, length)
+        scene |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
         for name, value in fit.curve.values(unknowns[len(places) :]).items():
             force, speed = law.dimensions.get(name, (0, 0))
-            found[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
-        return found
+            scene[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
+        return scene
 
-    found = _propagated(scene_of, at.q[index], spread, motion, names)
+    propagated = _propagated(scene_of, at.q[index], spread, motion, names)
     calibration = Calibration(motion.mass, motion.stiffness, motion.length_error)
     at_fit = scene_of(at.q[index], calibration, 1.0, 1.0)
     keys = [f"friction.{taken[name]}" for name in law.curve.parameters if name not in fit.curve.law.free]
     text = law.curve.renamed({name: key for name, key in taken.items() if name != key}).text
-    built = _built(ranking, 0, found, static, np.empty(0), ramp=fit.problem.ramp)
+    built = _built(ranking, 0, propagated, static, np.empty(0), ramp=fit.problem.ramp)
     return replace(
         built,
         formula=text if sized else f"{calibration.mass_for(fit.values.K, 1.0)!r}*({text})",
@@ -201,16 +203,16 @@ def of_formula(ranking: Ranking, fit: FormulaFit) -> FittedScene:
 
 def _scene_names(law: Law) -> dict[str, str]:
     """Return the key of each parameter of a formula in a scene, whose section of friction has keys of its own."""
-    found: dict[str, str] = {}
+    keys: dict[str, str] = {}
     for name in law.curve.parameters:
         key = name
         while key in OWN_KEYS or (key != name and key in law.curve.parameters):
             key += "_"
-        found[name] = key
-    return found
+        keys[name] = key
+    return keys
 
 
-def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
+def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
     """Return the scene of the measured curve.
 
     Slips hardly show friction at rest.  The break-aways do: unless they are significantly above the curve, the curve
@@ -253,11 +255,11 @@ def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatis
 
         gap, slopes = above(unknowns), _slopes(above, unknowns, spread)
         along = np.einsum("ij,j->i", spread, slopes)
-        own = (spline_fit.fit.values.K * broken.sd) ** 2
-        variance = float(np.sum(along * slopes)) + own
+        placed = (spline_fit.fit.values.K * broken.sd) ** 2
+        variance = float(np.sum(along * slopes)) + placed
         rest = float(basis.coefficients(unknowns)[0])
         if gap > max(STATIC_ERRORS * math.sqrt(variance), LEAST_STATIC * rest):
-            static = Measured(1 + gap / rest, math.sqrt(own) / rest)
+            static = Measured(1 + gap / rest, math.sqrt(placed) / rest)
         else:
             unknowns = unknowns - along * gap / variance
             spread = spread - np.outer(along, along) / variance
@@ -277,8 +279,8 @@ def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatis
             | {f"friction.curve.{i}": float(F) for i, F in enumerate(friction)}
         )
 
-    found = _propagated(scene_of, unknowns, spread, motion, names)
-    return _built(ranking, 0, found, static, points, ramp=bool(curve.ramp))
+    propagated = _propagated(scene_of, unknowns, spread, motion, names)
+    return _built(ranking, 0, propagated, static, points, ramp=bool(curve.ramp))
 
 
 def _held(spread: Array, place: int) -> Array:
@@ -339,21 +341,21 @@ def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array)
     columns_of = []
     for j in range(u.size):
         step = np.zeros(u.size)
-        step[j] = STEP * (max(abs(float(u[j])), math.sqrt(max(float(spread[j, j]), 0.0))) or 1.0)
+        step[j] = DERIVATIVE_STEP * (max(abs(float(u[j])), math.sqrt(max(float(spread[j, j]), 0.0))) or 1.0)
         columns_of.append((np.asarray(function(u + step)) - np.asarray(function(u - step))) / (2 * step[j]))
     return np.stack(columns_of, axis=-1)
 
 
 def _built(
-    ranking: Ranking,
+    ranking: RankedLaws,
     law: int,
-    found: tuple[list[str], Array, Array],
+    propagated: tuple[list[str], Array, Array],
     static: Measured | None,
     points: Array,
     *,
     ramp: bool,
 ) -> FittedScene:
-    names, numbers, spread = found
+    names, numbers, spread = propagated
     if static:
         place = names.index("friction.static")
         spread[place, place] = static.sd**2
@@ -375,11 +377,11 @@ def _positive(spread: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
     size, axes = eigen(0.5 * (spread + spread.T) / scale[:, None] / scale)
     root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
-    found = np.asarray(np.einsum("ik,jk->ij", root, root))
-    return np.asarray(0.5 * (found + found.T))
+    positive = np.asarray(np.einsum("ik,jk->ij", root, root))
+    return np.asarray(0.5 * (positive + positive.T))
 
 
-def _static(ranking: Ranking) -> Measured | None:
+def _static(ranking: RankedLaws) -> Measured | None:
     """Return the break-away level over Fs where the record shows that it is above 1."""
     ratio = np.array([e.break_away_level for e in ranking.events if e.flag == "" and math.isfinite(e.break_away_level)])
     if ratio.size < FEWEST_LEVELS:
@@ -396,7 +398,9 @@ def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion
         return None
     rest = motion.datum_prior.value if motion.datum_prior is not None else 0.0
     error = 1.4826 * float(np.median(np.abs(seen - np.median(seen)))) / math.sqrt(seen.size)
-    return Measured(float(np.median(seen)) + rest, math.hypot(error, BLUR * motion.half_window * motion.belt_speed))
+    return Measured(
+        float(np.median(seen)) + rest, math.hypot(error, BREAK_AWAY_BLUR * motion.half_window * motion.belt_speed)
+    )
 
 
 def _scatter(fit: Fit | FormulaFit) -> float:
@@ -404,10 +408,10 @@ def _scatter(fit: Fit | FormulaFit) -> float:
 
     0 where no more than noise is seen.
     """
-    own = fit.for_run(0)
-    table = own.windows.table
-    slips = (table[:, 1] == 0) & own.inlier_cycles[table[:, 0]]
-    time, level = own.windows.level_epoch[slips], np.exp(own.local[table[slips, 0], PerCycle.LEVEL])
+    run = fit.for_run(0)
+    table = run.windows.table
+    slips = (table[:, 1] == 0) & run.inlier_cycles[table[:, 0]]
+    time, level = run.windows.level_epoch[slips], np.exp(run.local[table[slips, 0], PerCycle.LEVEL])
     if level.size <= FEWEST_LEVELS:
         return 0.0
     centred = time - time.mean()
@@ -416,3 +420,76 @@ def _scatter(fit: Fit | FormulaFit) -> float:
     blocks = fit.solution.blocks if isinstance(fit, Fit) else fit.at.solution.blocks
     noise = float(np.median(np.linalg.inv(blocks.Hl)[:, PerCycle.LEVEL, PerCycle.LEVEL]))
     return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0
+
+
+def text(scene: FittedScene, ranking: RankedLaws, run: Path) -> str:
+    """Return the TOML text of a scene."""
+    values = dict(zip(scene.keys, scene.values.tolist(), strict=True))
+    assumed = "mass.m" not in values
+    mass = values.get("mass.m", 1.0)
+    curve = [values[f"friction.curve.{i}"] for i in range(scene.points.size)]
+    lines = [f"# Fitted rig, written by fit-friction from {_quoted(run.name)}."]
+    if assumed:
+        lines.append(
+            "# No mass or stiffness is known: mass 1 kg is assumed, so that N here are N per kg of the rig's mass."
+        )
+    kind = f"law {scene.law}" if scene.law else ranking.best.label if scene.formula else "measured curve"
+    lines += [f"title = {_quoted(f'fitted to {run.name}: {kind}')}"]
+    lines += [
+        "",
+        "[mass]",
+        f"m = {mass!r}",
+        "",
+        "[spring]",
+        f"k = {values['spring.k']!r}",
+        f"x0 = {values['spring.x0']!r}",
+    ]
+    lines += [
+        "",
+        "[belt]",
+        f"speed = {values['belt.speed']!r}",
+        "",
+        "[damper]",
+        f"c = {max(values['damper.c'], 0.0)!r}",
+    ]
+    lines += ["", "[start]", f"x = {values['spring.x0']!r}", "", "[friction]"]
+    lines += [f"formula = {_quoted(scene.formula)}" if scene.formula else f"law = {scene.law}"]
+    lines += [f"{key} = {value!r}" for key, value in scene.fixed.items()]
+    lines += [
+        f"{name.removeprefix('friction.')} = {value!r}"
+        for name, value in values.items()
+        if name.startswith("friction.") and not name.startswith("friction.curve.")
+    ]
+    if curve:
+        lines += ['contact = "ramp"'] if scene.ramp else []
+        lines += ["# slip speed in m/s, friction in N" + (" per kg" if assumed else ""), "curve = ["]
+        lines += [f"    [{s!r}, {F!r}]," for s, F in zip(scene.points.tolist(), curve, strict=True)]
+        lines += ["]"]
+    if "droop.fraction" in values:
+        lines += ["", "[droop]", f"fraction = {max(values['droop.fraction'], 0.0)!r}"]
+    if scene.scatter > 0:
+        lines += ["", "[scatter]", f"Fs = {scene.scatter!r}"]
+    lines += ["", "[fit]", f"verdict = {_quoted(ranking.verdict)}", f"cycles = {scene.cycles}"]
+    lines += [f"mass_assumed = {str(assumed).lower()}"]
+    lines += ["parameters = [" + ", ".join(_quoted(name) for name in scene.keys) + "]"]
+    lines += [f"values = {scene.values.tolist()!r}", "covariance = ["]
+    lines += [f"    {row!r}," for row in scene.covariance.tolist()]
+    return "\n".join([*lines, "]"]) + "\n"
+
+
+def _quoted(words: str) -> str:
+    """Return a TOML basic string."""
+    plain = words.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(letter if letter.isprintable() else " " for letter in plain) + '"'
+
+
+def save(path: Path, ranking: RankedLaws, statistics: StickSlipStatistics, run: Path) -> None:
+    """Write the scene of a ranking (`of_ranking`), replacing what stands there: see `refuse_existing`."""
+    content = text(of_ranking(ranking, statistics), ranking, run)
+    with atomic.replacing(path, force=True) as temporary:
+        temporary.write_text(content, encoding="utf-8")
+
+
+def refuse_existing(path: Path, files: list[Path], *, force: bool) -> None:
+    """Raise InputError when a scene cannot go to ``path``: a folder, a run, or a file that exists without ``force``."""
+    atomic.refuse_existing(path, force, *files, kind="scene", flag="--save-scene")

@@ -12,7 +12,7 @@ from rig_sim.dynamics.orbits.limit_cycle import cycle
 from rig_sim.scenes.draws import drawn_changes
 from rig_sim.scenes.scene import scene
 
-from .. import command
+from . import command
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
 CALIBRATED = ("mass.m", "spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs", "friction.gamma")

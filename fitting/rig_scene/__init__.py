@@ -1,1 +1,0 @@
-"""The fitted rig as a scene of the simulator: its numbers, and the file."""
