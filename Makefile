@@ -37,7 +37,7 @@ test-kernels: $(VENV)/.installed-test
 	  OPENBLAS_CORETYPE=$$kernel $(PYTEST) -q -m "not slow" tests/fitting/selection tests/test_pipe.py || exit 1; done
 
 reliability: $(VENV)/.installed-test
-	$(BIN)/python -m tests.reliability
+	$(BIN)/python -m pytest -n 2 --dist load --maxschedchunk 1 -m slow --full tests/reliability
 
 audit: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --group audit
