@@ -12,7 +12,7 @@ import pytest
 from daq.base.version import VERSION
 
 from . import tasks
-from .forked import Server, cpu_time
+from .forked import Server
 from .page import replace_rows
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/reliability.md"
@@ -41,14 +41,6 @@ def server(tmp_path_factory):
 def sources(server, tmp_path_factory):
     """Make the files from which the commands of `tasks` start."""
     return tasks.prepare(server, tmp_path_factory.mktemp("commands") / "sources")
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item):
-    """Note the CPU time of a test, of what it started and of the server of forks."""
-    before = cpu_time(item.funcargs.get("server"))
-    yield
-    item.user_properties.append(("cpu_s", cpu_time(item.funcargs.get("server")) - before))
 
 
 class Report:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from . import bad_input, clocks, concurrency, contacts, crash, disk, load, numerics, security, signals
+from .forked import cpu_time
 from .result import Result, Size
 
 IN_MEMORY = "/dev/shm"
@@ -71,10 +72,11 @@ def folder(name):
 def test_a_campaign_finds_no_fault(name, full_size, request):
     campaign = CAMPAIGNS[name]
     asked = {need: request.getfixturevalue(need) for need in inspect.signature(campaign.function).parameters}
+    before = cpu_time(asked.get("server"))
     results = campaign.function(**asked)
     assert results
-    request.node.user_properties.append(("campaign", name))
-    request.node.user_properties.append(("results", [asdict(result) for result in results]))
+    told = {"campaign": name, "results": [asdict(result) for result in results]}
+    request.node.user_properties.extend((told | {"cpu_s": cpu_time(asked.get("server")) - before}).items())
     known = () if full_size else campaign.open_faults
     found = [fault for result in results for fault in result.faults]
     assert [fault for fault in found if not any(one in fault for one in known)] == []
