@@ -17,7 +17,7 @@ from processing import statistics
 from processing.smoothing import smooth
 
 from ..fitting import scales
-from ..fitting.contacts import follow
+from ..rig import follow
 
 MOST = 4_000  # samples of a record
 DIMENSIONS = {"time": (0, 1), "position": (1, 0), "velocity": (1, -1), "acceleration": (1, -2)}

@@ -35,15 +35,15 @@ def spoilt(kind, time, position):
 
 
 @pytest.fixture(scope="module")
-def faulty(synthetic, tmp_path_factory):
+def faulty(belt_rig, tmp_path_factory):
     """Give a function that imports a camera track with a fault, "" for none, and smooths it."""
     folder = tmp_path_factory.mktemp("faults")
 
     def of(kind, law, seed=1, noise=2e-4):
-        time, position = synthetic.camera(law, noise, seed)
+        time, position = belt_rig.camera(law, noise, seed)
         if kind:
             time, position = spoilt(kind, time, position)
-        return smooth(synthetic.imported(folder / "track.csv", time, position))
+        return smooth(belt_rig.imported(folder / "track.csv", time, position))
 
     return of
 

@@ -11,13 +11,13 @@ from processing.smoothing import smooth
 
 
 @pytest.fixture(scope="module")
-def track(synthetic, tmp_path_factory):
+def track(belt_rig, tmp_path_factory):
     """Give a camera's record of law 5, times of which are divided by ``faster``."""
-    time, position = synthetic.camera(5, 5e-5, duration=20.0)
+    time, position = belt_rig.camera(5, 5e-5, duration=20.0)
     table = tmp_path_factory.mktemp("track") / "track.csv"
 
     def at(faster):
-        recording = synthetic.imported(table, time, position, decimals=7)
+        recording = belt_rig.imported(table, time, position, decimals=7)
         return replace(recording, time=recording.time / faster, rate_hz=recording.rate_hz * faster)
 
     return at
