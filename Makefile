@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 # A test that records waits for its board: with one process more than cores (at most five) none of these stands idle.
-PYTEST = $(BIN)/python -m pytest -n $(shell n=$$(getconf _NPROCESSORS_ONLN); echo $$((n < 4 ? n + 1 : 5))) --dist loadfile
+PYTEST = $(BIN)/python -m pytest -n $(shell n=$$(getconf _NPROCESSORS_ONLN); echo $$((n < 4 ? n + 1 : 5))) --dist loadfile --no-loadscope-reorder
 BLAS_KERNELS = Haswell Sandybridge Prescott $(shell grep -qsw avx512f /proc/cpuinfo && echo SkylakeX)
 
 # Hundreds of tests start a process: without bytecode each would compile our sources again, 0.2 s of CPU.

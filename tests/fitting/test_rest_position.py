@@ -79,6 +79,7 @@ def test_the_printed_value_stated_again_changes_nothing(bare, fitted):
     assert rest(again) == pytest.approx(rest(first), abs=1e-4)
 
 
+@pytest.mark.slow  # tests/daq/runfile/test_rest_position.py holds the question
 def test_a_wrong_sign_is_asked_about(bare, fitted):
     """It was taken without a word: another law, exit code 0, a friction level six times too large."""
     _, document = fitted(bare, "--x0", "-600 mm +- 0.5 mm")

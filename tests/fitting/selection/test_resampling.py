@@ -60,6 +60,7 @@ def by_scipy(fit, held):
     return found.cost
 
 
+@pytest.mark.slow
 def test_a_profile_is_that_of_scipy(ranking):
     """Beside a damping that cannot be negative it rises faster on one side."""
     row = ranking.best
