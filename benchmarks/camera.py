@@ -2,7 +2,7 @@
 
 ``python benchmarks/camera.py [--seeds N] [--noise 0.2,1] [--laws 2,3,4,5,6] [--decimals 5,4,6] [--foreign FOLDER]``:
 tracks of 30 s at 400 frames a second with 3 % scatter of the friction level are written as tables, imported, smoothed
-and ranked.  They are made by the integrator of ``tests/fitting/synthetic.py``; with ``--foreign`` by ``make.py`` in
+and ranked.  They are made by the integrator of ``tests/rig.py``; with ``--foreign`` by ``make.py`` in
 FOLDER, which has the function ``make(case, file, seed, sensor)``.  With several ``--decimals`` each track is also
 printed with so many, and the set must be the same as with the first.  Rows are written to
 ``benchmarks/results/camera.json``.
@@ -30,7 +30,7 @@ from daq.imports.options import ImportOptions
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results"
-GENERATOR = HERE.parent / "tests" / "fitting" / "synthetic.py"
+GENERATOR = HERE.parent / "tests" / "rig.py"
 BELT = 0.22  # m/s, of both generators
 
 

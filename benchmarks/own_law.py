@@ -29,10 +29,10 @@ PARAMETERS = {"Fs/m": "Fs", "Fc/m": "Fc", "v_s": "v_s", "Fv/m": "Fv", "k/m": "k"
 SEED = 2027
 
 
-def _tests(name: str) -> ModuleType:
-    """Return a simulator of the tests."""
-    path = ROOT / "tests" / "fitting" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"tests_{name}", path)
+def _tests_rig() -> ModuleType:
+    """Return the simulator of the tests."""
+    path = ROOT / "tests" / "rig.py"
+    spec = importlib.util.spec_from_file_location("tests_rig", path)
     if spec is None or spec.loader is None:
         raise RuntimeError(f"no {path}")
     module = importlib.util.module_from_spec(spec)
@@ -41,7 +41,7 @@ def _tests(name: str) -> ModuleType:
     return module
 
 
-contacts, synthetic = _tests("contacts"), _tests("synthetic")
+belt_rig = _tests_rig()
 
 
 def drawn(number: int) -> tuple[object, Recording, str]:
@@ -49,7 +49,7 @@ def drawn(number: int) -> tuple[object, Recording, str]:
     chance = np.random.default_rng([SEED, number])
     power = 1.0 + number % 2
     level = chance.uniform(1.0, 1.8)
-    contact = contacts.Contact(
+    contact = belt_rig.Contact(
         curve="stribeck",
         Fs=level,
         Fc=level * chance.uniform(0.4, 0.75),
@@ -62,7 +62,7 @@ def drawn(number: int) -> tuple[object, Recording, str]:
         duration=20.0,
         seed=number,
     )
-    time_s, position = contacts.recorded(contact, count=COUNT, jitter=JITTER)
+    time_s, position = belt_rig.recorded(contact, count=COUNT, jitter=JITTER)
     critical = 2 * math.sqrt(contact.k * contact.m)
     rig = Rig(  # each calibration is off by an error that it states
         name="encoder",
@@ -114,7 +114,7 @@ def six_as_formulas() -> list[dict[str, object]]:
     """Fit each law and its formula to a record of that law; return how far the two are apart."""
     rows = []
     for law in range(1, 7):
-        ranking = rank(smooth(synthetic.recording(law=law, duration=10.0)), laws=(law, restated(law)))
+        ranking = rank(smooth(belt_rig.recording(law=law, duration=10.0)), laws=(law, restated(law)))
         own, formula = ranking.row(law), ranking.row(f"law{law}")
         known, found = own.parameters["k/m"], formula.parameters["k/m"]
         rows.append(

@@ -141,7 +141,7 @@ def continuous_slip() -> PngFigure:
 
 def departures() -> PngFigure:
     """Draw what a spring 5 % hard leaves beside the best law, and the departures that were tested."""
-    contacts = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "fitting" / "contacts.py"))
+    contacts = runpy.run_path(str(Path(__file__).parents[1] / "tests" / "rig.py"))
     time, position = contacts["recorded"](contacts["Contact"](k3=HARD, scatter=0.03), count=50e-6)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a table of counts and what it lacks

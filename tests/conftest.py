@@ -26,6 +26,27 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+# A file is run by one process: a long one that begins last would be waited for.
+LONGEST = (
+    "reliability/test_campaigns.py",
+    "docs/test_examples.py",
+    "fitting/test_processors.py",
+    "contract/test_recording_survives.py",
+    "browser/test_live_page.py",
+    "fitting/selection/test_joint.py",
+    "fitting/selection/test_own_laws.py",
+    "contract/test_protocols.py",
+    "test_notebook.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files that take longest first."""
+    here = Path(__file__).parent
+    place = {here / name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path, len(place)))
+
+
 def need(there: object, what: str) -> None:
     """Skip where a tool is missing, or fail where every tool must be there."""
     if not there:

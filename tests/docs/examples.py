@@ -5,14 +5,26 @@ for lines left out.  A comment of a command states an exit code other than 0: ``
 comment ``<!-- not run: REASON -->`` is not run.
 """
 
+import contextlib
 import importlib.util
+import io
 import os
 import re
+import shlex
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
+from daq.base.console import application
+from daq.cli.app import app as daq
+from fitting.cli import app as fit_friction
+from processing.cli import app as process
+from rig_sim.cli.app import app as rig_sim
+
+APPLICATIONS = {"daq": daq, "process": process, "fit-friction": fit_friction, "rig-sim": rig_sim}
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
     ROOT / "README.md",
@@ -73,22 +85,31 @@ def commands(block: Block) -> list[Command]:
 
 def run(command: Command, folder: Path) -> None:
     """Run a command in a folder; AssertionError when its exit code or its output is not what the page says."""
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    packages = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    environment = os.environ | {"PATH": path, "PYTHONPATH": packages.rstrip(os.pathsep), "COLUMNS": "80"}
-    done = subprocess.run(
-        ["bash", "-c", command.typed],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
-    code = done.returncode if done.returncode >= 0 else 128 - done.returncode  # killed by a signal: as a shell says it
-    assert code == command.exit_code, f"$ {command.typed}\nexit code {code}\n{done.stdout}"
-    lines = iter(" ".join(line.split()) for line in done.stdout.splitlines())
+    words = shlex.shlex(command.typed, posix=True, punctuation_chars=True)
+    words.whitespace_split = True
+    first, *arguments = words
+    in_a_shell = first not in APPLICATIONS or any(set(word) <= set("();<>|&") for word in arguments)
+    code, said = _in_a_shell(command.typed, folder) if in_a_shell or "$(" in command.typed else _here(first, arguments)
+    assert code == command.exit_code, f"$ {command.typed}\nexit code {code}\n{said}"
+    lines = iter(" ".join(line.split()) for line in said.splitlines())
     for shown in (line for line in command.shown if line.strip(" .")):
         wanted = " *.*? *".join(re.escape(" ".join(part.split())) for part in shown.split("..."))
         found = any(re.fullmatch(wanted, line) for line in lines)
-        assert found, f"$ {command.typed}\nthe page shows, in this order: {shown}\n{done.stdout}"
+        assert found, f"$ {command.typed}\nthe page shows, in this order: {shown}\n{said}"
+
+
+def _here(name: str, arguments: list[str]) -> tuple[int, str]:
+    """Run a command in this process, whose current folder is the example's: a process would only import once more."""
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        patch.setenv("COLUMNS", "80")
+        return application.run(APPLICATIONS[name], arguments), said.getvalue()
+
+
+def _in_a_shell(typed: str, folder: Path) -> tuple[int, str]:
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    packages = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    environment = os.environ | {"PATH": path, "PYTHONPATH": packages.rstrip(os.pathsep), "COLUMNS": "80"}
+    line, both = ["bash", "-c", typed], {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    done = subprocess.run(line, cwd=folder, env=environment, text=True, check=False, **both)
+    return done.returncode if done.returncode >= 0 else 128 - done.returncode, done.stdout  # as a shell says a signal

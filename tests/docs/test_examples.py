@@ -7,14 +7,9 @@ import shutil
 
 import pytest
 
-from daq.cli.app import app as daq
-from fitting.cli import app as fit_friction
-from processing.cli import app as process
-from rig_sim.cli.app import app as rig_sim
-
 from . import examples
+from .examples import APPLICATIONS
 
-APPLICATIONS = {"daq": daq, "process": process, "fit-friction": fit_friction, "rig-sim": rig_sim}
 TEXTS = {page.relative_to(examples.ROOT).as_posix(): page.read_text() for page in examples.PAGES}
 TYPED = [
     pytest.param(command.typed, id=f"{name}:{block.line}")

@@ -1,9 +1,6 @@
 """Rankings of synthetic runs and smoothed runs of the simulated rig, made once and shared by the tests of the fit."""
 
-import importlib.util
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,20 +13,8 @@ from fitting.model.windows import ShootingWindows
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
-
-def _beside(name):
-    """Load a generator beside this file by its path: tests have no packages."""
-    spec = importlib.util.spec_from_file_location(f"fitting_{name}", Path(__file__).with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-synthetic_rig = _beside("synthetic")
-stranger_records = _beside("strangers")
-other_contacts = _beside("contacts")
-_beside("exact_flow")
+from .. import rig as own_rig
+from . import strangers as stranger_records
 
 
 @pytest.fixture(scope="session")
@@ -39,15 +24,9 @@ def strangers():
 
 
 @pytest.fixture(scope="session")
-def contacts():
-    """Give the module of contacts that are one of the six laws or none."""
-    return other_contacts
-
-
-@pytest.fixture(scope="session")
-def synthetic():
-    """Give the generator's module."""
-    return synthetic_rig
+def belt_rig():
+    """Give the module of the tests' own rig."""
+    return own_rig
 
 
 @pytest.fixture(scope="session")
@@ -56,19 +35,19 @@ def ranked():
 
     @cache
     def of(**changes):
-        return rank(smooth(synthetic_rig.recording(**changes)))
+        return rank(smooth(own_rig.recording(**changes)))
 
     return of
 
 
 @pytest.fixture(scope="session")
-def motion_of(synthetic):
+def motion_of(belt_rig):
     """Give a function that smooths a synthetic run and brings it into the fit's frame."""
     from fitting.data import frame
 
     @cache
     def of(**changes):
-        recording = synthetic.recording(**changes)
+        recording = belt_rig.recording(**changes)
         return frame.from_kinematics(smooth(recording), recording.rig, None)
 
     return of

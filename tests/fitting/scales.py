@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .contacts import Contact, Motion, follow
+from ..rig import Contact, Motion, follow
 
 LAWS = {"law1": 1, "law2": 2, "law3": 3, "law4": 4, "law5": 5, "law6": 6}
 FOREIGN = ("stribeck", "stribeck-gaussian", "logarithmic", "hard-spring")  # none of the six

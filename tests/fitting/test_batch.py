@@ -26,12 +26,12 @@ pytestmark = pytest.mark.usefixtures("undrawn_reports")
 
 
 @pytest.fixture(scope="module")
-def originals(tmp_path_factory, synthetic):
+def originals(tmp_path_factory, belt_rig):
     """Write a run of law 5, one of law 3, one too short, and a file that is none."""
     folder = tmp_path_factory.mktemp("batch")
-    synthetic.written(folder / "five.h5", synthetic.recording(law=5, duration=10.0))
-    synthetic.written(folder / "three.h5", synthetic.recording(law=3, duration=10.0))
-    synthetic.written(folder / "short.h5", synthetic.recording(law=5, duration=4.0))
+    belt_rig.written(folder / "five.h5", belt_rig.recording(law=5, duration=10.0))
+    belt_rig.written(folder / "three.h5", belt_rig.recording(law=3, duration=10.0))
+    belt_rig.written(folder / "short.h5", belt_rig.recording(law=5, duration=4.0))
     (folder / "none.h5").write_text("no run")
     return folder
 
@@ -221,10 +221,10 @@ def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
 
 
 @pytest.mark.slow
-def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(synthetic, cluster):
+def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(belt_rig, cluster):
     from fitting.selection.ranking import rank
 
-    runs = [smooth(synthetic.recording(law=5, duration=10.0, belt=speed)) for speed in (0.15, 0.25)]
+    runs = [smooth(belt_rig.recording(law=5, duration=10.0, belt=speed)) for speed in (0.15, 0.25)]
     here, there = rank(runs, laws=(3, 5)), rank(runs, laws=(3, 5), scheduler=cluster)
     assert there.laws_in_set == here.laws_in_set
     assert [row.parameters for row in there.rows] == [row.parameters for row in here.rows]

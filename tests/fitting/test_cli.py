@@ -27,9 +27,9 @@ pytestmark = pytest.mark.usefixtures("undrawn_reports")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory, synthetic):
-    recording = synthetic.recording(law=5, duration=10.0)
-    return synthetic.written(tmp_path_factory.mktemp("run") / "run.h5", recording)
+def run(tmp_path_factory, belt_rig):
+    recording = belt_rig.recording(law=5, duration=10.0)
+    return belt_rig.written(tmp_path_factory.mktemp("run") / "run.h5", recording)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_results_stand_beside_untouched_raw_data(fitted, run):
 
 
 @pytest.mark.parametrize(("meanwhile", "what"), [("smoothed", "smoothed anew"), ("recorded", "recorded anew")])
-def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp_path, synthetic, meanwhile, what):
+def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp_path, belt_rig, meanwhile, what):
     # A fit used to stand beside a smoothed motion, or even a recording, that it was not made from.
     path = tmp_path / "run.h5"
     shutil.copy(run, path)
@@ -115,7 +115,7 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp
     if meanwhile == "smoothed":
         stage.save(smooth(store.load(path), method="sg"), path)
     else:
-        store.write(path, synthetic.recording(law=5, duration=10.0, seed=2), force=True)
+        store.write(path, belt_rig.recording(law=5, duration=10.0, seed=2), force=True)
     before = path.read_bytes()
     with pytest.raises(InputError, match=what):
         done.save(None)

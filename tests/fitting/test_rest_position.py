@@ -18,10 +18,10 @@ X0 = 0.6  # m: the reading at the rest; the mass moves between 0.46 and 0.74
 
 
 @pytest.fixture(scope="module")
-def table(tmp_path_factory, synthetic):
+def table(tmp_path_factory, belt_rig):
     """Write a table of readings, whose zero lies 0.6 m behind the spring's rest."""
     path = tmp_path_factory.mktemp("table") / "track.csv"
-    run = synthetic.recording(law=5, duration=10.0)
+    run = belt_rig.recording(law=5, duration=10.0)
     rows = np.c_[run.time, run.position + X0]
     np.savetxt(path, rows, fmt=["%.6f", "%.7f"], delimiter=",", header="t (s),x (m)", comments="")
     return path
@@ -79,6 +79,7 @@ def test_the_printed_value_stated_again_changes_nothing(bare, fitted):
     assert rest(again) == pytest.approx(rest(first), abs=1e-4)
 
 
+@pytest.mark.slow  # tests/daq/runfile/test_rest_position.py holds the question
 def test_a_wrong_sign_is_asked_about(bare, fitted):
     """It was taken without a word: another law, exit code 0, a friction level six times too large."""
     _, document = fitted(bare, "--x0", "-600 mm +- 0.5 mm")
@@ -127,8 +128,8 @@ def test_every_calibration_takes_an_error(bare, fitted):
     assert not document["warnings"]
 
 
-def test_a_contradicted_x0_is_named_as_it_was_stated(synthetic):
-    recording = synthetic.recording(law=5, duration=10.0)
+def test_a_contradicted_x0_is_named_as_it_was_stated(belt_rig):
+    recording = belt_rig.recording(law=5, duration=10.0)
     rig = replace(recording.rig, datum=None).resting_at(Measured(-0.02, 5e-4))
     found = rank(smooth(replace(recording, rig=Rig())), rig, laws=(5,))
     finding = next(one for one in found.findings if one.code == "x0")

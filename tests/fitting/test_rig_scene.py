@@ -19,10 +19,10 @@ CALIBRATED = ("mass.m", "spring.k", "spring.x0", "belt.speed", "damper.c", "fric
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory, synthetic):
+def fitted(tmp_path_factory, belt_rig):
     """Give the scene that the fit of a record of law 5 without scatter is saved as, and the fit's answer."""
     folder = tmp_path_factory.mktemp("saved")
-    run = synthetic.written(folder / "run.h5", synthetic.recording(law=5, scatter=0.0, damping=1.0, duration=12.0))
+    run = belt_rig.written(folder / "run.h5", belt_rig.recording(law=5, scatter=0.0, damping=1.0, duration=12.0))
     answer = command.fit(run, laws="5", mass=Measured(0.3), no_report=True, save_scene=folder / "rig.toml")
     return folder / "rig.toml", answer
 
@@ -56,9 +56,9 @@ def test_a_scene_that_exists_is_replaced_by_force_alone(fitted, tmp_path):
     assert other.read_text() == "# my notes\n"
 
 
-def test_the_saved_scene_plays_back_with_period_and_extremes_of_the_true_rig(fitted, synthetic):
+def test_the_saved_scene_plays_back_with_period_and_extremes_of_the_true_rig(fitted, belt_rig):
     path, _ = fitted
-    true = synthetic.Scene()
+    true = belt_rig.Scene()
     changes = {"scatter": {"Fs": 0.0}, "damper.c": 1.0 * true.m, "spring.k": true.K * true.m}
     changes |= {"friction.Fs": true.Fs_over_k * true.K * true.m}
     truth = cycle(scene("rig", **changes))
@@ -115,10 +115,10 @@ def test_scenes_without_a_usable_section_fit_are_refused(changes, said):
 
 
 @pytest.mark.slow
-def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(contacts, synthetic, tmp_path):
-    contact = contacts.Contact(curve="stribeck", Fc=0.6, v_s=0.15, power=2.0, Fv=0.15, c=0.02, duration=20.0)
-    time, position = contacts.recorded(contact)
-    run = synthetic.written(tmp_path / "run.h5", synthetic.imported(tmp_path / "run.csv", time, position, decimals=8))
+def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(belt_rig, tmp_path):
+    contact = belt_rig.Contact(curve="stribeck", Fc=0.6, v_s=0.15, power=2.0, Fv=0.15, c=0.02, duration=20.0)
+    time, position = belt_rig.recorded(contact)
+    run = belt_rig.written(tmp_path / "run.h5", belt_rig.imported(tmp_path / "run.csv", time, position, decimals=8))
     answer = command.fit(
         run, mass=Measured(0.3), x0=Measured(0.0, 1e-6), no_report=True, save_scene=tmp_path / "rig.toml"
     )
@@ -126,10 +126,10 @@ def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(co
     found = scene(tmp_path / "rig.toml")
     assert found.friction.law == 0
     speeds, friction = np.array(found.friction.curve).T
-    true = np.array([contacts.curve(contact, s) for s in speeds])
+    true = np.array([belt_rig.curve(contact, s) for s in speeds])
     seen = speeds > 0.03 * speeds[-1]
     np.testing.assert_allclose(friction[seen], true[seen], rtol=0.03)
-    points = [[s, contacts.curve(contact, s)] for s in np.linspace(0.0, 0.9, 60).tolist()]
+    points = [[s, belt_rig.curve(contact, s)] for s in np.linspace(0.0, 0.9, 60).tolist()]
     changes = {"friction.law": 0, "friction.curve": points, "scatter.Fs": 0.0, "damper.c": contact.c}
     truth = cycle(scene("rig", **changes, **{"spring.k": contact.k, "mass.m": contact.m}))
     played = cycle(found)
@@ -143,9 +143,9 @@ def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(co
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", [3, 4])
-def test_a_linear_or_ramp_law_is_saved_too(synthetic, tmp_path, law):
-    recording = synthetic.recording(law=law, duration=12.0)
-    run = synthetic.written(tmp_path / "run.h5", recording)
+def test_a_linear_or_ramp_law_is_saved_too(belt_rig, tmp_path, law):
+    recording = belt_rig.recording(law=law, duration=12.0)
+    run = belt_rig.written(tmp_path / "run.h5", recording)
     command.fit(run, laws=str(law), no_report=True, save_scene=tmp_path / "rig.toml")
     found = scene(tmp_path / "rig.toml")
     assert found.friction.law == law

@@ -1,4 +1,4 @@
-"""A truth of our own for the tests of this folder: the bench's motion from closed forms and a fine ODE solution."""
+"""A truth for the tests of this folder: the motion of the tests' own rig, and records of it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,17 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from daq.base.measured import Measured
 from daq.runfile.recording import Recording, Truth
 from daq.runfile.rig import Rig
+
+from ..rig import Contact, follow
 
 Array = NDArray[np.float64]
 
 OMEGA2, FS_K, GAMMA, BELT = 35.184, 0.13068, 9.618, 0.22  # s^-2, m, s/m, m/s
 G_SLIP, MASS, RAMP = 0.6, 0.3, 0.03  # N s/m, kg, m/s
 COUNT = 7.67e-6  # m
+BEYOND = 5.0  # s after the end of a record in which its last stick ends
+GRAZE = 1e-5  # s: a touch of the belt that is no stick
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,73 +43,6 @@ class PulledRecord:
     slips: tuple[tuple[float, float], ...]
 
 
-def curve(law: int, s: float) -> float:
-    """Friction over mass, as a share of Fs/m, at slip speed s >= 0."""
-    if law in (1, 2):
-        return 1.0
-    if law in (3, 4):
-        return 1.0 - G_SLIP / MASS * s / (OMEGA2 * FS_K)
-    return 1.0 / (1.0 + GAMMA * s)
-
-
-def jump_motion(time: Array, law: int, scatter: float, seed: int, start: float, belt: float) -> Motion:
-    """Laws 1, 3, 5: stick in closed form, slip by DOP853; rest until the belt starts."""
-    rng = np.random.default_rng(seed)
-    x, v = np.zeros_like(time), np.zeros_like(time)
-    level = OMEGA2 * FS_K
-    factor = 1 + scatter * rng.standard_normal()
-    t, state, sticks = start, np.zeros(2), []
-    dragging = start > 0
-
-    def land(s: float, y: Array) -> float:
-        return float(y[1] - belt) if s > 0.02 else -1.0
-
-    land.terminal, land.direction = True, 1.0  # type: ignore[attr-defined]
-    while t < time[-1] and len(sticks) < 1000:
-        if not dragging:
-            end = t + max(factor * FS_K - state[0], 0.0) / belt
-            own = slice(*np.searchsorted(time, (t, end)))
-            x[own], v[own] = state[0] + belt * (time[own] - t), belt
-            sticks.append((t, end))
-            t, state = end, np.array([state[0] + belt * (end - t), belt])
-        now = factor * level
-        solved = solve_ivp(
-            lambda _, y, now=now: [y[1], -OMEGA2 * y[0] + now * curve(law, max(belt - y[1], 0.0))],
-            (0, 5 if law != 1 else time[-1] - t + 1),
-            [state[0], state[1] - 1e-12],
-            method="DOP853",
-            rtol=1e-11,
-            atol=1e-13,
-            events=land,
-            dense_output=True,
-        )
-        landing = t + (solved.t_events[0][0] if solved.t_events[0].size else solved.t[-1])
-        own = slice(*np.searchsorted(time, (t, landing)))
-        if own.stop > own.start:
-            x[own], v[own] = solved.sol(time[own] - t)
-        t, state, dragging = landing, solved.y[:, -1].copy(), False
-        factor = 1 + scatter * rng.standard_normal()
-    return Motion(time, x, v, tuple(sticks))
-
-
-def ramp_motion(time: Array, law: int, start: float, belt: float) -> Motion:
-    """Laws 2, 4, 6: one continuous force, by LSODA; sticks are where |w| <= the ramp's half width."""
-    level = OMEGA2 * FS_K
-
-    def rate(_: float, y: Array) -> list[float]:
-        w = y[1] - belt
-        force = -w / RAMP if abs(w) <= RAMP else -np.sign(w) * curve(law, abs(w) - RAMP)
-        return [y[1], -OMEGA2 * y[0] + level * force]
-
-    x, v = np.zeros_like(time), np.zeros_like(time)
-    own = time > start
-    solved = solve_ivp(rate, (start, time[-1]), [0, 0], "LSODA", t_eval=time[own], rtol=1e-8, atol=1e-10, max_step=0.02)
-    x[own], v[own] = solved.y
-    inside = np.concatenate(([0], (np.abs(v - belt) <= RAMP).astype(int), [0]))
-    first, last = np.flatnonzero(np.diff(inside) == 1), np.flatnonzero(np.diff(inside) == -1) - 1
-    return Motion(time, x, v, tuple((time[i], time[j]) for i, j in zip(first, last, strict=True)))
-
-
 @lru_cache(maxsize=16)
 def motion(
     law: int = 5,
@@ -122,10 +58,35 @@ def motion(
     rng = np.random.default_rng(seed + 100)
     time = np.arange(int(duration * rate)) / rate
     time = np.maximum(time + jitter * rng.standard_normal(time.size), 0.0)
-    speed = abs(belt)
-    found = jump_motion(time, law, scatter, seed, start, speed) if law % 2 else ramp_motion(time, law, start, speed)
-    sign = np.sign(belt)
-    return Motion(time, sign * found.x, sign * found.v, found.sticks)
+    ramp = RAMP if law % 2 == 0 else 0.0
+    contact = Contact(
+        curve=("constant", "linear", "hyperbolic")[(law - 1) // 2],
+        Fs=MASS * OMEGA2 * FS_K,
+        gamma=GAMMA,
+        G_slip=G_SLIP,
+        ramp=ramp,
+        m=MASS,
+        k=MASS * OMEGA2,
+        belt=abs(belt),
+        belt_start=start,
+        duration=duration,
+        scatter=0.0 if ramp or law == 1 else scatter,
+        farthest=np.inf,
+        sticks_at_start=not (ramp or start),
+        seed=seed,
+    )
+    order = np.argsort(time, kind="stable")
+    chance = np.random.default_rng(seed)
+    level = 1.0 if ramp else 1.0 + scatter * chance.standard_normal()
+    found = follow(contact, np.r_[time[order], time[-1] + BEYOND], chance, level)
+    x, v = np.empty((2, time.size))
+    x[order], v[order] = np.sign(belt) * found.position[:-1], np.sign(belt) * found.velocity[:-1]
+    begins, ends = found.landings, found.break_aways[1:]  # the first slip begins with the belt
+    if contact.sticks_at_start:
+        begins, ends = np.r_[start, found.landings], found.break_aways
+    last = time[-1] if ramp else np.inf
+    sticks = [(a, min(b, last)) for a, b in zip(begins, ends, strict=False) if a < time[-1] and b - a > GRAZE]
+    return Motion(time, x, v, tuple(sticks))
 
 
 def _recording(name: str, time: Array, position: Array, rate: float, rig: Rig, **more: Any) -> Recording:

@@ -12,9 +12,8 @@ from pathlib import Path
 
 from daq.base.output import provenance
 
-from . import campaign
-from .campaign import Result, Size
 from .inputs import batch, files, streams
+from .result import Result, Size
 
 
 @dataclass(frozen=True)
@@ -44,12 +43,12 @@ FILES = {
 
 def bad_streams(size: Size, folder: Path) -> list[Result]:
     """Try ``size.amount`` damaged pieces of streams, of every protocol and of journals."""
-    return [_tried(name, "bad_streams", size, folder) for name in STREAMS]
+    return [_tried(name, size, folder) for name in STREAMS]
 
 
 def bad_files(size: Size, folder: Path) -> list[Result]:
     """Try ``size.amount`` damaged files and texts of every kind."""
-    return [_tried(name, "bad_files", size, folder) for name in FILES]
+    return [_tried(name, size, folder) for name in FILES]
 
 
 def again(name: str, number: int, seed: int = 1) -> None:
@@ -58,7 +57,7 @@ def again(name: str, number: int, seed: int = 1) -> None:
         _one(name, seed, number, Path(folder))
 
 
-def _tried(name: str, campaign_name: str, size: Size, folder: Path) -> Result:
+def _tried(name: str, size: Size, folder: Path) -> Result:
     kinds, together = (STREAMS, streams.TOGETHER) if name in STREAMS else (FILES, 1)
     kind = kinds[name]
     place = folder / name
@@ -73,7 +72,6 @@ def _tried(name: str, campaign_name: str, size: Size, folder: Path) -> Result:
         f"{found.inputs} by chance, seed {size.seed}",
         f"{found.taken} read, {found.inputs - found.taken} refused{crashed}; the slowest took "
         f"{found.slowest_s:.2f} s, memory grew by {found.most_bytes >> 20} MB; {found.cpu_s:.0f} s of CPU time",
-        campaign.test_of(campaign_name),
         tuple(found.faults),
     )
 

@@ -13,8 +13,7 @@ from daq.protocols import session
 from daq.runfile import journal, journal_records
 from daq.wire import frames
 
-from . import campaign
-from .campaign import Result, Size
+from .result import Result, Size
 
 PERIOD_US = 1000
 GRAY = np.array([0, 1, 3, 2])
@@ -28,16 +27,15 @@ DATES = [
     *("2026-11-22T23:59:59.900", "2026-12-31T23:59:59.900", "2028-02-28T23:59:59.900", "2028-02-29T23:59:59.900"),
     *("2026-03-29T00:59:59.900", "2026-10-25T00:59:59.900", "2038-01-19T03:14:07.900", "1970-01-02T00:00:00.000"),
 ]
-ZONES_MINUTES = {"short": 240, "full": 15}
+ZONES_MINUTES = (240, 15)  # at the short and at the full size
 JUMPS_S = (-86_400, -3600, -0.5, 0.5, 3600, 86_400)
 
 
 def clocks(size: Size, folder: Path) -> list[Result]:
     """Try wraps at every one of ``size.amount`` samples, and every date, zone and jump."""
     wrapped, tried = _wrap_everywhere(size, folder)
-    dated, dates = _dates(folder, ZONES_MINUTES[size.name])
+    dated, dates = _dates(folder, ZONES_MINUTES[size.full])
     jumped, jumps = _jumps(folder)
-    again = f"python -m tests.reliability --only clocks --size {size.name}"
     rows = (
         (
             "a counter that wraps, wherever in a frame or in the file, changes no time and no count",
@@ -48,7 +46,7 @@ def clocks(size: Size, folder: Path) -> list[Result]:
         ),
         (
             "start and end of a run are right in every time zone, at midnight, at the end of a year and in leap years",
-            f"{len(DATES)} moments in the zones from -12 to +14 hours, every {ZONES_MINUTES[size.name]} minutes",
+            f"{len(DATES)} moments in the zones from -12 to +14 hours, every {ZONES_MINUTES[size.full]} minutes",
             f"{dates} runs",
             dated,
         ),
@@ -64,8 +62,7 @@ def clocks(size: Size, folder: Path) -> list[Result]:
             promise,
             what,
             f"{number}, {len(faults)} wrong",
-            campaign.test_of("clocks"),
-            tuple(f"{f}: {again}" for f in faults),
+            tuple(faults),
         )
         for promise, what, number, faults in rows
     ]

@@ -12,52 +12,45 @@ from daq.base.errors import EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, InputError
 from processing import stage
 
 from ..contract.conftest import FakeFrames, motion
-from . import campaign, tasks
-from .campaign import Result, Size
+from . import tasks
 from .forked import Ended, Fork, Server
+from .result import Result, Size
 
 RECORDERS, NOTERS = 3, 4
 LINE_S = "2"  # of a recording in real time
 
 
-def concurrency(size: Size, folder: Path) -> list[Result]:
+def concurrency(size: Size, folder: Path, server: Server, sources: Path) -> list[Result]:
     """Run ``size.amount`` rounds of each kind."""
-    with Server(folder / "server") as server:
-        tasks.prepare(server, folder / "sources")
-        trial = Rounds(server, folder, np.random.default_rng(size.seed))
-        outputs = [fault for k in range(size.amount) for fault in trial.one_output(k)]
-        ports = [fault for k in range(size.amount) for fault in trial.one_port(k)]
-        unfinished = trial.unfinished()
-        writers = [fault for k in range(size.amount) for fault in trial.writers(k)]
-        stages = [fault for k in range(size.amount) for fault in trial.fit_and_smooth(k)]
-    test = campaign.test_of("concurrency")
+    trial = Rounds(server, folder, sources, np.random.default_rng(size.seed))
+    outputs = [fault for k in range(size.amount) for fault in trial.one_output(k)]
+    ports = [fault for k in range(size.amount) for fault in trial.one_port(k)]
+    unfinished = trial.unfinished()
+    writers = [fault for k in range(size.amount) for fault in trial.writers(k)]
+    stages = [fault for k in range(size.amount) for fault in trial.fit_and_smooth(k)]
     return [
         Result(
             "of several recorders on one output or one port, one records everything and the others are refused",
             f"{size.amount} times {RECORDERS} recorders on one output, {size.amount} times 2 on one port",
             f"{trial.refused} recorders refused, no sample lost" if not outputs + ports else "see faults",
-            test,
             (*outputs, *ports),
         ),
         Result(
             "recover, smooth, fit and note refuse an unfinished run and cost its recording no sample; replay reads it",
             f"{len(UNFINISHED)} commands beside a recording of a board on a pseudo-terminal",
             f"{len(UNFINISHED)} as promised, the recording complete" if not unfinished else "see faults",
-            test,
             tuple(unfinished),
         ),
         Result(
             "commands that change a run wait for each other, and a reader sees the old file or the new one",
             f"{size.amount} times {NOTERS} notes and a smoothing of one run at once, while it is read",
             f"{trial.kept} changes kept of {trial.made}, {trial.read} reads whole",
-            test,
             tuple(writers),
         ),
         Result(
             "a fit stands beside the smoothed motion that it was made from, or is not stored",
             f"{size.amount} fits during which the run was smoothed anew",
             f"{trial.not_stored} refused, {size.amount - trial.not_stored} done before or removed by the smoothing",
-            test,
             tuple(stages),
         ),
     ]
@@ -81,8 +74,8 @@ UNFINISHED = {
 class Rounds:
     """The rounds, and what is counted over them."""
 
-    def __init__(self, server: Server, folder: Path, chance: np.random.Generator) -> None:
-        self._server, self._folder, self._chance = server, folder, chance
+    def __init__(self, server: Server, folder: Path, sources: Path, chance: np.random.Generator) -> None:
+        self._server, self._folder, self._sources, self._chance = server, folder, sources, chance
         self.refused = self.made = self.kept = self.read = self.not_stored = 0
 
     def one_output(self, k: int) -> list[str]:
@@ -136,7 +129,7 @@ class Rounds:
         """Change one run by several commands at once, and read it meanwhile; return the faults."""
         place, where = self._place(f"writers{k}"), f"writers of one run, round {k}"
         run = place / "run.h5"
-        run.write_bytes((self._folder / "sources/run.h5").read_bytes())
+        run.write_bytes((self._sources / "run.h5").read_bytes())
         count = daq.load(run).count
         lines = [["daq", "note", "run.h5", "--tag", f"tag{n}=1"] for n in range(NOTERS)]
         forks = self._started([*lines, ["process", "smooth", "run.h5"]], place)
@@ -165,7 +158,7 @@ class Rounds:
         """Smooth a run anew while it is fitted; return the faults."""
         place, where = self._place(f"stages{k}"), f"a fit beside a smoothing, round {k}"
         run = place / "run.h5"
-        run.write_bytes((self._folder / "sources/warm.h5").read_bytes())
+        run.write_bytes((self._sources / "warm.h5").read_bytes())
         fit = self._server.start(["fit-friction", "run.h5", "--laws", "5", "--no-report"], place)
         time.sleep(float(self._chance.uniform(0.0, 1.0)))
         smoothed = self._server.run(["process", "smooth", "run.h5", "--method", "sg"], place)

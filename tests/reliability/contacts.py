@@ -19,9 +19,8 @@ from typing import Any
 from daq.base.errors import EXIT_DATA, EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED
 
 from ..fitting import scales
-from . import campaign
-from .campaign import Result, Size
 from .forked import Ended, Server
+from .result import Result, Size
 
 ROOT = Path(__file__).resolve().parents[2]
 LOG = ROOT / "build/reliability/contacts.jsonl"
@@ -89,12 +88,12 @@ class Outcome:
         return f"contact {self.number}, {self.kind}, {held}: exit {self.exit}, {ended}: {again}"
 
 
-def contacts(size: Size, folder: Path) -> list[Result]:
+def contacts(size: Size, folder: Path, server: Server) -> list[Result]:
     """Import and fit ``size.amount`` contacts; the short size takes those with short tables."""
-    log = LOG if size.name == "full" else folder / LOG.name
+    log = LOG if size.full else folder / LOG.name
     log.parent.mkdir(parents=True, exist_ok=True)
     found = []
-    with Server(folder / "server") as server, log.open("w", encoding="utf-8") as lines:
+    with log.open("w", encoding="utf-8") as lines:
         scales.write_table(scales.draw(WARM), folder / "warm.csv")
         for line in scales.commands(scales.draw(WARM), "warm.csv", "warm.h5"):
             server.warm(line, folder)
@@ -107,7 +106,7 @@ def contacts(size: Size, folder: Path) -> list[Result]:
 
 def _numbers(size: Size) -> Iterator[int]:
     """Yield the numbers of the contacts: one kind after the other, at the short size the first with a short table."""
-    if size.name == "full":
+    if size.full:
         yield from range(size.amount)
         return
     kinds = len(scales.KINDS)
@@ -178,7 +177,6 @@ def _ends(found: list[Outcome]) -> Result:
         f"{_tried_all(found)}, by an encoder or a camera, calibrated or not, mirrored, with any origin of x and t",
         f"{', '.join(f'exit {code}: {ends[code]}' for code in sorted(ends))}; {len(found) - len(broken)} as promised; "
         f"the slowest took {slowest:.0f} s, the mean {total / len(found):.1f} s",
-        campaign.test_of("contacts"),
         tuple(f"{each.broken}: {each}" for each in broken),
     )
 
@@ -201,7 +199,6 @@ def _reasons(found: list[Outcome]) -> Result:
         "refused with the samples a slip and a rate that would do",
         f"the same contacts, {len(few)} with fewer than {FEWEST_SAMPLES:.0f} samples a slip",
         f"{len(refused)} refused; {len(untrue)} not as promised",
-        campaign.test_of("contacts"),
         tuple(f"{untrue[each.number]}: {each}" for each in found if each.number in untrue),
     )
 
@@ -236,7 +233,6 @@ def _laws(found: list[Outcome]) -> Result:
         f"{ENOUGH_SAMPLES:.0f} samples a slip and {ENOUGH_CYCLES:.0f} cycles or more",
         f"{len(counted)} contacts of one of the six laws",
         f"{100 * share:.1f} %; not found: {_by_kind(wrong, counted)}{_listed(wrong)}",
-        campaign.test_of("contacts"),
         () if kept else tuple(str(each) for each in wrong),
     )
 
@@ -252,7 +248,6 @@ def _foreign(found: list[Outcome]) -> Result:
         f"{len(foreign)} contacts with a Stribeck or logarithmic curve or a spring that hardens",
         f"{_percent(named, foreign)}; with {ENOUGH_SAMPLES:.0f} samples a slip and {ENOUGH_CYCLES:.0f} cycles or more "
         f"{_percent(among, enough)}; {_by_kind(named, foreign)}{_listed(named)}",
-        campaign.test_of("contacts"),
     )
 
 
@@ -263,7 +258,6 @@ def _judged(found: list[Outcome]) -> Result:
         "a law is called adequate only where its goodness of fit was judged",
         f"the same contacts, {len(adequate)} with an adequate law",
         f"{len(adequate) - len(unjudged)} judged, {len(unjudged)} not",
-        campaign.test_of("contacts"),
         tuple(str(each) for each in unjudged),
     )
 

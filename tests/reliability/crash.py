@@ -9,9 +9,9 @@ import numpy as np
 import daq
 
 from ..contract.conftest import FakeFrames
-from . import campaign, tasks
-from .campaign import Result, Size
+from . import tasks
 from .forked import KILL, WRITE, Server
+from .result import Result, Size
 from .tasks import TASKS
 
 RECORDED_S = 100  # a recording that is killed never lasts so long
@@ -19,13 +19,10 @@ KILLED_AFTER_S = (0.1, 2.5)  # the journal is synced once a second
 RECORDS = 20  # share of the kill points that are recordings in real time: one in so many
 
 
-def crash(size: Size, folder: Path) -> list[Result]:
+def crash(size: Size, folder: Path, server: Server, sources: Path) -> list[Result]:
     """Kill every command of `TASKS` at up to ``size.amount`` of its calls, and recordings of a paced board."""
-    with Server(folder / "server") as server:
-        sources = folder / "sources"
-        tasks.prepare(server, sources)
-        found = {name: _kill_at_calls(server, name, sources, folder / name, size.amount) for name in TASKS}
-        lost_s, synced_s, kill_faults = _kill_recordings(server, folder / "paced", size)
+    found = {name: _kill_at_calls(server, name, sources, folder / name, size.amount) for name in TASKS}
+    lost_s, synced_s, kill_faults = _kill_recordings(server, folder / "paced", size)
     points = sum(tried for tried, _, _ in found.values())
     calls = sum(calls for _, calls, _ in found.values())
     by_task = ", ".join(f"{name} {tried}" for name, (tried, _, _) in found.items())
@@ -37,7 +34,6 @@ def crash(size: Size, folder: Path) -> list[Result]:
             "leaves nothing besides",
             f"SIGKILL before {points} of {calls} calls that write, create, rename, remove or sync a file: {by_task}",
             f"{points} of {points} as promised; every sample in a journal recovered" if not faults else "see faults",
-            campaign.test_of("crash"),
             tuple(faults),
         ),
         Result(
@@ -46,7 +42,6 @@ def crash(size: Size, folder: Path) -> list[Result]:
             f"{KILLED_AFTER_S[0]} to {KILLED_AFTER_S[1]} s, then daq recover",
             f"lost: median {np.median(lost_ms):.0f} ms, at most {lost_ms.max():.0f} ms; every other sample right; "
             f"at most {max(synced_s):.2f} s between two syncs of the journal to the disk",
-            campaign.test_of("crash"),
             tuple(kill_faults),
         ),
     ]

@@ -8,9 +8,9 @@ from pathlib import Path
 import daq
 from daq.base.errors import EXIT_DEVICE, EXIT_INPUT
 
-from . import campaign, forked, tasks
-from .campaign import Result, Size
+from . import forked, tasks
 from .forked import CREATE, EVERY, RENAME, SYNC, TRUNCATE, WRITE, Ended, Server
+from .result import Result, Size
 from .tasks import TASKS, Task
 
 BEFORE_THE_RUN = 6  # calls of a recording before it has started the board: the journal with its header, synced
@@ -40,23 +40,19 @@ FOLDERS = {
 }
 
 
-def disk(size: Size, folder: Path) -> list[Result]:
+def disk(size: Size, folder: Path, server: Server, sources: Path) -> list[Result]:
     """Refuse calls of every command of `TASKS`, and take its folder away, ``size.amount`` times in all."""
-    with Server(folder / "server") as server:
-        sources = folder / "sources"
-        tasks.prepare(server, sources)
-        trial = Trial(server, sources, folder / "trials" / "folder")
-        refused = _tries(trial, list(DISKS), size.amount * 2 // 3)
-        moved = _tries(trial, list(FOLDERS), size.amount // 3)
-        refusals = [fault for name, how, at in refused for fault in trial.refuse(name, how, at)]
-        moves = [fault for name, how, at in moved for fault in trial.take_away(name, how, at)]
+    trial = Trial(server, sources, folder / "trials" / "folder")
+    refused = _tries(trial, list(DISKS), size.amount * 2 // 3)
+    moved = _tries(trial, list(FOLDERS), size.amount // 3)
+    refusals = [fault for name, how, at in refused for fault in trial.refuse(name, how, at)]
+    moves = [fault for name, how, at in moved for fault in trial.take_away(name, how, at)]
     return [
         Result(
             "a disk that refuses ends a command with exit code 3 and one line that names the file; originals and "
             "journal stay, nothing half-made is left, and the command can be repeated",
             f"{len(refused)} refusals ({', '.join(DISKS)}) from any call on, in {', '.join(TASKS)}",
             f"{len(refused) - len(refusals)} as promised, no traceback, no hang",
-            campaign.test_of("disk"),
             tuple(refusals),
         ),
         Result(
@@ -64,7 +60,6 @@ def disk(size: Size, folder: Path) -> list[Result]:
             "in the nearest folder that exists, and says where; other commands end as on a disk that refuses",
             f"{len(moved)} times the folder was {', '.join(FOLDERS)} before any call of {', '.join(TASKS)}",
             f"{len(moved) - len(moves)} as promised, no sample lost, no traceback",
-            campaign.test_of("disk"),
             tuple(moves),
         ),
     ]

@@ -104,6 +104,12 @@ class Server:
         assert self._process.stdout is not None
         self._process.stdout.close()
 
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the server and of the forks that have ended, s."""
+        used = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()[11:15]
+        return sum(map(int, used)) / os.sysconf("SC_CLK_TCK")
+
     def warm(self, line: list[str], cwd: Path) -> None:
         """Run a command in the server itself, so that its forks find everything imported and compiled."""
         self._ask({"do": "warm", "line": line, "cwd": str(cwd)})
@@ -169,6 +175,11 @@ class Server:
             raise RuntimeError(f"the server of forks is gone, at {asked}")
         found: dict[str, Any] = json.loads(answer)
         return found
+
+
+def cpu_time(server: Server | None) -> float:
+    """Return the CPU time of this process, of those that it has started and waited for, and of a server, s."""
+    return sum(os.times()[:4]) + (server.cpu_s if server else 0.0)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ import daq
 from daq.runfile import store
 
 from ..contract.conftest import FakeFrames, motion
-from . import campaign, tasks
-from .campaign import Result, Size
+from . import tasks
+from .result import Result, Size
 
 MOST_GROWTH_MB, MOST_FINALISING_MB = 20, 300
 RATES_HZ = (1000, 5000)
@@ -104,11 +104,10 @@ print(json.dumps(found.as_json() | {
 
 def load(size: Size, folder: Path) -> list[Result]:
     """Record ``size.amount`` seconds at each rate, and the other trials in proportion."""
-    long = size.name == "full"
     return [
         *(_long(rate_hz, size, folder) for rate_hz in RATES_HZ),
-        _stuck(STUCK_S[long], folder),
-        _asleep(ASLEEP_S[long], folder),
+        _stuck(STUCK_S[size.full], folder),
+        _asleep(ASLEEP_S[size.full], folder),
         _unplugged(max(2, size.amount // 120), folder),
     ]
 
@@ -131,8 +130,7 @@ def _long(rate_hz: int, size: Size, folder: Path) -> Result:
         f"{found['samples']} samples, {found['lost']} lost; memory +{found['growth_mb']:.1f} MB while recording "
         f"(at most {MOST_GROWTH_MB}), {found['peak_mb']:.0f} MB in the end (at most {MOST_FINALISING_MB}); "
         f"{found['cpu_us']:.2f} us of CPU time per sample",
-        campaign.test_of("load"),
-        tuple(f"{fault}: {_again(size)}" for fault in faults),
+        tuple(faults),
     )
 
 
@@ -146,7 +144,6 @@ def _stuck(seconds: int, folder: Path) -> Result:
         "a disk that does not take anything for a while costs no sample",
         f"one fsync of {seconds} s while a board sends at 1 kHz in real time",
         f"{found['samples']} samples, {found['lost']} lost",
-        campaign.test_of("load"),
         tuple(faults),
     )
 
@@ -172,7 +169,6 @@ def _asleep(seconds: int, folder: Path) -> Result:
         "a computer that sleeps costs none of the samples that its board or driver keeps",
         f"the recorder stopped for {seconds} s",
         f"{found['samples']} samples, {found['lost']} lost, {found['segments']} segment",
-        campaign.test_of("load"),
         tuple(faults),
     )
 
@@ -201,7 +197,6 @@ def _unplugged(times: int, folder: Path) -> Result:
         "a board that is unplugged again and again is found each time, and its samples before and after are right",
         f"{times} unplugs, one every {UNPLUGGED_S} s of the board's time",
         f"{found['segments']} segments, {kept:.1%} of the samples (the others were in the cable), none wrong",
-        campaign.test_of("load"),
         tuple(faults),
     )
 
@@ -248,7 +243,3 @@ def _wrong(output: Path, samples: int, rate_hz: int) -> list[str]:
             abs(run.times()[:: max(1, samples // 1000)] - np.arange(0, samples, max(1, samples // 1000)) / rate_hz)
         )
     return [] if error < 1e-9 else [f"times are off by up to {error} s"]
-
-
-def _again(size: Size) -> str:
-    return f"python -m tests.reliability --only load --size {size.name}"

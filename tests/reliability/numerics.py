@@ -11,9 +11,8 @@ import numpy as np
 from daq.base.errors import EXIT_DONE
 from rig_sim.scenes import scene
 
-from . import campaign
-from .campaign import Result, Size
 from .forked import Ended, Server
+from .result import Result, Size
 
 # Zero, a denormal, the least normal number, and numbers whose squares, products or sums overflow.
 VALUES = (
@@ -26,32 +25,28 @@ SCENE_S = "0.2"
 TABLE = 400  # rows
 
 
-def numerics(size: Size, folder: Path) -> list[Result]:
+def numerics(size: Size, folder: Path, server: Server) -> list[Result]:
     """Give ``size.amount`` of the values to every number of a scene, and to a table."""
     values = VALUES[: size.amount]
-    with Server(folder / "server") as server:
-        work = folder / "work"
-        work.mkdir()
-        _table(work / "warm.csv", "0.01", 0)
-        server.warm(["daq", "record", "--duration", SCENE_S, "-o", "warm.h5"], work)
-        server.warm(["daq", "import", "warm.csv", "-o", "warm2.h5", "--mass", "1 kg", "--stiffness", "10 N/m"], work)
-        server.warm(["process", "smooth", "warm2.h5"], work)
-        scenes, tried = _scenes(server, work, values)
-        tables, files = _tables(server, work, values)
-    test = campaign.test_of("numerics")
+    work = folder / "work"
+    work.mkdir()
+    _table(work / "warm.csv", "0.01", 0)
+    server.warm(["daq", "record", "--duration", SCENE_S, "-o", "warm.h5"], work)
+    server.warm(["daq", "import", "warm.csv", "-o", "warm2.h5", "--mass", "1 kg", "--stiffness", "10 N/m"], work)
+    server.warm(["process", "smooth", "warm2.h5"], work)
+    scenes, tried = _scenes(server, work, values)
+    tables, files = _tables(server, work, values)
     return [
         Result(
             "a scene with numbers at the ends of a float64 is played, or refused with their name",
             f"{', '.join(values)} for each of {tried // len(values)} numbers of a scene",
             f"{tried} recordings, {len(scenes)} without a named outcome",
-            test,
             tuple(scenes),
         ),
         Result(
             "a table with such numbers is imported and smoothed, or refused with its line",
             f"{', '.join(values)} as a time and as a position, in the first, a middle and the last row, and in all",
             f"{files} tables, {len(tables)} without a named outcome",
-            test,
             tuple(tables),
         ),
     ]

@@ -17,8 +17,7 @@ from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
 
-from . import campaign
-from .campaign import Result, Size
+from .result import Result, Size
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("daq", "processing", "fitting", "rig_sim")
@@ -83,7 +82,6 @@ def _sources() -> Result:
         "no input is executed or unpickled: no pickle, eval, exec or shell",
         "the syntax tree of every module of the four packages",
         f"{len(files)} modules, {len(faults)} such calls or imports",
-        campaign.test_of("security"),
         tuple(faults),
     )
 
@@ -121,7 +119,6 @@ def _dependencies() -> Result:
         "the versions that were tested are named",
         f"{len(names)} dependencies of pyproject.toml, extras included, and theirs",
         f"{len(rows)} versions in constraints.txt, looked up among known vulnerabilities by make audit",
-        campaign.test_of("security"),
         tuple(faults),
     )
 
@@ -148,8 +145,8 @@ def _cache(folder: Path) -> Result:
         "machine code is kept only where no other user can write",
         "the folder of machine code open to all, in a private, a shared and a sticky folder",
         ", ".join(said),
-        "tests/daq/base/compute/test_compile.py",
         tuple(faults),
+        test="tests/daq/base/compute/test_compile.py",
     )
 
 
@@ -205,8 +202,8 @@ def _server(size: Size, folder: Path) -> Result:
         "the live server answers its own page on this computer alone",
         f"{size.amount} requests with another host, origin, token, path or method, or too long a marker",
         f"{size.amount - len(faults)} refused; it listens on 127.0.0.1 only",
-        "tests/daq/live/test_server.py",
         tuple(faults),
+        test="tests/daq/live/test_server.py",
     )
 
 
@@ -245,11 +242,11 @@ def _listening(port: int) -> set[str]:
 def _pages(folder: Path) -> Result:
     """Open every page in a browser, of runs whose texts are scripts."""
     promise = "no text of a run, a journal or a marker is executed in a page, and no page asks the network for anything"
-    test = "tests/browser/test_report_page.py"
+    test = {"test": "tests/browser/test_report_page.py"}
     chromium = shutil.which("chromium")
     if chromium is None or find_spec("playwright") is None:
         missing = ("chromium and playwright are needed",) if "STICKSLIP_REQUIRE_TOOLS" in os.environ else ()
-        return Result(promise, "not tried: chromium or playwright is not installed", "-", test, missing)
+        return Result(promise, "not tried: chromium or playwright is not installed", "-", missing, **test)
     from playwright.sync_api import sync_playwright
 
     folder.mkdir()
@@ -278,8 +275,8 @@ def _pages(folder: Path) -> Result:
         f"{len(PAYLOADS)} scripts as title, operator, sample, note, tag, marker and file name, in {len(pages)} reports "
         "and the live view, opened in chromium",
         f"{len(pages) + 1 - len(faults)} pages executed nothing and asked for nothing",
-        test,
         tuple(faults),
+        **test,
     )
 
 

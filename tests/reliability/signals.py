@@ -17,9 +17,9 @@ from pathlib import Path
 import daq
 from daq.base.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, EXIT_INTERRUPTED
 
-from . import campaign, tasks
-from .campaign import Result, Size
+from . import tasks
 from .forked import HANGS_S, ROOT, SEND, Server, compiled
+from .result import Result, Size
 from .tasks import TASKS
 
 ENTRIES = {"daq": "daq", "process": "process", "fit-friction": "fit_friction"}
@@ -41,14 +41,11 @@ WAYS: dict[str, tuple[int, ...]] = {
 }
 
 
-def signals(size: Size, folder: Path) -> list[Result]:
+def signals(size: Size, folder: Path, server: Server, sources: Path) -> list[Result]:
     """Signal recordings at most ``size.amount`` times while they start, run and end, and commands at their calls."""
     _heed_signals()
-    with Server(folder / "server") as server:
-        sources = folder / "sources"
-        tasks.prepare(server, sources)
-        timed, timed_faults = _at_times(compiled(folder), sources, folder / "timed", size)
-        called, called_faults = _at_calls(server, sources, folder / "called", size)
+    timed, timed_faults = _at_times(compiled(folder), sources, folder / "timed", size)
+    called, called_faults = _at_calls(server, sources, folder / "called", size)
     streams, stream_faults = _streams(sources, folder / "streams", size)
     return [
         Result(
@@ -57,14 +54,12 @@ def signals(size: Size, folder: Path) -> list[Result]:
             f"{timed} processes signalled every {1e3 * EVERY_S:.0f} ms of CPU time from start to end, and while they "
             f"record ({'; '.join(WAYS)}), and Ctrl-C before {called} calls that change a file",
             f"{timed + called - len(timed_faults) - len(called_faults)} as promised, none hung",
-            campaign.test_of("signals"),
             (*timed_faults, *called_faults),
         ),
         Result(
             "a closed terminal, or closed standard streams, cost no sample and no result",
             f"{streams} commands with stdin, stdout and stderr closed in every combination, or a terminal that closes",
             f"{streams - len(stream_faults)} as promised",
-            campaign.test_of("signals"),
             tuple(stream_faults),
         ),
     ]

@@ -79,8 +79,8 @@ TASKS = {
 }
 
 
-def prepare(server: Server, folder: Path) -> None:
-    """Make the files that the tasks start from, and let the server import and compile what they need."""
+def prepare(server: Server, folder: Path) -> Path:
+    """Make the files that the tasks start from; let the server import and compile what they need."""
     folder.mkdir()
     server.warm(["daq", "record", "--duration", CYCLES_S, "-o", "run.h5"], folder)
     server.warm(["daq", "export", "run.h5", "--csv", "table.csv"], folder)
@@ -92,6 +92,7 @@ def prepare(server: Server, folder: Path) -> None:
     for left in folder.glob(".*.partial"):
         left.unlink()
     (folder / "new.h5.markers").write_text("")
+    return folder
 
 
 def content(path: Path) -> dict[str, bytes] | bytes:

@@ -18,7 +18,7 @@ SHARED = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).resolve().parent
 
 
 @pytest.fixture(scope="module")
-def foreign(synthetic):
+def foreign(belt_rig):
     """Give a function that records a contact of the independent simulator with counts of 50 um."""
     folder = SHARED / "foreign"
     if not folder.exists():
@@ -32,7 +32,7 @@ def foreign(synthetic):
     def made(path, duration=20.0, count=50e-6, **contact):
         time = np.arange(0, duration, 1e-3)
         position, _, _ = foreign_sim.simulate(time, seed=11, scat=0.03, **contact)
-        return smooth(synthetic.imported(path, time, np.floor(position / count) * count, decimals=7))
+        return smooth(belt_rig.imported(path, time, np.floor(position / count) * count, decimals=7))
 
     return made
 
@@ -72,12 +72,12 @@ def test_a_spring_that_hardens_is_no_function_of_speed(foreign, tmp_path):
     assert ranking.verdict.startswith("none of the six laws describes this record")
 
 
-def test_a_mass_that_grazes_the_belt_does_not_age(synthetic, monkeypatch):
+def test_a_mass_that_grazes_the_belt_does_not_age(belt_rig, monkeypatch):
     """Constant friction has no break-away from rest: all 9 records of laws 1 and 2 were said to age by 4 to 9 %."""
     aged = FoundDeparture("ageing", 9.0, "break-away level / Fs", 1.08, 0.01, "", "")
     monkeypatch.setattr(answer, "find_ageing", lambda *_: aged)
-    assert rank(smooth(synthetic.recording(law=2)), laws=(2,)).adequacy.departures == ()
-    assert rank(smooth(synthetic.recording(law=5, duration=12.0)), laws=(5,)).adequacy.departures == (aged,)
+    assert rank(smooth(belt_rig.recording(law=2)), laws=(2,)).adequacy.departures == ()
+    assert rank(smooth(belt_rig.recording(law=5, duration=12.0)), laws=(5,)).adequacy.departures == (aged,)
 
 
 @pytest.mark.slow

@@ -92,11 +92,11 @@ def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():
 
 
 @pytest.mark.parametrize(("curve", "adequate"), [("hyperbolic", True), ("stribeck", False)])
-def test_slips_of_25_samples_are_judged(contacts, synthetic, tmp_path, curve, adequate):
+def test_slips_of_25_samples_are_judged(belt_rig, tmp_path, curve, adequate):
     """With fewer samples than bins the statistics had no spread: an error, or "adequate" whatever the law."""
-    time, position = contacts.recorded(contacts.Contact(curve=curve, duration=30.0), rate=50.0, count=0.0)
+    time, position = belt_rig.recorded(belt_rig.Contact(curve=curve, duration=30.0), rate=50.0, count=0.0)
     position += 5e-6 * np.random.default_rng(5).standard_normal(time.size)
-    ranking = rank(smooth(synthetic.imported(tmp_path / "track.csv", time, position, decimals=7)), laws=(5,))
+    ranking = rank(smooth(belt_rig.imported(tmp_path / "track.csv", time, position, decimals=7)), laws=(5,))
     found = ranking.adequacy.goodness
     assert found.judged
     assert found.adequate == adequate
@@ -116,9 +116,9 @@ def test_a_true_law_is_adequate(ranked, law):
     assert all(item.trusted for item in ranking.best.parameters.values())
 
 
-def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(synthetic):
+def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(belt_rig):
     # "law 1 (constant friction), the only law fitted" was said of it, with narrow intervals.
-    ranking = rank(smooth(synthetic.recording(law=5)), laws=(1,))
+    ranking = rank(smooth(belt_rig.recording(law=5)), laws=(1,))
     document = ranking.as_json()
     assert document["adequacy"]["verdict"] == "none of the laws fitted"
     assert document["adequacy"]["p_value"] < 1e-6
@@ -129,28 +129,28 @@ def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(synthetic):
     assert job.exit_code(document) == 6
 
 
-def test_the_same_record_gives_the_same_probability(synthetic):
-    kinematics = smooth(synthetic.recording(law=5, duration=12.0))
+def test_the_same_record_gives_the_same_probability(belt_rig):
+    kinematics = smooth(belt_rig.recording(law=5, duration=12.0))
     first, second = (rank(kinematics, laws=(5,)).as_json() for _ in range(2))
     assert first["adequacy"] == second["adequacy"]
 
 
-def test_velocity_steps_of_a_belt_s_joint_spoil_no_law(synthetic):
+def test_velocity_steps_of_a_belt_s_joint_spoil_no_law(belt_rig):
     """Slips with a velocity step fit badly under the true law: the others decide."""
-    assert rank(smooth(synthetic.recording(law=5, kick=0.02, scatter=0.08)), laws=(5,)).adequacy.adequate
+    assert rank(smooth(belt_rig.recording(law=5, kick=0.02, scatter=0.08)), laws=(5,)).adequacy.adequate
 
 
-def test_wear_within_the_slips_is_no_misfit(synthetic):
+def test_wear_within_the_slips_is_no_misfit(belt_rig):
     """Each cycle was thought to lose the same fraction of its level: 2 um were left, and true laws were rejected."""
-    found = rank(smooth(synthetic.recording(law=5, wear=0.15, duration=16.0)), laws=(5,)).adequacy
+    found = rank(smooth(belt_rig.recording(law=5, wear=0.15, duration=16.0)), laws=(5,)).adequacy
     assert found.goodness.p_value > 1e-3
     assert found.goodness.repeat < 0.1
 
 
-def test_slips_that_a_joint_has_struck_spoil_no_others(synthetic):
+def test_slips_that_a_joint_has_struck_spoil_no_others(belt_rig):
     """Two of 12 slips pulled the parameters of law 4 until the others were too smooth for noise (p = 8e-7)."""
-    scene = synthetic.nominal(4, 2, belt=0.3, duration=16.0)
-    ranking = rank(smooth(synthetic.recording(scene, seed=22)), laws=(4,))
+    scene = belt_rig.nominal(4, 2, belt=0.3, duration=16.0)
+    ranking = rank(smooth(belt_rig.recording(scene, seed=22)), laws=(4,))
     found = ranking.adequacy.goodness
     assert found.p_value > 1e-3
     assert found.misfit < 1.05
@@ -159,9 +159,9 @@ def test_slips_that_a_joint_has_struck_spoil_no_others(synthetic):
 
 
 @pytest.mark.parametrize("every", [3, 12])
-def test_slips_that_no_velocity_step_explains_are_judged(synthetic, ranked, every):
+def test_slips_that_no_velocity_step_explains_are_judged(belt_rig, ranked, every):
     """Cycles with 1.5 times the usual mean square used to be left out, however many there were: here every third."""
-    recording = synthetic.recording(law=5)
+    recording = belt_rig.recording(law=5)
     cycles = ranked(law=5).cut.cycles
     position = recording.position.copy()
     for cycle in cycles[1::every]:
@@ -174,8 +174,8 @@ def test_slips_that_no_velocity_step_explains_are_judged(synthetic, ranked, ever
     assert len(found.goodness.left_out) == (1 if every == 12 else 0)
 
 
-def test_a_batch_ends_with_six_where_no_law_describes_a_run(synthetic, tmp_path, capsys):
-    runs = [synthetic.written(tmp_path / f"{law}.h5", synthetic.recording(law=law, duration=12.0)) for law in (5, 3)]
+def test_a_batch_ends_with_six_where_no_law_describes_a_run(belt_rig, tmp_path, capsys):
+    runs = [belt_rig.written(tmp_path / f"{law}.h5", belt_rig.recording(law=law, duration=12.0)) for law in (5, 3)]
     assert application.run(cli.app, ["--each", *map(str, runs), "--laws", "5", "--json"]) == 6
     rows = json.loads(capsys.readouterr().out)["runs"]
     assert [row["adequacy"]["verdict"] for row in rows] == ["adequate", "none of the laws fitted"]

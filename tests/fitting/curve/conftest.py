@@ -1,7 +1,5 @@
 """Curves measured on contacts whose friction is known, made once and shared."""
 
-import importlib.util
-import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,17 +18,14 @@ from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from processing.smoothing import smooth
 
-spec = importlib.util.spec_from_file_location("fitting_contacts", Path(__file__).parents[1] / "contacts.py")
-contacts = importlib.util.module_from_spec(spec)
-sys.modules[spec.name] = contacts
-spec.loader.exec_module(contacts)
+from ... import rig as belt_rig
 
 JITTER, COUNT = 30e-6, 50e-6
 
 
 def run_of(contact, bare):
     """Bring a contact, recorded by an encoder of 50 um, calibrated unless ``bare``, into the fit's frame."""
-    time, position = contacts.recorded(contact, count=COUNT, jitter=JITTER)
+    time, position = belt_rig.recorded(contact, count=COUNT, jitter=JITTER)
     rig = Rig(name="contact", metres_per_count=Measured(COUNT))
     if not bare:
         rig = replace(
@@ -68,7 +63,7 @@ def measured():
         noise = np.array([np.sqrt(COUNT**2 / 12 + JITTER**2 * np.mean(run.motion.velocity**2)) for run in runs])
         curve = measure_curve(fits, noise)
         contact = together[0]
-        truth = np.array([contacts.curve(contact, s) for s in curve.speed - curve.ramp]) / contact.m
+        truth = np.array([belt_rig.curve(contact, s) for s in curve.speed - curve.ramp]) / contact.m
         return SimpleNamespace(curve=curve, fits=fits, truth=truth, contact=contact)
 
     return of
@@ -79,6 +74,6 @@ def contact():
     """Give a function that describes a contact by its changes from the rig of the design."""
 
     def of(**changes):
-        return replace(contacts.Contact(scatter=0.03, c=0.01, seed=3), **changes)
+        return replace(belt_rig.Contact(scatter=0.03, c=0.01, seed=3), **changes)
 
     return of

@@ -142,12 +142,12 @@ def test_a_ramp_of_constant_friction_keeps_its_width_on_a_belt_that_ripples(simu
 
 
 @pytest.mark.slow
-def test_a_steady_belt_comes_first_where_the_mass_merely_grazes_it(synthetic, monkeypatch):
+def test_a_steady_belt_comes_first_where_the_mass_merely_grazes_it(belt_rig, monkeypatch):
     # The smoothing took tops of a sine for sticks, among which a ripple of 5 % at 11 Hz was found: the record was
     # refused, since its sticks had several speeds.
     wrong = ripple.Ripple(0.011, 0.0, 2 * math.pi * 11.5, 10.0)
     monkeypatch.setattr(candidates.ripple, "find_ripple", lambda motion, cut: wrong)
-    ranking = rank(smooth(synthetic.recording(law=1, damping=0.036, delta=50e-6)))
+    ranking = rank(smooth(belt_rig.recording(law=1, damping=0.036, delta=50e-6)))
     assert ranking.laws_in_set == (1,)
     assert "ripple" not in ranking.best.parameters
 

@@ -5,8 +5,8 @@ import pytest
 
 from fitting.data.slip_duration import harmonic_share, slip_duration
 
+from ...rig import follow
 from .. import scales
-from ..contacts import follow
 
 
 def _slip(number, rate_hz, noise=0.0):

@@ -18,13 +18,13 @@ from processing.smoothing import smooth
 
 
 @pytest.fixture(scope="session")
-def fitted(contacts, tmp_path_factory):
+def fitted(belt_rig, tmp_path_factory):
     """Give a function that fits one law to a contact, as read by an encoder: ``fitted(law=5, k3=16.8)``."""
     folder = tmp_path_factory.mktemp("contacts")
 
     @cache
     def of(law=5, duration=20.0, count=7.67e-6, **changes):
-        time, position = contacts.recorded(contacts.Contact(duration=duration, **changes), count=count)
+        time, position = belt_rig.recorded(belt_rig.Contact(duration=duration, **changes), count=count)
         path = folder / "contact.csv"
         np.savetxt(path, np.c_[time, position], fmt="%.6f,%.7f", header="t,x", comments="")
         kinematics = smooth(track.read(path, ImportOptions()).run)

@@ -54,9 +54,9 @@ def test_what_all_break_aways_share_is_part_of_the_error():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("law", "noise", "seed"), [(5, 1e-3, 3), (5, 2e-4, 4), (6, 2e-4, 5)])
-def test_an_unknown_rest_position_is_no_ageing(synthetic, tmp_path, law, noise, seed):
+def test_an_unknown_rest_position_is_no_ageing(belt_rig, tmp_path, law, noise, seed):
     # 19 of 100 camera tracks without a datum had ageing of 2 to 22 %: the scatter was all of its error
-    track = synthetic.imported(tmp_path / "track.csv", *synthetic.camera(law, noise, seed=seed))
+    track = belt_rig.imported(tmp_path / "track.csv", *belt_rig.camera(law, noise, seed=seed))
     ranking = rank(smooth(track))
     assert ranking.adequacy.adequate
     assert ranking.adequacy.departures == ()

@@ -1,6 +1,6 @@
 """Score tests: the departure that was put in comes first, with its size; none where a law is right.
 
-The contacts are made by a generator that shares nothing with rig_sim (tests/fitting/contacts.py).
+The contacts are made by a generator that shares nothing with rig_sim (tests/rig.py).
 """
 
 import math
@@ -159,9 +159,9 @@ def test_two_columns_that_do_the_same_end_in_no_error(base_of):
     ("sensor", "counted", "words"),
     [("encoder", True, "an eccentric encoder wheel"), ("camera", False, "lens distortion or an uneven scale")],
 )
-def test_an_error_of_the_reading_is_named_by_what_read_it(synthetic, sensor, counted, words):
+def test_an_error_of_the_reading_is_named_by_what_read_it(belt_rig, sensor, counted, words):
     """Camera tracks with lens distortion were reported with "an eccentric encoder wheel"; the name of the row stays."""
-    recording = synthetic.recording(law=5, duration=6.0)
+    recording = belt_rig.recording(law=5, duration=6.0)
     if sensor == "encoder":
         count = np.rint(recording.position / recording.rig.metres_per_count.value).astype(np.int64)
         recording = replace(recording, count=count)

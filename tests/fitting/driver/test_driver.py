@@ -143,11 +143,11 @@ def test_a_lost_law_starts_again_with_its_windows_at_the_smoothed_motion(runs_of
     assert np.array_equal(again.local, cycle_starts(first.windows, problem.motions, problem.cycles, first.u))
 
 
-def test_a_law_whose_first_pass_is_far_off_starts_from_one_that_it_contains(contacts, synthetic, tmp_path):
+def test_a_law_whose_first_pass_is_far_off_starts_from_one_that_it_contains(belt_rig, tmp_path):
     """Of slips of 25 samples under Stribeck friction law 5 was given up at 4000 times the noise, law 1 ended at 29."""
-    time, position = contacts.recorded(contacts.Contact(curve="stribeck", duration=20.0), rate=50.0, count=0.0)
+    time, position = belt_rig.recorded(belt_rig.Contact(curve="stribeck", duration=20.0), rate=50.0, count=0.0)
     position += 5e-6 * np.random.default_rng(5).standard_normal(time.size)
-    smoothed = smooth(synthetic.imported(tmp_path / "track.csv", time, position, decimals=7))
+    smoothed = smooth(belt_rig.imported(tmp_path / "track.csv", time, position, decimals=7))
     motion = frame.from_kinematics(smoothed, smoothed.recording.rig, None)
     found = {one.task.curve.law: one.geometric_mean_rms for one in fit_laws([1, 3, 5], [cut_run(motion, frozenset())])}
     assert found[3] <= 1.001 * found[1]

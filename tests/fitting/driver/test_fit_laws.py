@@ -36,9 +36,9 @@ def usual_errors(recording, rig=None):
     return {fit.task.curve.law: fit.geometric_mean_rms for fit in fits}
 
 
-def test_a_law_never_errs_more_than_one_it_contains(synthetic):
+def test_a_law_never_errs_more_than_one_it_contains(belt_rig):
     """Laws 2 and 4 used to end at 12 and 1.5 mm beside laws 1 and 3 with 0.9 and 0.2 mm."""
-    errors = usual_errors(synthetic.recording(law=5, duration=8.0))
+    errors = usual_errors(belt_rig.recording(law=5, duration=8.0))
     for inner, outer in CONTAINED:
         assert errors[outer] <= 1.001 * errors[inner]
     assert errors[5] < 5e-6
@@ -47,8 +47,8 @@ def test_a_law_never_errs_more_than_one_it_contains(synthetic):
 @pytest.mark.slow
 @pytest.mark.parametrize("law", [1, 2, 3, 4, 5, 6])
 @pytest.mark.parametrize("noise", [2e-4, 1e-3])
-def test_nor_on_a_camera_track_without_calibration(synthetic, law, noise):
-    recording = synthetic.recording(law=law, rate=400.0, duration=30.0, jitter=0.0, delta=1e-5, seed=4)
+def test_nor_on_a_camera_track_without_calibration(belt_rig, law, noise):
+    recording = belt_rig.recording(law=law, rate=400.0, duration=30.0, jitter=0.0, delta=1e-5, seed=4)
     rng = np.random.default_rng(law)
     recording.position[:] += np.round(noise * rng.standard_normal(recording.position.size), 5)
     errors = usual_errors(recording, Rig(name="", metres_per_count=None))

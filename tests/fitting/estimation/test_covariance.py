@@ -86,9 +86,9 @@ def test_what_two_unknowns_show_together_is_no_narrower_than_by_the_curvature():
         assert along @ found @ along >= (1 - 1e-9) * (along @ curvature @ along)
 
 
-def test_without_a_datum_the_error_of_the_level_is_that_of_its_mean_over_the_cycles(synthetic):
+def test_without_a_datum_the_error_of_the_level_is_that_of_its_mean_over_the_cycles(belt_rig):
     # The prior of the levels, five times wider than their scatter, went into it: it was four times too large.
-    recording = replace(synthetic.recording(law=5, delta=5e-5), rig=Rig())
+    recording = replace(belt_rig.recording(law=5, delta=5e-5), rig=Rig())
     motion = frame.from_kinematics(smooth(recording), recording.rig, None)
     (fit,) = map(Fit.of, fit_laws((5,), [Run(motion, cycles.segment_cycles(motion))]))
     level = derived_parameters(fit, motion, 0.05)["Fs/m"]
@@ -97,13 +97,13 @@ def test_without_a_datum_the_error_of_the_level_is_that_of_its_mean_over_the_cyc
 
 
 @pytest.mark.slow
-def test_levels_that_differ_by_their_errors_alone_do_not_show_the_belt_speed_of_a_ramp(synthetic):
+def test_levels_that_differ_by_their_errors_alone_do_not_show_the_belt_speed_of_a_ramp(belt_rig):
     """Without a datum and without scatter only v_dr - d is known; v_dr used to be off by a hundred standard errors."""
-    recording = replace(synthetic.recording(law=4, scatter=0.0), rig=Rig())
+    recording = replace(belt_rig.recording(law=4, scatter=0.0), rig=Rig())
     motion = frame.from_kinematics(smooth(recording), recording.rig, None)
     (fit,) = (without_level_errors(Fit.of(one)) for one in fit_laws((4,), [Run(motion, cycles.segment_cycles(motion))]))
     found = derived_parameters(fit, motion, 0.05)
-    assert found["v_dr"].lo < synthetic.Scene().belt < found["v_dr"].hi
+    assert found["v_dr"].lo < belt_rig.Scene().belt < found["v_dr"].hi
     assert found["v_dr"].stderr > 0.2 * found["d"].value
     assert "Fs/m" not in found
     assert "x0 + Fs/k" in found

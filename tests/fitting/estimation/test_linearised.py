@@ -96,7 +96,7 @@ def test_scores_are_those_of_the_dense_problem(problem):
 
 def test_a_fit_is_linearised_at_its_minimum(ranked):
     """At the minimum the gradients of all cycles and the priors cancel, and a refit moves next to nothing."""
-    fit = ranked(law=5).best.fit
+    fit = ranked(law=5, seed=2).best.fit
     found = LinearisedFit.at(fit.at)
     assert found.residual == pytest.approx(fit.residual, abs=1e-12)
     spread = np.sqrt(np.diag(found.covariance))

@@ -10,12 +10,12 @@ from processing.smoothing import smooth
 
 
 @pytest.fixture
-def track(synthetic, tmp_path):
+def track(belt_rig, tmp_path):
     """Give a function that imports a camera track: ``track(law, noise, seed, decimals)``."""
 
     def of(law, noise, seed=1, decimals=5, **changes):
-        time, position = synthetic.camera(law, noise, seed, **changes)
-        return synthetic.imported(tmp_path / "track.csv", time, position, decimals)
+        time, position = belt_rig.camera(law, noise, seed, **changes)
+        return belt_rig.imported(tmp_path / "track.csv", time, position, decimals)
 
     return of
 

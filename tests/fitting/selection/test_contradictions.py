@@ -12,11 +12,11 @@ GENERATED = {"mass": Measured(0.3, 3e-4), "stiffness": Measured(0.3 * 35.184, 0.
 
 
 @pytest.fixture
-def ranked_with(synthetic):
+def ranked_with(belt_rig):
     """Give a function that ranks law 5 alone under a changed calibration."""
 
     def of(stated=None, **changes):
-        recording = synthetic.recording(law=5, duration=10.0)
+        recording = belt_rig.recording(law=5, duration=10.0)
         return rank(smooth(recording), replace(recording.rig, **changes), laws=(5,), belt_speed=stated)
 
     return of
@@ -31,9 +31,9 @@ def test_a_sound_calibration_contradicts_nothing(ranked_with):
 
 
 @pytest.mark.parametrize("law", [1, 2])
-def test_constant_friction_contradicts_no_datum(synthetic, law):
+def test_constant_friction_contradicts_no_datum(belt_rig, law):
     # It shows datum + Fs/k alone: the datum without its prior came out at 2e8 m, 2600 standard deviations off.
-    assert codes(rank(smooth(synthetic.recording(law=law, duration=10.0)), laws=(law,))) == []
+    assert codes(rank(smooth(belt_rig.recording(law=law, duration=10.0)), laws=(law,))) == []
 
 
 @pytest.mark.parametrize("stale", [Measured(0.1), Measured(-0.22, 1e-3), Measured(0.30, 3e-3)])

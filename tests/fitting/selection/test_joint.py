@@ -24,18 +24,18 @@ SPEEDS = (0.1, 0.2, 0.3)
 
 
 @pytest.fixture(scope="module")
-def runs_of(synthetic):
+def runs_of(belt_rig):
     """Give a function that smooths one contact's runs at three belt speeds, nominal disturbances and all."""
     made = {}
 
     def of(law, seed, kick=None):
         key = (law, seed, kick)
         if key not in made:
-            scenes = [synthetic.nominal(law, seed, belt=speed, duration=16.0) for speed in SPEEDS]
+            scenes = [belt_rig.nominal(law, seed, belt=speed, duration=16.0) for speed in SPEEDS]
             if kick is not None:
                 scenes = [replace(scene, kick=kick) for scene in scenes]
             made[key] = [
-                smooth(synthetic.recording(replace(scene, seed=10 * seed + n))) for n, scene in enumerate(scenes)
+                smooth(belt_rig.recording(replace(scene, seed=10 * seed + n))) for n, scene in enumerate(scenes)
             ]
         return made[key]
 
@@ -74,14 +74,14 @@ def test_three_belt_speeds_put_the_true_law_first(runs_of, law):
 
 
 @pytest.mark.slow
-def test_a_spring_one_percent_hard_is_seen_in_runs_fitted_together(contacts, synthetic, tmp_path):
+def test_a_spring_one_percent_hard_is_seen_in_runs_fitted_together(belt_rig, tmp_path):
     """Joint fits were rejected from 1.5 times the noise on; this spring leaves 1.0 times."""
     hard = 0.01 * 10.5552 / 0.177**2
     runs = []
     for seed, belt in enumerate((0.15, 0.22, 0.3), start=1):
-        contact = contacts.Contact(belt=belt, duration=16.0, scatter=0.03, k3=hard, seed=seed)
-        time, position = contacts.recorded(contact, count=50e-6)
-        runs.append(smooth(synthetic.imported(tmp_path / f"{seed}.csv", time, position, decimals=7)))
+        contact = belt_rig.Contact(belt=belt, duration=16.0, scatter=0.03, k3=hard, seed=seed)
+        time, position = belt_rig.recorded(contact, count=50e-6)
+        runs.append(smooth(belt_rig.imported(tmp_path / f"{seed}.csv", time, position, decimals=7)))
     found = rank(runs, laws=(5,)).adequacy
     assert found.verdict == "none of the laws fitted"
     assert found.goodness.misfit < 1.1
@@ -145,10 +145,10 @@ def test_what_means_one_run_is_refused_beside_several(runs_of, flags):
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory, synthetic, runs_of):
+def files(tmp_path_factory, belt_rig, runs_of):
     folder, paths = tmp_path_factory.mktemp("joint"), []
     for number, kinematics in enumerate(runs_of(5, 2), start=1):
-        paths.append(synthetic.written(folder / f"run{number}.h5", kinematics.recording))
+        paths.append(belt_rig.written(folder / f"run{number}.h5", kinematics.recording))
     return paths
 
 
@@ -280,8 +280,8 @@ def test_a_run_named_twice_is_refused(files, tmp_path):
 
 
 @pytest.mark.slow
-def test_several_processes_give_the_same_ranking_to_the_last_bit(synthetic):
-    runs = [smooth(synthetic.recording(law=4, duration=10.0, belt=speed)) for speed in SPEEDS[1:]]
+def test_several_processes_give_the_same_ranking_to_the_last_bit(belt_rig):
+    runs = [smooth(belt_rig.recording(law=4, duration=10.0, belt=speed)) for speed in SPEEDS[1:]]
     alone, side_by_side = (rank(runs, laws=(3, 4, 5), jobs=jobs) for jobs in (1, 3))
     for one, other in zip(alone.rows, side_by_side.rows, strict=True):
         assert (one.law, one.score, one.rms_m, one.parameters) == (

@@ -32,21 +32,21 @@ def test_constant_friction_is_told_apart_by_the_start_up_drag(ranked, law):
 
 
 @pytest.mark.slow
-def test_a_linear_ramp_without_datum_and_scatter_leaves_the_belt_speed_open(synthetic, tmp_path):
+def test_a_linear_ramp_without_datum_and_scatter_leaves_the_belt_speed_open(belt_rig, tmp_path):
     # v_dr was 0.194 with an interval of 0.008, of 0.22; and a law without a piece of even samples ended in a traceback
-    scene = synthetic.Scene(law=4, scatter=0.0, jitter=0.0, delta=2e-6, duration=10.0, G_slip=0.3)
-    time, _, position, _ = synthetic.sampled(scene)
-    ranking = rank(smooth(synthetic.imported(tmp_path / "track.csv", time, position, decimals=7)), laws=(3, 4))
+    scene = belt_rig.Scene(law=4, scatter=0.0, jitter=0.0, delta=2e-6, duration=10.0, G_slip=0.3)
+    time, _, position = belt_rig.sampled(scene)
+    ranking = rank(smooth(belt_rig.imported(tmp_path / "track.csv", time, position, decimals=7)), laws=(3, 4))
     assert 4 in ranking.laws_in_set
     speed = ranking.row(4).parameters["v_dr"]
     assert speed.lo < 0.22 < speed.hi
     assert "Fs/m" not in ranking.row(4).parameters
 
 
-def test_a_drag_too_short_to_be_seen_leaves_the_belt_speed_open(synthetic, tmp_path):
+def test_a_drag_too_short_to_be_seen_leaves_the_belt_speed_open(belt_rig, tmp_path):
     # nothing held the belt's speed: 265685 +- 160 m/s was stated
-    time, position = synthetic.camera(1, 1.5e-5, duration=6.0, K=330.0, belt=6.0, damping=0.07, scatter=0.0)
-    ranking = rank(smooth(synthetic.imported(tmp_path / "track.csv", time, position)))
+    time, position = belt_rig.camera(1, 1.5e-5, duration=6.0, K=330.0, belt=6.0, damping=0.07, scatter=0.0)
+    ranking = rank(smooth(belt_rig.imported(tmp_path / "track.csv", time, position)))
     assert ranking.laws_in_set == (1, 2)
     speed = ranking.row(1).parameters["v_dr"]
     assert speed.lo < 6.0 < speed.hi
@@ -56,15 +56,15 @@ def test_a_drag_too_short_to_be_seen_leaves_the_belt_speed_open(synthetic, tmp_p
 
 
 @pytest.mark.parametrize("law", [5, *(pytest.param(law, marks=pytest.mark.slow) for law in (3, 6))])
-def test_nominal_disturbances_leave_the_verdict_right(synthetic, law):
-    ranking = rank(smooth(synthetic.recording(synthetic.nominal(law, 4))))
+def test_nominal_disturbances_leave_the_verdict_right(belt_rig, law):
+    ranking = rank(smooth(belt_rig.recording(belt_rig.nominal(law, 4))))
     assert law in ranking.laws_in_set
     assert ranking.best.law == law
 
 
-def test_a_fast_sampled_record_has_the_same_units_for_every_law(synthetic):
+def test_a_fast_sampled_record_has_the_same_units_for_every_law(belt_rig):
     # laws that a coarse fit had ruled out had fewer samples in a cycle than the best law had units: a ValueError
-    record = synthetic.recording(law=5, rate=6000.0, duration=8.0, scatter=0.0, jitter=0.0)
+    record = belt_rig.recording(law=5, rate=6000.0, duration=8.0, scatter=0.0, jitter=0.0)
     assert rank(smooth(record)).laws_in_set == (5,)
 
 
@@ -104,9 +104,9 @@ def test_static_and_kinetic_levels_are_separate(ranked):
         pytest.param(6, 1.3, marks=pytest.mark.slow),
     ],
 )
-def test_a_ramp_that_breaks_away_above_the_level_of_slip(synthetic, law, static):
+def test_a_ramp_that_breaks_away_above_the_level_of_slip(belt_rig, law, static):
     """The ramp's width used to come out too small by that factor; below about 1.2 it still did."""
-    ranking = rank(smooth(synthetic.recording(law=law, static=static)), laws=(law - 1, law))
+    ranking = rank(smooth(belt_rig.recording(law=law, static=static)), laws=(law - 1, law))
     assert ranking.laws_in_set == (law,)
     found = ranking.best.parameters
     assert found["static"].value == pytest.approx(static, rel=0.04)
@@ -122,8 +122,8 @@ def test_a_backward_belt_gives_the_mirrored_answer(ranked):
     assert backward.best.parameters["gamma"].value == pytest.approx(9.618, rel=1e-2)
 
 
-def test_a_bare_track_without_any_calibration_still_finds_its_law(synthetic):
-    recording = synthetic.recording(law=5)
+def test_a_bare_track_without_any_calibration_still_finds_its_law(belt_rig):
+    recording = belt_rig.recording(law=5)
     bare = replace(recording.rig, belt_speed=None, datum=None, damping=None, mass=None)
     ranking = rank(smooth(replace(recording, rig=bare)), laws=(3, 5, 6))
     assert ranking.laws_in_set[0] == 5
@@ -137,8 +137,8 @@ def test_a_ramp_carries_the_warning_about_a_drooping_belt(ranked):
     assert not any("slows under load" in warning for warning in ranked(law=5).warnings)
 
 
-def changed(synthetic, position):
-    recording = synthetic.recording(law=5)
+def changed(belt_rig, position):
+    recording = belt_rig.recording(law=5)
     return smooth(replace(recording, position=np.floor(position(recording.time) / 7.67e-6) * 7.67e-6))
 
 
@@ -153,26 +153,26 @@ def changed(synthetic, position):
     ],
     ids=["ramp", "constant", "noise", "walk", "chirp"],
 )
-def test_what_is_no_stick_slip_is_never_ranked(synthetic, position):
+def test_what_is_no_stick_slip_is_never_ranked(belt_rig, position):
     with pytest.raises(DataError, match="no belt stick-slip in this record"):
-        rank(changed(synthetic, position))
+        rank(changed(belt_rig, position))
 
 
-def test_a_sine_without_a_start_up_may_be_constant_friction(synthetic):
-    kinematics = changed(synthetic, lambda t: 0.1307 + 0.22 / 5.93 * np.sin(5.93 * t))
+def test_a_sine_without_a_start_up_may_be_constant_friction(belt_rig):
+    kinematics = changed(belt_rig, lambda t: 0.1307 + 0.22 / 5.93 * np.sin(5.93 * t))
     with pytest.raises(DataError, match="constant friction is possible"):
         rank(kinematics)
 
 
-def test_constant_friction_without_its_start_up_drag_is_refused(synthetic):
+def test_constant_friction_without_its_start_up_drag_is_refused(belt_rig):
     # Without the first cycle nothing shows the belt's speed: it was reported as 170 or 1200 m/s, with an interval.
     with pytest.raises(DataError, match="constant friction is possible"):
-        rank(smooth(synthetic.recording(law=2)), excluded=(1,))
+        rank(smooth(belt_rig.recording(law=2)), excluded=(1,))
 
 
-def test_too_few_cycles_are_refused_with_their_number(synthetic):
+def test_too_few_cycles_are_refused_with_their_number(belt_rig):
     with pytest.raises(DataError, match="2 complete stick-slip cycles; a verdict needs 4"):
-        rank(smooth(synthetic.recording(law=5, duration=5.0)))
+        rank(smooth(belt_rig.recording(law=5, duration=5.0)))
 
 
 def refused(called, *arguments, **options):
@@ -182,8 +182,8 @@ def refused(called, *arguments, **options):
     return str(raised.value)
 
 
-def test_excluding_too_many_cycles_is_refused(synthetic):
-    kinematics = smooth(synthetic.recording(law=5))
+def test_excluding_too_many_cycles_is_refused(belt_rig):
+    kinematics = smooth(belt_rig.recording(law=5))
     with pytest.raises(DataError, match=r"8 more left out.*leave out fewer"):
         rank(kinematics, excluded=range(1, 9))
     last = int(re.search(r"has (\d+)", refused(rank, kinematics, excluded=[99]))[1])
@@ -191,8 +191,8 @@ def test_excluding_too_many_cycles_is_refused(synthetic):
     assert f"all {last} cycles are left out" in refused(rank, kinematics, excluded=range(1, last + 1))
 
 
-def test_a_gap_costs_its_cycle_and_no_more(synthetic):
-    recording = synthetic.recording(law=5)
+def test_a_gap_costs_its_cycle_and_no_more(belt_rig):
+    recording = belt_rig.recording(law=5)
     kept = (recording.time < 4.0) | (recording.time > 4.3)
     gapped = replace(
         recording, time=recording.time[kept], position=recording.position[kept], segment=recording.segment[kept]
@@ -206,9 +206,9 @@ def test_a_gap_costs_its_cycle_and_no_more(synthetic):
 @pytest.mark.parametrize(
     ("flags", "what"), [({"laws": ()}, "no law to fit"), ({"laws": (7,)}, "unknown law 7"), ({"alpha": 0.0}, "alpha")]
 )
-def test_impossible_requests_are_refused(synthetic, flags, what):
+def test_impossible_requests_are_refused(belt_rig, flags, what):
     with pytest.raises(InputError, match=what):
-        rank(smooth(synthetic.recording(law=5, duration=3.0)), **flags)
+        rank(smooth(belt_rig.recording(law=5, duration=3.0)), **flags)
 
 
 def evidence(laws, *errors):

@@ -16,8 +16,8 @@ from processing.smoothing import smooth
 
 
 @pytest.fixture(scope="module")
-def ranking(synthetic):
-    return rank(smooth(synthetic.recording(law=5, rate=200, duration=12.0)), laws=5)
+def ranking(belt_rig):
+    return rank(smooth(belt_rig.recording(law=5, rate=200, duration=12.0)), laws=5)
 
 
 def by_scipy(fit, held):
@@ -60,6 +60,7 @@ def by_scipy(fit, held):
     return found.cost
 
 
+@pytest.mark.slow
 def test_a_profile_is_that_of_scipy(ranking):
     """Beside a damping that cannot be negative it rises faster on one side."""
     row = ranking.best
@@ -81,9 +82,9 @@ def test_a_profile_of_a_nearly_linear_unknown_is_the_square_of_the_distance_in_s
 
 
 @pytest.mark.slow
-def test_the_spread_of_drawn_cycles_is_that_of_the_sandwich_covariance(synthetic):
+def test_the_spread_of_drawn_cycles_is_that_of_the_sandwich_covariance(belt_rig):
     """Damping is held: at its bound of 0 one half of all draws would have the same."""
-    motion = smooth(synthetic.recording(law=5, rate=200, duration=80.0))
+    motion = smooth(belt_rig.recording(law=5, rate=200, duration=80.0))
     ranking = rank(motion, laws=5, fix={"c/m": 0.0})
     fit, draws = ranking.best.fit, 100
     found = resampling.bootstrap(fit, ranking.motion, draws, 1)
@@ -113,10 +114,10 @@ def test_what_has_no_profile_is_refused(ranking, name, words):
 
 
 @pytest.mark.slow
-def test_draws_have_the_error_of_a_rest_position_that_constant_friction_hides(synthetic):
+def test_draws_have_the_error_of_a_rest_position_that_constant_friction_hides(belt_rig):
     """The fit holds it, so that draws left x0 where it was, and the ramp with it."""
     scene = {"law": 2, "rate": 200, "duration": 20.0}
-    ranking = rank(smooth(synthetic.recording(**scene)), laws=2)
+    ranking = rank(smooth(belt_rig.recording(**scene)), laws=2)
     found, known = resampling.bootstrap(ranking.best.fit, ranking.motion, 100, 1), ranking.best.parameters
     for name in ("x0", "d", "v_dr"):
         assert found[name].std() == pytest.approx(known[name].stderr, rel=0.25)

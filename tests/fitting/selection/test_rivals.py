@@ -22,15 +22,15 @@ STRIBECK = {"curve": "stribeck", "Fs": 2.0, "Fc": 1.2, "v_s": 0.05, "Fv": 0.0, "
 
 
 @pytest.fixture(scope="module")
-def seen_by_camera(contacts, synthetic, tmp_path_factory):
+def seen_by_camera(belt_rig, tmp_path_factory):
     """Give a function that ranks a contact as a camera of 250 Hz shows it."""
 
     def of(noise, seed, rig=None, **changes):
-        contact = contacts.Contact(**STRIBECK | {"belt": 0.05, "duration": 20.0, "seed": seed} | changes)
+        contact = belt_rig.Contact(**STRIBECK | {"belt": 0.05, "duration": 20.0, "seed": seed} | changes)
         time = np.arange(0, contact.duration, 1 / 250)
-        position = contacts.simulate(contact, time) + np.random.default_rng(seed).normal(0, noise, time.size)
+        position = belt_rig.simulate(contact, time) + np.random.default_rng(seed).normal(0, noise, time.size)
         path: Path = tmp_path_factory.mktemp("camera") / "track.csv"
-        recording = synthetic.imported(path, time, position, 7)
+        recording = belt_rig.imported(path, time, position, 7)
         return rank(smooth(recording), rig and replace(recording.rig, **rig))
 
     return of

@@ -11,22 +11,33 @@ from processing.smoothing import smooth
 
 
 @pytest.fixture(scope="module")
-def track(synthetic, tmp_path_factory):
+def track(belt_rig, tmp_path_factory):
     """Give a camera's record of law 5, times of which are divided by ``faster``."""
-    time, position = synthetic.camera(5, 5e-5, duration=20.0)
+    time, position = belt_rig.camera(5, 5e-5, duration=20.0)
     table = tmp_path_factory.mktemp("track") / "track.csv"
 
     def at(faster):
-        recording = synthetic.imported(table, time, position, decimals=7)
+        recording = belt_rig.imported(table, time, position, decimals=7)
         return replace(recording, time=recording.time / faster, rate_hz=recording.rate_hz * faster)
 
     return at
 
 
+@pytest.fixture(scope="module")
+def expected(track):
+    """Rank the record at its own speed."""
+    return rank(smooth(track(1.0)), laws=(3, 5))
+
+
+@pytest.fixture(scope="module")
+def by_law_5(track):
+    """Fit law 5 alone to the record at its own speed."""
+    return rank(smooth(track(1.0)), laws=(5,)).best
+
+
 @pytest.mark.parametrize("faster", [20.0, 64.0, 1 / 64])
-def test_a_contact_in_fast_or_slow_motion_is_the_same_contact(track, faster):
+def test_a_contact_in_fast_or_slow_motion_is_the_same_contact(track, expected, faster):
     """Twenty times as fast it was "no slip between two sticks", and ten times as fast k/m was 1.4 errors off."""
-    expected = rank(smooth(track(1.0)), laws=(3, 5))
     found = rank(smooth(track(faster)), laws=(3, 5))
     assert found.laws_in_set == expected.laws_in_set == (5,)
     assert found.adequacy.adequate
@@ -37,9 +48,9 @@ def test_a_contact_in_fast_or_slow_motion_is_the_same_contact(track, faster):
 
 
 @pytest.mark.parametrize("faster", [2.0, 2.0**-6])
-def test_a_motion_faster_by_a_power_of_two_gives_the_same_numbers(track, faster):
+def test_a_motion_faster_by_a_power_of_two_gives_the_same_numbers(track, by_law_5, faster):
     """64 times slower a step of the flow did not end: the fit of all samples was given up, that of a third kept."""
-    expected = rank(smooth(track(1.0)), laws=(5,)).best
+    expected = by_law_5
     found = rank(smooth(track(faster)), laws=(5,)).best
     assert found.rms_m == pytest.approx(expected.rms_m, rel=1e-9)
     for name, power in (("k/m", 2), ("v_dr", 1), ("gamma", -1)):
@@ -50,7 +61,7 @@ def test_a_motion_faster_by_a_power_of_two_gives_the_same_numbers(track, faster)
 
 @pytest.mark.parametrize("power", [-7, 5])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_lengths_scaled_by_a_power_of_two_or_mirrored_give_the_same_numbers(track, power, side):
+def test_lengths_scaled_by_a_power_of_two_or_mirrored_give_the_same_numbers(track, by_law_5, power, side):
     smoothed = smooth(track(1.0))
     factor = side * 2.0**power
     record = replace(smoothed.recording, position=factor * smoothed.recording.position)
@@ -58,10 +69,7 @@ def test_lengths_scaled_by_a_power_of_two_or_mirrored_give_the_same_numbers(trac
     errors = ("noise", "position_errors", "velocity_errors", "acceleration_errors")
     changes = {name: factor * getattr(smoothed, name) for name in names}
     changes |= {name: abs(factor) * getattr(smoothed, name) for name in errors}
-    expected, found = (
-        rank(smoothed, laws=(5,)).best,
-        rank(replace(smoothed, recording=record, **changes), laws=(5,)).best,
-    )
+    expected, found = by_law_5, rank(replace(smoothed, recording=record, **changes), laws=(5,)).best
     for name, unit in (("k/m", 1.0), ("v_dr", factor), ("gamma", 1 / abs(factor)), ("c/m", 1.0), ("Fs/m", abs(factor))):
         if name in expected.parameters:
             ours, theirs = found.parameters[name], expected.parameters[name]

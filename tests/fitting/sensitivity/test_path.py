@@ -4,7 +4,6 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from fitting_exact_flow import evaluator
 from scipy.integrate import solve_ivp
 
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
@@ -14,6 +13,8 @@ from fitting.sensitivity.path import Curve, follow, spline_curve, with_coefficie
 from fitting.sensitivity.rates import Drag
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
+
+from ..exact_flow import evaluator
 
 K, F, V = 35.184, 4.598, 0.22
 CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from fitting_exact_flow import evaluator
 from scipy.integrate import solve_ivp
 
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
@@ -18,6 +17,8 @@ from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
 from fitting.sensitivity.path import Curve, follow
 from fitting.sensitivity.rates import CREEP
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
+
+from ..exact_flow import evaluator
 
 K, F, BELT, LEVEL = 35.184, 4.598, 0.22, 0.05
 STRETCH = F * math.exp(LEVEL) / K  # m; of the spring where the level of slip is reached

@@ -1,7 +1,6 @@
 """Sticks and slips against the true ones, for all six laws, and records that hold none."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -250,7 +249,8 @@ def test_half_sample_mode_finds_the_heap_and_not_the_mean():
 def test_a_first_sample_far_from_the_others_leaves_a_record_without_motion():
     # White noise that began with an outlier ended in an IndexError: nothing was as far from the last sample.
     x = np.r_[1.0, np.full(50, 0.4), 0.6]
-    assert not plateaus.in_motion(SimpleNamespace(position=x, time=x, pitch=0.2, interval=1e-3, moving=None)).any()
+    data = series.Series(x, x, origin=0.0, pitch=0.2, interval=1e-3, pieces=(slice(0, x.size),))
+    assert not plateaus.in_motion(data).any()
 
 
 @pytest.mark.parametrize("samples", range(96, 160, 8))

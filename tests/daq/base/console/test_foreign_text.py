@@ -119,7 +119,7 @@ def test_no_encoding_of_the_terminal_loses_a_result(tmp_path, encoding):
         ["daq.cli.app", "--version"],
         ["daq.cli.app", "list", "."],
         ["processing.cli", "inspect", "run.h5", "--plot", "p.png"],
-        ["fitting.cli", "run.h5", "--laws", "5", "--no-report"],
+        pytest.param(["fitting.cli", "run.h5", "--laws", "5", "--no-report"], marks=pytest.mark.slow),
         ["rig_sim.cli.app", "scenes"],
         ["rig_sim.cli.app", "compare", "--help"],
     ],

@@ -1,10 +1,13 @@
 """Sweeps: how values are shared out, and how an interrupted one is continued, without a change of one bit."""
 
+import contextlib
+import io
 import json
 import signal
 import subprocess
 import sys
 import time
+from functools import cache
 
 import pytest
 
@@ -23,6 +26,19 @@ DRIVEN = ["sweep", "forced", "--over", "drive.u0=0:0.4:16", "--section", "slip"]
 def document(capsys, *words, code=0):
     assert application.run(cli.app, [*map(str, words), "--json"]) == code
     return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """Give a function that returns the document of an undisturbed sweep, made once."""
+
+    @cache
+    def of(*words):
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            assert application.run(cli.app, [*words, "--json"]) == 0
+        return json.loads(printed.getvalue())
+
+    return of
 
 
 def attractor(value):
@@ -112,33 +128,31 @@ def test_a_picture_that_exists_is_refused_before_anything_is_computed(capsys, tm
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [TWO_MASSES, DRIVEN], ids=["two-mass", "forced"])
-def test_processes_change_no_bit_of_a_sweep(capsys, tmp_path, words):
+def test_processes_change_no_bit_of_a_sweep(capsys, tmp_path, whole, words):
     """Nor does it matter that one was killed before."""
     path = tmp_path / "sweep.jsonl"
-    whole = document(capsys, *words)
-    assert document(capsys, *words, "--jobs", "2") == whole
+    assert document(capsys, *words, "--jobs", "2") == whole(*words)
     command = [sys.executable, "-m", "rig_sim.cli.app", *words, "--jobs", "2", "--resume", str(path)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True) as run:
         while run.poll() is None and not (path.exists() and path.read_bytes().count(b"\n") > 3):
             time.sleep(0.01)
         run.send_signal(signal.SIGKILL)
     assert path.read_bytes().count(b"\n") > 3
-    assert document(capsys, *words, "--jobs", "2", "--resume", path) == whole
+    assert document(capsys, *words, "--jobs", "2", "--resume", path) == whole(*words)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [TWO_MASSES, DRIVEN], ids=["two-mass", "forced"])
-def test_a_cluster_changes_no_bit_of_a_sweep(capsys, tmp_path, monkeypatch, words, cluster):
+def test_a_cluster_changes_no_bit_of_a_sweep(capsys, tmp_path, monkeypatch, whole, words, cluster):
     """Workers used to read the scene's file themselves, relative to a folder of their own."""
-    whole = document(capsys, *words)
     (tmp_path / "mine.toml").write_bytes((BUILTIN_FOLDER / f"{words[1]}.toml").read_bytes())
     monkeypatch.chdir(tmp_path)
-    assert document(capsys, words[0], "mine.toml", *words[2:], "--scheduler", cluster) == whole
+    assert document(capsys, words[0], "mine.toml", *words[2:], "--scheduler", cluster) == whole(*words)
 
 
 @pytest.mark.slow
 def test_a_scheduler_killed_in_the_middle_leaves_the_finished_values(
-    capsys, tmp_path, monkeypatch, own_scheduler, worker
+    capsys, tmp_path, monkeypatch, whole, own_scheduler, worker
 ):
     process, address = own_scheduler
     worker(address)
@@ -159,4 +173,4 @@ def test_a_scheduler_killed_in_the_middle_leaves_the_finished_values(
     finished = path.read_bytes().count(b"\n") - 1
     assert 0 < finished < 24
     assert f"{finished} of 24 values are in {path}" in said
-    assert document(capsys, *TWO_MASSES, "--resume", path) == document(capsys, *TWO_MASSES)
+    assert document(capsys, *TWO_MASSES, "--resume", path) == whole(*TWO_MASSES)

@@ -1,4 +1,4 @@
-"""The generator of contacts beyond the six laws against another one, made by other hands with other methods."""
+"""The tests' own rig against another simulator, made by other hands with other methods."""
 
 import os
 import sys
@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-FOREIGN = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).parents[3] / "shared")) / "foreign"
+from . import rig as belt_rig
+
+FOREIGN = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).parents[2] / "shared")) / "foreign"
 K = 10.5552
 SECOND_MASS = (0.006, 0.006 * 25 * 35.184, 0.006 * 2 * 0.01 * 5 * 5.93)
 CASES = {  # changes of `Contact`, and the same for the other simulator
@@ -41,7 +43,7 @@ AGREEMENT = {"guide": 2e-5, "LuGre": 1e-7}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-def test_another_simulator_finds_the_same_motion(contacts, case, monkeypatch):
+def test_another_simulator_finds_the_same_motion(case, monkeypatch):
     if not (FOREIGN / "foreign_sim.py").is_file():
         pytest.skip(f"no {FOREIGN}; set STICKSLIP_SHARED to the folder that holds foreign/")
     monkeypatch.setattr(sys, "path", [str(FOREIGN), *sys.path])
@@ -49,19 +51,19 @@ def test_another_simulator_finds_the_same_motion(contacts, case, monkeypatch):
 
     mine, others = CASES[case]
     times = np.arange(0, 12, 1e-3)
-    contact = replace(contacts.Contact(duration=12.0, sticks_at_start="ramp" not in mine), **mine)
+    contact = replace(belt_rig.Contact(duration=12.0, sticks_at_start="ramp" not in mine), **mine)
     expected, _, _ = simulate(times, **{"T": 12.0, **others})
     assert np.ptp(expected) > 0.15
-    np.testing.assert_allclose(contacts.simulate(contact, times), expected, atol=AGREEMENT.get(case, 2e-9))
+    np.testing.assert_allclose(belt_rig.simulate(contact, times), expected, atol=AGREEMENT.get(case, 2e-9))
 
 
 @pytest.mark.parametrize("changes", [{}, {"curve": "stribeck"}, {"ramp": 0.03}, {"scatter": 0.05}])
-def test_a_contact_of_another_scale_moves_alike(contacts, changes):
+def test_a_contact_of_another_scale_moves_alike(changes):
     """Steps and tolerances used to be seconds and metres of the rig."""
     length, time = 2.0**-9, 2.0**-6  # a slip of 0.3 mm, 380 rad/s
     speed = length / time
     times = np.arange(0, 6, 2e-3)
-    contact = contacts.Contact(duration=6.0, **changes)
+    contact = belt_rig.Contact(duration=6.0, **changes)
     other = replace(
         contact,
         **{name: getattr(contact, name) * speed for name in ("belt", "v_s", "ramp", "log_speed")},
@@ -72,17 +74,17 @@ def test_a_contact_of_another_scale_moves_alike(contacts, changes):
         belt_start=contact.belt_start * time,
         duration=contact.duration * time,
     )
-    found, expected = contacts.follow(other, times * time), contacts.follow(contact, times)
+    found, expected = belt_rig.follow(other, times * time), belt_rig.follow(contact, times)
     assert expected.landings.size >= 4
     np.testing.assert_allclose(found.position / length, expected.position, atol=1e-8)
     np.testing.assert_allclose(found.break_aways / time, expected.break_aways, atol=1e-6)
     np.testing.assert_allclose(found.landings / time, expected.landings, atol=1e-6)
 
 
-def test_levels_scatter_from_landing_to_landing_and_only_there(contacts):
+def test_levels_scatter_from_landing_to_landing_and_only_there():
     times = np.arange(0, 8, 1e-3)
-    steady = contacts.Contact(duration=8.0)
-    x, scattered = (contacts.simulate(p, times) for p in (steady, replace(steady, scatter=0.05)))
+    steady = belt_rig.Contact(duration=8.0)
+    x, scattered = (belt_rig.simulate(p, times) for p in (steady, replace(steady, scatter=0.05)))
     first_landing = 0.6  # s, of the mass that the belt takes with it: until then the level is Fs
     assert x[times < first_landing].max() > 0.005
     np.testing.assert_array_equal(x[times < first_landing], scattered[times < first_landing])

@@ -1,20 +1,34 @@
-"""Contacts on a belt that are one of the six laws or none, followed by scipy's DOP853 from event to event.
+"""The tests' own rig: a mass on a belt, followed by scipy's DOP853 from event to event, and records of its motion.
 
 Nothing of rig_sim is used: one right-hand side in newtons, a stick in closed form, and a root search for each event.
-A departure is one field of `Contact`; 0 means that it is absent.  Contacts of any scale are followed alike: steps and
-tolerances are in units of the contact's own, 1/omega and Fs/k.  `follow` gives exact positions with the break-aways and
-landings, `simulate` the positions alone, `recorded` what a counting encoder shows of them.
+A `Contact` is one of the six laws or none, and a departure is one field of it; 0 means that it is absent.  Contacts of
+any scale are followed alike: steps and tolerances are in units of the contact's own, 1/omega and Fs/k.  `follow` gives
+the exact motion with the break-aways and landings, `simulate` the positions alone, `recorded` what a counting encoder
+shows of them.
+
+A `Scene` is a contact that obeys one of the six laws by its number, with what wears, kicks and reads it: `recording`
+gives it as daq would load it, `camera` and `imported` as the table of a camera.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from daq.base.measured import Measured
+from daq.imports import track
+from daq.imports.options import ImportOptions
+from daq.runfile import store
+from daq.runfile.recording import Recording
+from daq.runfile.rig import Rig
+
 STEP = 0.012  # of 1/omega: longest time between two looks for an event; the rig's 2 ms
 FIRST = 6e-6  # of 1/omega: the step by which a slip leaves the belt, so that it does not land where it begins
+EDGE = 1e-7  # of a ramp: it is left so far beyond its edge, where a mass that merely grazes it is not
 TIGHT = 1e-10  # of Fs/k: absolute tolerance; the relative one is 1e-9
 
 
@@ -41,6 +55,7 @@ class Contact:
     duration: float = 30.0
     static: float = 1.0
     scatter: float = 0.0  # of the friction level, drawn at each landing
+    farthest: float = 3.0  # standard deviations: no level is drawn farther out
     k3: float = 0.0  # N/m^3
     drag: float = 0.0  # N s^2/m^2
     guide: float = 0.0  # N
@@ -53,6 +68,9 @@ class Contact:
     ageing: tuple = ()  # relative growth of the break-away level per e-fold of stick time, time constant in s
     lugre: tuple = ()  # bristle stiffness N/m and damping N s/m; the steady curve is Stribeck with power 2
     eccentricity: tuple = ()  # m, revolution in m: of the reading
+    wear: float = 0.0  # fraction of the friction level that is lost over the record
+    kick: float = 0.0  # m/s, of either sign, when the belt's joint passes
+    belt_length: float = 1.6  # m
     sticks_at_start: bool = False  # the mass moves with the belt from its first moment on
     seed: int = 1
 
@@ -73,13 +91,14 @@ class Motion:
 
     Attributes
     ----------
-    position : array (samples,)
-        m, from the spring's rest.
+    position, velocity : array (samples,)
+        m, from the spring's rest, and m/s.
     break_aways, landings : array
         Times at which slips begin and end, s; of a ramp, those at which the mass leaves it and comes back to it.
     """
 
     position: np.ndarray
+    velocity: np.ndarray
     break_aways: np.ndarray
     landings: np.ndarray
 
@@ -113,9 +132,9 @@ def belt_motion(p, t):
     return p.belt * x, p.belt * v, p.belt * a
 
 
-def place(p, x, belt):
-    """Factor of friction at mass position x on the belt that has moved by ``belt``."""
-    factor = 1.0
+def factor_of(p, t, x, belt):
+    """Factor of friction at a time, at mass position x on the belt that has moved by ``belt``."""
+    factor = 1.0 - p.wear * t / p.duration
     if p.by_mass_position:
         size, length = p.by_mass_position
         factor *= 1 + size * math.sin(2 * math.pi * x / length)
@@ -147,59 +166,66 @@ def simulate(p, times):
     return follow(p, times).position
 
 
-def follow(p, times):
+def follow(p, times, chance=None, level=1.0):
     """Exact motion at ``times`` (s, rising from 0), starting at the spring's rest on a belt at rest.
 
-    LuGre's model has no break-aways and landings.  A ramp knows no break-away level above its own, no guide, and no
-    start on the belt.
+    LuGre's model has no break-aways and landings.  A ramp knows no ageing, no guide, and no start on the belt.
+    ``chance`` draws the levels and the signs of kicks, by default a generator of the contact's own seed; ``level`` is
+    that of friction until the first landing.
     """
-    if p.ramp and (p.static != 1 or p.ageing or p.guide or p.sticks_at_start):
-        raise ValueError("a ramp with static, ageing, guide or sticks_at_start")
+    if p.ramp and (p.ageing or p.guide or p.sticks_at_start):
+        raise ValueError("a ramp with ageing, guide or sticks_at_start")
     times = np.asarray(times, float)
-    rng = np.random.default_rng(p.seed + 991)
-    found = np.full(times.size, np.nan)
-    found[times < p.belt_start] = 0.0
+    rng = np.random.default_rng(p.seed + 991) if chance is None else chance
+    found = np.full((2, times.size), np.nan)
+    found[:, times < p.belt_start] = 0.0
     state = np.zeros(4 if p.second_mass else 3 if p.lugre else 2)
     t, end = p.belt_start, float(times[-1]) + 1e-9
     if p.lugre:
-        stage = _memory(p, t, end, state, times)
-        found[times >= p.belt_start] = stage
-        return Motion(found, np.array([]), np.array([]))
-    slipping, side, level = not p.sticks_at_start, -1.0, 1.0
+        found[:, times >= p.belt_start] = _memory(p, t, end, state, times)
+        return Motion(*found, np.array([]), np.array([]))
+    slipping, side = not p.sticks_at_start, -1.0
     broke, landings = [t] if slipping else [], []
     began = 0.0 if p.sticks_at_start else t
+    turn = p.belt_length / p.belt if p.kick else np.inf
+    joint = (math.floor(t / turn) + 1) * turn if p.kick else np.inf
 
-    def store(first, last, position):
+    def store(first, last, motion):
         own = slice(*np.searchsorted(times, (first, last)))
         if own.stop > own.start:
-            found[own] = position(times[own])
+            found[:, own] = motion(times[own])
 
     while t < end:
+        until = min(end, joint)
+        landed = False
         if slipping:
-            t2, state, landed = _slip(p, t, end, state, side, level, store)
+            t, state, landed = _slip(p, t, until, state, side, level, store)
             if landed:
-                level = 1 + p.scatter * float(np.clip(rng.standard_normal(), -3, 3))
-                landings.append(t2)
-        elif p.ramp:
-            t2, state = _creep(p, t, end, state, level, store)
+                level = 1 + p.scatter * float(np.clip(rng.standard_normal(), -p.farthest, p.farthest))
+                landings.append(t)
         else:
-            t2, state = _stick(p, t, end, state, level, began, store)
-        t = t2
+            t, state = (_creep if p.ramp else _stick)(p, t, until, state, level, began, store)
         if t >= end:
             break
-        if p.ramp:
-            slipping, side = not slipping, math.copysign(1.0, state[1] - belt_motion(p, t)[1])
-            broke += [t] if slipping else []
-            continue
         belt, v, a = belt_motion(p, t)
-        state[1] = v
-        need = p.m * a - other_forces(p, t, state, v, 1.0)
-        if not slipping or abs(need) > level * p.Fs * p.static * place(p, state[0], belt):
-            slipping, side = True, -math.copysign(1.0, need)
-            broke.append(t)
+        if t >= joint:
+            state[1] += p.kick * rng.choice((-1.0, 1.0))
+            joint += turn
+            held, side = slipping, math.copysign(1.0, state[1] - v)
+            slipping = not p.ramp or abs(state[1] - v) >= p.ramp
+        elif p.ramp:
+            held, slipping, side = slipping, not slipping, math.copysign(1.0, state[1] - v)
         else:
-            slipping, began = False, t
-    return Motion(found, np.array(broke), np.array(landings))
+            state[1] = v
+            need = p.m * a - other_forces(p, t, state, v, 1.0)
+            held = False
+            slipping = not landed or abs(need) > level * p.Fs * p.static * factor_of(p, t, state[0], belt)
+            side = -math.copysign(1.0, need) if slipping else side
+        if slipping and not held:
+            broke.append(t)
+        elif not slipping:
+            began = t
+    return Motion(*found, np.array(broke), np.array(landings))
 
 
 def _slip(p, t, end, state, side, level, store):
@@ -209,7 +235,7 @@ def _slip(p, t, end, state, side, level, store):
     def rates(time, y):
         belt, speed, _ = belt_motion(p, time)
         s = max(side * (y[1] - speed) - p.ramp, 0.0)
-        friction = -side * level * curve(p, s) * place(p, y[0], belt)
+        friction = -side * level * curve(p, s) * factor_of(p, time, y[0], belt)
         a = (other_forces(p, time, y, y[1], way) + friction) / p.m
         return (y[1], a, *side_mass(p, y, y[1])) if p.second_mass else (y[1], a)
 
@@ -227,9 +253,9 @@ def _slip(p, t, end, state, side, level, store):
     nears.terminal, nears.direction = True, 1  # a landing that grazes begins and ends within one step
     # Leave the belt's speed by one small step, so that the event is not found where the slip begins.
     h, begin = min(FIRST / p.omega, end - t), state
-    store(t, t + h, lambda when: np.full(when.size, begin[0]))
+    store(t, t + h, lambda when: np.tile(begin[:2, None], when.size))
     t, state = t + h, begin + h * np.array(rates(t, begin))
-    while True:
+    while t < end:
         looks = {"events": [lands, turns, nears], "dense_output": True, "max_step": 5 * STEP / p.omega}
         run = solve_ivp(rates, (t, end), state, **looks, **p.tight)
         before, last, state = float(run.t[-2]), float(run.t[-1]), run.y[:, -1].copy()
@@ -237,33 +263,34 @@ def _slip(p, t, end, state, side, level, store):
         if run.status == 1 and not landed and lands(last, state) < 0 < lands(before, run.sol(before)):
             last = brentq(lambda when, run=run: lands(when, run.sol(when)), before, last, xtol=1e-13)
             landed, state = True, run.sol(last)
-        store(t, last if run.status == 1 else end + 1, lambda when, run=run: run.sol(when)[0])
+        store(t, last if run.status == 1 else end, lambda when, run=run: run.sol(when)[:2])
         t = last
         if run.status != 1 or landed:
-            return t, state, landed
+            return (t if landed else end), state, landed
         if run.t_events[1].size:
             way = -way
             turns.direction = -way
         else:
             nears.direction = -nears.direction
+    return end, state, False
 
 
-def _creep(p, t, end, state, level, store):
+def _creep(p, t, end, state, level, began, store):
     """Creep within the ramp, where friction is linear and stiff, until the mass leaves it."""
 
     def rates(time, y):
         belt, speed, _ = belt_motion(p, time)
-        friction = -level * p.Fs * (y[1] - speed) / p.ramp * place(p, y[0], belt)
+        friction = -level * p.static * p.Fs * (y[1] - speed) / p.ramp * factor_of(p, time, y[0], belt)
         a = (other_forces(p, time, y, y[1], 0.0) + friction) / p.m
         return (y[1], a, *side_mass(p, y, y[1])) if p.second_mass else (y[1], a)
 
     def leaves(time, y):
-        return p.ramp - abs(y[1] - belt_motion(p, time)[1])
+        return (1 + EDGE) * p.ramp - abs(y[1] - belt_motion(p, time)[1])
 
     leaves.terminal, leaves.direction = True, -1
     stiff = p.tight | {"method": "LSODA"}
     run = solve_ivp(rates, (t, end), state, events=leaves, dense_output=True, **stiff)
-    store(t, run.t[-1] if run.status == 1 else end + 1, lambda when: run.sol(when)[0])
+    store(t, run.t[-1] if run.status == 1 else end, lambda when: run.sol(when)[:2])
     return (float(run.t[-1]) if run.status == 1 else end), run.y[:, -1].copy()
 
 
@@ -287,7 +314,7 @@ def _stick(p, t, end, state, level, began, store):
     def spare(time):
         here = at(time)
         belt, v, a = belt_motion(p, time)
-        cap = level * p.Fs * p.static * place(p, here[0], belt)
+        cap = level * p.Fs * p.static * factor_of(p, time, here[0], belt)
         if p.ageing:
             growth, scale = p.ageing
             cap *= 1 + growth * math.log1p((time - began) / scale)
@@ -302,7 +329,7 @@ def _stick(p, t, end, state, level, began, store):
         last = ahead
     else:
         ahead = end
-    store(t, ahead, lambda when: x0 - origin + np.array([belt_motion(p, one)[0] for one in when]))
+    store(t, ahead, lambda when: np.add([[x0 - origin], [0.0]], np.array([belt_motion(p, one)[:2] for one in when]).T))
     return ahead, at(ahead)
 
 
@@ -318,7 +345,7 @@ def _memory(p, t, end, state, times):
         return y[1], (other_forces(p, time, y, y[1], 1.0) + friction) / p.m, bend
 
     run = solve_ivp(rates, (t, end), state, t_eval=times[times >= t], method="LSODA", rtol=1e-9, atol=1e-12)
-    return run.y[0]
+    return run.y[:2]
 
 
 def recorded(p, *, rate=1000.0, count=7.67e-6, jitter=0.0):
@@ -331,3 +358,149 @@ def recorded(p, *, rate=1000.0, count=7.67e-6, jitter=0.0):
         size, turn = p.eccentricity
         x = x + size * np.sin(2 * np.pi * x / turn + 0.7)
     return nominal, np.floor(x / count) * count if count else x
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A contact that obeys a law on the rig of the design, in SI units, with what disturbs it, and how it is read."""
+
+    law: int = 5
+    m: float = 0.3
+    K: float = 35.184  # k/m, 1/s^2
+    Fs_over_k: float = 0.13068
+    gamma: float = 9.618
+    G_slip: float = 0.6
+    d: float = 0.03
+    belt: float = 0.22
+    belt_start: float = 0.5
+    static: float = 1.0
+    scatter: float = 0.03
+    wear: float = 0.0  # fraction of Fs lost over the run
+    kick: float = 0.0  # m/s
+    belt_length: float = 1.6
+    damping: float = 0.0  # c/m, 1/s
+    duration: float = 20.0
+    rate: float = 1000.0
+    jitter: float = 30e-6
+    delta: float = 7.67e-6
+    datum_error: float = 0.0
+    seed: int = 1
+
+    @property
+    def contact(self):
+        """The contact of this scene."""
+        return Contact(
+            curve=("constant", "linear", "hyperbolic")[(self.law - 1) // 2],
+            Fs=self.m * self.K * self.Fs_over_k,
+            gamma=self.gamma,
+            G_slip=self.G_slip,
+            ramp=0.0 if self.law % 2 else self.d,
+            m=self.m,
+            k=self.m * self.K,
+            c=self.m * self.damping,
+            belt=self.belt,
+            belt_start=self.belt_start,
+            duration=self.duration,
+            static=self.static,
+            scatter=self.scatter,
+            farthest=math.inf,
+            wear=self.wear,
+            kick=self.kick,
+            belt_length=self.belt_length,
+        )
+
+
+@lru_cache(maxsize=64)
+def sampled(scene):
+    """Sample and count the motion: recorded times (s), what it was at these, counted position (m)."""
+    rng = np.random.default_rng(scene.seed + 10_000)
+    n = int(scene.duration * scene.rate)
+    when = np.maximum(np.arange(n) / scene.rate + scene.jitter * rng.standard_normal(n), 0.0)
+    order = np.argsort(when, kind="stable")
+    motion = follow(scene.contact, when[order], np.random.default_rng(scene.seed))
+    x = np.empty(n)
+    x[order] = motion.position
+    recorded = np.round(when, 6) if scene.jitter else when
+    counted = (np.floor(x / scene.delta) + 0.5) * scene.delta if scene.delta else x
+    return recorded, motion, counted + scene.datum_error
+
+
+def recording(scene=None, **changes):
+    """Return a Recording of the scene as daq would load it, calibrated as the rig's own board calibrates it."""
+    scene = replace(scene or Scene(), **changes)
+    backwards = scene.belt < 0
+    if backwards:
+        scene = replace(scene, belt=-scene.belt)
+    time, _, position = sampled(scene)
+    if backwards:
+        position = -position
+    rng = np.random.default_rng(scene.seed + 20_000)
+    belt = scene.belt * (1 + 0.01 * rng.standard_normal()) * (-1 if backwards else 1)
+    critical = 2 * scene.m * math.sqrt(scene.K)
+    rig = Rig(
+        name="the tests' rig",
+        metres_per_count=Measured(scene.delta),
+        mass=Measured(scene.m * (1 + 1e-3 * rng.standard_normal()), 1e-3 * scene.m),
+        datum=Measured(0.0, 5e-4),
+        damping=Measured(max(0.0, scene.damping * scene.m + 1e-3 * critical * rng.standard_normal()), 1e-3 * critical),
+        belt_speed=Measured(belt, 0.01 * scene.belt),
+    )
+    time = time - time[0]
+    return Recording(
+        source=Path("rig.h5"),
+        title=f"law {scene.law}",
+        started="2026-01-01T00:00:00+00:00",
+        ended="2026-01-01T00:00:20+00:00",
+        time=time,
+        position=position,
+        rate_hz=scene.rate,
+        rig=rig,
+    )
+
+
+def written(path, recording):
+    """Write a recording as a run file and return its path."""
+    data = Recording(
+        title="the tests' rig",
+        started=recording.started,
+        ended=recording.ended,
+        rate_hz=recording.rate_hz,
+        rig=recording.rig,
+        time=recording.time,
+        position=recording.position,
+    )
+    store.write(path, data)
+    return path
+
+
+def nominal(law, seed, **changes):
+    """Return a scene with the nominal disturbances drawn for this seed."""
+    rng = np.random.default_rng(1000 * law + seed)
+    critical = 2 * math.sqrt(Scene.K)
+    return replace(
+        Scene(law=law, seed=seed),
+        scatter=rng.uniform(0.03, 0.10),
+        wear=rng.uniform(0.03, 0.15),
+        kick=rng.uniform(0.0, 0.02),
+        jitter=rng.uniform(0, 100e-6),
+        delta=float(rng.choice((7.67e-6, 50e-6))),
+        damping=rng.uniform(0.001, 0.01) * critical,
+        datum_error=5e-4 * rng.standard_normal(),
+        **changes,
+    )
+
+
+def camera(law, noise, seed=1, duration=30.0, **changes):
+    """Return times (s) and positions (m) of a camera track: 400 frames a second, ``noise`` (m) on each position."""
+    scene = replace(
+        Scene(law=law, seed=seed, duration=duration, rate=400.0, jitter=0.0, delta=0.0, G_slip=0.3), **changes
+    )
+    time, _, position = sampled(scene)
+    return time - time[0], position + np.random.default_rng([seed, 400]).normal(0, noise, time.size)
+
+
+def imported(path, time, position, decimals=5, **options):
+    """Write a table of times and positions, and return the recording that is imported from it, bare of calibration."""
+    rows = np.c_[time, np.round(position, decimals)]
+    np.savetxt(path, rows, fmt=["%.6f", f"%.{max(decimals, 1)}f"], delimiter=",", header="t,x", comments="")
+    return track.read(path, ImportOptions(**options)).run

@@ -1,0 +1,82 @@
+"""The campaigns: `make test-slow` runs each at its short size, `make reliability` at its full size."""
+
+import inspect
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import pytest
+
+from . import bad_input, clocks, concurrency, contacts, crash, disk, load, numerics, security, signals
+from .forked import cpu_time
+from .result import Result, Size
+
+IN_MEMORY = "/dev/shm"
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A function, and how much it tries at the short and at the full size.
+
+    ``on_disk``: it measures times between syncs, or writes more than memory should hold; the others work in memory
+    where the system offers a folder there, since they would mostly wait for the disk.  ``open_faults`` are how the
+    faults that it is known to find are named: docs/reliability.md states them in words, and has no rows of it; any
+    other fault fails the short size.
+    """
+
+    function: Callable[..., list[Result]]
+    short: int
+    full: int
+    on_disk: bool = False
+    open_faults: tuple[str, ...] = ()
+
+
+# Refused for a reason that is not true (84, 99, 192), or given another law alone (22, 72): docs/reliability.md.
+OPEN_CONTACTS = tuple(f"contact {number}," for number in (22, 72, 84, 99, 192))
+
+# The order is that of the table in docs/reliability.md.
+CAMPAIGNS = {
+    "crash": Campaign(crash.crash, 3, 100, on_disk=True),  # kill points per command
+    "disk": Campaign(disk.disk, 30, 882),  # refusals
+    "signals": Campaign(signals.signals, 12, 350),  # signals
+    "concurrency": Campaign(concurrency.concurrency, 1, 10),  # rounds
+    "load": Campaign(load.load, 30, 3600, on_disk=True),  # seconds of recording at each rate
+    "clocks": Campaign(clocks.clocks, 24, 200),  # samples of a run whose counters wrap
+    "numerics": Campaign(numerics.numerics, 2, 14),  # values for each number
+    "security": Campaign(security.security, 25, 1000),  # requests
+    "bad_streams": Campaign(bad_input.bad_streams, 20_000, 1_000_000),  # pieces of streams
+    "bad_files": Campaign(bad_input.bad_files, 2_400, 120_000),  # files
+    "contacts": Campaign(contacts.contacts, 10, 2_000, open_faults=OPEN_CONTACTS),  # contacts
+}
+
+
+@pytest.fixture
+def size(name, full_size):
+    campaign = CAMPAIGNS[name]
+    return Size(campaign.full if full_size else campaign.short, full_size)
+
+
+@pytest.fixture
+def folder(name):
+    there = None if CAMPAIGNS[name].on_disk or not os.access(IN_MEMORY, os.W_OK) else IN_MEMORY
+    with tempfile.TemporaryDirectory(prefix=f"reliability-{name}-", dir=there) as made:
+        yield Path(made)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the campaigns use Linux's /proc and preloading")
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_a_campaign_finds_no_fault(name, full_size, request):
+    campaign = CAMPAIGNS[name]
+    asked = {need: request.getfixturevalue(need) for need in inspect.signature(campaign.function).parameters}
+    before = cpu_time(asked.get("server"))
+    results = campaign.function(**asked)
+    assert results
+    told = {"campaign": name, "results": [asdict(result) for result in results]}
+    request.node.user_properties.extend((told | {"cpu_s": cpu_time(asked.get("server")) - before}).items())
+    known = () if full_size else campaign.open_faults
+    found = [fault for result in results for fault in result.faults]
+    assert [fault for fault in found if not any(one in fault for one in known)] == []
