@@ -33,7 +33,7 @@ def extent(cycle: Cycle) -> slice:
 def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
     """Return the smoothed motion of a run, or of one cycle of it."""
     motion, own = side.motion, slice(None) if cycle is None else extent(cycle)
-    return motion.time[own], MM * motion.sign * motion.position[own], motion.sign * motion.velocity[own]
+    return motion.begin + motion.time[own], MM * motion.sign * motion.position[own], motion.sign * motion.velocity[own]
 
 
 def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> list[Part]:
@@ -46,7 +46,12 @@ def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> lis
         if count > 2 and number in (None, row.fit.cycles[cycle].number)
     ]
     return [
-        (windows.time[own], MM * sign * model[own], sign * np.gradient(model[own], windows.time[own])) for own in parts
+        (
+            row.motion.begin + windows.time[own],
+            MM * sign * model[own],
+            sign * np.gradient(model[own], windows.time[own]),
+        )
+        for own in parts
     ]
 
 
@@ -55,7 +60,7 @@ def begins(ranking: Ranking) -> list[float]:
     if not ranking.runs:
         return [0.0]
     spans = np.array([side.motion.span for side in ranking.sides])
-    firsts = np.array([side.motion.time[0] for side in ranking.sides])
+    firsts = np.array([side.motion.begin + side.motion.time[0] for side in ranking.sides])
     gap = GAP * float(spans.sum())
     return list(np.cumsum(spans + gap) - spans - gap - firsts)
 
@@ -86,9 +91,10 @@ def cycle(ranking: Ranking) -> str:
         own = typical_cycle(side.best)
         time, _, v = measured_motion(side, own)
         readings = MM * side.motion.sign * side.motion.measured[extent(own)]
-        measured.append((time - own.break_away, readings, v))
+        broke = side.motion.begin + own.break_away
+        measured.append((time - broke, readings, v))
         parts = fitted_motion(side.best, side.motion.sign, own.number)
-        fitted += [(time - own.break_away, x, v) for time, x, v in parts]
+        fitted += [(time - broke, x, v) for time, x, v in parts]
     label = "time since break-away (s)"
     return _over_time("cycle", ranking, measured, fitted, label, "Position and velocity of one cycle")
 
