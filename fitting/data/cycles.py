@@ -27,6 +27,8 @@ BEFORE_BREAK_AWAY = 0.1
 LEFT_BELT_BY = 0.05  # speed below the belt's, over it, at which a slip's window begins
 OVERTAKES_BY = 0.02  # speed above the plateau, over the belt's, at which the mass overtakes it
 LONGEST_TURN = 1.0  # time at rest: for longer, a mass stands on a belt that stands; a sliding mass only turns there
+# Rounding of times over the usual interval: 1e-6 after a week at 10 kHz; a tenth is the jitter of a board.
+ROUNDING = 1e-3
 FEWEST_AT_REST = 8  # samples of a line that shows rest
 REST_SPEED_ERRORS = 4.0  # slope of that line, in standard errors, that is still rest
 WIDEST_SLACK = 0.25  # error of that slope, over the belt's speed, from which it shows nothing
@@ -153,12 +155,12 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
         if k == 0 and begin == 0:
             continue  # the start-up, or a slip whose beginning was not recorded
         onset = onsets[k]
-        last = int(np.searchsorted(time, time[onset] - BEFORE_BREAK_AWAY * motion.slip_s))
+        last = _sample_from(motion, time[onset] - BEFORE_BREAK_AWAY * motion.slip_s)
         if k == 0:
             first = _calm(motion, onset, still)
         elif k == 1 and starts_at_rest:
             settle = max(SHORTEST_PHASE * motion.slip_s, motion.half_window)
-            first = int(np.searchsorted(time, time[min(landings[0], n - 1)] + settle))
+            first = _sample_from(motion, time[min(landings[0], n - 1)] + settle)
         else:
             first = _sticking(motion, middles[k - 1], last)
         stick = (first, last) if last - first >= shortest else (onset, onset)
@@ -193,13 +195,21 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     return CycleSegmentation(tuple(cycles), stuck / span if span > 0 else 0.0, starts_at_rest, drag)
 
 
+def _sample_from(motion: MeasuredMotion, time: float) -> int:
+    """Return the first sample at a time (s) or later; one that is early by `ROUNDING` is at it.
+
+    A whole number of intervals after a sample lies another, and how its time was rounded depends on where time begins.
+    """
+    return int(np.searchsorted(motion.time, time - ROUNDING * motion.span / motion.time.size))
+
+
 def _rests(motion: MeasuredMotion, end: int) -> bool:
     """Return whether the record begins at rest, by a line through its first positions: in the velocity noise hides it.
 
     ``end`` is the end of the first slow stretch, in samples.  The line must be flat to within its own error, and that
     error small against the belt's speed.
     """
-    last = min(int(np.searchsorted(motion.time, motion.time[0] + 0.5 * LONGEST_TURN * motion.slip_s)), end)
+    last = min(_sample_from(motion, motion.time[0] + 0.5 * LONGEST_TURN * motion.slip_s), end)
     if last < FEWEST_AT_REST:
         return False
     t, x = motion.time[:last] - motion.time[:last].mean(), motion.measured[:last]
@@ -215,7 +225,7 @@ def _calm(motion: MeasuredMotion, onset: int, still: float) -> int:
     restless = np.flatnonzero(np.abs(motion.acceleration[:onset]) > still)
     if not restless.size:
         return 0
-    return int(np.searchsorted(motion.time, motion.time[restless[-1]] + motion.half_window))
+    return _sample_from(motion, motion.time[restless[-1]] + motion.half_window)
 
 
 def _sticking(motion: MeasuredMotion, middle: int, last: int) -> int:
@@ -226,12 +236,12 @@ def _sticking(motion: MeasuredMotion, middle: int, last: int) -> int:
     fast = np.flatnonzero(v - np.median(v[v.size // 2 :]) > OVERTAKES_BY * motion.belt_speed)
     if not fast.size:
         return middle
-    return int(np.searchsorted(motion.time, motion.time[middle + fast[-1]] + motion.half_window))
+    return _sample_from(motion, motion.time[middle + fast[-1]] + motion.half_window)
 
 
 def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
     """Tell whether the velocity peaks above the plateau after the landing, by more than smoothing would make it."""
-    early = int(np.searchsorted(motion.time, motion.time[landing] + 2 * motion.half_window))
+    early = _sample_from(motion, motion.time[landing] + 2 * motion.half_window)
     settled = motion.velocity[(early + end) // 2 : end]
     if settled.size < 3 or early >= end:
         return False
@@ -245,9 +255,7 @@ def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> fl
     On a wide ramp it creeps the more the larger the load, and slows down from the first.  0 where that is less than
     ``still``, or as much as in a slip.
     """
-    first = int(
-        np.searchsorted(motion.time, motion.time[landing] + max(SHORTEST_PHASE * motion.slip_s, motion.half_window))
-    )
+    first = _sample_from(motion, motion.time[landing] + max(SHORTEST_PHASE * motion.slip_s, motion.half_window))
     part = motion.acceleration[first : (first + begin) // 2]
     slowing = -float(np.median(part)) if part.size else 0.0
     return slowing if still < slowing < SLIP_DECELERATION * still else 0.0

@@ -1,5 +1,6 @@
-"""The measured motion as the fit sees it: metres, seconds, and a belt that runs towards +x.
+"""The measured motion as the fit sees it: metres, seconds from the record's first sample, a belt that runs towards +x.
 
+Levels that fade and a belt that ripples are told by the time since then: when the record began does not matter.
 A record of a backward belt is mirrored (x -> -x, v -> -v) on the way in; the physics is odd, so the same fit serves
 both and only the signs of datum and belt speed are turned back in the result.  Samples that the smoothing left out as
 faults of the sensor are not in it: what stands there is an estimate, and no data.  Steps of the position that the
@@ -39,7 +40,7 @@ class MeasuredMotion:
     Attributes
     ----------
     time, measured, position, velocity, acceleration : (n,) f8
-        s; measured position (counted, m); smoothed position, velocity and acceleration (m, m/s, m/s^2).
+        s since `begin`; measured position (counted, m); smoothed position, velocity and acceleration (m, m/s, m/s^2).
     broken : (n,) bool
         True at a sample that does not follow the one before it: a gap, a new segment, or a hole left by faults that is
         as long as the smoothing does not cross.
@@ -77,6 +78,8 @@ class MeasuredMotion:
         Whether an encoder counted the positions; else a camera or another sensor measured them.
     rest_stated_as : str
         What a stated rest position was stated as: "x0" or "datum".
+    begin : float
+        s; time of the record's first sample, as the record tells time.
     """
 
     time: Array
@@ -105,6 +108,7 @@ class MeasuredMotion:
     speed_variation: float = 0.0
     counted: bool = False
     rest_stated_as: str = "datum"
+    begin: float = 0.0
 
     @property
     def span(self) -> float:
@@ -157,7 +161,12 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
     resolution, step = _resolution(kinematics)
     kept = _kept(kinematics)
-    time, position, velocity = kinematics.time[kept], kinematics.steady_position[kept], kinematics.velocity[kept]
+    begin = float(kinematics.time[0])
+    time, position, velocity = (
+        kinematics.time[kept] - begin,
+        kinematics.steady_position[kept],
+        kinematics.velocity[kept],
+    )
     if np.ptp(position) < 20 * resolution:
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
@@ -208,6 +217,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         belt_measured=channel is not None,
         speed_variation=0.0 if channel is None or not channel.is_unsteady else channel.speed_variation,
         counted=recording.count is not None,
+        begin=begin,
     )
 
 

@@ -64,7 +64,8 @@ def score(base: LinearisedFit, columns: Array, widths: Sequence[int]) -> list[Sc
     Returns
     -------
     list of Score or None
-        None where the fit already adjusts the parameters, or where fewer than four cycles are left to judge by.
+        None where the fit already adjusts the parameters, fewer than four cycles are left to judge by, or one cycle
+        alone shows a parameter.
     """
     scores = base.scores(columns)
     ends = np.cumsum(widths)
@@ -79,7 +80,10 @@ def _score(scores: Scores, columns: slice) -> Score | None:
     if not kept > LEAST_KEPT or n < k + 3:
         return None
     coefficients = -_solve(whole, gradient)
-    steps = np.array([-_solve(whole - a, gradient - b) for a, b in zip(information, total, strict=True)])
+    others = whole - information
+    if np.any(np.einsum("nii->ni", others) <= RIDGE * np.diag(whole)):
+        return None  # one cycle alone shows it: there is no other to compare with
+    steps = np.array([-_solve(left, gradient - b) for left, b in zip(others, total, strict=True)])
     beside = steps - steps.mean(axis=0)
     jackknife = (n - 1) / n * np.einsum("ck,cl->kl", beside, beside)
     noise = np.diag(_solve(whole, np.eye(k)))

@@ -33,7 +33,8 @@ def extent(cycle: Cycle) -> slice:
 def measured_motion(side: RankedLaws, cycle: Cycle | None = None) -> Part:
     """Return the smoothed motion of a run, or of one cycle of it."""
     motion, samples = side.motion, slice(None) if cycle is None else extent(cycle)
-    return motion.time[samples], MM * motion.sign * motion.position[samples], motion.sign * motion.velocity[samples]
+    time = motion.begin + motion.time[samples]
+    return time, MM * motion.sign * motion.position[samples], motion.sign * motion.velocity[samples]
 
 
 def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> list[Part]:
@@ -46,7 +47,11 @@ def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> lis
         if count > 2 and number in (None, row.fit.cycles[cycle].number)
     ]
     return [
-        (windows.time[samples], MM * sign * model[samples], sign * np.gradient(model[samples], windows.time[samples]))
+        (
+            row.motion.begin + windows.time[samples],
+            MM * sign * model[samples],
+            sign * np.gradient(model[samples], windows.time[samples]),
+        )
         for samples in parts
     ]
 
@@ -56,7 +61,7 @@ def begins(ranking: RankedLaws) -> list[float]:
     if not ranking.runs:
         return [0.0]
     spans = np.array([side.motion.span for side in ranking.sides])
-    firsts = np.array([side.motion.time[0] for side in ranking.sides])
+    firsts = np.array([side.motion.begin + side.motion.time[0] for side in ranking.sides])
     gap = GAP * float(spans.sum())
     return list(np.cumsum(spans + gap) - spans - gap - firsts)
 
@@ -87,9 +92,10 @@ def cycle(ranking: RankedLaws) -> str:
         typical = typical_cycle(side.best)
         time, _, v = measured_motion(side, typical)
         readings = MM * side.motion.sign * side.motion.measured[extent(typical)]
-        measured.append((time - typical.break_away, readings, v))
+        broke = side.motion.begin + typical.break_away
+        measured.append((time - broke, readings, v))
         parts = fitted_motion(side.best, side.motion.sign, typical.number)
-        fitted += [(time - typical.break_away, x, v) for time, x, v in parts]
+        fitted += [(time - broke, x, v) for time, x, v in parts]
     label = "time since break-away (s)"
     return _over_time("cycle", ranking, measured, fitted, label, "Position and velocity of one cycle")
 

@@ -232,7 +232,7 @@ def _run(number: int, side: RankedLaws, kinematics: Kinematics) -> dict[str, Any
             (
                 "record",
                 f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples, from "
-                f"{motion.time[0]:.4g} to {motion.time[-1]:.4g} s of the run",
+                f"{motion.begin + motion.time[0]:.4g} to {motion.begin + motion.time[-1]:.4g} s of the run",
             ),
             ("break-aways", f"{len(cut.cycles)} found, {len(cut.used)} fitted"),
             ("in stick", f"{100 * cut.plateau_fraction:.0f} % of the record"),

@@ -105,7 +105,7 @@ def residuals(ranking: RankedLaws) -> str:
     for (row, whole), left, width in zip(panels, np.cumsum(widths) - widths, widths, strict=True):
         sides = [side.row(row.law) for side in ranking.sides]
         times = [
-            one.fit.windows.time + begin if whole else _since_break_away(one)
+            one.motion.begin + one.fit.windows.time + begin if whole else _since_break_away(one)
             for one, begin in zip(sides, begins(ranking), strict=True)
         ]
         noise = 1e6 * BAND * ranking.adequacy.noise_m

@@ -82,7 +82,9 @@ def save_joint(
         _write(entry, ranking, part)
         about = entry["runs"]
         for name, place in (("begin", 0), ("end", -1)):
-            nexus.field(about, name, np.array([side.motion.time[place] for side in ranking.runs]), "s")
+            nexus.field(
+                about, name, np.array([side.motion.begin + side.motion.time[place] for side in ranking.runs]), "s"
+            )
         nexus.field(about, "adequacy", [side.adequacy.said for side in ranking.runs])
         if ranking.rows:
             nexus.field(about, "cycles", np.array([side.best.cycles for side in ranking.runs], np.uint32), "")
@@ -103,7 +105,7 @@ def _write(entry: h5py.Group, ranking: RankedLaws, part: str) -> None:
         nexus.field(about, "part", part)
     nexus.field(about, "cpu_time", np.float64(ranking.cpu_s), "s")
     if not ranking.runs:
-        for name, time in zip(("begin", "end"), ranking.motion.time[[0, -1]], strict=True):
+        for name, time in zip(("begin", "end"), ranking.motion.begin + ranking.motion.time[[0, -1]], strict=True):
             nexus.field(about, name, np.float64(time), "s")
     if ranking.warnings:
         nexus.field(about, "warnings", list(ranking.warnings))

@@ -273,7 +273,7 @@ def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted:
         verdict=words,
         members=members,
         rows=own,
-        events=events,
+        events=tuple(replace(event, t=run.motion.begin + event.t) for event in events),
         warnings=warnings,
         motion=run.motion,
         cut=run.cut,

@@ -195,7 +195,7 @@ class LawResult:
         number = np.array([cycle.number for cycle in self.fit.cycles])
         return pd.DataFrame(
             {
-                "time_s": windows.time,
+                "time_s": self.motion.begin + windows.time,
                 "cycle": number[windows.table[row, 0]],
                 "phase": np.where(windows.table[row, 1] == 1, "stick", "slip"),
                 "position_m": measured,
@@ -241,7 +241,7 @@ class LawResult:
 
     def _motion_at(self, t: "ArrayLike") -> tuple[Array, Array]:
         self._refuse_several("position and velocity")
-        return motion_at(self.fit, numbers(t, "t"))
+        return motion_at(self.fit, numbers(t, "t") - self.motion.begin)
 
     def _refuse_several(self, what: str) -> None:
         if self.fit.runs > 1:

@@ -155,6 +155,21 @@ def test_two_columns_that_do_the_same_end_in_no_error(base_of):
     assert found is None or np.isfinite(found.gain)
 
 
+def test_what_one_cycle_alone_shows_is_not_tested():
+    """What the other cycles show of it was rounding, and its inverse overflowed."""
+    information = np.full((8, 1, 1), 1e-20)
+    information[3] = 1e20
+    gradient = np.sqrt(information[:, :, 0])
+    whole, total = (1 - 2e-16) * information.sum(axis=0), gradient.sum(axis=0)
+    linear = SimpleNamespace(
+        scores=lambda columns: SimpleNamespace(
+            information=information, score=gradient, total_information=whole, total=total, raw=np.diag(whole)
+        )
+    )
+    with np.errstate(all="raise"):
+        assert score(linear, np.ones((8, 1)), [1]) == [None]
+
+
 @pytest.mark.parametrize(
     ("sensor", "counted", "words"),
     [("encoder", True, "an eccentric encoder wheel"), ("camera", False, "lens distortion or an uneven scale")],

@@ -95,3 +95,59 @@ def test_slips_of_all_laws_round_to_the_same_time(motion_of, law):
     assert motion.slip_s == 0.5
     usual = frame.usual_slip(motion.time, motion.position, motion.velocity < 0.5 * motion.belt_speed)
     assert frame.rounded_slip(0.85 * usual) == frame.rounded_slip(1.15 * usual) == 0.5
+
+
+def within_a_hundredth(found, expected, moved=()):
+    """Assert that each law's parameters, but those that were ``moved``, are the same to 0.01 standard errors."""
+    assert found.laws_in_set == expected.laws_in_set
+    for row in expected.rows:
+        others = found.row(row.law).parameters
+        assert others.keys() == row.parameters.keys()
+        for name in row.parameters.keys() - set(moved):
+            ours, theirs = others[name], row.parameters[name]
+            assert ours.value == pytest.approx(theirs.value, abs=0.01 * theirs.stderr), (row.law, name)
+
+
+@pytest.mark.parametrize("later", [0.3, 100.0, -7.0])
+def test_it_does_not_matter_when_a_record_began(track, later):
+    """A level that fades was told by the clock of the record: 100 s later a wrong law moved by 0.41 errors."""
+    record = track(1.0)
+    expected = rank(smooth(record), laws=(3, 5))
+    found = rank(smooth(replace(record, time=record.time + later)), laws=(3, 5))
+    within_a_hundredth(found, expected)
+    assert [event.t - later for event in found.events] == pytest.approx(
+        [event.t for event in expected.events], abs=3e-4
+    )
+    assert found.best.residuals["time_s"].to_numpy() - later == pytest.approx(
+        expected.best.residuals["time_s"].to_numpy()
+    )
+    times = np.array([event.t for event in expected.events[2:5]])
+    assert found.best.position(times + later) == pytest.approx(expected.best.position(times), abs=1e-6)
+
+
+@pytest.mark.parametrize("aside", [0.0123, -1.0])
+def test_it_does_not_matter_where_a_record_lies(track, aside):
+    record = track(1.0)
+    expected = rank(smooth(record), laws=(3, 5))
+    found = rank(smooth(replace(record, position=record.position + aside)), laws=(3, 5))
+    within_a_hundredth(found, expected, moved=("x0", "x0 + Fs/k"))
+
+
+def test_it_does_not_matter_how_many_decimals_are_printed(synthetic, tmp_path):
+    time, position = synthetic.camera(5, 5e-5, duration=20.0)
+    few, many = (
+        rank(smooth(synthetic.imported(tmp_path / f"{n}.csv", time, position, decimals=n)), laws=(3, 5)) for n in (7, 9)
+    )
+    within_a_hundredth(few, many)
+
+
+def test_it_does_not_matter_which_run_is_named_first(synthetic, tmp_path):
+    """Parameters that are one for all runs; the others stand in the rows of each run."""
+    runs = []
+    for number, noise in enumerate((5e-5, 8e-5)):
+        time, position = synthetic.camera(5, noise, duration=15.0)
+        runs.append(smooth(synthetic.imported(tmp_path / f"{number}.csv", time, position, decimals=7)))
+    expected, found = rank(runs, laws=(3, 5)), rank(runs[::-1], laws=(3, 5))
+    within_a_hundredth(found, expected, moved=[name for name in expected.best.parameters if name.endswith(")")])
+    for side, other in zip(expected.runs, found.runs[::-1], strict=True):
+        within_a_hundredth(other, side)
