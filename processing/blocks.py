@@ -95,6 +95,11 @@ class MotionModel:
         return self.method.window or white_jerk.equivalent_window(self.method.jerk.rho(self.interval), LONGEST)
 
     @property
+    def slip(self) -> float:
+        """Samples of a usual slip; 0 where the method does not look for sticks, or finds none."""
+        return 0.0 if self.method.sticks is None else self.method.sticks.slip / self.interval
+
+    @property
     def plateau_speed(self) -> float:
         """Common speed of the plateaus, m/s; NaN without plateaus."""
         return self.units.of(1, -1) * (self.belt_speed if self.rule is None else self.rule.speed)

@@ -37,7 +37,10 @@ logger = logging.getLogger(__name__)
 REPAIRS = ("off", "flag", "fix")
 
 BLOCK = 2**16  # samples kept at a time: memory grows with it (200 to 250 MB), and with less the margins cost more CPU
-MARGIN = 2**12  # samples smoothed too on either side of a block; a stick cut shorter than this is found as in the whole
+MARGIN = 2**12, 2**16  # samples smoothed too on either side of a block, at least and at most
+# Slips among them.  A neighbourhood cuts its last slip, and a stick beside that one may be missed together with the
+# motion up to the stick before: with one slip that reached into the block.
+MARGIN_SLIPS = 2.0
 LARGE = 2**19  # samples: the command smooths longer records block by block; one as long takes about 300 MB
 
 
@@ -125,7 +128,7 @@ def smooth_file(
         n = run.samples
         asked = method, window, order, belt_speed, repair_counts
         model, recording = _learn(lambda part: _read(run, part, times), run.positions, n, *asked)
-    margin = min(max(MARGIN, 2 * model.window), BLOCK)
+    margin = int(np.clip(max(2 * model.window, MARGIN_SLIPS * model.slip), *MARGIN))
     belt = belt_motion.has_belt_encoder(recording)
     found: list[BlockFindings] = []
     made: list[SmoothingSummary] = []
@@ -213,7 +216,7 @@ def _setting(window: int | str, order: int | None, belt_speed: float | str, data
 
 def _read(run: store.RunReader, own: slice, times: str) -> "tuple[Recording, Series]":
     recording = run.load(own)
-    return recording, series.from_recording(recording, times)
+    return recording, series.from_recording(recording, times, start=run.load(slice(0, 1)))
 
 
 def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording, Series]":
@@ -230,7 +233,8 @@ def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording,
     )
     kept = np.zeros(data.time.size, bool)
     kept[own] = True
-    return part, data.taken(kept)
+    # Of these samples, as a file that is read block by block gives it.
+    return part, replace(data.taken(kept), interval=float(np.median(np.diff(part.time))))
 
 
 def _joined(parts: "list[tuple[Recording, Series]]", own: list[slice]) -> "tuple[Recording, Series, Integers]":
@@ -254,7 +258,7 @@ def _joined(parts: "list[tuple[Recording, Series]]", own: list[slice]) -> "tuple
         data = replace(
             data,
             time=recording.time,
-            position=np.concatenate([part.position + (part.origin - data.origin) for _, part in parts]),
+            position=np.concatenate([part.position for _, part in parts]),
             interval=float(np.median([part.interval for _, part in parts])),
             pieces=tuple(pieces),
         )
@@ -268,8 +272,9 @@ class _Reader:
         self._run, self._times, self._margin = run, times, margin
         self._anchors: dict[int, tuple[float, int]] = {}
         self._grid = None
+        self._start = run.load(slice(0, 1))
         n = run.samples
-        if times == "nominal" and run.load(slice(0, 1)).raw is None:
+        if times == "nominal" and self._start.raw is None:
             # An import has no sample numbers: its even grid follows from the whole record.
             self._grid = import_grid.learn(run, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
 
@@ -278,7 +283,8 @@ class _Reader:
         low, high = max(begin - self._margin, 0), min(end + self._margin, self._run.samples)
         recording = self._run.load(slice(low, high))
         grid = None if self._grid is None else self._grid.times(low, recording.time)
-        return recording, series.from_recording(recording, self._times, self._anchor(recording), grid), low
+        data = series.from_recording(recording, self._times, self._anchor(recording), grid, self._start)
+        return recording, data, low
 
     def _anchor(self, recording: "Recording") -> tuple[float, int] | None:
         """Return time and number of the first sample of the segment that the samples begin in."""

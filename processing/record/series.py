@@ -38,7 +38,7 @@ class Series:
     time : array
         s, increasing.
     position : array
-        m, seen from `origin`, so that the first is 0.
+        m, seen from `origin`, so that the first of the record is 0.
     origin : float
         m; add it to get the recording's positions.
     pitch : float
@@ -119,6 +119,7 @@ def from_recording(
     times: str = "recorded",
     anchor: "tuple[float, int] | None" = None,
     grid: Array | None = None,
+    start: "Recording | None" = None,
 ) -> Series:
     """Return the series of a recording.
 
@@ -132,6 +133,8 @@ def from_recording(
         Time and number of the sample at which the first segment's even grid starts; by default the first.
     grid : array of shape (n,), optional
         The even grid itself, where it follows from more than this recording.
+    start : Recording, optional
+        Begins with the record's first sample, from which positions are seen; by default ``recording``.
 
     Raises
     ------
@@ -148,19 +151,19 @@ def from_recording(
     segment = recording.segment
     time = recorded if times == "recorded" else nominal(recording, anchor) if grid is None else grid
     check(time, positions, where)
-    pitch = 0.0
-    if recording.count is not None:
+    pitch, start = 0.0, start or recording
+    if recording.count is not None and start.count is not None:
         metres = recording.rig.metres_per_count
         scale = metres.value if metres is not None else 1.0
         pitch = abs(scale)
-        position = (recording.count - recording.count[0]) * scale
+        position = (recording.count - start.count[0]) * scale
     else:
-        position = positions - positions[0]
+        position = positions - start.position[0]
     interval = float(np.median(np.diff(time)))
     return Series(
         time=time,
         position=position,
-        origin=float(positions[0]),
+        origin=float(start.position[0]),
         pitch=pitch,
         interval=interval,
         pieces=pieces(time, segment, interval),

@@ -171,7 +171,7 @@ def test_blocks_find_the_same_faults_and_the_file_keeps_them(tmp_path, seen, mon
     assert kept.measured == pytest.approx(whole.measured)
     assert np.abs(whole.measured - recording.position)[~whole.missing].max() == 0
     monkeypatch.setattr(smoothing, "BLOCK", 6000)
-    monkeypatch.setattr(smoothing, "MARGIN", 2500)
+    monkeypatch.setattr(smoothing, "MARGIN", (2500, 2**16))
     summary = smoothing.smooth_file(path)
     assert len(set(summary.faults) ^ set(whole.faults)) <= 0.02 * len(whole.faults)
     assert summary.noise == pytest.approx(whole.noise, rel=0.05)
