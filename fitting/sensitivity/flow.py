@@ -294,7 +294,7 @@ def follow_window(
     mode, v = first_mode(w, stick, t, x, v)
     i, events, entered, since = 0, 0, True, t
     while True:
-        if m + 3 > points.shape[1] or s >= steps.shape[0]:
+        if m + 4 > points.shape[1] or s >= steps.shape[0]:  # a change of mode, and the middle and end of a step
             return -1, 0
         if mode == RAMP and not entered and settled(w, held, t, x, since, longest):
             mode = CREEP

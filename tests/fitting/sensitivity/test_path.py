@@ -7,10 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
+from fitting.sensitivity import path
 from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
 from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
 from fitting.sensitivity.path import Curve, follow, spline_curve, with_coefficients
-from fitting.sensitivity.rates import Drag
+from fitting.sensitivity.rates import CREEP, Drag
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
 
@@ -217,6 +218,22 @@ def test_tangents_beside_a_drag_are_differences(one_window, ramp, d, stick):
             moved[slot] += h
             ends.append(follow(windows, curve, moved, local, drag=smooth).model)
         assert found[:, j] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=2e-3 * np.abs(found[:, j]).max() + 1e-9)
+
+
+def test_points_are_stored_within_their_memory(one_window, monkeypatch):
+    """A mass that settled on a ramp at the last of the points took one more: the fit ended in an error of shapes.
+
+    Interpreted, the kernel raises where it stores beyond an array; compiled, it does not.
+    """
+    curve, ramp, changes, shape = CASES["ramp of 1 mm/s"]
+    windows, u = one_window(**shape), unknowns(**changes)
+    whole = follow(windows, Curve(curve, ramp), u, SLIP[None, :])
+    settles = int(np.argmax(whole.mode[whole.steps[:, 0]] == CREEP))
+    monkeypatch.setattr(path, "compiled", lambda kernel, *_, **__: kernel)
+    for size in range(settles, settles + 5):
+        monkeypatch.setattr(path, "STEPS_A_SAMPLE", (0.0, (size - 19.5) / windows.time.size))
+        found = follow(windows, Curve(curve, ramp), u, SLIP[None, :])
+        assert found.landed.size == found.window.size == whole.time.size
 
 
 def test_a_motion_without_a_number_is_no_path(one_window):
