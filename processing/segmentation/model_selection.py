@@ -302,7 +302,9 @@ def odd_spans(
     if not odd.any() or odd.mean() >= few:
         return []
     middle = np.array([0.5 * (times.at[stick[0]] + times.at[stick[-1]]) for stick in sticks])
-    ends = np.concatenate(([series.time[0] - 1.0], middle[~odd], [series.time[-1] + 1.0]))
+    # A mass that is ahead of the belt where the record ends lands behind its end.
+    begin, end = min(series.time[0], times.at[0]), max(series.time[-1], times.at[-1])
+    ends = np.concatenate(([begin - 1.0], middle[~odd], [end + 1.0]))
     behind = np.unique(np.searchsorted(ends, middle[odd]))
     return [(float(ends[k - 1]), float(ends[k])) for k in behind]
 

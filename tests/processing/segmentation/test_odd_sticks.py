@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 import rig_sim
+from processing.kalman.stick_slip import LAND, LEAVE, OVERTAKE, SLIP
+from processing.record.series import Series
+from processing.segmentation.model_selection import odd_spans
+from processing.segmentation.switching_times import SwitchingTimes, sticks_of
 from processing.smoothing import smooth
 from rig_sim.motion.play import ScenePlayer
 
@@ -32,6 +36,18 @@ def test_a_landing_that_overtakes_the_belt_gets_corners_of_its_own(recorded, mot
     true_landings = np.array([event.t for event in player.events if event.kind.endswith("S")])
     assert np.abs(landings - 3.257).min() < 3e-3
     assert np.abs(landings - true_landings[2]).min() > 0.02  # where it only passes the belt's speed
+
+
+def test_an_odd_stick_that_begins_behind_the_end_of_a_record_has_a_span():
+    """A mass ahead of the belt at the end of a record landed behind it: `process smooth` ended in an IndexError."""
+    series = Series(np.arange(100.0), np.zeros(100), 0.0, 0.0, 1.0, (slice(0, 100),))
+    at, kind = (
+        np.array([10.0, 20.0, 40.0, 50.0, 95.0, 102.0]),
+        np.array([LAND, LEAVE, LAND, LEAVE, OVERTAKE, LAND], np.uint8),
+    )
+    times = SwitchingTimes(at, np.ones(6), kind, (SLIP,), 20.0)
+    odd = np.array([False, False, True])
+    assert odd_spans(series, times, sticks_of(times), odd, few=0.5) == [(45.0, 103.0)]
 
 
 @pytest.mark.parametrize("pitch", [7.67e-6, 5e-5])
