@@ -17,7 +17,7 @@ from fitting.data import frame
 from fitting.estimation.fit import Fit
 from fitting.law import Bound, Law
 from fitting.model.problem import Run
-from fitting.selection import answer, candidates, screening
+from fitting.selection import answer, law_fits, screening
 from fitting.selection.answer import Decision
 from fitting.selection.asked import Asked
 from fitting.selection.evidence import ModelSet
@@ -72,15 +72,15 @@ def rank(
     asked.check_together(records)
     runs = _cut(records, rig, asked)
     try:
-        fits, runs, sustained, doubt = candidates.fit_runs(
+        fits, runs, sustained, doubt = law_fits.fit_runs(
             competitors.searched, runs, records, jobs, progress, scheduler, formulas=bool(competitors.formulas)
         )
         fits, chosen = judge(fits, competitors.direct, runs, alpha, sustained=sustained)
         measured = measure(fits, chosen.members, [run.motion for run in runs], alpha)
         formulas = fit_formulas(competitors, measured.curve, rivals=sustained)
         if doubt and not screening.comes_near(formulas.fits, runs):
-            candidates.refuse(doubt, records)
-    except candidates.NoLawError as refused:
+            law_fits.refuse(doubt, records)
+    except law_fits.NoLawError as refused:
         return answer.without_law(refused.reason, asked, runs, records, begun)
     competition = _compete(fits, chosen, formulas.fits, asked, runs, sustained=sustained)
     decision = _decided(asked, records, runs, fits, formulas, measured, competition, sustained=sustained)
@@ -107,7 +107,7 @@ def _cut(records: Sequence[Kinematics], rig: Rig | Sequence[Rig] | None, asked: 
         calibration = known_rest(record.recording.rig if known is None else known, asked.competitors)
         motion = frame.from_kinematics(record, calibration, asked.belt_speed)
         screening.refuse_few_samples(motion, record)
-        runs.append(candidates.cut_run(motion, frozenset(asked.excluded)))
+        runs.append(law_fits.cut_run(motion, frozenset(asked.excluded)))
         found = runs[-1].cut
         logger.info("%s: %d cycles, %d to fit", record.recording.name, len(found.cycles), len(found.used))
     return with_given(runs, asked.competitors)

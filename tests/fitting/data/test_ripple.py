@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fitting.data import cycles, frame, ripple
-from fitting.selection import candidates
+from fitting.selection import law_fits
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -146,7 +146,7 @@ def test_a_steady_belt_comes_first_where_the_mass_merely_grazes_it(belt_rig, mon
     # The smoothing took tops of a sine for sticks, among which a ripple of 5 % at 11 Hz was found: the record was
     # refused, since its sticks had several speeds.
     wrong = ripple.Ripple(0.011, 0.0, 2 * math.pi * 11.5, 10.0)
-    monkeypatch.setattr(candidates.ripple, "find_ripple", lambda motion, cut: wrong)
+    monkeypatch.setattr(law_fits.ripple, "find_ripple", lambda motion, cut: wrong)
     ranking = rank(smooth(belt_rig.recording(law=1, damping=0.036, delta=50e-6)))
     assert ranking.laws_in_set == (1,)
     assert "ripple" not in ranking.best.parameters

@@ -15,7 +15,7 @@ from fitting.forces.force import Force
 from fitting.model.parameters import PER_CYCLE, Global
 from fitting.model.problem import EstimationProblem
 from fitting.model.starts import cycle_starts
-from fitting.selection.candidates import cut_run
+from fitting.selection.law_fits import cut_run
 from fitting.sensitivity.flow import LONGEST_STEP
 from processing.smoothing import smooth
 

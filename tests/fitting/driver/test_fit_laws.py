@@ -13,7 +13,7 @@ from fitting.driver.passes import first_pass, regressed_start
 from fitting.driver.task import law_task
 from fitting.model.parameters import Global, PerCycle
 from fitting.model.problem import Run
-from fitting.selection import candidates
+from fitting.selection import law_fits
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from rig_sim.motion.play import ScenePlayer
@@ -61,7 +61,7 @@ def test_nor_on_a_camera_track_without_calibration(belt_rig, law, noise):
 def test_a_search_that_is_lost_starts_again(simulated):
     """Law 5 ended 0.3 to 0.6 mm off by itself: cycles in poor minima of their own held k/m 2 to 3 % off."""
     smoothed = simulated(*HARSH, duration=30.0)
-    run = candidates.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
+    run = law_fits.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
     task = law_task(5, [run])
     lost = first_pass(task, regressed_start(task))
     assert lost.geometric_mean_rms > noise_levels.LOST * run.motion.resolution
@@ -91,7 +91,7 @@ def test_weights_without_outliers_are_those_of_the_inliers():
 def test_an_overtaking_too_small_to_be_seen_is_found_by_what_it_leaves(simulated, law):
     """The cycle left 2.4 times as much as the others; a few such cycles of a long record made law 5 start again."""
     smoothed = simulated(*(f"{key}={value}" for key, value in OVERTAKEN.items()), duration=30.0)
-    run = candidates.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
+    run = law_fits.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
     assert not any(cycle.overtakes for cycle in run.cut.used)
     (found,) = fit_laws((law,), [run])
     assert found.cycle_rms.max() < 1.1 * np.median(found.cycle_rms)
@@ -104,7 +104,7 @@ def test_an_overtaking_too_small_to_be_seen_is_found_by_what_it_leaves(simulated
 def test_the_level_under_which_the_mass_overtakes_the_belt_has_no_weight_in_the_mean(simulated):
     """Only a low level lets it overtake: with such levels in the mean, Fs/m was 1 % below that of the slips."""
     smoothed = simulated(*(f"{key}={value}" for key, value in OVERTAKEN.items()), duration=30.0)
-    run = candidates.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
+    run = law_fits.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
     (found,) = fit_laws((5,), [run])
     levels = found.local[:, [PerCycle.LEVEL, PerCycle.NEXT_LEVEL]]
     overtaking = np.array([cycle.overtakes for cycle in found.task.problem.cycles])

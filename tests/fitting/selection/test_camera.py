@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.data import frame
-from fitting.selection import candidates
+from fitting.selection import law_fits
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -32,7 +32,7 @@ def test_a_start_at_rest_is_seen_and_no_ripple_under_a_millimetre_of_noise(track
     # Noise in the velocity hid the rest, and the best of many frequencies passed for a ripple of the belt.
     recording = track(5, 1e-3)
     motion = frame.from_kinematics(smooth(recording), recording.rig, None)
-    run = candidates.cut_run(motion, frozenset())
+    run = law_fits.cut_run(motion, frozenset())
     assert run.cut.starts_at_rest
     assert run.ripple is None
 

@@ -7,7 +7,7 @@ import pytest
 
 from daq.base.errors import DataError
 from fitting.data import frame
-from fitting.selection import candidates
+from fitting.selection import law_fits
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -62,7 +62,7 @@ def test_samples_left_out_by_the_smoothing_are_no_data_of_the_fit(faulty):
     assert motion.time.size == made.samples - made.frozen
     assert np.array_equal(motion.measured, made.recording.position[~made.missing])
     assert motion.broken.sum() == 1 + 4  # the first sample, and the end of each hole
-    run = candidates.cut_run(motion, frozenset())
+    run = law_fits.cut_run(motion, frozenset())
     held = made.time[made.missing]
     for cycle in run.cut.used:
         for first, end in (cycle.stick, cycle.slip):
