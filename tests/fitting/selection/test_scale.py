@@ -133,20 +133,20 @@ def test_it_does_not_matter_where_a_record_lies(track, aside):
     within_a_hundredth(found, expected, moved=("x0", "x0 + Fs/k"))
 
 
-def test_it_does_not_matter_how_many_decimals_are_printed(synthetic, tmp_path):
-    time, position = synthetic.camera(5, 5e-5, duration=20.0)
+def test_it_does_not_matter_how_many_decimals_are_printed(belt_rig, tmp_path):
+    time, position = belt_rig.camera(5, 5e-5, duration=20.0)
     few, many = (
-        rank(smooth(synthetic.imported(tmp_path / f"{n}.csv", time, position, decimals=n)), laws=(3, 5)) for n in (7, 9)
+        rank(smooth(belt_rig.imported(tmp_path / f"{n}.csv", time, position, decimals=n)), laws=(3, 5)) for n in (7, 9)
     )
     within_a_hundredth(few, many)
 
 
-def test_it_does_not_matter_which_run_is_named_first(synthetic, tmp_path):
+def test_it_does_not_matter_which_run_is_named_first(belt_rig, tmp_path):
     """Parameters that are one for all runs; the others stand in the rows of each run."""
     runs = []
     for number, noise in enumerate((5e-5, 8e-5)):
-        time, position = synthetic.camera(5, noise, duration=15.0)
-        runs.append(smooth(synthetic.imported(tmp_path / f"{number}.csv", time, position, decimals=7)))
+        time, position = belt_rig.camera(5, noise, duration=15.0)
+        runs.append(smooth(belt_rig.imported(tmp_path / f"{number}.csv", time, position, decimals=7)))
     expected, found = rank(runs, laws=(3, 5)), rank(runs[::-1], laws=(3, 5))
     within_a_hundredth(found, expected, moved=[name for name in expected.best.parameters if name.endswith(")")])
     for side, other in zip(expected.runs, found.runs[::-1], strict=True):
