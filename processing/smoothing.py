@@ -127,7 +127,8 @@ def smooth_file(
     with store.reading(path, own) as run:
         n = run.samples
         asked = method, window, order, belt_speed, repair_counts
-        model, recording = _learn(lambda part: _read(run, part, times), run.positions, n, *asked)
+        start = run.load(slice(0, 1))
+        model, recording = _learn(lambda part: _read(run, part, times, start), run.positions, n, *asked)
     margin = int(np.clip(max(2 * model.window, MARGIN_SLIPS * model.slip), *MARGIN))
     belt = belt_motion.has_belt_encoder(recording)
     found: list[BlockFindings] = []
@@ -138,7 +139,7 @@ def smooth_file(
         table = stage.empty(smoothed, n, recording.unit, belt=belt)
         ends = []
         with store.reading(path, own) as run:
-            reader = _Reader(run, times, margin)
+            reader = _Reader(run, times, margin, start)
             for begin in range(0, n, BLOCK):
                 end = min(begin + BLOCK, n)
                 part, data, low = reader.read(begin, end)
@@ -214,9 +215,9 @@ def _setting(window: int | str, order: int | None, belt_speed: float | str, data
     return replace(parse_window(window, order, data), belt_speed=speed)
 
 
-def _read(run: store.RunReader, own: slice, times: str) -> "tuple[Recording, Series]":
+def _read(run: store.RunReader, own: slice, times: str, start: "Recording") -> "tuple[Recording, Series]":
     recording = run.load(own)
-    return recording, series.from_recording(recording, times, start=run.load(slice(0, 1)))
+    return recording, series.from_recording(recording, times, start=start)
 
 
 def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording, Series]":
@@ -266,13 +267,12 @@ def _joined(parts: "list[tuple[Recording, Series]]", own: list[slice]) -> "tuple
 
 
 class _Reader:
-    """Reads blocks of a run with ``margin`` samples on either side, on one time axis throughout."""
+    """Reads blocks of a run with ``margin`` samples on either side, on one time axis and from one origin throughout."""
 
-    def __init__(self, run: store.RunReader, times: str, margin: int) -> None:
-        self._run, self._times, self._margin = run, times, margin
+    def __init__(self, run: store.RunReader, times: str, margin: int, start: "Recording") -> None:
+        self._run, self._times, self._margin, self._start = run, times, margin, start
         self._anchors: dict[int, tuple[float, int]] = {}
         self._grid = None
-        self._start = run.load(slice(0, 1))
         n = run.samples
         if times == "nominal" and self._start.raw is None:
             # An import has no sample numbers: its even grid follows from the whole record.

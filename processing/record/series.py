@@ -151,7 +151,7 @@ def from_recording(
     segment = recording.segment
     time = recorded if times == "recorded" else nominal(recording, anchor) if grid is None else grid
     check(time, positions, where)
-    pitch, start = 0.0, start or recording
+    pitch, start = 0.0, recording if start is None else start
     if recording.count is not None and start.count is not None:
         metres = recording.rig.metres_per_count
         scale = metres.value if metres is not None else 1.0
