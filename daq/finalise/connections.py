@@ -29,10 +29,7 @@ from daq.wire.quadrature import EDGES_PER_COUNT
 # Two calibrations contradict each other that differ by more standard errors.  With half, 13 % of sound pairs do; double
 # passes a change that is certain.
 ERRORS_APART = 3.0
-COUNTER_BITS, TICK_NS = (
-    16,
-    1000,
-)  # the firmware's own, for an implausible identification
+COUNTER_BITS, TICK_NS = 16, 1000  # those of the firmware, for an implausible identification
 
 
 def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Stream]]:

@@ -1,6 +1,6 @@
 """The measured motion as the fit sees it: metres, seconds from the record's first sample, a belt that runs towards +x.
 
-Levels that fade and a belt that ripples are told by the time since then: when the record began does not matter.
+The time of fading levels and of a belt that ripples is counted from there: when the record began does not matter.
 A record of a backward belt is mirrored (x -> -x, v -> -v) on the way in; the physics is odd, so the same fit serves
 both and only the signs of datum and belt speed are turned back in the result.  Samples that the smoothing left out as
 faults of the sensor are not in it: what stands there is an estimate, and no data.  Steps of the position that the

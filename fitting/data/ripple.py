@@ -33,7 +33,7 @@ AMPLITUDE_BESIDE_LINES = 0.25
 # a drift; faster, smoothing has taken it away.  When 0.1 was the slowest, a ripple of half of it was missed, or taken
 # for one that the sticks meet at the same phases.
 SLOWEST, SLOWEST_OF_FEW, FASTEST = 0.025, 0.1, 12.5
-FEWEST_PERIODS = 2.0  # periods in the time that the sticks span: one cannot be told from a drift
+FEWEST_PERIODS = 2.0  # periods in the time that the sticks span: a single one cannot be distinguished from a drift
 GRID_SAMPLES = 50.0  # samples a slip of the thinned record that is transformed: four of the fastest period
 GRID_REFINEMENT = 4  # frequencies looked at for each of the transform's own
 CANDIDATES = 5  # frequencies tried: the gaps between sticks make false peaks beside the true one

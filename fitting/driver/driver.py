@@ -55,12 +55,6 @@ CONTAINED_ERROR = 1.0005  # error over that of the curve that it contains: a ram
 CLOSED_RAMP = 0.02
 
 
-def fit(task: Task) -> TaskFit | None:
-    """Fit one task from its regression; None where the motion cannot be followed from there."""
-    found = fit_all([task])
-    return found[0] if found else None
-
-
 def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
     """Fit one task from where a fit ended, whose noise it takes; None where the motion cannot be followed."""
     first = first_pass(task, start, noise)
@@ -121,12 +115,12 @@ def fit_laws(
     tasks = [law_task(law, runs) for law in sorted(among)]
     asked = set(laws)
 
-    def told(done: int) -> None:
+    def searched(done: int) -> None:
         if progress is not None:
             progress(len(asked) * done / len(tasks))
 
     with workers(min(jobs, len(tasks)), scheduler) as each:
-        found = fit_all(tasks, lambda task: _law(task) in asked, each, told)
+        found = fit_all(tasks, lambda task: _law(task) in asked, each, searched)
     return sorted(found, key=lambda one: (one.task.curve.ramp, _law(one.task)))
 
 
@@ -138,7 +132,7 @@ def fit_all(
     tasks: Sequence[Task],
     asked: Callable[[Task], bool] = lambda _: True,
     each: Map = map,
-    told: Callable[[int], None] = lambda _: None,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> list[TaskFit]:
     """Fit tasks to the same runs, and return those ``asked`` for in the order given.
 
@@ -151,13 +145,13 @@ def fit_all(
     asked : callable
     each : callable
         The ``map`` that work is done by (`daq.base.compute.workers`).
-    told : callable
+    progress : callable
         Called with the number of tasks that have made their first pass.
     """
     first: list[TaskFit | None] = []
     for one in each(_from_regression, tasks):
         first.append(one)
-        told(len(first))
+        progress(len(first))
     chosen = list(each(partial(_from_donors, tasks=tasks, first=tuple(first)), range(len(tasks))))
     begun = [(one, own) for one, own in zip(chosen, first, strict=True) if one is not None]
     found = _again([one for one, _ in begun], each)

@@ -47,10 +47,16 @@ class Report:
     """Writes the rows of each campaign that ends, in the process that collects what others have run."""
 
     def pytest_runtest_logreport(self, report):
-        told = dict(report.user_properties)
-        if report.when == "call" and "results" in told:
-            run = (f"{date.today()}", VERSION, processor(), f"{report.duration / 60:.1f}", f"{told['cpu_s'] / 60:.1f}")
-            replace_rows(PAGE, told["campaign"], told["results"], run)
+        properties = dict(report.user_properties)
+        if report.when == "call" and "results" in properties:
+            run = (
+                f"{date.today()}",
+                VERSION,
+                processor(),
+                f"{report.duration / 60:.1f}",
+                f"{properties['cpu_s'] / 60:.1f}",
+            )
+            replace_rows(PAGE, properties["campaign"], properties["results"], run)
 
 
 def pytest_configure(config):

@@ -75,8 +75,8 @@ def test_a_campaign_finds_no_fault(name, full_size, request):
     before = cpu_time(asked.get("server"))
     results = campaign.function(**asked)
     assert results
-    told = {"campaign": name, "results": [asdict(result) for result in results]}
-    request.node.user_properties.extend((told | {"cpu_s": cpu_time(asked.get("server")) - before}).items())
+    properties = {"campaign": name, "results": [asdict(result) for result in results]}
+    request.node.user_properties.extend((properties | {"cpu_s": cpu_time(asked.get("server")) - before}).items())
     known = () if full_size else campaign.open_faults
     found = [fault for result in results for fault in result.faults]
     assert [fault for fault in found if not any(one in fault for one in known)] == []

@@ -9,7 +9,7 @@ from daq.imports import track
 from daq.imports.options import ImportOptions
 from fitting.data import cycles, frame, ripple
 from fitting.departures.base import Base
-from fitting.driver.driver import fit
+from fitting.driver.driver import fit_all
 from fitting.driver.task import law_task
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
@@ -33,7 +33,7 @@ def fitted(belt_rig, tmp_path_factory):
         found = ripple.find_ripple(motion, cut)
         if found is not None:
             cut = cycles.segment_cycles(found.removed(motion))
-        return Fit.of(fit(law_task(law, [Run(motion, cut, found)])))
+        return Fit.of(*fit_all([law_task(law, [Run(motion, cut, found)])]))
 
     return of
 

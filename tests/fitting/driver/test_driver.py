@@ -7,7 +7,7 @@ import pytest
 
 from fitting.data import frame
 from fitting.departures.library import eccentricity, guide_friction, spring_nonlinear
-from fitting.driver.driver import beside_better, best_end, fit, fit_from, fit_laws, from_left_starts, start_beside
+from fitting.driver.driver import beside_better, best_end, fit_all, fit_from, fit_laws, from_left_starts, start_beside
 from fitting.driver.model import Model
 from fitting.driver.passes import finish, first_pass, regressed_start, restarted_windows, settle
 from fitting.driver.task import curve_knots, free_curve_task, law_task, regressed_curve
@@ -92,14 +92,14 @@ def test_a_ramps_break_away_level_is_found_when_it_is_free(runs_of):
     runs = runs_of(law=6, seed=3, static=1.3)
     task = law_task(6, runs)
     held = finish(settle(first_pass(task, regressed_start(task))))
-    free = fit(task)
+    (free,) = fit_all([task])
     assert held.geometric_mean_rms > 1.3 * runs[0].motion.resolution > free.geometric_mean_rms
     assert abs(deviation(free, Global.STATIC, 1.3)) < NEAR
 
 
 def test_a_fit_goes_on_from_where_it_ended(runs_of):
     runs = runs_of(law=5, seed=1)
-    first = fit(law_task(5, runs))
+    (first,) = fit_all([law_task(5, runs)])
     again = fit_from(first.task, first.start, first.noise)
     assert again.geometric_mean_rms == pytest.approx(first.geometric_mean_rms, rel=1e-3)
     assert again.q[:3] == pytest.approx(first.q[:3], rel=1e-5)

@@ -110,7 +110,7 @@ def within_a_hundredth(found, expected, moved=()):
 
 @pytest.mark.parametrize("later", [0.3, 100.0, -7.0])
 def test_it_does_not_matter_when_a_record_began(track, later):
-    """A level that fades was told by the clock of the record: 100 s later a wrong law moved by 0.41 errors."""
+    """The time of a fading level was that of the record: 100 s later a wrong law moved by 0.41 errors."""
     record = track(1.0)
     expected = rank(smooth(record), laws=(3, 5))
     found = rank(smooth(replace(record, time=record.time + later)), laws=(3, 5))
