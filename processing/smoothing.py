@@ -135,8 +135,7 @@ def smooth_file(
     made: list[SmoothingSummary] = []
 
     def write(entry: h5py.Group) -> None:
-        smoothed = stage.begin(entry)
-        table = stage.empty(smoothed, n, recording.unit, belt=belt)
+        table = stage.begin(entry, n, recording.unit, belt=belt)
         ends = []
         with store.reading(path, own) as run:
             reader = _Reader(run, times, margin, start)
@@ -164,7 +163,7 @@ def smooth_file(
             cpu_s=clock.process_time() - begun,
         )
         made.append(summary)
-        stage.finish(smoothed, summary, recording.digest, own)
+        stage.finish(entry, summary, recording.digest, own)
 
     store.extend(path, "smooth", write, default="smooth")
     return made[0]

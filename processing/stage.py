@@ -1,30 +1,13 @@
-"""The smoothed stage of a run file: /entry/smooth, beside the untouched raw data.
+"""The smoothed stage of a run file: /entry/smooth, beside the untouched raw data; its tree is `TREE`.
 
-::
-
-    smooth            NXprocess   @default=phase_portrait; program, version, date, sequence_index
-      model           NXcollection  what was learned from the record, in groups (`processing.blocks.MotionModel`)
-      parameters      NXparameters  how it was made, and the sha256 of what it was made from; first_sample and
-                                  last_sample where a part of the run was smoothed
-      kinematics      NXdata      time, position, velocity, acceleration and their errors (f4) over time; with a belt
-                                  channel belt_velocity and its errors too
-      phase_portrait  NXdata      velocity against position, and time: hard links, no copy
-      phases          NXdata      one row a stick or slip: start, end, their errors, first, last, stick (1) or slip (0)
-      losses          NXdata      one row a step of the position: first, last, counts, size (absent without any)
-      kicks           NXdata      one row a step of the velocity: sample, step (absent without any)
-      faults          NXdata      one row a run of samples left out: first, last, frozen (1) or spike (0) (likewise)
-      findings        NXcollection  one row a contradiction or fault: code, text, value, expected, sigmas (likewise)
-      break_aways     NXdata      one row a break-away: stick_time, slip_time, drop and break_away (the level) over
-                                  time, NaN where the record does not show it whole (likewise)
-      statistics      NXcollection  sticks, slips, spikes, frozen; mean, sd, min, max and trend of each of the columns
-                                  of break_aways, as break_away_mean (absent with fewer than three slips)
+A stage that holds a part of the run says which samples; the values of a model stand in groups as
+`processing.blocks.MotionModel` has them.
 """
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
-from operator import attrgetter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +16,9 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.errors import InputError
-from daq.runfile import nexus, store, trust
+from daq.runfile import nexus, store, tree, trust
 from daq.runfile.recording import Recording
+from daq.runfile.tree import LENGTH, Field, Group
 from processing.model_values import unit_of
 from processing.record import series
 from processing.record.finding import Finding
@@ -44,56 +28,151 @@ from processing.record.noise import position_noise
 from processing.record.position_steps import PositionStep, step_offsets
 from processing.statistics import SlipEvent, StickSlipStatistics, from_kinematics, statistics
 
-DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
-EVENTS = {"stick_s": "stick_time", "slip_s": "slip_time", "drop_m": "drop", "break_away_m": "break_away"}
-PART = ("first_sample", "last_sample")  # parameters of a stage that holds a part of the run
-COUNTS = ("sticks", "slips", "spikes", "frozen")
-HASHED_AT_A_TIME = 1 << 20  # values, 8 MB
-ADDED = ("start_errors", "end_errors", "size")  # columns that the first stages did not have
-Column = tuple[Callable[[Any], float], type, str]  # of a row its value, the type and the units, {unit} for a length's
-TABLES: dict[str, tuple[str, str, str, dict[str, Column]]] = {  # title, axis, signal, columns
-    "phases": (
-        "sticks and slips",
-        "start",
-        "stick",
-        {
-            "start": (attrgetter("start"), np.float64, "s"),
-            "end": (attrgetter("end"), np.float64, "s"),
-            "start_errors": (attrgetter("start_sd"), np.float32, "s"),
-            "end_errors": (attrgetter("end_sd"), np.float32, "s"),
-            "first": (attrgetter("first"), np.uint32, ""),
-            "last": (attrgetter("last"), np.uint32, ""),
-            "stick": (lambda phase: phase.kind == "stick", np.uint8, ""),
-        },
-    ),
-    "losses": (
-        "steps of the position",
-        "first",
-        "counts",
-        {
-            "first": (attrgetter("first"), np.uint32, ""),
-            "last": (attrgetter("last"), np.uint32, ""),
-            "counts": (attrgetter("counts"), np.int64, ""),
-            "size": (attrgetter("size"), np.float64, "{unit}"),
-        },
-    ),
-    "kicks": (
-        "steps of the velocity",
-        "sample",
-        "step",
-        {"sample": (attrgetter("sample"), np.uint32, ""), "step": (attrgetter("step"), np.float64, "{unit}/s")},
-    ),
-    "faults": (
-        "samples left out",
-        "first",
-        "last",
-        {
-            "first": (attrgetter("first"), np.uint32, ""),
-            "last": (attrgetter("last"), np.uint32, ""),
-            "frozen": (lambda fault: fault.kind == "frozen", np.uint8, ""),
-        },
-    ),
+SPEED = f"{LENGTH}/s"
+BREAK_AWAYS = {  # column: attribute of a `SlipEvent`, unit, what it is
+    "stick_time": ("stick_s", "s", "duration of the stick"),
+    "slip_time": ("slip_s", "s", "duration of the slip"),
+    "drop": ("drop_m", LENGTH, "how far the mass slips back"),
+    "break_away": ("break_away_m", LENGTH, "stretch of the spring at the break-away"),
 }
+SUMMARY = {"mean": "mean", "sd": "sd", "min": "min", "max": "max", "trend": "trend_per_s"}
+HASHED_AT_A_TIME = 1 << 20  # values, 8 MB
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """What is written: the motion, the sha256 of the raw data, the samples of a part of the run, the statistics."""
+
+    motion: Kinematics | SmoothingSummary
+    digest: str
+    part: slice
+    statistics: StickSlipStatistics
+
+    @property
+    def first(self) -> int | None:
+        return None if self.part == nexus.EVERY else self.part.start
+
+    @property
+    def last(self) -> int | None:
+        return None if self.part == nexus.EVERY else self.part.stop - 1
+
+
+def _summary(of: str, key: str) -> Callable[[_Stage], float | None]:
+    return lambda stage: (stage.statistics.summary(of) or {}).get(key)
+
+
+def _columns(name: str, unit: str, text: str) -> tuple[Field, Field]:
+    path = f"smooth/kinematics/{name}"
+    errors = Field(f"{path}_errors", "f4[n]", unit, "", f"motion.{name}_errors")
+    return Field(path, "f8[n]", unit, text, f"motion.{name}"), errors
+
+
+# Optional fields are absent in the stages of earlier releases, optional groups where there is nothing to say.
+BELT = _columns("belt_velocity", SPEED, "the belt's, of its own encoder")
+KINEMATICS: tree.Tree = (
+    tree.table("smooth/kinematics", "time", "velocity", "kinematics", auxiliary=("position", "acceleration")),
+    Field("smooth/kinematics/time", "f8[n]", "s", "since the first sample of the run", "motion.time"),
+    *_columns("position", LENGTH, "smoothed"),
+    *_columns("velocity", SPEED, "positive towards +x"),
+    *_columns("acceleration", f"{SPEED}^2", "positive towards +x"),
+)
+PARAMETERS: tree.Tree = (
+    Group("smooth/parameters", "NXparameters"),
+    Field("smooth/parameters/method", "text", "", "of smoothing", "motion.method"),
+    Field("smooth/parameters/window", "i8", "", "samples in the window", "motion.window"),
+    Field("smooth/parameters/order", "i8", "", "degree of its polynomial", "motion.order"),
+    Field("smooth/parameters/times", "text", "", "`recorded` or `nominal`", "motion.times"),
+    Field("smooth/parameters/belt_speed", "f8", SPEED, "signed; NaN when unknown", "motion.belt_speed"),
+    Field("smooth/parameters/lost_counts", "i8", "", "times counts went missing", value=lambda s: s.motion.lost_counts),
+    Field("smooth/parameters/repaired", "i8", "", "1 where steps were taken out", "motion.repaired", optional=True),
+    Field("smooth/parameters/dropped_frames", "i8", "", "frames lost", "motion.dropped_frames", optional=True),
+    Field("smooth/parameters/noise", "f8", LENGTH, "standard deviation of one position", "motion.noise", optional=True),
+    Field("smooth/parameters/cpu_time", "f8", "s", "spent", "motion.cpu_s"),
+    Field("smooth/parameters/sha256_input", "text", "", "of the raw data it was made from", "digest"),
+    Field("smooth/parameters/first_sample", "i8", "", "of a part of the run", "first", optional=True),
+    Field("smooth/parameters/last_sample", "i8", "", "of a part of the run", "last", optional=True),
+)
+ROWS: tree.Tree = (
+    tree.table("smooth/phases", "start", "stick", "sticks and slips", optional=True),
+    Field("smooth/phases/start", "f8[p]", "s", "it begins", "motion.phases.start"),
+    Field("smooth/phases/end", "f8[p]", "s", "it ends", "motion.phases.end"),
+    Field("smooth/phases/start_errors", "f4[p]", "s", "", "motion.phases.start_sd", optional=True),
+    Field("smooth/phases/end_errors", "f4[p]", "s", "", "motion.phases.end_sd", optional=True),
+    Field("smooth/phases/first", "u4[p]", "", "first sample", "motion.phases.first"),
+    Field("smooth/phases/last", "u4[p]", "", "last sample", "motion.phases.last"),
+    Field("smooth/phases/stick", "u1[p]", "", "1 stick, 0 slip", "motion.phases.kind", codes={"slip": 0, "stick": 1}),
+    tree.table("smooth/losses", "first", "counts", "steps of the position", optional=True),
+    Field("smooth/losses/first", "u4[l]", "", "first sample", "motion.losses.first"),
+    Field("smooth/losses/last", "u4[l]", "", "last sample", "motion.losses.last"),
+    Field("smooth/losses/counts", "i8[l]", "", "counts that went missing", "motion.losses.counts"),
+    Field("smooth/losses/size", "f8[l]", LENGTH, "step of the position", "motion.losses.size", optional=True),
+    tree.table("smooth/kicks", "sample", "step", "steps of the velocity", optional=True),
+    Field("smooth/kicks/sample", "u4[k]", "", "sample", "motion.kicks.sample"),
+    Field("smooth/kicks/step", "f8[k]", SPEED, "step of the velocity", "motion.kicks.step"),
+    tree.table("smooth/faults", "first", "last", "samples left out", optional=True),
+    Field("smooth/faults/first", "u4[f]", "", "first sample", "motion.faults.first"),
+    Field("smooth/faults/last", "u4[f]", "", "last sample", "motion.faults.last"),
+    Field(
+        "smooth/faults/frozen", "u1[f]", "", "1 frozen, 0 spike", "motion.faults.kind", codes={"spike": 0, "frozen": 1}
+    ),
+    Group("smooth/findings", "NXcollection", optional=True),
+    Field("smooth/findings/code", "text[d]", "", "name of the contradiction or fault", "motion.findings.code"),
+    Field("smooth/findings/text", "text[d]", "", "the same in words", "motion.findings.text"),
+    Field("smooth/findings/value", "f8[d]", "", "what the record shows", "motion.findings.value"),
+    Field("smooth/findings/expected", "f8[d]", "", "what was stated", "motion.findings.expected"),
+    Field("smooth/findings/sigmas", "f8[d]", "", "standard deviations between both", "motion.findings.sigmas"),
+)
+PORTRAIT: tree.Tree = (
+    Group(
+        "smooth/phase_portrait",
+        "NXdata",
+        attributes={
+            "signal": "velocity",
+            "axes": "position",
+            "title": "phase portrait",
+            "position_indices": np.int64(0),
+        },
+    ),
+    # The time too: it is the dimension scale of the other two, which xarray looks for in the group itself.
+    *(
+        Field(f"smooth/phase_portrait/{name}", "link", unit, f"smooth/kinematics/{name}", value=lambda stage: True)
+        for name, unit in (("time", "s"), ("position", LENGTH), ("velocity", SPEED))
+    ),
+)
+STATISTICS: tree.Tree = (
+    Group("smooth/statistics", "NXcollection", optional=True),
+    *(
+        Field(f"smooth/statistics/{name}", "i8", "", "how many", f"statistics.{name}")
+        for name in ("sticks", "slips", "spikes", "frozen")
+    ),
+    *(
+        Field(
+            f"smooth/statistics/{name}_{key}",
+            "f8",
+            f"{unit}/s" if key == "trend" else unit,
+            f"{text}: mean; `_sd`, `_min`, `_max`, `_trend` likewise" if key == "mean" else "",
+            value=_summary(of, kind),
+            optional=True,
+        )
+        for name, (of, unit, text) in BREAK_AWAYS.items()
+        for key, kind in SUMMARY.items()
+    ),
+    tree.table("smooth/break_aways", "time", "break_away", "break-aways", optional=True),
+    *(
+        Field(f"smooth/break_aways/{name}", "f8[b]", unit, text, f"statistics.events.{of}")
+        for name, (of, unit, text) in BREAK_AWAYS.items()
+    ),
+    Field("smooth/break_aways/time", "f8[b]", "s", "of the break-away", "statistics.events.t"),
+)
+STAGE = tree.process("smooth", "process smooth", 1, "phase_portrait")
+MADE: tree.Tree = (
+    *PARAMETERS,
+    Group("smooth/model", "NXcollection"),
+    *PORTRAIT,
+    *ROWS,
+    *STATISTICS,
+)  # beside KINEMATICS
+TREE: tree.Tree = (*STAGE, *KINEMATICS, *BELT, *MADE)
 
 
 def save(kinematics: Kinematics, path: Path, own: slice = nexus.EVERY) -> None:
@@ -103,33 +182,21 @@ def save(kinematics: Kinematics, path: Path, own: slice = nexus.EVERY) -> None:
     """
 
     def write(entry: h5py.Group) -> None:
-        smooth = begin(entry)
-        table = empty(smooth, kinematics.samples, kinematics.unit, belt=kinematics.belt_counted)
+        table = begin(entry, kinematics.samples, kinematics.unit, belt=kinematics.belt_counted)
         fill(table, 0, {name: getattr(kinematics, name) for name in table})
-        finish(smooth, kinematics, kinematics.recording.digest, own)
+        finish(entry, kinematics, kinematics.recording.digest, own)
 
     store.extend(path, "smooth", write, default="smooth")
 
 
-def begin(entry: h5py.Group) -> h5py.Group:
-    """Make the group of the stage."""
-    return nexus.process(entry, "smooth", "process smooth", 1, "phase_portrait")
+def begin(entry: h5py.Group, n: int, unit: str, *, belt: bool = False) -> h5py.Group:
+    """Make the stage with a table of the kinematics for ``n`` samples yet to be written, and return the table.
 
-
-def empty(smooth: h5py.Group, n: int, unit: str, *, belt: bool = False) -> h5py.Group:
-    """Make the table of the kinematics for ``n`` samples yet to be written, with columns for a counted ``belt``."""
-    made = nexus.group(smooth, "kinematics", "NXdata", signal="velocity", axes="time", title="kinematics")
-    made.attrs["time_indices"] = np.int64(0)
-    made.attrs["auxiliary_signals"] = ["position", "acceleration"]
-    nexus.column(made, "time", n, "f8", "s")
-    for name, per in DERIVATIVES.items():
-        nexus.column(made, name, n, "f8", unit + per)
-        nexus.column(made, f"{name}_errors", n, "f4", unit + per)
-    if belt:
-        nexus.column(made, "belt_velocity", n, "f8", f"{unit}/s")
-        nexus.column(made, "belt_velocity_errors", n, "f4", f"{unit}/s")
-    nexus.scale(made, "time")
-    return made
+    ``unit`` is that of the position; with a counted ``belt`` there are columns for its velocity.
+    """
+    tree.write(entry, STAGE, None)
+    tree.empty(entry, (*KINEMATICS, *(BELT if belt else ())), n, {LENGTH: unit})
+    return entry["smooth/kinematics"]
 
 
 def fill(table: h5py.Group, begin: int, columns: Mapping[str, Array]) -> None:
@@ -138,69 +205,16 @@ def fill(table: h5py.Group, begin: int, columns: Mapping[str, Array]) -> None:
         table[name][begin : begin + values.size] = values
 
 
-def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: str, own: slice = nexus.EVERY) -> None:
+def finish(entry: h5py.Group, motion: Kinematics | SmoothingSummary, digest: str, own: slice = nexus.EVERY) -> None:
     """Write how the motion was made, its portrait, and its phases, beside the kinematics."""
-    unit = motion.unit
-    parameters = nexus.group(smooth, "parameters", "NXparameters")
-    nexus.field(parameters, "method", motion.method)
-    nexus.field(parameters, "window", np.int64(motion.window))
-    nexus.field(parameters, "order", np.int64(motion.order))
-    nexus.field(parameters, "times", motion.times)
-    nexus.field(parameters, "belt_speed", np.float64(motion.belt_speed), f"{unit}/s")
-    nexus.field(parameters, "lost_counts", np.int64(motion.lost_counts))
-    nexus.field(parameters, "repaired", np.int64(motion.repaired))
-    nexus.field(parameters, "dropped_frames", np.int64(motion.dropped_frames))
-    nexus.field(parameters, "noise", np.float64(motion.noise), unit)
-    nexus.field(parameters, "cpu_time", np.float64(motion.cpu_s), "s")
-    nexus.field(parameters, "sha256_input", digest)
-    if own != nexus.EVERY:
-        for name, sample in zip(PART, (own.start, own.stop - 1), strict=True):
-            nexus.field(parameters, name, np.int64(sample))
-    _write_model(nexus.group(smooth, "model", "NXcollection"), motion.model, unit)
-    portrait = nexus.group(
-        smooth, "phase_portrait", "NXdata", signal="velocity", axes="position", title="phase portrait"
-    )
-    portrait.attrs["position_indices"] = np.int64(0)
-    # The time too: it is the dimension scale of the other two, which xarray looks for in the group itself.
-    for name in ("time", "position", "velocity"):
-        nexus.link(portrait, name, smooth["kinematics"][name])
-    for name, (title, axis, signal, columns) in TABLES.items():
-        rows = getattr(motion, name)
-        if rows:
-            made: dict[str, tuple[Any, str]] = {
-                column: (np.array([value(row) for row in rows], dtype), units.format(unit=unit))
-                for column, (value, dtype, units) in columns.items()
-            }
-            nexus.table(smooth, name, made, axis=axis, signal=signal, title=title)
-    if motion.findings:
-        made = nexus.group(smooth, "findings", "NXcollection")
-        for name in ("code", "text"):
-            nexus.field(made, name, [getattr(finding, name) for finding in motion.findings])
-        for name in ("value", "expected", "sigmas"):
-            nexus.field(made, name, np.array([getattr(finding, name) for finding in motion.findings]), "")
-    kinematics = smooth["kinematics"]
+    kinematics = entry["smooth/kinematics"]
     position, time = kinematics["position"][()], kinematics["time"][()]
     if motion.losses and not motion.repaired:
-        raw = "raw/segment"
-        segment = smooth.parent[raw][own] if raw in smooth.parent else np.zeros(time.size, np.int64)
+        segment = entry["raw/segment"][own] if "raw/segment" in entry else np.zeros(time.size, np.int64)
         position -= step_offsets(segment, motion.losses)
-    _write_statistics(smooth, statistics(motion, position, time), unit)
-
-
-def _write_statistics(smooth: h5py.Group, counted: StickSlipStatistics, unit: str) -> None:
-    made = nexus.group(smooth, "statistics", "NXcollection")
-    for name in COUNTS:
-        nexus.field(made, name, np.int64(getattr(counted, name)))
-    for name, stored in EVENTS.items():
-        own = "s" if name.endswith("_s") else unit
-        for key, value in (counted.summary(name) or {}).items():
-            if value is not None:
-                per = "/s" if key == "trend_per_s" else ""
-                nexus.field(made, f"{stored}_{key.removesuffix('_per_s')}", np.float64(value), own + per)
-    if counted.events:
-        columns = {EVENTS[name]: (counted.column(name), "s" if name.endswith("_s") else unit) for name in EVENTS}
-        columns["time"] = (counted.column("t"), "s")
-        nexus.table(smooth, "break_aways", columns, axis="time", signal="break_away", title="break-aways")
+    stage = _Stage(motion, digest, own, statistics(motion, position, time))
+    tree.write(entry, MADE, stage, {LENGTH: motion.unit})
+    _write_model(entry["smooth/model"], motion.model, motion.unit)
 
 
 def digest(entry: h5py.Group) -> str:
@@ -226,43 +240,28 @@ def load(path: Path) -> Kinematics | None:
         entry = file["entry"]
         if "smooth" not in entry:
             return None
-        part = _part(entry, path)
+        belt = BELT if "smooth/kinematics/belt_velocity" in entry else ()
+        found = tree.read(entry, (*PARAMETERS, *KINEMATICS, *belt, *ROWS), path)
+        part = slice(found["first"], found["last"] + 1) if "first" in found else nexus.EVERY
         recording = _with_own_events(store.load(path, part), part)
-        made_from = nexus.read_text(entry, "smooth/parameters/sha256_input", path)
-        if made_from != recording.digest:
+        if found["digest"] != recording.digest:
             raise InputError(
                 "its smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
             )
-        columns = {}
-        belt = ("belt_velocity", "belt_velocity_errors") if "smooth/kinematics/belt_velocity" in entry else ()
-        for name in ("time", *(key for base in DERIVATIVES for key in (base, f"{base}_errors")), *belt):
-            columns[name] = nexus.read_array(entry, f"smooth/kinematics/{name}", np.float64, path)
-            nexus.check_length(columns[name].size, recording.time.size, f"smooth/kinematics/{name}", path)
-        parameters = "smooth/parameters"
-        times = nexus.read_text(entry, f"{parameters}/times", path)
+        nexus.check_length(found["motion.time"].size, recording.time.size, "smooth/kinematics/time", path)
+        made = tree.part(found, "motion")
+        made["repaired"] = bool(made.get("repaired", False))
+        if "noise" not in made:
+            made["noise"] = position_noise(series.from_recording(recording, made["times"]))
+        unknown = {"start_sd": math.nan, "end_sd": math.nan}
         return Kinematics(
             recording=recording,
-            **columns,
-            method=nexus.read_text(entry, f"{parameters}/method", path),
-            window=int(nexus.read_number(entry, f"{parameters}/window", path)),
-            order=int(nexus.read_number(entry, f"{parameters}/order", path)),
-            times=times,
-            belt_speed=nexus.read_number(entry, f"{parameters}/belt_speed", path),
-            phases=tuple(
-                Phase("stick" if stuck else "slip", start, end, first, last, start_sd, end_sd)
-                for start, end, start_sd, end_sd, first, last, stuck in _stored(entry, "phases", path)
-            ),
-            losses=_losses(entry, recording, path),
-            kicks=tuple(VelocityStep(*row) for row in _stored(entry, "kicks", path)),
-            faults=tuple(
-                Fault(first, last, "frozen" if frozen else "spike")
-                for first, last, frozen in _stored(entry, "faults", path)
-            ),
-            dropped_frames=_dropped_frames(entry, path),
-            noise=_noise(entry, recording, times, path),
-            findings=_findings(entry, path),
-            repaired="repaired" in entry[parameters] and bool(nexus.read_number(entry, f"{parameters}/repaired", path)),
-            cpu_s=nexus.read_number(entry, f"{parameters}/cpu_time", path),
+            **made,
+            phases=tuple(Phase(**unknown | row) for row in tree.rows(found, "motion.phases")),
+            losses=tuple(_loss(recording, **row) for row in tree.rows(found, "motion.losses")),
+            kicks=tuple(VelocityStep(**row) for row in tree.rows(found, "motion.kicks")),
+            faults=tuple(Fault(**row) for row in tree.rows(found, "motion.faults")),
+            findings=tuple(Finding(**row) for row in tree.rows(found, "motion.findings")),
             model=_read_model(entry["smooth/model"]) if "smooth/model" in entry else {},
         )
 
@@ -301,14 +300,6 @@ def _with_own_events(recording: Recording, part: slice) -> Recording:
     return replace(recording, event_sample=np.array(samples, np.uint32), event_kind=kinds, event_note=notes)
 
 
-def _part(entry: h5py.Group, path: Path) -> slice:
-    """Return which samples of the run the stage holds."""
-    if f"smooth/parameters/{PART[0]}" not in entry:
-        return nexus.EVERY
-    first, last = (int(nexus.read_number(entry, f"smooth/parameters/{name}", path)) for name in PART)
-    return slice(first, last + 1)
-
-
 def load_statistics(path: Path) -> StickSlipStatistics:
     """Read the statistics of stick-slip back; of a stage written before they were stored, computed again.
 
@@ -320,11 +311,11 @@ def load_statistics(path: Path) -> StickSlipStatistics:
     with store.opened(path) as file, trust.damage(path):
         entry = file["entry"]
         if "smooth/statistics" in entry:
-            counts = [int(nexus.read_number(entry, f"smooth/statistics/{name}", path)) for name in COUNTS]
+            found = tree.read(entry, (*PARAMETERS, *STATISTICS), path)
             return StickSlipStatistics(
-                **dict(zip(COUNTS, counts, strict=True)),
-                dropped_frames=_dropped_frames(entry, path),
-                events=_slip_events(entry, path),
+                **tree.part(found, "statistics"),
+                dropped_frames=found.get("motion.dropped_frames", 0),
+                events=tuple(SlipEvent(**row) for row in tree.rows(found, "statistics.events")),
             )
     motion = load(path)
     if motion is None:
@@ -332,58 +323,8 @@ def load_statistics(path: Path) -> StickSlipStatistics:
     return from_kinematics(motion)
 
 
-def _noise(entry: h5py.Group, recording: Recording, times: str, path: Path) -> float:
-    """Return the noise of a position; of a stage written before it was kept, estimated from the record."""
-    if "noise" in entry["smooth/parameters"]:
-        return nexus.read_number(entry, "smooth/parameters/noise", path)
-    return position_noise(series.from_recording(recording, times))
-
-
-def _stored(entry: h5py.Group, name: str, path: Path) -> Iterator[tuple[Any, ...]]:
-    """Yield the rows of a table of `TABLES`; NaN for the columns `ADDED` in a stage written without them."""
-    if f"smooth/{name}" not in entry:
-        return
-    columns: list[list[float]] = []
-    for column, (_, dtype, _) in TABLES[name][3].items():
-        place = f"smooth/{name}/{column}"
-        if column in ADDED and place not in entry:
-            columns.append([math.nan] * len(columns[0]))
-        else:
-            read_as = np.int64 if np.issubdtype(dtype, np.integer) else np.float64
-            columns.append(nexus.read_array(entry, place, read_as, path).tolist())
-    yield from zip(*columns, strict=True)
-
-
-def _dropped_frames(entry: h5py.Group, path: Path) -> int:
-    if "dropped_frames" not in entry["smooth/parameters"]:
-        return 0  # of a stage written before they were looked for
-    return int(nexus.read_number(entry, "smooth/parameters/dropped_frames", path))
-
-
-def _findings(entry: h5py.Group, path: Path) -> tuple[Finding, ...]:
-    if "smooth/findings" not in entry:
-        return ()
-    code, text = (nexus.read_texts(entry, f"smooth/findings/{name}", path) for name in ("code", "text"))
-    numbers = [
-        nexus.read_array(entry, f"smooth/findings/{name}", np.float64, path).tolist()
-        for name in ("value", "expected", "sigmas")
-    ]
-    return tuple(Finding(*row) for row in zip(code, text, *numbers, strict=True))
-
-
-def _slip_events(entry: h5py.Group, path: Path) -> tuple[SlipEvent, ...]:
-    if "smooth/break_aways" not in entry:
-        return ()
-    names = ("time", *EVENTS.values())
-    columns = [nexus.read_array(entry, f"smooth/break_aways/{name}", np.float64, path) for name in names]
-    return tuple(SlipEvent(*row) for row in zip(*(column.tolist() for column in columns), strict=True))
-
-
-def _losses(entry: h5py.Group, recording: Recording, path: Path) -> tuple[PositionStep, ...]:
+def _loss(recording: Recording, first: int, last: int, counts: int, size: float | None = None) -> PositionStep:
+    """Return a step of the position; without a size all of an earlier release's steps are lost counts."""
     metres = recording.rig.metres_per_count
     pitch = 1.0 if metres is None else abs(metres.value)
-    # Without a size: of a stage written before it was stored, all of whose steps are lost counts.
-    return tuple(
-        PositionStep(first, last, counts, counts * pitch if math.isnan(size) else size)
-        for first, last, counts, size in _stored(entry, "losses", path)
-    )
+    return PositionStep(first, last, counts, counts * pitch if size is None else size)

@@ -8,11 +8,13 @@ import h5py
 import numpy as np
 
 from daq.base.errors import InputError
-from daq.runfile import joint, nexus, schema, store, trust
+from daq.runfile import joint, nexus, schema, store, tree, trust
 from daq.runfile.recording import OF_FILE, lost_samples
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
 UNFINISHED = "a journal: still recording, or left by one that was killed (daq recover)"
+WANTED = ("title", "started", "rate_hz", "operator", "sample_name", "note", "tags", "provenance")
+LISTED = [row for row in schema.TREE if isinstance(row, tree.Group) or row.of in WANTED]
 VERDICT, PART = "fit/parameters/verdict", "fit/parameters/part"
 
 
@@ -112,8 +114,7 @@ def _joint_row(entry: h5py.Group, file: Path) -> RunRow:
 
 
 def _row(entry: h5py.Group, file: Path) -> RunRow:
-    wanted = ("title", "started", "rate_hz", "operator", "sample_name", "note", "tags", "provenance")
-    known = schema.read(entry, (row for row in schema.FIELDS if row.of in wanted), file)
+    known = tree.read(entry, LISTED, file)
     time = nexus.read_dataset(entry, f"{schema.ENCODER_LOG}/time", file)
     lost = None
     if "raw" in entry:

@@ -1,4 +1,4 @@
-"""NeXus on h5py: groups with a class, fields with units, tables over a true HDF5 dimension scale; typed reads.
+"""NeXus on h5py: groups with a class, fields with units, true HDF5 dimension scales; typed reads.
 
 Rules of the validators: free columns belong in NXdata or NXcollection; every float has ``units`` ("" when it is
 dimensionless); ``NAME_errors`` draws error bars everywhere; no compression plugin, so that files open anywhere.
@@ -8,19 +8,15 @@ The ``read_`` functions assume nothing about a file: anything unexpected is an I
 are relative to /entry; ``where`` is the file, for the message.
 """
 
-from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import ArrayLike
 
 from daq.base.errors import InputError
 from daq.base.output.spill import BLOCK, Column
 from daq.base.text import storable
-from daq.base.version import VERSION
 
 CHUNK = 16384
 # With shuffle, higher levels of gzip cost time and gain little.
@@ -35,16 +31,6 @@ def group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -> h5
     made.attrs["NX_class"] = nx_class
     for key, value in attributes.items():
         made.attrs[key] = storable(value) if isinstance(value, str) else value
-    return made
-
-
-def process(parent: h5py.Group, name: str, program: str, sequence_index: int, default: str) -> h5py.Group:
-    """Make the group of a stage, an NXprocess: which program made it, of which version, when, as which step."""
-    made = group(parent, name, "NXprocess", default=default)
-    field(made, "program", program)
-    field(made, "version", VERSION)
-    field(made, "date", datetime.now(UTC).isoformat(timespec="seconds"))
-    field(made, "sequence_index", np.int64(sequence_index))
     return made
 
 
@@ -103,54 +89,6 @@ def column(
         name, shape, dtype, maxshape=most, chunks=(min(n, CHUNK),), track_times=False, **FILTERS
     )
     made.attrs.update(attributes if units is None else {"units": units, **attributes})
-    return made
-
-
-def table(
-    parent: h5py.Group,
-    name: str,
-    columns: Mapping[str, tuple[ArrayLike, str]],
-    *,
-    axis: str,
-    signal: str,
-    auxiliary: tuple[str, ...] = (),
-    **attributes: Any,
-) -> h5py.Group:
-    """Write columns of one length as an NXdata table over ``axis``.
-
-    The axis becomes an HDF5 dimension scale attached to every other column, so that xarray (engine h5netcdf)
-    opens the group with ``axis`` as its coordinate.
-
-    Parameters
-    ----------
-    parent : h5py.Group
-        Where the table goes.
-    name : str
-        Its name.
-    columns : mapping of str to (array of shape (n,), units)
-        The columns, the axis among them.  ``NAME_errors`` is the standard deviation of ``NAME``.
-    axis, signal : str
-        Which column is the axis, which is plotted.
-    auxiliary : tuple of str
-        Further columns to plot.
-    **attributes
-        Attributes of the group.
-
-    Raises
-    ------
-    ValueError
-        When the columns differ in length.
-    """
-    lengths = {key: np.shape(values) for key, (values, _) in columns.items()}
-    if len(set(lengths.values())) > 1:
-        raise ValueError(f"columns of table {name!r} differ in shape: {lengths}")
-    made = group(parent, name, "NXdata", signal=signal, axes=axis, **attributes)
-    made.attrs[f"{axis}_indices"] = np.int64(0)
-    if auxiliary:
-        made.attrs["auxiliary_signals"] = list(auxiliary)
-    for key, (values, units) in columns.items():
-        field(made, key, values, units)
-    scale(made, axis)
     return made
 
 

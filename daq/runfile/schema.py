@@ -1,101 +1,32 @@
-"""The tree of a run file: one table that writes it, reads it and documents it.
+"""The tree of a run file: one table (`daq.runfile.tree`) that writes it, reads it and documents it.
 
-`TREE` lists the groups of /entry, in NeXus base classes, and the fields of each.  A field names the attribute of
-`RunData` it holds (``rig.mass``), and how it is computed where that is not simply the attribute.  `write` and `read`
-go through the table; docs/reference/run-file.md is generated from it (docs/run_file_table.py).
+`TREE` lists the groups of /entry, in NeXus base classes, and the fields of each with the attribute of `RunData` it
+holds.
 
 Types: ``f8`` and the like are numpy's; ``[n]`` is a column over the samples, ``[c]`` over the clock readings, ``[e]``
-over the events, ``[m]`` over the samples of the truth.  A measured quantity is a number and, beside it,
-``NAME_errors``, its standard deviation.
+over the events, ``[m]`` over the samples of the truth, ``[i]`` over the identifications.  A measured quantity is a
+number and, beside it, ``NAME_errors``, its standard deviation.
 """
 
 import hashlib
 import uuid
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from datetime import datetime
 from operator import attrgetter
-from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.measured import Measured
-from daq.base.output.spill import Column, blocks
+from daq.base.output.spill import blocks
 from daq.base.text import storable
 from daq.base.version import VERSION
-from daq.runfile import nexus
-from daq.runfile.run_data import EVENT_NAMES, EVENTS, RunData, first_disorder
+from daq.runfile import nexus, tree
+from daq.runfile.run_data import EVENTS, RunData, first_disorder
+from daq.runfile.tree import LENGTH, Field, Group
 
 SCHEMA = 1
-KIND = h5py.enum_dtype(EVENTS, basetype="u1")
-
-
-@dataclass(frozen=True)
-class Field:
-    """One field of a group.
-
-    Attributes
-    ----------
-    path : str
-        Within /entry.
-    kind : str
-        "text", "measured", "link", or a numpy type; with the letter of its axis when it is a column ("f8[n]").  Text
-        columns are "text[e]", the codes of `EVENTS` "enum[e]"; "u2 or u4" is stored as it is; "text or i8" are as many
-        fields as the mapping has keys.
-    unit : str
-        SI unit; "" when dimensionless, "m or count" for the run's own unit of position.
-    text : str
-        What it is, for the documentation; the target of a link.
-    of : str
-        The attribute of `RunData` that it is read into; "" for a field that is only written.
-    value : callable, optional
-        The value to write, None to leave the field out; by default the attribute ``of``.
-    optional : bool
-        Whether a file without it is read; an empty value of an optional field is not written.
-    """
-
-    path: str
-    kind: str
-    unit: str
-    text: str
-    of: str = ""
-    value: Callable[[RunData], Any] | None = None
-    optional: bool = False
-
-    @property
-    def dtype(self) -> str:
-        """The kind without its axis."""
-        return self.kind.split("[")[0]
-
-    @property
-    def axis(self) -> str:
-        """The letter of the column's axis, "" for a single value."""
-        return self.kind.partition("[")[2].rstrip("]")
-
-    def of_run(self, run: RunData) -> Any:
-        """Return the value to write, None where the run has none."""
-        if self.value is not None:
-            found = self.value(run)
-        else:
-            part = self.of.rpartition(".")[0]
-            found = None if part and getattr(run, part) is None else attrgetter(self.of)(run)
-        if found is None or not self.optional:
-            return found
-        empty = not any(found) if self.dtype == "text" else np.size(found) == 0
-        return None if empty else found
-
-
-@dataclass(frozen=True)
-class Group:
-    """One group: its path in /entry, its NeXus class, and its attributes; an optional one is there with its fields."""
-
-    path: str
-    nx_class: str
-    optional: bool = False
-    attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
 def _counted(of: str) -> Callable[[RunData], Any]:
@@ -136,8 +67,8 @@ CALIBRATION = "instrument/encoder/calibration"
 ENCODER_LOG = "instrument/encoder/value_log"
 BELT_LOG = "instrument/belt/value_log"
 
-TREE: tuple[Group | Field, ...] = (
-    Group("", "NXentry", attributes={"default": "data"}),
+ENTRY = Group("", "NXentry", attributes={"default": "data"})
+TREE: tree.Tree = (
     Field("title", "text", "", "title of the run", "title"),
     Field("start_time", "text", "", "first sample, ISO 8601 with zone", "started"),
     Field("end_time", "text", "", "last sample, ISO 8601 with zone", "ended"),
@@ -172,9 +103,9 @@ TREE: tuple[Group | Field, ...] = (
         "of sensor",
         value=_sensor("incremental encoder", "position against time"),
     ),
-    Group(ENCODER_LOG, "NXlog"),
+    Group(ENCODER_LOG, "NXlog", scale="time"),
     Field(f"{ENCODER_LOG}/time", "f8[n]", "s", "since the first sample by the device's clock; @start", "time"),
-    Field(f"{ENCODER_LOG}/value", "f8[n]", "m or count", "position; with a datum, from the spring's rest", "position"),
+    Field(f"{ENCODER_LOG}/value", "f8[n]", LENGTH, "position; with a datum, from the spring's rest", "position"),
     Field(f"{ENCODER_LOG}/raw_value", "i8[n]", "count", "unwrapped count", "count", optional=True),
     Group(CALIBRATION, "NXcollection"),
     Field(f"{CALIBRATION}/rig", "text", "", "name of the rig", "rig.name", optional=True),
@@ -220,7 +151,7 @@ TREE: tuple[Group | Field, ...] = (
     Field("clock_sync/host_minus_device_errors", "f8[c]", "s", "same", "clock_offset_error", optional=True),
     Group("events", "NXcollection"),
     Field("events/sample", "u4[e]", "", "index of the sample", "event_sample"),
-    Field("events/kind", "enum[e]", "", f"u1: {', '.join(EVENTS)}", "event_kind"),
+    Field("events/kind", "enum[e]", "", f"u1: {', '.join(EVENTS)}", "event_kind", codes=EVENTS),
     Field("events/note", "text[e]", "", "words about it", "event_note", optional=True),
     Group("configuration", "NXnote"),
     Field("configuration/type", "text", "", "`application/toml`", value=lambda run: "application/toml"),
@@ -237,18 +168,17 @@ TREE: tuple[Group | Field, ...] = (
     Field("truth/F", "f8[m]", "N", "exact friction force", "truth.F"),
     Group("data", "NXdata", attributes=DATA),
     Field("data/time", "link", "s", f"{ENCODER_LOG}/time", value=lambda run: run.time),
-    Field("data/value", "link", "m or count", f"{ENCODER_LOG}/value", value=lambda run: run.position),
+    Field("data/value", "link", LENGTH, f"{ENCODER_LOG}/value", value=lambda run: run.position),
 )
 NOTES = ("title", "operator/", "sample/name", "sample/description", "notes/", "tags/", "events/")  # of `rewrite_notes`
-FIELDS = tuple(row for row in TREE if isinstance(row, Field))
-OPTIONAL_GROUPS = tuple(row.path for row in TREE if isinstance(row, Group) and row.optional)
+FIELDS = tree.fields(TREE)
 
 
 def digest(run: RunData) -> str:
     """Return the sha256 of the raw columns, or of time and position when there are none."""
     columns: dict[str, Any] = {"time": run.time, "position": run.position}
     if run.raw is not None:
-        columns = {row.path.removeprefix("raw/"): row.of_run(run) for row in FIELDS if row.path.startswith("raw/")}
+        columns = {row.path.removeprefix("raw/"): row.of_source(run) for row in FIELDS if row.path.startswith("raw/")}
     sha = hashlib.sha256()
     for name, values in columns.items():
         if values is not None:
@@ -271,9 +201,8 @@ def write(file: h5py.File, run: RunData, file_name: str) -> None:
     file.attrs["HDF5_Version"] = h5py.version.hdf5_version
     file.attrs["h5py_version"] = h5py.version.version
     file.attrs["NeXus_version"] = "2024.02"
-    _write_fields(file, FIELDS, run)
-    entry = file["entry"]
-    nexus.scale(entry[ENCODER_LOG], "time")
+    entry = nexus.group(file, "entry", ENTRY.nx_class, **ENTRY.attributes)
+    tree.write(entry, TREE, run, {LENGTH: run.unit})
     entry["program_name"].attrs.update({"version": VERSION, "configuration": "configuration/data"})
     entry[f"{ENCODER_LOG}/time"].attrs["start"] = run.started
     entry[f"{ENCODER_LOG}/value"].attrs["long_name"] = f"position ({run.unit})"
@@ -283,117 +212,22 @@ def write(file: h5py.File, run: RunData, file_name: str) -> None:
 def rewrite_notes(file: h5py.File, run: RunData) -> None:
     """Write the notes and events of ``run`` over those in the file of the run; nothing else is changed."""
     entry = file["entry"]
-    rows = [row for row in FIELDS if row.path.startswith(NOTES)]
-    for name in {row.path.partition("/")[0] if parent(row) in OPTIONAL_GROUPS else row.path for row in rows}:
+    rows = [row for row in TREE if f"{row.path}/".startswith(NOTES)]
+    optional = {row.path for row in rows if isinstance(row, Group) and row.optional}
+    for name in {row.path.partition("/")[0] if row.parent in optional else row.path for row in tree.fields(rows)}:
         if name in entry:
             del entry[name]
-    _write_fields(file, rows, run)
+    tree.write(entry, rows, run, {LENGTH: run.unit})
     entry["data"].attrs["title"] = storable(run.title)
-
-
-def _write_fields(file: h5py.File, rows: Iterable[Field], run: RunData) -> None:
-    """Write those of the fields that the run has a value for, and the groups they stand in."""
-    filled = [row for row in rows if row.of_run(run) is not None]
-    inside = {parent(row) for row in filled}
-    for group in TREE:
-        path = f"entry/{group.path}".rstrip("/")
-        if isinstance(group, Group) and path not in file and (group.path in inside or not group.optional):
-            nexus.group(file, path, group.nx_class, **group.attributes)
-    for row in filled:
-        _write_field(file["entry"], row, row.of_run(run), run)
-
-
-def parent(row: Field) -> str:
-    """Return the path of the group a field stands in."""
-    return row.path.rpartition("/")[0]
-
-
-def _write_field(entry: h5py.Group, row: Field, value: Any, run: RunData) -> None:
-    unit = run.unit if row.unit == "m or count" else row.unit
-    match row.dtype:
-        case "link":
-            nexus.link(entry, row.path, entry[row.text])
-        case "text":
-            nexus.field(entry, row.path, value if isinstance(value, str) else list(value))
-        case "text or i8":
-            for name, item in value.items():
-                nexus.field(entry, f"{parent(row)}/{name}", item if isinstance(item, str) else np.int64(item))
-        case "enum":
-            codes = np.array([EVENTS[kind] for kind in value], np.uint8)
-            entry.create_dataset(row.path, data=codes, dtype=KIND, track_times=False)
-        case "measured":
-            # Number and error both in f8: a scalar's error in f4 would save nothing and not read back exactly.
-            nexus.field(entry, row.path, np.float64(value.value), unit)
-            if value.sd:
-                nexus.field(entry, f"{row.path}_errors", np.float64(value.sd), unit)
-        case dtype:
-            stored = value if dtype == "u2 or u4" or isinstance(value, Column) else np.asarray(value, dtype)
-            nexus.field(entry, row.path, stored, unit if unit or not row.axis else None)
-
-
-def read(entry: h5py.Group, rows: Iterable[Field], where: Path, own: slice = nexus.EVERY) -> dict[str, Any]:
-    """Read fields into a mapping from attribute of `RunData` (``rig.mass``) to value.
-
-    ``own`` are the samples to read of columns over the samples.  An absent optional field is absent in the mapping.
-
-    Raises
-    ------
-    InputError
-        For a field that is missing, of another type, or not as long as the others of its axis.
-    """
-    found: dict[str, Any] = {}
-    lengths: dict[str, int] = {}
-    for row in rows:
-        absent_group = parent(row) in OPTIONAL_GROUPS and parent(row) not in entry
-        if not row.of or absent_group or (row.optional and row.path not in entry):
-            continue
-        value = _read_field(entry, row, where, own)
-        if row.axis:
-            nexus.check_length(len(value), lengths.setdefault(row.axis, len(value)), row.path, where)
-        found[row.of] = value
-    return found
-
-
-def _read_field(entry: h5py.Group, row: Field, where: Path, own: slice) -> Any:
-    match row.kind:
-        case "text":
-            return nexus.read_text(entry, row.path, where)
-        case "text[e]" | "text[i]":
-            return nexus.read_texts(entry, row.path, where)
-        case "text or i8":
-            group = nexus.read_group(entry, parent(row), where)
-            return {name: nexus.read_text_or_whole(group, name, where) for name in group if name != "sha256_raw"}
-        case "enum[e]":
-            codes = nexus.read_array(entry, row.path, np.uint8, where)
-            return tuple(EVENT_NAMES.get(int(code), f"kind {code}") for code in codes)
-        case "measured":
-            errors = f"{row.path}_errors"
-            sd = nexus.read_number(entry, errors, where) if errors in entry else 0.0
-            return Measured(nexus.read_number(entry, row.path, where), sd)
-        case "f8":
-            return nexus.read_number(entry, row.path, where)
-        case "i8":
-            return int(nexus.read_number(entry, row.path, where))
-        case "u2 or u4[n]":
-            wide = nexus.read_dataset(entry, row.path, where).dtype.itemsize > 2
-            return nexus.read_array(entry, row.path, np.uint32 if wide else np.uint16, where, own)
-    return nexus.read_array(entry, row.path, row.dtype, where, own if row.axis == "n" else nexus.EVERY)
 
 
 def check(run: RunData) -> None:
     """Raise ValueError when the parts of ``run`` do not belong together."""
-    n = run.time.size
-    if n == 0:
+    if run.time.size == 0:
         raise ValueError("a run needs at least one sample")
     if run.raw is not None and run.count is None:
         raise ValueError("count is None; a run with raw samples needs its count")
-    first: dict[str, tuple[str, int]] = {"n": ("time", n)}
-    for row in FIELDS:
-        value = row.of_run(run) if row.axis else None
-        if value is not None:
-            name, length = first.setdefault(row.axis, (row.of, len(value)))
-            if np.shape(value) != (length,):
-                raise ValueError(f"{row.of} has shape {np.shape(value)}; {name} has {length} values")
+    tree.check([row for row in FIELDS if row.axis], run)
     if not all(np.isfinite(block).all() for values in (run.time, run.position) for block in blocks(values)):
         raise ValueError("times and positions must be finite")
     if (at := first_disorder(run.time)) is not None:

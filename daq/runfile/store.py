@@ -21,7 +21,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.errors import InputError
 from daq.base.output import atomic, disk
-from daq.runfile import nexus, schema, trust
+from daq.runfile import nexus, schema, tree, trust
 from daq.runfile.recording import Raw, Recording, SentAs, Truth, impossible_motion
 from daq.runfile.rig import Rig
 from daq.runfile.write import write
@@ -43,6 +43,15 @@ __all__ = [
 
 # A stage rests on those before it: writing one drops the ones after it, which were made from what it replaces.
 STAGES = ("data", "smooth", "fit")
+SAMPLE_STAGE = (  # with which `extend` is rehearsed
+    *tree.process(STAGES[1], "program", 1, "time"),
+    tree.table(f"{STAGES[1]}/table", "time", "value", ""),
+    *(
+        tree.Field(f"{STAGES[1]}/table/{name}", "f8[n]", "", "", value=lambda source: np.zeros(nexus.CHUNK + 1))
+        for name in ("time", "value")
+    ),
+)
+RECORDING = [row for row in schema.TREE if not row.path.startswith("truth")]
 
 
 def samples(path: str | os.PathLike[str]) -> int:
@@ -125,13 +134,12 @@ class RunReader:
     def load(self, own: slice = nexus.EVERY) -> Recording:
         """Return the run, or some of its samples (`load`)."""
         with trust.damage(self._where):
-            rows = (row for row in schema.FIELDS if not row.of.startswith("truth."))
-            found = schema.read(self._entry, rows, self._where, self._in_file(own))
+            found = tree.read(self._entry, RECORDING, self._where, self._in_file(own))
             _check_motion(found["time"], found["position"], self._where)
-            raw, sent_as = _part(found, "raw"), _part(found, "sent_as")
+            raw, sent_as = tree.part(found, "raw"), tree.part(found, "sent_as")
             return Recording(
                 **{key: value for key, value in found.items() if "." not in key},
-                rig=Rig(**_part(found, "rig")),
+                rig=Rig(**tree.part(found, "rig")),
                 raw=Raw(**raw) if raw else None,
                 sent_as=SentAs(**sent_as) if sent_as else None,
                 source=self._where,
@@ -160,7 +168,7 @@ def truth(path: str | os.PathLike[str]) -> Truth | None:
     where = Path(path)
     with opened(where) as file, trust.damage(where):
         entry = nexus.read_group(file, "entry", where)
-        found = _part(schema.read(entry, (row for row in schema.FIELDS if row.of.startswith("truth.")), where), "truth")
+        found = tree.part(tree.read(entry, tree.below(schema.TREE, "truth"), where), "truth")
         return Truth(**found) if found else None
 
 
@@ -281,9 +289,7 @@ def _add_stage(path: Path) -> bytes:
         for name in list(entry):
             if name.split("_")[0] in STAGES[1:]:
                 del entry[name]
-        made = nexus.process(entry, STAGES[1], "program", 1, "time")
-        column = (np.zeros(nexus.CHUNK + 1), "")
-        nexus.table(made, "table", {"time": column, "value": column}, axis="time", signal="value")
+        tree.write(entry, SAMPLE_STAGE, None)
         entry.attrs["default"] = STAGES[1]
     return b""
 
@@ -366,11 +372,6 @@ def _unopened(path: Path, error: OSError) -> InputError:
         )
     detail = "is cut short" if "truncated" in str(error) else f"is damaged HDF5 ({str(error).splitlines()[0]})"
     return InputError(detail, str(path), trust.AGAIN)
-
-
-def _part(found: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return what was read of one part of a `Recording`: ``rig.mass`` as ``mass``."""
-    return {key.removeprefix(f"{name}."): value for key, value in found.items() if key.startswith(f"{name}.")}
 
 
 def _check_motion(time: Array, position: Array, where: Path) -> None:

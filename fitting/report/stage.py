@@ -2,38 +2,209 @@
 
 In a run file the raw data beside them stay untouched.  In the file of a joint fit (`daq.runfile.joint`) the cycles and
 what differs between the runs stand once for each: cycles_run1 ..., parameters_run1 ...; runs has what each run shows.
-
-::
-
-    fit               NXprocess   @default=ranking; program, version, date, sequence_index
-      parameters      NXparameters  verdict, adequacy, warnings, cpu_time; begin and end of what was fitted; part: in
-                                    words, where it is not the whole run, all laws and all cycles;
-                                    sha256_smooth: of the velocity in the smoothed stage beside it
-      ranking         NXdata      one row a law of the six: score, weight, in_set, rms, cycles, orbit_distance; law_name
-                                  beside it
-      formulas        NXdata      the same of laws given as formulas; law_name, formula and asked beside it
-      cycles          NXdata      one row a break-away: t, static_level, kinetic_scale
-    fit_law1 ...      NXprocess   @default=friction_curve; of a law given as a formula fit_law_NAME, with _ for -
-      parameters      NXparameters  law_name, formula; value, value_errors and units of each parameter; errors are
-                                    NaN where no law describes the record
-      friction_curve  NXdata      friction against relative velocity
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from operator import methodcaller
 from pathlib import Path
 
 import h5py
-import numpy as np
-from numpy.typing import ArrayLike
 
+from daq.base.compute.arrays import Array
 from daq.base.errors import InputError
-from daq.runfile import joint, nexus, store
+from daq.runfile import joint, nexus, store, tree
+from daq.runfile.tree import Field, Group
 from fitting.drawing.curves import curve, speeds_of_all, unit
 from fitting.estimation.derived import RUNS_OWN
 from fitting.estimation.result import Parameter
 from fitting.report.symbols import formula_of
 from fitting.selection.result import LawResult, RankedLaws
 from processing import stage as smoothed_stage
+
+FRICTION = "N or N/kg"  # unit of a friction: N where mass or stiffness is known
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """What is written of a fit: its ranking, what was fitted in words, the sha256 of the smoothed stage."""
+
+    ranking: RankedLaws
+    part: str
+    smoothed: str
+
+    @cached_property
+    def six(self) -> tuple[LawResult, ...]:
+        return tuple(sorted((row for row in self.ranking.rows if isinstance(row.law, int)), key=_number))
+
+    @property
+    def formulas(self) -> tuple[LawResult, ...]:
+        return tuple(self.ranking.rivals)
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        return None if self.ranking.runs else _span(self.ranking)
+
+
+@dataclass(frozen=True)
+class _Law:
+    """What is written of one law: its row, and where its friction curve was computed."""
+
+    row: LawResult
+    ranking: RankedLaws
+    relative_velocity: Array
+
+    @property
+    def shared(self) -> dict[str, Parameter]:
+        """The parameters that all runs share; of a single run all of them."""
+        return self._of(self.ranking.sides[0], lambda name: not self.ranking.runs or name not in RUNS_OWN)
+
+    def own(self, number: int) -> dict[str, Parameter]:
+        """Return the parameters of one of several runs."""
+        return self._of(self.ranking.runs[number], lambda name: name in RUNS_OWN)
+
+    @property
+    def friction(self) -> Array:
+        return curve(self.row.fit, self.ranking.motion, self.relative_velocity)
+
+    def _of(self, side: RankedLaws, wanted: Callable[[str], bool]) -> dict[str, Parameter]:
+        parameters = side.row(self.row.law).parameters
+        return {name.replace("/", "_over_"): item for name, item in parameters.items() if wanted(name)}
+
+
+def _number(row: LawResult) -> int:
+    return row.law if isinstance(row.law, int) else 0
+
+
+def _span(side: RankedLaws) -> tuple[float, float]:
+    """Return when what was fitted begins and ends, s."""
+    begin, end = side.motion.begin + side.motion.time[[0, -1]]
+    return float(begin), float(end)
+
+
+def _shown_name(row: LawResult) -> str:
+    return row.name if row.formula is None else str(row.law)
+
+
+def _table(path: str, of: str, *columns: Field) -> tree.Tree:
+    """Return the rows of a table of laws; ``columns`` are its own, the axis first."""
+    title = "log error of each law above the best one's, penalised"
+    return (
+        tree.table(path, columns[0].name, "score", title, optional=True),
+        columns[0],
+        Field(f"{path}/score", "f8[l]", "", "log error above the best law's, penalised", f"{of}.score"),
+        Field(f"{path}/weight", "f8[l]", "", "weight of evidence", f"{of}.weight"),
+        Field(f"{path}/in_set", "u1[l]", "", "1 in the confidence set", f"{of}.in_set"),
+        Field(f"{path}/rms", "f8[l]", "m", "of the residuals", f"{of}.rms_m"),
+        Field(f"{path}/cycles", "u4[l]", "", "cycles fitted", f"{of}.cycles"),
+        Field(f"{path}/orbit_distance", "f8[l]", "", "to the measured orbit, of its size", f"{of}.orbit"),
+        *columns[1:],
+    )
+
+
+def _names(of: str) -> Callable[[_Stage], list[str] | None]:
+    return lambda stage: [_shown_name(row) for row in getattr(stage, of)] or None
+
+
+def _cycles(path: str) -> tree.Tree:
+    """Return the rows of the table of break-aways of one run."""
+    title = "levels of each break-away over Fs"
+    return (
+        tree.table(path, "t", "static_level", title, auxiliary=("kinetic_scale",), optional=True),
+        Field(f"{path}/t", "f8[c]", "s", "of the break-away", "events.t"),
+        Field(f"{path}/static_level", "f8[c]", "", "friction at the break-away over Fs", "events.break_away_level"),
+        Field(f"{path}/kinetic_scale", "f8[c]", "", "friction in the slip over the law's", "events.kinetic_scale"),
+        Field(f"{path}/used", "u1[c]", "", "1 where the cycle was fitted", value=_used),
+    )
+
+
+def _used(side: RankedLaws) -> list[bool] | None:
+    return [event.flag in ("", "rough") for event in side.events] or None
+
+
+def _law(path: str, title: str, runs: int = 0) -> tree.Tree:
+    """Return the rows of one law; ``runs`` is the number of runs that were fitted together."""
+    return (
+        *tree.process(path, "fit-friction", 2, "friction_curve"),
+        Group(f"{path}/parameters", "NXparameters"),
+        Field(f"{path}/parameters/law_name", "text", "", "of the law", value=lambda law: _shown_name(law.row)),
+        Field(f"{path}/parameters/formula", "text", "", "of the law", value=lambda law: formula_of(law.row)),
+        Field(f"{path}/parameters/*", "parameters", "", PARAMETERS, "shared"),
+        *(
+            row
+            for number in range(runs)
+            for row in (
+                Group(f"{path}/parameters_run{number + 1}", "NXparameters"),
+                Field(
+                    f"{path}/parameters_run{number + 1}/*",
+                    "parameters",
+                    "",
+                    PARAMETERS,
+                    value=methodcaller("own", number),
+                ),
+            )
+        ),
+        tree.table(f"{path}/friction_curve", "relative_velocity", "friction", title),
+        Field(f"{path}/friction_curve/relative_velocity", "f8[w]", "m/s", "mass minus belt", "relative_velocity"),
+        Field(f"{path}/friction_curve/friction", "f8[w]", FRICTION, "on the mass", "friction"),
+    )
+
+
+PARAMETERS = "each parameter in its unit, with `NAME_errors`, NaN where no law describes the record"
+ABOUT: tree.Tree = (
+    Group("fit/parameters", "NXparameters"),
+    Field("fit/parameters/verdict", "text", "", "in words", "ranking.verdict"),
+    Field("fit/parameters/adequacy", "text", "", "whether a law describes the record", "ranking.adequacy.said"),
+    Field("fit/parameters/part", "text", "", "what was fitted, where not all was", "part", optional=True),
+    Field("fit/parameters/cpu_time", "f8", "s", "spent", "ranking.cpu_s"),
+    Field("fit/parameters/begin", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[0]),
+    Field("fit/parameters/end", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[1]),
+    Field("fit/parameters/warnings", "text[i]", "", "in words", "ranking.warnings", optional=True),
+    Field("fit/parameters/sha256_smooth", "text", "", "of the smoothed velocity", "smoothed", optional=True),
+)
+RANKING = _table(
+    "fit/ranking",
+    "six",
+    Field("fit/ranking/law", "u1[l]", "", "number of the law", "six.law"),
+    Field("fit/ranking/law_name", "text[l]", "", "of the law", value=_names("six")),
+)
+FORMULAS = _table(
+    "fit/formulas",
+    "formulas",
+    Field("fit/formulas/row", "u1[l]", "", "from 1", value=lambda stage: range(1, len(stage.formulas) + 1) or None),
+    Field("fit/formulas/law_name", "text[l]", "", "of the law", value=_names("formulas")),
+    Field("fit/formulas/formula", "text[l]", "", "of the law", "formulas.formula"),
+    Field("fit/formulas/asked", "u1[l]", "", "1 where it was asked for", "formulas.asked"),
+)
+RUNS: tree.Tree = (  # of a joint fit, beside what `daq.runfile.joint` writes
+    Field("runs/begin", "f8[r]", "s", "of what was fitted", value=lambda fit: [_span(side)[0] for side in fit.runs]),
+    Field("runs/end", "f8[r]", "s", "of what was fitted", value=lambda fit: [_span(side)[1] for side in fit.runs]),
+    Field("runs/adequacy", "text[r]", "", "verdict on this run", value=lambda fit: [s.adequacy.said for s in fit.runs]),
+    Field(
+        "runs/cycles",
+        "u4[r]",
+        "",
+        "cycles fitted",
+        value=lambda fit: [s.best.cycles for s in fit.runs] if fit.rows else None,
+    ),
+    Field(
+        "runs/rms",
+        "f8[r]",
+        "m",
+        "of the residuals",
+        value=lambda fit: [s.best.rms_m for s in fit.runs] if fit.rows else None,
+    ),
+)
+# As in the file of one run with law 1 and a formula; `_write` names the groups of each law and run.
+TREE: tree.Tree = (
+    *tree.process("fit", "fit-friction", 2, "ranking"),
+    *ABOUT,
+    *RANKING,
+    *FORMULAS,
+    *_cycles("fit/cycles"),
+    *_law("fit_law1", ""),
+)
 
 
 def save(ranking: RankedLaws, path: Path, record: str, smoothed: str, part: str = "") -> None:
@@ -66,9 +237,7 @@ def save(ranking: RankedLaws, path: Path, record: str, smoothed: str, part: str 
                 raise InputError(what, str(path), f"run: fit-friction {path.name}")
         for name in [name for name in entry if name.startswith("fit_law")]:
             del entry[name]
-        _write(entry, ranking, part)
-        if smoothed:
-            nexus.field(entry["fit/parameters"], "sha256_smooth", smoothed)
+        _write(entry, ranking, part, smoothed)
 
     store.extend(path, "fit", write, default="fit")
 
@@ -80,112 +249,24 @@ def save_joint(
 
     def write(entry: h5py.Group) -> None:
         _write(entry, ranking, part)
-        about = entry["runs"]
-        for name, place in (("begin", 0), ("end", -1)):
-            nexus.field(
-                about, name, np.array([side.motion.begin + side.motion.time[place] for side in ranking.runs]), "s"
-            )
-        nexus.field(about, "adequacy", [side.adequacy.said for side in ranking.runs])
-        if ranking.rows:
-            nexus.field(about, "cycles", np.array([side.best.cycles for side in ranking.runs], np.uint32), "")
-            nexus.field(about, "rms", np.array([side.best.rms_m for side in ranking.runs]), "m")
+        tree.write(entry, RUNS, ranking)
 
     joint.write(path, runs, write, force=force)
 
 
-def _write(entry: h5py.Group, ranking: RankedLaws, part: str) -> None:
-    six = sorted((row for row in ranking.rows if isinstance(row.law, int)), key=_number)
-    formulas = ranking.rivals
-    shown = "ranking" if six else "formulas" if formulas else "parameters"
-    fit = nexus.process(entry, "fit", "fit-friction", 2, shown)
-    about = nexus.group(fit, "parameters", "NXparameters")
-    nexus.field(about, "verdict", ranking.verdict)
-    nexus.field(about, "adequacy", ranking.adequacy.said)
-    if part:
-        nexus.field(about, "part", part)
-    nexus.field(about, "cpu_time", np.float64(ranking.cpu_s), "s")
-    if not ranking.runs:
-        for name, time in zip(("begin", "end"), ranking.motion.begin + ranking.motion.time[[0, -1]], strict=True):
-            nexus.field(about, name, np.float64(time), "s")
-    if ranking.warnings:
-        nexus.field(about, "warnings", list(ranking.warnings))
+def _write(entry: h5py.Group, ranking: RankedLaws, part: str, smoothed: str = "") -> None:
+    stage = _Stage(ranking, part, smoothed)
+    shown = "ranking" if stage.six else "formulas" if stage.formulas else "parameters"
+    # The two tables of laws are of different lengths.
+    tree.write(entry, (*tree.process("fit", "fit-friction", 2, shown), *ABOUT, *RANKING), stage)
+    tree.write(entry, FORMULAS, stage)
     if not ranking.rows:
         return
-    if six:
-        laws: dict[str, tuple[ArrayLike, str]] = {"law": (np.array([row.law for row in six], np.uint8), "")}
-        _ranked(fit, "ranking", laws, six)
-    if formulas:
-        places: dict[str, tuple[ArrayLike, str]] = {"row": (np.arange(1, len(formulas) + 1, dtype=np.uint8), "")}
-        table = _ranked(fit, "formulas", places, formulas)
-        nexus.field(table, "formula", [row.formula or "" for row in formulas])
-        nexus.field(table, "asked", np.array([row.asked for row in formulas], np.uint8), "")
     for number, side in enumerate(ranking.sides, start=1):
-        nexus.table(
-            fit,
-            f"cycles_run{number}" if ranking.runs else "cycles",
-            {
-                "t": (np.array([event.t for event in side.events]), "s"),
-                "static_level": (np.array([event.break_away_level for event in side.events]), ""),
-                "kinetic_scale": (np.array([event.kinetic_scale for event in side.events]), ""),
-                "used": (np.array([event.flag in ("", "rough") for event in side.events], np.uint8), ""),
-            },
-            axis="t",
-            signal="static_level",
-            auxiliary=("kinetic_scale",),
-            title="levels of each break-away over Fs",
-        )
-    for row in (*six, *formulas):
-        _law(entry, row, ranking)
-
-
-def _number(row: LawResult) -> int:
-    return row.law if isinstance(row.law, int) else 0
-
-
-def _ranked(
-    fit: h5py.Group, name: str, axis: dict[str, tuple[ArrayLike, str]], rows: Sequence[LawResult]
-) -> h5py.Group:
-    """Write one table of the ranking; ``axis`` is its first column."""
-    columns = {
-        "score": (np.array([row.score for row in rows]), ""),
-        "weight": (np.array([row.weight for row in rows]), ""),
-        "in_set": (np.array([row.in_set for row in rows], np.uint8), ""),
-        "rms": (np.array([row.rms_m for row in rows]), "m"),
-        "cycles": (np.array([row.cycles for row in rows], np.uint32), ""),
-        "orbit_distance": (np.array([row.orbit for row in rows]), ""),
-    }
-    title = "log error of each law above the best one's, penalised"
-    table = nexus.table(fit, name, {**axis, **columns}, axis=next(iter(axis)), signal="score", title=title)
-    nexus.field(table, "law_name", [row.name if row.formula is None else str(row.law) for row in rows])
-    return table
-
-
-def _law(entry: h5py.Group, row: LawResult, ranking: RankedLaws) -> None:
-    name = f"fit_law{row.law}" if isinstance(row.law, int) else f"fit_law_{row.law.replace('-', '_')}"
-    group = nexus.process(entry, name, "fit-friction", 2, "friction_curve")
-    parameters = nexus.group(group, "parameters", "NXparameters")
-    nexus.field(parameters, "law_name", row.name if row.formula is None else str(row.law))
-    nexus.field(parameters, "formula", formula_of(row))
-    parameters_of_law = ranking.sides[0].row(row.law).parameters
-    of_runs = RUNS_OWN if ranking.runs else ()
-    _parameters(parameters, {name: item for name, item in parameters_of_law.items() if name not in of_runs})
-    for number, side in enumerate(ranking.runs, start=1):
-        parameters_of_law = side.row(row.law).parameters
-        its = nexus.group(group, f"parameters_run{number}", "NXparameters")
-        _parameters(its, {name: item for name, item in parameters_of_law.items() if name in of_runs})
-    w = speeds_of_all([side.motion for side in ranking.sides])
-    nexus.table(
-        group,
-        "friction_curve",
-        {"relative_velocity": (w, "m/s"), "friction": (curve(row.fit, ranking.motion, w), unit(ranking.motion))},
-        axis="relative_velocity",
-        signal="friction",
-        title=row.title if row.formula is not None else f"law {row.law}: {row.name}",
-    )
-
-
-def _parameters(group: h5py.Group, parameters: Mapping[str, Parameter]) -> None:
-    for name, item in parameters.items():
-        key = name.replace("/", "_over_")
-        nexus.field(group, key, np.float64(item.value), item.unit)
-        nexus.field(group, f"{key}_errors", np.float64(item.stderr if item.trusted else np.nan), item.unit)
+        tree.write(entry, _cycles(f"fit/cycles_run{number}" if ranking.runs else "fit/cycles"), side)
+    speeds = speeds_of_all([side.motion for side in ranking.sides])
+    for row in (*stage.six, *stage.formulas):
+        name = f"fit_law{row.law}" if isinstance(row.law, int) else f"fit_law_{row.law.replace('-', '_')}"
+        title = row.title if row.formula is not None else f"law {row.law}: {row.name}"
+        law = _Law(row, ranking, speeds)
+        tree.write(entry, _law(name, title, len(ranking.runs)), law, {FRICTION: unit(ranking.motion)})

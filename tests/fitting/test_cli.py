@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from daq.runfile import listing, store
 from daq.runfile.recording import Recording
 from fitting import cli, job
 from fitting.competitors import Competitors, numbers
+from fitting.report import stage as fit_stage
 from fitting.report import table
 from processing import stage
 from processing.smoothing import smooth
@@ -197,6 +199,19 @@ def test_a_part_of_a_run_is_fitted_without_a_report_or_anything_that_draws_one(r
     with h5py.File(path) as file:
         about = file["entry/fit/parameters"]
         assert (about["begin"][()], about["end"][()]) == pytest.approx((1.0, 9.5), abs=2e-3)
+
+
+def test_every_field_of_a_fit_is_in_its_tree(fitted):
+    path, _ = fitted
+    written = set()
+    with h5py.File(path) as file:
+        file["entry"].visititems(lambda name, item: written.add(name) if isinstance(item, h5py.Dataset) else None)
+    known = {row.path for row in fit_stage.TREE}
+    assert {name for name in written if name.startswith("fit/")} <= known
+    of_laws = {re.sub("^fit_law[35]/", "fit_law1/", name) for name in written if name.startswith("fit_law")}
+    parameters = {name for name in of_laws if name.startswith("fit_law1/parameters/")}
+    assert len(parameters) > 10
+    assert of_laws - parameters <= known
 
 
 @pytest.mark.parametrize(

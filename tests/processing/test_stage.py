@@ -164,6 +164,16 @@ def test_the_validator_finds_nothing_to_say(path):
     assert "Total number of warnings: 0" in said, said[-2000:]
 
 
+def test_every_field_written_is_in_the_tree(path):
+    stage.save(smooth(daq.load(path)), path)
+    with h5py.File(path) as file:
+        written = []
+        file["entry"].visititems(lambda name, item: written.append(name) if isinstance(item, h5py.Dataset) else None)
+    of_stage = {name for name in written if name.startswith("smooth/") and not name.startswith("smooth/model/")}
+    assert of_stage
+    assert of_stage <= {row.path for row in stage.TREE}
+
+
 def test_a_stage_made_from_other_raw_data_is_refused(path):
     stage.save(smooth(daq.load(path)), path)
     with h5py.File(path, "r+") as file:

@@ -19,7 +19,7 @@ from hypothesis.extra import numpy as hnp
 from daq.base.errors import InputError
 from daq.base.measured import Measured
 from daq.base.output.lock import FileLock
-from daq.runfile import nexus, schema, store
+from daq.runfile import nexus, schema, store, tree
 from daq.runfile.recording import EVENTS, Raw, Recording, Truth, positions
 from daq.runfile.rig import Rig
 
@@ -78,46 +78,45 @@ def imported(n: int = 101) -> Recording:
     return replace(bare, clock_offset=np.empty(0), rig=Rig(mass=Measured(0.3)))
 
 
+def column(path: str, unit: str, values: Any, dtype: str = "f8") -> tree.Field:
+    return tree.Field(path, f"{dtype}[n]", unit, "", value=lambda source: values)
+
+
 def smooth(entry: h5py.Group) -> None:
-    n = entry["data/time"].size
-    columns = {name: (np.linspace(0, 1, n), unit) for name, unit in (("position", "m"), ("velocity", "m/s"))}
-    errors = {f"{name}_errors": (np.full(n, 0.1, np.float32), unit) for name, (_, unit) in columns.items()}
-    stage = nexus.group(entry, "smooth", "NXprocess", default="phase_portrait")
-    nexus.field(stage, "program", "process")
-    nexus.field(stage, "version", "0.1.0")
-    nexus.field(stage, "date", "2024-05-01T12:00:00+02:00")
-    nexus.field(stage, "sequence_index", np.int64(1))
-    nexus.field(nexus.group(stage, "parameters", "NXparameters"), "window", np.int64(31))
-    table = nexus.table(
-        stage,
-        "kinematics",
-        {"time": (entry["data/time"][()], "s"), **columns, **errors},
-        axis="time",
-        signal="position",
-        auxiliary=("velocity",),
+    time = entry["data/time"][()]
+    made = "smooth/kinematics"
+    rows = (
+        *tree.process("smooth", "process", 1, "phase_portrait"),
+        tree.Group("smooth/parameters", "NXparameters"),
+        tree.Field("smooth/parameters/window", "i8", "", "", value=lambda source: 31),
+        tree.table(made, "time", "position", "kinematics", auxiliary=("velocity",)),
+        column(f"{made}/time", "s", time),
+        *(
+            column(f"{made}/{name}{errors}", unit, np.linspace(0, 1, time.size), dtype)
+            for name, unit in (("position", "m"), ("velocity", "m/s"))
+            for errors, dtype in (("", "f8"), ("_errors", "f4"))
+        ),
+        tree.Group("smooth/phase_portrait", "NXdata", attributes={"signal": "velocity", "axes": "position"}),
+        *(
+            tree.Field(f"smooth/phase_portrait/{name}", "link", "", f"{made}/{name}", value=lambda source: True)
+            for name in ("position", "velocity")
+        ),
     )
-    portrait = nexus.group(stage, "phase_portrait", "NXdata", signal="velocity", axes="position")
-    nexus.link(portrait, "position", table["position"])
-    nexus.link(portrait, "velocity", table["velocity"])
+    tree.write(entry, rows, None)
 
 
 def fit(entry: h5py.Group) -> None:
-    stage = nexus.group(entry, "fit", "NXprocess", default="ranking")
-    nexus.field(stage, "program", "fit-friction")
-    nexus.field(stage, "sequence_index", np.int64(2))
     law = np.arange(1, 7)
-    nexus.table(
-        stage,
-        "ranking",
-        {"law": (law, ""), "weight": (law / 21, "")},
-        axis="law",
-        signal="weight",
+    rows = (
+        *tree.process("fit", "fit-friction", 2, "ranking"),
+        tree.table("fit/ranking", "law", "weight", "ranking"),
+        column("fit/ranking/law", "", law),
+        column("fit/ranking/weight", "", law / 21),
+        *tree.process("fit_law1", "fit-friction", 2, "parameters"),
+        tree.Group("fit_law1/parameters", "NXparameters"),
+        tree.Field("fit_law1/parameters/Fs", "measured", "N", "", value=lambda source: Measured(1.38, 0.01)),
     )
-    one = nexus.group(entry, "fit_law1", "NXprocess")
-    nexus.field(one, "program", "fit-friction")
-    parameters = nexus.group(one, "parameters", "NXparameters")
-    nexus.field(parameters, "Fs", np.float64(1.38), "N")
-    nexus.field(parameters, "Fs_errors", np.float32(0.01), "N")
+    tree.write(entry, rows, None)
 
 
 def nxcheck(path: Path) -> tuple[int, int]:
@@ -558,10 +557,10 @@ def test_float_fields_need_units(tmp_path: Path) -> None:
         nexus.field(file, "speed", 0.22)
 
 
-def test_table_columns_need_one_length(tmp_path: Path) -> None:
-    columns = {"time": (np.zeros(101), "s"), "x": (np.zeros(100), "m")}
-    with h5py.File(tmp_path / "x.h5", "w") as file, pytest.raises(ValueError, match="differ in shape"):
-        nexus.table(file, "t", columns, axis="time", signal="x")
+def test_columns_of_one_axis_need_one_length(tmp_path: Path) -> None:
+    rows = column("t/time", "s", np.zeros(101)), column("t/x", "m", np.zeros(100))
+    with h5py.File(tmp_path / "x.h5", "w") as file, pytest.raises(ValueError, match=r"t/x has shape \(100,\); t/time"):
+        tree.write(file, (tree.table("t", "time", "x", "table"), *rows), None)
 
 
 def test_the_documented_table_is_the_schema() -> None:
