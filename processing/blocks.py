@@ -24,7 +24,16 @@ from processing.methods import registry
 from processing.methods.method_model import MethodModel
 from processing.model_values import values
 from processing.record.finding import Finding
-from processing.record.motion import DERIVATIVES, BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
+from processing.record.motion import (
+    DERIVATIVES,
+    BeltMotion,
+    Corner,
+    Fault,
+    Motion,
+    Phase,
+    PhaseSegmentation,
+    VelocityStep,
+)
 from processing.record.position_steps import PositionStep
 from processing.record.series import Series
 from processing.record.setting import Setting
@@ -132,6 +141,7 @@ class BlockFindings:
     steps: tuple[PositionStep, ...]
     step_segments: tuple[int, ...]
     kicks: tuple[VelocityStep, ...]
+    corners: tuple[Corner, ...]
     step_sums: Array
     means: list[tuple[float, float]]
     samples: int
@@ -249,6 +259,7 @@ def apply(
                 for kick in checked.kicks
                 if own.start <= kick.sample < own.stop
             ),
+            corners=_corners(motion, data, own, units),
             # A board's sample numbers show where samples are missing.  Steps may be frames lost where the mass is fast.
             step_sums=np.zeros(frames.SUMS)
             if numbered
@@ -305,6 +316,7 @@ def join(
         "phases": tuple(phases),
         "losses": steps,
         "kicks": tuple(kick for block in blocks for kick in block.kicks),
+        "corners": tuple(corner for block in blocks for corner in block.corners),
         "faults": every,
         "dropped_frames": counted.lost,
         "findings": (
@@ -375,6 +387,17 @@ def _cut(phase: Phase, data: Series, own: slice, low: int, units: Units) -> Phas
         last + low,
         math.inf if cut_before else units.time_unit * phase.start_sd,
         math.inf if cut_behind else units.time_unit * phase.end_sd,
+    )
+
+
+def _corners(motion: Motion, data: Series, own: slice, units: Units) -> tuple[Corner, ...]:
+    """Return the corners in a block, each up to and including the sample behind it, in SI units."""
+    low = float(data.time[own.start - 1]) if own.start else -math.inf
+    high = float(data.time[own.stop - 1]) if own.stop < data.time.size else math.inf
+    return tuple(
+        Corner(units.start + units.time_unit * corner.time, units.time_unit * corner.sd, corner.what)
+        for corner in motion.corners
+        if low < corner.time <= high
     )
 
 

@@ -23,7 +23,7 @@ from processing.model_values import unit_of
 from processing.record import series
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics, SmoothingSummary
-from processing.record.motion import Fault, Phase, VelocityStep
+from processing.record.motion import Corner, Fault, Phase, VelocityStep
 from processing.record.noise import position_noise
 from processing.record.position_steps import PositionStep, step_offsets
 from processing.statistics import SlipEvent, StickSlipStatistics, from_kinematics, statistics
@@ -35,6 +35,8 @@ BREAK_AWAYS = {  # column: attribute of a `SlipEvent`, unit, what it is
     "drop": ("drop_m", LENGTH, "how far the mass slips back"),
     "break_away": ("break_away_m", LENGTH, "stretch of the spring at the break-away"),
 }
+CORNERS = {"land": 1, "leave": 2, "start": 3, "stop": 4, "overtake": 5, "kick": 6}
+CORNERS_SAID = ", ".join(f"{code} {what}" for what, code in CORNERS.items())
 SUMMARY = {"mean": "mean", "sd": "sd", "min": "min", "max": "max", "trend": "trend_per_s"}
 HASHED_AT_A_TIME = 1 << 20  # values, 8 MB
 
@@ -109,6 +111,10 @@ ROWS: tree.Tree = (
     tree.table("smooth/kicks", "sample", "step", "steps of the velocity", optional=True),
     Field("smooth/kicks/sample", "u4[k]", "", "sample", "motion.kicks.sample"),
     Field("smooth/kicks/step", "f8[k]", SPEED, "step of the velocity", "motion.kicks.step"),
+    tree.table("smooth/corners", "time", "what", "corners of the velocity", optional=True),
+    Field("smooth/corners/time", "f8[q]", "s", "of the corner", "motion.corners.time"),
+    Field("smooth/corners/time_errors", "f4[q]", "s", "", "motion.corners.sd"),
+    Field("smooth/corners/what", "u1[q]", "", CORNERS_SAID, "motion.corners.what", codes=CORNERS),
     tree.table("smooth/faults", "first", "last", "samples left out", optional=True),
     Field("smooth/faults/first", "u4[f]", "", "first sample", "motion.faults.first"),
     Field("smooth/faults/last", "u4[f]", "", "last sample", "motion.faults.last"),
@@ -260,6 +266,7 @@ def load(path: Path) -> Kinematics | None:
             phases=tuple(Phase(**unknown | row) for row in tree.rows(found, "motion.phases")),
             losses=tuple(_loss(recording, **row) for row in tree.rows(found, "motion.losses")),
             kicks=tuple(VelocityStep(**row) for row in tree.rows(found, "motion.kicks")),
+            corners=tuple(Corner(**row) for row in tree.rows(found, "motion.corners")),
             faults=tuple(Fault(**row) for row in tree.rows(found, "motion.faults")),
             findings=tuple(Finding(**row) for row in tree.rows(found, "motion.findings")),
             model=_read_model(entry["smooth/model"]) if "smooth/model" in entry else {},

@@ -11,6 +11,9 @@ r"""Cuts a record into cycles: window A from break-away to mid-stick, window B f
 The break-away is random and falls into no window: window B ends a tenth of a slip before it and window A starts once
 the mass has left the belt by a twentieth of its speed.  A *cycle* is a break-away with the B before it and the A after
 it; both share one kinetic level, because the level is drawn anew at each landing.
+
+The velocity alone decides, also where the smoother has fitted corners (`Kinematics.corners`): methods without corners,
+and a mass that only grazes the belt (laws 1 and 2), show nothing else, and one rule serves all.
 """
 
 import math

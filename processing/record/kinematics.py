@@ -18,7 +18,7 @@ from daq.base.output.lengths import format_length, shown_speed
 from daq.base.text import printable
 from processing.polynomial.even_grid import is_even
 from processing.record.finding import Finding
-from processing.record.motion import Fault, Phase, VelocityStep, mask_of
+from processing.record.motion import Corner, Fault, Phase, VelocityStep, mask_of
 from processing.record.position_steps import PositionStep, step_offsets
 
 if TYPE_CHECKING:
@@ -55,6 +55,9 @@ class SmoothingHeader:
         (`processing.defects.faults`).
     kicks : tuple of VelocityStep
         Where the velocity stepped (`processing.defects.faults`); marked, and smoothed over.
+    corners : tuple of Corner
+        Where the velocity has a corner, as the method fitted it: landings, break-aways, the mass overtaking the belt;
+        empty where the method models none ("rts", "sg", "fd").
     faults : tuple of Fault
         Samples that are no positions (`processing.defects.faults`), left out of the smoothing: the motion there
         is estimated from the samples on either side, with its errors.
@@ -84,6 +87,7 @@ class SmoothingHeader:
     phases: tuple[Phase, ...]
     losses: tuple[PositionStep, ...]
     kicks: tuple[VelocityStep, ...] = ()
+    corners: tuple[Corner, ...] = ()
     faults: tuple[Fault, ...] = ()
     dropped_frames: int = 0
     repaired: bool

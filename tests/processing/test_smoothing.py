@@ -80,6 +80,10 @@ def assert_equal_in_blocks(path, monkeypatch, block, sticks):
     found = stage.load(path)
     assert [(own.first, own.last) for own in summary.sticks] == [(own.first, own.last) for own in whole.sticks]
     assert len(whole.sticks) > sticks
+    assert [own.what for own in summary.corners] == [own.what for own in whole.corners]
+    assert len(whole.corners) > 2 * sticks - 2
+    moved = [(a.time - b.time) / b.sd for a, b in zip(summary.corners, whole.corners, strict=True)]
+    assert np.abs(moved).max() < 1e-3
     apart = np.abs(found.velocity - whole.velocity) / whole.velocity_errors
     assert np.quantile(apart, 0.999) < 1e-9
     assert apart.max() < 1e-8

@@ -54,6 +54,9 @@ def test_what_was_saved_is_loaded(path):
     for one, other in zip(found.phases, made.phases, strict=True):
         assert replace(one, start_sd=0, end_sd=0) == replace(other, start_sd=0, end_sd=0)
         assert (one.start_sd, one.end_sd) == pytest.approx((other.start_sd, other.end_sd), rel=1e-6)
+    for one, other in zip(found.corners, made.corners, strict=True):
+        assert (one.time, one.what) == (other.time, other.what)
+        assert one.sd == pytest.approx(other.sd, rel=1e-6)
     assert found.recording.default == "smooth"
 
 

@@ -32,8 +32,11 @@ def test_a_landing_that_overtakes_the_belt_gets_corners_of_its_own(recorded, mot
     assert made.method == "segment"
     assert rms(made.velocity - v) < 0.045
     assert rms((made.velocity - v)[(time > 3.1) & (time < 3.4)]) < 0.2
+    passing = [corner for corner in made.corners if corner.what == "overtake"]
     landings = time[0] + np.array([stick.start for stick in made.sticks])
     true_landings = np.array([event.t for event in player.events if event.kind.endswith("S")])
+    assert time[0] + passing[0].time == pytest.approx(true_landings[2], abs=4 * passing[0].sd)
+    assert len(passing) == 1
     assert np.abs(landings - 3.257).min() < 3e-3
     assert np.abs(landings - true_landings[2]).min() > 0.02  # where it only passes the belt's speed
 
