@@ -27,15 +27,14 @@ def first_state(time: Array, position: Array, variance: float, derivatives: int)
         The state, the upper triangle of its covariance row by row, and the time it holds for, s.
     """
     t, x = time[: FIRST + 1].tolist(), position[: FIRST + 1].tolist()  # so few are faster as plain numbers
-    if any(math.isnan(reading) for reading in x):
+    if math.isnan(sum(x)):
         known = np.flatnonzero(~np.isnan(position))[: FIRST + 1]
         t, x = time[known].tolist(), position[known].tolist()
     k = len(x) - 1
     h = (t[k] - t[0]) / k
     slope = (x[k] - x[0]) / (t[k] - t[0])
-    spread = 2 * math.sqrt(variance) / h
-    for i in range(k):
-        spread = max(spread, 2 * abs((x[i + 1] - x[i]) / (t[i + 1] - t[i]) - slope))
+    speeds = [(x[i + 1] - x[i]) / (t[i + 1] - t[i]) for i in range(k)]
+    spread = 2 * max(math.sqrt(variance) / h, max(speeds) - slope, slope - min(speeds))
     size = 3 if derivatives == 2 else 4
     state = np.zeros(size + size * (size + 1) // 2 + 1)
     state[0], state[1], state[-1] = x[0] + slope * (time[0] - t[0]), slope, time[0]

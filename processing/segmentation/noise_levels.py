@@ -110,8 +110,9 @@ def filter_stretch(
 
 def log_likelihood(s: Array, scaled: Array) -> Array:
     """Return the log likelihood of each sample, up to a constant, from 1/s and e/s, (n,); of a missing reading 0."""
-    known = s > 0
-    return np.asarray(0.5 * (np.log(np.where(known, s, 1.0)) - scaled**2 / np.where(known, s, 1.0)))
+    if not (s > 0).all():
+        s = np.where(s > 0, s, 1.0)
+    return np.asarray(0.5 * (np.log(s) - scaled**2 / s))
 
 
 def smooth_stretch(

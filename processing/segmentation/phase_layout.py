@@ -75,8 +75,9 @@ def speed_of_sticks(series: Series, sticks: list[Stick], velocity: Array, window
 
     ``window`` is the length of the smoother that made it, in samples.
     """
-    bounds = [(np.searchsorted(series.time, own[0]), np.searchsorted(series.time, own[1], "right")) for own in sticks]
-    return _common([velocity[first:end] for first, end in bounds], window)
+    firsts = np.searchsorted(series.time, [own[0] for own in sticks])
+    ends = np.searchsorted(series.time, [own[1] for own in sticks], "right")
+    return _common([velocity[first:end] for first, end in zip(firsts, ends, strict=True)], window)
 
 
 def _common(velocity: list[Array], window: int) -> float:
@@ -160,7 +161,8 @@ def usual_fastest(series: Series, sticks: list[Stick], apart: Array) -> float:
 
 def _between(series: Series, sticks: list[Stick], apart: Array) -> tuple[list[tuple[int, int]], list[float]]:
     """Return the samples between each stick and the next, and the largest size of ``apart`` among them."""
-    bounds = [np.searchsorted(series.time, (before[1], behind[0])).tolist() for before, behind in pairwise(sticks)]
+    ends, starts = [own[1] for own in sticks[:-1]], [own[0] for own in sticks[1:]]
+    bounds = list(zip(*np.searchsorted(series.time, (ends, starts)).tolist(), strict=True))
     return bounds, [float(np.abs(apart[i:j]).max(initial=0.0)) for i, j in bounds]
 
 
@@ -180,20 +182,15 @@ def phases_from_sticks(series: Series, moving: Mask, sticks: list[Stick]) -> tup
         end = float(time[-1])
         inside = [own for own in sticks if time[0] <= own[0] and own[1] <= time[-1]]
         bounds = [(at, at, math.inf, math.inf), *inside, (end, end, math.inf, math.inf)]
-        for before, own in pairwise(bounds):
-            phases += _phase("slip", (before[1], own[0], before[3], own[2]), series.time, first, last)
-            if own is not bounds[-1]:
-                phases += _phase("stick", own, series.time, first, last)
+        slips = [(before[1], own[0], before[3], own[2]) for before, own in pairwise(bounds)]
+        spans = [slips[0], *(own for pair in zip(inside, slips[1:], strict=True) for own in pair)]
+        firsts = first + np.searchsorted(time, [span[0] for span in spans])
+        lasts = first + np.searchsorted(time, [span[1] for span in spans], side="right") - 1
+        rows = zip(spans, firsts.tolist(), lasts.tolist(), strict=True)
+        for number, ((start, end, start_sd, end_sd), i, j) in enumerate(rows):
+            if end > start and j >= i:
+                phases.append(Phase("stick" if number % 2 else "slip", start, end, i, j, start_sd, end_sd))
     return tuple(phases)
-
-
-def _phase(kind: str, span: Stick, time: Array, first: int, last: int) -> list[Phase]:
-    start, end, start_sd, end_sd = span
-    i = max(int(np.searchsorted(time, start)), first)
-    j = min(int(np.searchsorted(time, end, side="right")) - 1, last)
-    if end <= start or j < i:
-        return []
-    return [Phase("stick" if kind == "stick" else "slip", start, end, i, j, start_sd, end_sd)]
 
 
 def runs_in_pieces(mask: Mask, pieces: tuple[slice, ...]) -> Runs:
