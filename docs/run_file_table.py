@@ -12,13 +12,13 @@ def documentation() -> str:
     """Return the table of docs/reference/run-file.md in Markdown: one row a group or field, in the order of writing."""
     lines = ["| in /entry | type, unit | what it is |", "|---|---|---|"]
     for row in TREE:
-        optional = ", optional" if row.optional else ""
+        optional = "?" if row.optional else ""
         if isinstance(row, Group):
-            lines.append(f"| **{row.path or '/entry'}** | {row.nx_class}{optional} | |")
+            lines.append(f"| **{row.path or '/entry'}**{optional} | {row.nx_class} | |")
         else:
             name, unit = row.path.rpartition("/")[2], f", {row.unit}" if row.unit else ""
             text = f"hard link to {row.text}" if row.kind == "link" else row.text
-            lines.append(f"| {name} | {row.kind}{unit} | {text}{optional} |")
+            lines.append(f"| {name}{optional} | {row.kind}{unit} | {text} |")
     return "\n".join(lines) + "\n"
 
 
