@@ -14,13 +14,15 @@ TREES: dict[str, Tree] = {"run": (schema.ENTRY, *schema.TREE), "smooth": smooth.
 
 def documentation(tree: Tree) -> str:
     """Return a tree as a table in Markdown: one row a group or field, in the order of writing."""
-    lines = ["| in /entry | type | unit | what it is |", "|---|---|---|---|"]
+    lines = ["| in /entry | type, unit | what it is |", "|---|---|---|"]
     for row in tree:
+        optional = "?" if row.optional else ""
         if isinstance(row, Group):
-            lines.append(f"| **{row.path or '/entry'}** | {row.nx_class} | | {'optional' if row.optional else ''} |")
+            lines.append(f"| **{row.path or '/entry'}**{optional} | {row.nx_class} | |")
         elif row.text:
+            unit = f", {row.unit}" if row.unit else ""
             text = f"hard link to {row.text}" if row.kind == "link" else row.text
-            lines.append(f"| {row.name} | {row.kind} | {row.unit} | {text}{', optional' if row.optional else ''} |")
+            lines.append(f"| {row.name}{optional} | {row.kind}{unit} | {text} |")
     return "\n".join(lines) + "\n"
 
 

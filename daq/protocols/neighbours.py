@@ -5,7 +5,8 @@ A flipped digit is still a digit, so a damaged line may look like a sound one.  
 - a count is damaged when it leaps away from the counts before and after it and back, or stands alone off the smooth
   course of its neighbours, whether their printed times or whole periods are taken as the course's abscissa;
 - a time is not true when it is out of order, or stands alone off the course of its neighbours and the count does not
-  bear it out.  Then the count is kept and the time is interpolated: a timer that is late now and then is no damage.
+  bear it out.  Then the count is kept and the time is interpolated: a timer that is 4 us late now and then is no
+  damage (63 of 2400 correct lines were taken for damaged).
 
 `daq.protocols.judge` applies them to a stream of lines; see there for how far each of them looks.
 

@@ -2,6 +2,7 @@
 
 A calibration is a prior of the fit, so the fitted value lies between the two and hides the contradiction.  Each is
 therefore compared with what the record alone shows, by the best law (`fitting.estimation.covariance.without_prior`).
+This is one Newton step, exact for a linear problem only; where no law holds, a correct damping may be contradicted.
 """
 
 import math

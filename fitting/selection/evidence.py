@@ -2,7 +2,8 @@
 
 Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
 Where the best law leaves white noise alone, a cycle falls into pieces of `PIECE_TIMES` correlation times, because there
-a law may fail in a small part of a cycle.  The score is a BIC: with N effective samples (samples over the correlation
+a law may fail in a small part of a cycle: with cycles as units law 2, better than law 1 by 5 % over 1500 samples, was
+behind it.  The score is a BIC: with N effective samples (samples over the correlation
 time of the best law's residuals) each unit pays (p/2N) log N in log error for the law's p parameters, and 1/2N of the
 misfit to the calibrations.  Cycles that not even the best law describes (a kick) are no evidence.  The t-interval of a
 mean difference assumes that the units are independent of each other.

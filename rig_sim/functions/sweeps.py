@@ -1,4 +1,8 @@
-"""Attractors over a parameter, here, in processes or on a dask cluster."""
+"""Attractors over a parameter, here, in processes or on a dask cluster.
+
+At every value they are searched anew: an attractor followed from value to value depends on the direction and is lost
+where it ends.  Afterwards each takes the number of the closest one at the value before.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

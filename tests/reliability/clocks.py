@@ -40,12 +40,12 @@ def clocks(size: Size, folder: Path) -> list[Result]:
         (
             "a counter that wraps, wherever in a frame or in the file, changes no time and no count",
             f"{', '.join(f'{name} ({bits} bit)' for name, (bits, _) in WRAPS.items())}: before each of {size.amount} "
-            f"samples, in frames of {BLOCKS[0]} and {BLOCKS[1]}, read in one piece and in pieces of 100 bytes",
+            f"samples, in frames of {BLOCKS[0]} and {BLOCKS[1]}",
             f"{tried} wraps",
             wrapped,
         ),
         (
-            "start and end of a run are right in every time zone, at midnight, at the end of a year and in leap years",
+            "start and end of a run are right in every time zone, at the ends of days and years, and in leap years",
             f"{len(DATES)} moments in the zones from -12 to +14 hours, every {ZONES_MINUTES[size.full]} minutes",
             f"{dates} runs",
             dated,

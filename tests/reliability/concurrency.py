@@ -37,7 +37,7 @@ def concurrency(size: Size, folder: Path, server: Server, sources: Path) -> list
         ),
         Result(
             "recover, smooth, fit and note refuse an unfinished run and cost its recording no sample; replay reads it",
-            f"{len(UNFINISHED)} commands beside a recording of a board on a pseudo-terminal",
+            f"{len(UNFINISHED)} commands beside a recording",
             f"{len(UNFINISHED)} as promised, the recording complete" if not unfinished else "see faults",
             tuple(unfinished),
         ),

@@ -25,23 +25,20 @@ def crash(size: Size, folder: Path, server: Server, sources: Path) -> list[Resul
     lost_s, synced_s, kill_faults = _kill_recordings(server, folder / "paced", size)
     points = sum(tried for tried, _, _ in found.values())
     calls = sum(calls for _, calls, _ in found.values())
-    by_task = ", ".join(f"{name} {tried}" for name, (tried, _, _) in found.items())
     faults = [fault for _, _, each in found.values() for fault in each]
     lost_ms = 1e3 * np.array(lost_s)
     return [
         Result(
-            "a killed command leaves old files or new ones, never half a file; the next one completes its work and "
-            "leaves nothing besides",
-            f"SIGKILL before {points} of {calls} calls that write, create, rename, remove or sync a file: {by_task}",
-            f"{points} of {points} as promised; every sample in a journal recovered" if not faults else "see faults",
+            "a killed command leaves old files or new ones, never half a file; the next one completes its work",
+            f"SIGKILL before {points} of {calls} calls that change a file, of {len(found)} commands",
+            f"{points} as promised; every sample in a journal recovered" if not faults else "see faults",
             tuple(faults),
         ),
         Result(
             "a recording that is killed, or whose computer loses its power, loses less than a second",
-            f"{len(lost_s)} recordings of a board on a pseudo-terminal at 1 kHz, SIGKILL after "
-            f"{KILLED_AFTER_S[0]} to {KILLED_AFTER_S[1]} s, then daq recover",
+            f"{len(lost_s)} recordings at 1 kHz, SIGKILL after {KILLED_AFTER_S[0]} to {KILLED_AFTER_S[1]} s, recover",
             f"lost: median {np.median(lost_ms):.0f} ms, at most {lost_ms.max():.0f} ms; every other sample right; "
-            f"at most {max(synced_s):.2f} s between two syncs of the journal to the disk",
+            f"at most {max(synced_s):.2f} s between two syncs of the journal",
             tuple(kill_faults),
         ),
     ]

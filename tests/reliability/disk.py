@@ -49,17 +49,17 @@ def disk(size: Size, folder: Path, server: Server, sources: Path) -> list[Result
     moves = [fault for name, how, at in moved for fault in trial.take_away(name, how, at)]
     return [
         Result(
-            "a disk that refuses ends a command with exit code 3 and one line that names the file; originals and "
-            "journal stay, nothing half-made is left, and the command can be repeated",
-            f"{len(refused)} refusals ({', '.join(DISKS)}) from any call on, in {', '.join(TASKS)}",
-            f"{len(refused) - len(refusals)} as promised, no traceback, no hang",
+            "a disk that refuses ends a command with exit code 3 and a line that names the file; originals and journal "
+            "stay, nothing half-made is left",
+            f"{len(refused)} refusals ({', '.join(DISKS)}) from any call on, of {len(TASKS)} commands",
+            f"{len(refused) - len(refusals)} as promised",
             tuple(refusals),
         ),
         Result(
-            "where the output's folder goes away, a recording is complete all the same, in the folder's new place or "
-            "in the nearest folder that exists, and says where; other commands end as on a disk that refuses",
-            f"{len(moved)} times the folder was {', '.join(FOLDERS)} before any call of {', '.join(TASKS)}",
-            f"{len(moved) - len(moves)} as promised, no sample lost, no traceback",
+            "where the output's folder goes away, a recording is complete in its new place or in the nearest folder "
+            "that exists, and says where; other commands end as on a disk that refuses",
+            f"{len(moved)} times the folder was {', '.join(FOLDERS)} before any call of {len(TASKS)} commands",
+            f"{len(moved) - len(moves)} as promised, no sample lost",
             tuple(moves),
         ),
     ]

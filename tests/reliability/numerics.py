@@ -45,7 +45,7 @@ def numerics(size: Size, folder: Path, server: Server) -> list[Result]:
         ),
         Result(
             "a table with such numbers is imported and smoothed, or refused with its line",
-            f"{', '.join(values)} as a time and as a position, in the first, a middle and the last row, and in all",
+            "the same as a time and as a position, in the first, a middle and the last row, and in all",
             f"{files} tables, {len(tables)} without a named outcome",
             tuple(tables),
         ),

@@ -2,7 +2,7 @@
 
 BEGIN, END = "<!-- begin: {} -->", "<!-- end: {} -->"
 TABLES = {
-    "results": ("campaign", "promise", "tried", "measured", "test"),
+    "results": ("campaign", "promise", "tried", "measured"),
     "runs": ("campaign", "date", "version", "processor", "minutes", "CPU minutes"),
 }
 
@@ -55,8 +55,8 @@ def _with_total(text, names):
 
 def _result(name, result):
     broken = f"; **{len(result['faults'])} faults**" if result["faults"] else ""
-    test = result["test"] or f"tests/reliability/test_campaigns.py[{name}]"
-    return _row((name, result["promise"], result["tried"], result["measured"] + broken, f"`{test}`"))
+    test = f" (`{result['test']}`)" if result["test"] else ""
+    return _row((name, result["promise"] + test, result["tried"], result["measured"] + broken))
 
 
 def _row(cells):

@@ -23,7 +23,7 @@ class Result:
     faults : tuple of str
         What broke the promise, each with what to run to see it again.
     test : str
-        The test that holds the promise; "" for the campaign itself.
+        A test that holds the promise besides the campaign; "" for none.
     """
 
     promise: str

@@ -118,7 +118,7 @@ def _dependencies() -> Result:
     return Result(
         "the versions that were tested are named",
         f"{len(names)} dependencies of pyproject.toml, extras included, and theirs",
-        f"{len(rows)} versions in constraints.txt, looked up among known vulnerabilities by make audit",
+        f"{len(rows)} versions in constraints.txt",
         tuple(faults),
     )
 
@@ -143,7 +143,7 @@ def _cache(folder: Path) -> Result:
         said.append(f"{name} {'not used' if used == 'None' else 'used, closed to others'}")
     return Result(
         "machine code is kept only where no other user can write",
-        "the folder of machine code open to all, in a private, a shared and a sticky folder",
+        "its folder open to all, in a private, a shared and a sticky folder",
         ", ".join(said),
         tuple(faults),
         test="tests/daq/base/compute/test_compile.py",
@@ -273,7 +273,7 @@ def _pages(folder: Path) -> Result:
     return Result(
         promise,
         f"{len(PAYLOADS)} scripts as title, operator, sample, note, tag, marker and file name, in {len(pages)} reports "
-        "and the live view, opened in chromium",
+        "and the live view, in chromium",
         f"{len(pages) + 1 - len(faults)} pages executed nothing and asked for nothing",
         tuple(faults),
         **test,

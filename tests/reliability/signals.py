@@ -51,14 +51,14 @@ def signals(size: Size, folder: Path, server: Server, sources: Path) -> list[Res
         Result(
             "a signal at any moment ends a command without a traceback; what was recorded is in the run file, and "
             "other files are as before or as after",
-            f"{timed} processes signalled every {1e3 * EVERY_S:.0f} ms of CPU time from start to end, and while they "
-            f"record ({'; '.join(WAYS)}), and Ctrl-C before {called} calls that change a file",
+            f"{timed} processes signalled every {1e3 * EVERY_S:.0f} ms of CPU time and while they record "
+            f"({'; '.join(WAYS)}), and Ctrl-C before {called} calls that change a file",
             f"{timed + called - len(timed_faults) - len(called_faults)} as promised, none hung",
             (*timed_faults, *called_faults),
         ),
         Result(
             "a closed terminal, or closed standard streams, cost no sample and no result",
-            f"{streams} commands with stdin, stdout and stderr closed in every combination, or a terminal that closes",
+            f"{streams} commands with streams closed in every combination, or a terminal that closes",
             f"{streams - len(stream_faults)} as promised",
             tuple(stream_faults),
         ),

@@ -7,6 +7,7 @@ import pytest
 
 from . import page
 from .conftest import PAGE
+from .inputs import batch
 from .result import Result
 from .test_campaigns import CAMPAIGNS
 
@@ -22,7 +23,7 @@ def test_a_campaign_replaces_its_own_rows_and_the_total(tmp_path):
     before, after = TEXT.splitlines(), copy.read_text(encoding="utf-8").splitlines()
     rows = [line for line in after if line.startswith("| disk |")]
     assert rows == [
-        "| disk | a promise | tried \\| so | second; **1 faults** | `tests/x.py` |",
+        "| disk | a promise (`tests/x.py`) | tried \\| so | second; **1 faults** |",
         "| disk | 2026-01-01 | 1.0 | a processor | 5.0 | 2000.0 |",
     ]
     assert [line for line in before if line not in after and "| disk |" not in line and "CPU time" not in line] == []
@@ -38,7 +39,11 @@ def test_a_campaign_has_its_rows_and_its_cost_or_its_open_faults_on_the_page(nam
         return
     runs = page.parts(TEXT, "runs")[1]
     assert len(re.findall(rf"^\| {name} \|.*\| \d+\.\d \| \d+\.\d \|$", runs, re.MULTILINE)) == 1
-    assert f"test_campaigns.py[{name}]" in TEXT
+    assert re.search(rf"^\| {name} \| ", page.parts(TEXT, "results")[1], re.MULTILINE)
+
+
+def test_the_page_states_the_limits_of_damaged_input():
+    assert f"within {batch.SECONDS} s and {batch.MEMORY >> 20} MB" in TEXT
 
 
 def test_the_page_holds_no_fault():
