@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from daq.base.compute.arrays import Array
+from processing.kalman.motion_kernel import state_size
 
 FIRST = 8  # samples behind the first one
 
@@ -36,7 +37,7 @@ def first_state(time: Array, position: Array, variance: float, derivatives: int)
     speeds = [(x[i + 1] - x[i]) / (t[i + 1] - t[i]) for i in range(k)]
     spread = 2 * max(math.sqrt(variance) / h, max(speeds) - slope, slope - min(speeds))
     size = 3 if derivatives == 2 else 4
-    state = np.zeros(size + size * (size + 1) // 2 + 1)
+    state = np.zeros(state_size(size))
     state[0], state[1], state[-1] = x[0] + slope * (time[0] - t[0]), slope, time[0]
     diagonal = size
     for d in range(derivatives + 1):
