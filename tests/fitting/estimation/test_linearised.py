@@ -96,7 +96,7 @@ def test_scores_are_those_of_the_dense_problem(problem):
 
 
 def test_a_fit_is_linearised_at_its_minimum(ranked):
-    """There the gradients of all cycles and the priors cancel, at a bound point out of it; a refit moves next to nothing.
+    """Gradients of all cycles and the priors cancel there, or point out of a bound; a refit moves next to nothing.
 
     The damping of this record ends at its bound 0, with a gradient of 0.35 standard errors.
     """
