@@ -102,7 +102,7 @@ def captures() -> Path:
 @pytest.fixture(scope="session")
 def published() -> Callable[[str], Any]:
     """Give a function that imports a published record of paper on paper by its name."""
-    from daq.imports import track
+    from daq.imports import table_to_run
     from daq.imports.options import ImportOptions
 
     root = Path(__file__).resolve().parents[1]
@@ -111,7 +111,7 @@ def published() -> Callable[[str], Any]:
         pytest.skip(f"no records at {folder}; set STICKSLIP_SHARED to the folder that holds records/")
 
     def of(name: str) -> Any:
-        return track.read(folder / f"{name}.mat", ImportOptions(time="t", position="Fnorm")).run
+        return table_to_run.read(folder / f"{name}.mat", ImportOptions(time="t", position="Fnorm")).run
 
     return of
 

@@ -20,7 +20,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from daq.base.measured import Measured
-from daq.imports import track
+from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
 from daq.runfile import store
 from daq.runfile.recording import Recording
@@ -503,4 +503,4 @@ def imported(path, time, position, decimals=5, **options):
     """Write a table of times and positions, and return the recording that is imported from it, bare of calibration."""
     rows = np.c_[time, np.round(position, decimals)]
     np.savetxt(path, rows, fmt=["%.6f", f"%.{max(decimals, 1)}f"], delimiter=",", header="t,x", comments="")
-    return track.read(path, ImportOptions(**options)).run
+    return table_to_run.read(path, ImportOptions(**options)).run

@@ -7,8 +7,8 @@ from dataclasses import astuple
 
 import pytest
 
-from rig_sim.dynamics.orbits.limit_cycle import cycle
-from rig_sim.dynamics.rig.turn import creeps
+from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.dynamics.return_maps.turn import creeps
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame
 from rig_sim.friction.law import LAWS
@@ -155,7 +155,7 @@ def test_unphysical_flow_is_refused():
 
 def test_an_orbit_costs_no_heavy_imports():
     code = (
-        "import sys; from rig_sim.dynamics.orbits.limit_cycle import cycle;"
+        "import sys; from rig_sim.dynamics.limit_cycles.limit_cycle import cycle;"
         "from rig_sim.flow.flow import Flow; cycle(Flow());"
         "print(*sorted({'numpy', 'scipy', 'numba', 'matplotlib'} & set(sys.modules)))"
     )
