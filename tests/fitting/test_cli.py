@@ -212,19 +212,6 @@ def test_parts_and_reports_that_cannot_be_are_refused(run, flags, what):
     assert what in f"{refused.value.what} {refused.value.where}"
 
 
-def test_help_loads_nothing_numerical():
-    source = (
-        "import sys\nfrom daq.base.console import application\nfrom fitting.cli import app\n"
-        "code = application.run(app, ['--help'])\n"
-        "heavy = {'numpy', 'h5py', 'scipy', 'numba', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
-        "sys.exit(code or (1 if heavy else 0))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "Example: fit-friction" in done.stdout
-    assert "--scheduler" in done.stdout
-
-
 def test_the_ranking_can_be_had_as_a_table(run, tmp_path):
     path, out = tmp_path / "run.h5", tmp_path / "ranking.csv"
     shutil.copy(run, path)

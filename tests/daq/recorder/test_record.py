@@ -286,13 +286,6 @@ def test_a_damaged_frame_is_thrown_away_and_counted(tmp_path, attach):
     assert (240, "crc") in kinds(daq.load(tmp_path / "run.h5"))
 
 
-def test_a_repeated_frame_is_left_out(tmp_path, attach):
-    attach(FakeBoard({30: lambda line: line + line}))
-    found = record(request(tmp_path))
-    assert (found.samples, found.lost, found.segments) == (800, 0, 1)
-    assert any("came twice or late" in warning for warning in found.warnings)
-
-
 @pytest.mark.parametrize(
     "faults",
     [
