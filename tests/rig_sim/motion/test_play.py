@@ -3,7 +3,6 @@
 import itertools
 import json
 import math
-import os
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -13,18 +12,7 @@ from daq.base.errors import InputError
 from rig_sim.motion.play import LEAST_FACTOR, Event, ScenePlayer, events
 from rig_sim.scenes.scene import parse_changes, scene
 
-SHARED = FilePath(os.environ.get("STICKSLIP_SHARED", FilePath(__file__).parents[4] / "shared"))
-REFERENCE = [
-    FilePath(__file__).parents[2] / "reference" / "limit_cycles.json",
-    SHARED / "reference" / "limit_cycles.json",
-]
-
-
-def forced_lists() -> list[dict]:  # type: ignore[type-arg]
-    for path in REFERENCE:
-        if path.exists():
-            return list(json.loads(path.read_text())["forced_event_times"])
-    return []
+REFERENCE = json.loads((FilePath(__file__).parents[2] / "reference" / "limit_cycles.json").read_text())
 
 
 def forced_scene(parameters: dict[str, str]) -> dict[str, object]:
@@ -34,7 +22,7 @@ def forced_scene(parameters: dict[str, str]) -> dict[str, object]:
     return changes
 
 
-@pytest.mark.parametrize("case", forced_lists(), ids=lambda case: case["name"])
+@pytest.mark.parametrize("case", REFERENCE["forced_event_times"], ids=lambda case: case["name"])
 def test_forced_events_meet_the_reference_lists(case: dict) -> None:  # type: ignore[type-arg]
     found = events(scene("base", **forced_scene(case["params"])), case["t_max"])
     assert found.outcome == "completed"
