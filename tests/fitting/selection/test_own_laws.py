@@ -15,8 +15,6 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from daq.base.measured import Measured
 from daq.runfile import listing
-from daq.runfile.recording import Recording
-from daq.runfile.rig import Rig
 from fitting import job
 from fitting.competitors import restated
 from fitting.estimation.derived import RUNS_OWN
@@ -31,31 +29,12 @@ from .. import command
 
 VISCOUS = {"curve": "stribeck", "Fc": 0.6, "v_s": 0.08, "Fv": 0.15, "c": 0.01, "scatter": 0.03, "duration": 12.0}
 MINE = "Fc + (Fs - Fc)*exp(-s/v_s) + Fv*s"
-COUNT = 50e-6
 
 
 def recorded(belt_rig, **changes):
     """Return a contact, and its record by an encoder."""
     contact = belt_rig.Contact(**VISCOUS | {"seed": 4} | changes)
-    time, position = belt_rig.recorded(contact, count=COUNT, jitter=30e-6)
-    rig = Rig(
-        name="encoder",
-        metres_per_count=Measured(COUNT),
-        mass=Measured(contact.m, 1e-3 * contact.m),
-        datum=Measured(0.0, 5e-4),
-        damping=Measured(contact.c, 4e-3),
-    )
-    recording = Recording(
-        source=Path("mine.h5"),
-        title="a contact",
-        started="2026-01-01T00:00:00+00:00",
-        ended="2026-01-01T00:00:12+00:00",
-        time=time,
-        position=position,
-        rate_hz=1000.0,
-        rig=rig,
-    )
-    return contact, recording
+    return contact, belt_rig.by_encoder(contact, damping_sd=4e-3)
 
 
 @pytest.fixture(scope="module")
