@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import h5py
 import pytest
@@ -14,7 +15,7 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from daq.base.measured import Measured
 from daq.runfile import listing, store
-from daq.runfile.recording import Recording
+from daq.runfile.rig import Rig
 from fitting import cli, job
 from fitting.competitors import Competitors, numbers
 from fitting.report import table
@@ -143,21 +144,8 @@ def test_the_report_goes_beside_the_run(fitted):
     assert answer.data["report"].exists()
 
 
-def test_damping_without_a_mass_is_refused(run, tmp_path):
-    path = tmp_path / "bare.h5"
-    data = store.load(run)
-    store.write(
-        path,
-        Recording(
-            title="",
-            started=data.started,
-            ended=data.ended,
-            rate_hz=1000.0,
-            rig=type(data.rig)(),
-            time=data.time,
-            position=data.position,
-        ),
-    )
+def test_damping_without_a_mass_is_refused(belt_rig, run, tmp_path):
+    path = belt_rig.written(tmp_path / "bare.h5", replace(store.load(run), rig=Rig()))
     with pytest.raises(InputError, match="without a mass"):
         command.fit(path, damping=Measured(0.01))
 
