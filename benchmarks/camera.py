@@ -25,7 +25,7 @@ import numpy as np
 import fitting
 import processing
 from daq.base.errors import DataError
-from daq.imports import track
+from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
 
 HERE = Path(__file__).resolve().parent
@@ -68,7 +68,7 @@ def run(case: tuple[int, float, int, tuple[int, ...], Path | None]) -> dict[str,
             table = Path(folder) / "track.csv"
             rows = np.c_[time, np.round(position, places)]
             np.savetxt(table, rows, fmt=["%.6f", f"%.{places}f"], delimiter=",", header="t,x", comments="")
-            kinematics = processing.smooth(track.read(table, ImportOptions()).run)
+            kinematics = processing.smooth(table_to_run.read(table, ImportOptions()).run)
         begun = clock.process_time()
         try:
             ranking = fitting.rank(kinematics)

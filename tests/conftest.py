@@ -8,6 +8,7 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -63,14 +64,28 @@ def smoothing_kernels() -> None:
     compare.rows(daq.load(Path(__file__).resolve().parent.parent / "data_samples" / "law5.h5"), None)
 
 
-@pytest.fixture(scope="module")
-def undrawn_reports() -> Iterator[None]:
+@contextmanager
+def empty_pictures() -> Iterator[None]:
     """Leave the pictures of reports empty: to draw them costs several times the fit of two laws."""
     from fitting.report import adequacy_plot, plot
 
     names = [picture.__name__ for picture in (*plot.PICTURES, plot.break_aways, adequacy_plot.orbits)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plot, "draw", lambda ranking, counted: dict.fromkeys(names, "<svg></svg>"))
+        yield
+
+
+@pytest.fixture(scope="module")
+def undrawn_reports() -> Iterator[None]:
+    """Leave the pictures of a module's reports empty."""
+    with empty_pictures():
+        yield
+
+
+@pytest.fixture
+def undrawn_report() -> Iterator[None]:
+    """Leave the pictures of one test's reports empty."""
+    with empty_pictures():
         yield
 
 
@@ -87,7 +102,7 @@ def captures() -> Path:
 @pytest.fixture(scope="session")
 def published() -> Callable[[str], Any]:
     """Give a function that imports a published record of paper on paper by its name."""
-    from daq.imports import track
+    from daq.imports import table_to_run
     from daq.imports.options import ImportOptions
 
     root = Path(__file__).resolve().parents[1]
@@ -96,7 +111,7 @@ def published() -> Callable[[str], Any]:
         pytest.skip(f"no records at {folder}; set STICKSLIP_SHARED to the folder that holds records/")
 
     def of(name: str) -> Any:
-        return track.read(folder / f"{name}.mat", ImportOptions(time="t", position="Fnorm")).run
+        return table_to_run.read(folder / f"{name}.mat", ImportOptions(time="t", position="Fnorm")).run
 
     return of
 

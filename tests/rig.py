@@ -4,7 +4,7 @@ Nothing of rig_sim is used: one right-hand side in newtons, a stick in closed fo
 A `Contact` is one of the six laws or none, and a departure is one field of it; 0 means that it is absent.  Contacts of
 any scale are followed alike: steps and tolerances are in units of the contact's own, 1/omega and Fs/k.  `follow` gives
 the exact motion with the break-aways and landings, `simulate` the positions alone, `recorded` what a counting encoder
-shows of them.
+shows of them, `by_encoder` the same as a Recording.
 
 A `Scene` is a contact that obeys one of the six laws by its number, with what wears, kicks and reads it: `recording`
 gives it as daq would load it, `camera` and `imported` as the table of a camera.
@@ -20,7 +20,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from daq.base.measured import Measured
-from daq.imports import track
+from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
 from daq.runfile import store
 from daq.runfile.recording import Recording
@@ -29,6 +29,7 @@ from daq.runfile.rig import Rig
 STEP = 0.012  # of 1/omega: longest time between two looks for an event; the rig's 2 ms
 FIRST = 6e-6  # of 1/omega: the step by which a slip leaves the belt, so that it does not land where it begins
 EDGE = 1e-7  # of a ramp: it is left so far beyond its edge, where a mass that merely grazes it is not
+JITTER = 30e-6  # s: standard deviation of an encoder's sample times
 TIGHT = 1e-10  # of Fs/k: absolute tolerance; the relative one is 1e-9
 
 
@@ -360,6 +361,22 @@ def recorded(p, *, rate=1000.0, count=7.67e-6, jitter=0.0):
     return nominal, np.floor(x / count) * count if count else x
 
 
+def as_recording(time, position, rate, rig, title):
+    """Return a Recording of positions (m) at times (s), as daq would load it."""
+    at = {"started": "2026-01-01T00:00:00+00:00", "ended": "2026-01-01T00:00:20+00:00"}
+    return Recording(source=Path("rig.h5"), title=title, rate_hz=rate, rig=rig, time=time, position=position, **at)
+
+
+def by_encoder(contact, *, count=50e-6, damping_sd=None):
+    """Return the Recording of a contact by an encoder, at times that jitter; uncalibrated without ``damping_sd``."""
+    time, position = recorded(contact, count=count, jitter=JITTER)
+    rig = Rig(name="encoder", metres_per_count=Measured(count))
+    if damping_sd is not None:
+        mass, damping = Measured(contact.m, 1e-3 * contact.m), Measured(contact.c, damping_sd)
+        rig = replace(rig, mass=mass, datum=Measured(0.0, 5e-4), damping=damping)
+    return as_recording(time, position, 1000.0, rig, contact.curve)
+
+
 @dataclass(frozen=True)
 class Scene:
     """A contact that obeys a law on the rig of the design, in SI units, with what disturbs it, and how it is read."""
@@ -445,17 +462,7 @@ def recording(scene=None, **changes):
         damping=Measured(max(0.0, scene.damping * scene.m + 1e-3 * critical * rng.standard_normal()), 1e-3 * critical),
         belt_speed=Measured(belt, 0.01 * scene.belt),
     )
-    time = time - time[0]
-    return Recording(
-        source=Path("rig.h5"),
-        title=f"law {scene.law}",
-        started="2026-01-01T00:00:00+00:00",
-        ended="2026-01-01T00:00:20+00:00",
-        time=time,
-        position=position,
-        rate_hz=scene.rate,
-        rig=rig,
-    )
+    return as_recording(time - time[0], position, scene.rate, rig, f"law {scene.law}")
 
 
 def written(path, recording):
@@ -503,4 +510,4 @@ def imported(path, time, position, decimals=5, **options):
     """Write a table of times and positions, and return the recording that is imported from it, bare of calibration."""
     rows = np.c_[time, np.round(position, decimals)]
     np.savetxt(path, rows, fmt=["%.6f", f"%.{max(decimals, 1)}f"], delimiter=",", header="t,x", comments="")
-    return track.read(path, ImportOptions(**options)).run
+    return table_to_run.read(path, ImportOptions(**options)).run

@@ -49,7 +49,7 @@ def loaded(command: str, *lines: list[str], cwd: object = None) -> list[set[str]
 @pytest.mark.parametrize("command", HELP)
 def test_help_loads_no_numerical_package(command):
     lines = [["--help"], *([name, "--help"] for name in HELP[command].split())]
-    heavy = {"numpy", "h5py", "scipy", "pandas", "matplotlib", "numba", "pydantic", "serial"}
+    heavy = {"numpy", "h5py", "scipy", "pandas", "matplotlib", "numba", "pydantic", "serial", "jinja2"}
     for line, names in zip(lines, loaded(command, *lines), strict=True):
         assert not names & heavy, line
 

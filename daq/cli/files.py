@@ -66,7 +66,7 @@ def import_table(
     from dataclasses import replace
 
     from daq.base.output import atomic, names, suffix
-    from daq.imports import track
+    from daq.imports import table_to_run
     from daq.runfile import store
 
     given = notes.given()
@@ -74,7 +74,7 @@ def import_table(
     suffix.check_run(target)
     atomic.refuse_existing(target, force, file)
     with application.progress("reading", None, "lines") as show:
-        imported = track.read(file, options, show.stage)
+        imported = table_to_run.read(file, options, show.stage)
     store.write(target, replace(imported.run, **given), force=force)
     data = sentences.run_data(imported.run, target, imported.warnings) | {
         key: getattr(imported, key) for key in ("columns", "delimiter", "decimal", "even", "skipped", "assumed")

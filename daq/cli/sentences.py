@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from daq.calibration.ring_down import RingDown
     from daq.finalise.quality import RecordingQuality
     from daq.imports.capture import Totals
-    from daq.imports.track import Imported
+    from daq.imports.table_to_run import Imported
     from daq.runfile.recording import Recording
     from daq.runfile.rig import Rig
 

@@ -66,9 +66,9 @@ def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":
         return store.load(place)
     import warnings
 
-    from daq.imports import track  # with the library of the command line, which run files do without
+    from daq.imports import table_to_run  # with the library of the command line, which run files do without
 
-    imported = track.read(place, _options(import_options))
+    imported = table_to_run.read(place, _options(import_options))
     for text in imported.warnings:
         warnings.warn(f"{place.name}: {in_python(text)}", UserWarning, stacklevel=2)
     return imported.run

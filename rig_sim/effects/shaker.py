@@ -32,7 +32,7 @@ the shaker's own mass.
 import math
 
 from rig_sim.dynamics.control.phasor import phasor
-from rig_sim.dynamics.orbits.fixed_point import friction_at_rest
+from rig_sim.dynamics.limit_cycles.fixed_point import friction_at_rest
 from rig_sim.flow.flow import Flow
 
 CREEP = 0.1  # frequency over abs(delta): a slower oscillation is over, or grown e^63-fold, within one period

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from rig_sim.dynamics.analyses.special_points import Branch, SpecialPoint
     from rig_sim.dynamics.analyses.special_points import Continuation as Found
-    from rig_sim.dynamics.orbits.point_draws import PointInterval
+    from rig_sim.dynamics.limit_cycles.point_draws import PointInterval
     from rig_sim.dynamics.system.formula import FormulaMap
 
 MOST_DRAWS = 100_000
@@ -190,7 +190,7 @@ def continue_(
         if draws is not None:
             raise InputError("--draws with two masses", "--draws", "leave it out")
         return _of_two_masses(SweptScene(first, span.key), span, progress)
-    from rig_sim.dynamics.orbits.branches import continuation
+    from rig_sim.dynamics.limit_cycles.branches import continuation
 
     drawn = None
     if draws is not None:
@@ -210,7 +210,7 @@ def _stage(name: str, whole_: int, progress: Stages) -> Callable[[float], None]:
 
 
 def _of_two_masses(swept: SweptScene, span: ParameterRange, progress: Stages) -> Continuation:
-    from rig_sim.dynamics.rig.stick import STEPS_IN_ALL
+    from rig_sim.dynamics.return_maps.stick import STEPS_IN_ALL
     from rig_sim.dynamics.system.step_budget import StepBudget
 
     budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_VALUE * span.number))
@@ -244,7 +244,7 @@ def point_intervals(
     progress: Stages = silent,
 ) -> "tuple[tuple[PointInterval, ...], int]":
     """Return the interval of each special point, and how many draws were no rig."""
-    from rig_sim.dynamics.orbits.point_draws import MovingPoint, interval
+    from rig_sim.dynamics.limit_cycles.point_draws import MovingPoint, interval
 
     moving = [MovingPoint(point, swept.flow, span.values()) for point in points]
     places: list[list[float]] = [[] for _ in moving]

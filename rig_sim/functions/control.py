@@ -383,7 +383,7 @@ def _as_fields(f: FormulaMap, locking: "Locking") -> dict[str, Any]:
 
 def _orbit_row(f: FormulaMap, orbit: "UnstableOrbit") -> dict[str, Any]:
     """Return an orbit by the names of JSON."""
-    from rig_sim.dynamics.rig.landing import LandingMap
+    from rig_sim.dynamics.return_maps.landing import LandingMap
 
     if not isinstance(f, LandingMap):
         return {"points": orbit.points, "x": orbit.points[:, 0], "multipliers": orbit.multipliers}
@@ -403,7 +403,7 @@ def _searched(f: FormulaMap, start: "Array", period: int, budget: float, progres
     """Return what the thesis's search-and-lock has found, by the names of the result's fields."""
     from rig_sim.dynamics.control.locking import ADVICE
     from rig_sim.dynamics.control.search_and_lock import search_and_lock
-    from rig_sim.dynamics.rig.landing import LandingMap
+    from rig_sim.dynamics.return_maps.landing import LandingMap
     from rig_sim.dynamics.system.step_budget import StepLimitError
 
     try:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from daq.base.compute.arrays import Array, Integers
     from rig_sim.dynamics.analyses.basins import Attractor
     from rig_sim.dynamics.analyses.periodic_points import PeriodicPoint
-    from rig_sim.dynamics.rig.stick import StickEvent, StickMap
+    from rig_sim.dynamics.return_maps.stick import StickEvent, StickMap
     from rig_sim.scenes.model import Scene
 
 MOST_CELLS = 1_000_000
@@ -355,7 +355,7 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
 
 def _with_steps(scene: "Scene", events: int) -> "StickMap":
     """Return the map of two masses with integrator steps for an analysis or, if more, for ``events``."""
-    from rig_sim.dynamics.rig.stick import STEPS_IN_ALL
+    from rig_sim.dynamics.return_maps.stick import STEPS_IN_ALL
     from rig_sim.dynamics.system.step_budget import StepBudget
 
     return stick_map(scene, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))

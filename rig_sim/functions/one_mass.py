@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from daq.base.errors import check_known
-from rig_sim.dynamics.orbits import fixed_point as fixed
-from rig_sim.dynamics.orbits import floquet as multipliers
-from rig_sim.dynamics.orbits import limit_cycle
+from rig_sim.dynamics.limit_cycles import fixed_point as fixed
+from rig_sim.dynamics.limit_cycles import floquet as multipliers
+from rig_sim.dynamics.limit_cycles import limit_cycle
 from rig_sim.flow.modes import NEGATIVE, POSITIVE
 from rig_sim.functions.arguments import SceneLike, scene_of
 from rig_sim.functions.result import PALE, STABLE, UNIT, Result, table_lines

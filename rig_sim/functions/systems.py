@@ -12,9 +12,9 @@ from rig_sim.scenes.scene import change_in_python, scene
 if TYPE_CHECKING:
     from daq.base.compute.arrays import Array
     from rig_sim.dynamics.analyses.sweep import AttractorAt
-    from rig_sim.dynamics.rig.driven import DrivenMap
-    from rig_sim.dynamics.rig.landing import LandingMap
-    from rig_sim.dynamics.rig.stick import StickMap
+    from rig_sim.dynamics.return_maps.driven import DrivenMap
+    from rig_sim.dynamics.return_maps.landing import LandingMap
+    from rig_sim.dynamics.return_maps.stick import StickMap
     from rig_sim.dynamics.system.formula import FormulaMap
     from rig_sim.dynamics.system.step_budget import StepBudget
     from rig_sim.flow.flow import Flow
@@ -38,7 +38,7 @@ def stick_map(scene: Scene, budget: "StepBudget | None" = None) -> "StickMap":
     InputError
         One mass, masses that are not physical, or a belt at rest.
     """
-    from rig_sim.dynamics.rig.stick import StickMap
+    from rig_sim.dynamics.return_maps.stick import StickMap
 
     flow = scene.two_mass_flow()
     try:
@@ -83,7 +83,7 @@ def driven_map(scene: Scene, section: str) -> "tuple[DrivenMap, Array]":
     """Return a driven mass as a system, and the scene's own start; errors as `with_period`."""
     import numpy as np
 
-    from rig_sim.dynamics.rig.driven import DrivenMap
+    from rig_sim.dynamics.return_maps.driven import DrivenMap
 
     flow, x, v = with_period(scene)
     return DrivenMap(flow, section), np.array([x, v])
@@ -97,7 +97,7 @@ def landing_map(scene: Scene, budget: "StepBudget") -> "LandingMap":
     InputError
         Two masses, no drive, or numbers that are not physical.
     """
-    from rig_sim.dynamics.rig.landing import LandingMap
+    from rig_sim.dynamics.return_maps.landing import LandingMap
 
     flow = scene.flow()
     if scene.drive is None:
@@ -142,7 +142,7 @@ class TwoMassAttractors:
 
     def __call__(self, value: float) -> "list[AttractorAt]":
         """Return the attractors, the largest basin first."""
-        from rig_sim.dynamics.rig.section import attractors_at
+        from rig_sim.dynamics.return_maps.section import attractors_at
 
         return attractors_at(lambda at: self.swept.at(at).two_mass_flow(), self.section, value)
 
@@ -158,7 +158,7 @@ class DrivenAttractors:
         """Return the attractors, the one that most starts lead to first."""
         from rig_sim.dynamics.analyses.settling import attractors
         from rig_sim.dynamics.analyses.sweep import AttractorAt
-        from rig_sim.dynamics.rig.driven import with_starts
+        from rig_sim.dynamics.return_maps.driven import with_starts
 
         flow, x, v = driven_start(self.swept.at(value))
         if flow.omega == 0.0:

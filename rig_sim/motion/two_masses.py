@@ -84,8 +84,8 @@ def stretch(scene: Scene) -> float:
     if begin.attractor is None:
         raise InputError("does not begin in a global stick", f"scene {scene.name}", "set start.d or start.attractor")
     from rig_sim.dynamics.analyses.basins import basins
-    from rig_sim.dynamics.rig.section import CELLS
-    from rig_sim.dynamics.rig.stick import StickMap
+    from rig_sim.dynamics.return_maps.section import CELLS
+    from rig_sim.dynamics.return_maps.stick import StickMap
 
     flow = scene.two_mass_flow()
     found = basins(StickMap(flow), CELLS).attractors if flow.mass.v_belt else ()

@@ -321,12 +321,6 @@ def test_imports_without_calibration_and_runs_in_counts_are_shown(browser: Any, 
             check_layout(page, 1400)
 
 
-def test_an_address_that_is_no_views_says_so(browser: Any, finished: str) -> None:
-    with opened(browser, finished.rsplit("/", 2)[0] + "/" + "x" * 24 + "/") as page:
-        assert "There is no live view at this address" in page.evaluate("document.body.textContent")
-        assert page.title() == "no live view here"
-
-
 # ---- a recording ---------------------------------------------------------------------------------------------------
 
 

@@ -1,4 +1,4 @@
-"""The public names of daq: each on the reference page, its examples run; the page of rig.toml has every key."""
+"""Examples of the public functions do what they say; the page of rig.toml has every key."""
 
 import doctest
 import re
@@ -12,13 +12,14 @@ import processing
 from daq.base.console.settings import KEYS
 from daq.base.measured import QUANTITIES
 from daq.runfile.rig import SECTIONS
+from fitting import Law, Ranking, rank
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize(
     "what",
-    [daq.Recording.from_arrays, daq.load, daq.record, daq.recover, processing.smooth],
+    [daq.Recording.from_arrays, daq.load, daq.record, daq.recover, processing.smooth, rank, Ranking, Law],
     ids=lambda what: what.__name__,
 )
 def test_its_example_does_what_it_says(what, tmp_path, monkeypatch):

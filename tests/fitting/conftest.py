@@ -23,6 +23,12 @@ def strangers():
     return stranger_records
 
 
+@pytest.fixture
+def no_rivals(monkeypatch):
+    """Let no published formula compete that was not named: to reject one may cost several times the fit of a law."""
+    monkeypatch.setattr("fitting.selection.rivals.preferred_forms", lambda forms: [])
+
+
 @pytest.fixture(scope="session")
 def belt_rig():
     """Give the module of the tests' own rig."""

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import h5py
 import pytest
@@ -15,7 +16,7 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from daq.base.measured import Measured
 from daq.runfile import listing, store
-from daq.runfile.recording import Recording
+from daq.runfile.rig import Rig
 from fitting import cli, job
 from fitting.competitors import Competitors, numbers
 from fitting.report import stage as fit_stage
@@ -145,21 +146,8 @@ def test_the_report_goes_beside_the_run(fitted):
     assert answer.data["report"].exists()
 
 
-def test_damping_without_a_mass_is_refused(run, tmp_path):
-    path = tmp_path / "bare.h5"
-    data = store.load(run)
-    store.write(
-        path,
-        Recording(
-            title="",
-            started=data.started,
-            ended=data.ended,
-            rate_hz=1000.0,
-            rig=type(data.rig)(),
-            time=data.time,
-            position=data.position,
-        ),
-    )
+def test_damping_without_a_mass_is_refused(belt_rig, run, tmp_path):
+    path = belt_rig.written(tmp_path / "bare.h5", replace(store.load(run), rig=Rig()))
     with pytest.raises(InputError, match="without a mass"):
         command.fit(path, damping=Measured(0.01))
 
@@ -225,19 +213,6 @@ def test_parts_and_reports_that_cannot_be_are_refused(run, flags, what):
     with pytest.raises(InputError) as refused:
         command.fit(run, **flags)
     assert what in f"{refused.value.what} {refused.value.where}"
-
-
-def test_help_loads_nothing_numerical():
-    source = (
-        "import sys\nfrom daq.base.console import application\nfrom fitting.cli import app\n"
-        "code = application.run(app, ['--help'])\n"
-        "heavy = {'numpy', 'h5py', 'scipy', 'numba', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
-        "sys.exit(code or (1 if heavy else 0))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "Example: fit-friction" in done.stdout
-    assert "--scheduler" in done.stdout
 
 
 def test_the_ranking_can_be_had_as_a_table(run, tmp_path):

@@ -6,13 +6,6 @@ from daq.base.errors import InputError
 from fitting.law import PUBLISHED, Law
 
 
-def test_a_fault_of_the_formula_is_shown_with_a_caret():
-    with pytest.raises(InputError) as refused:
-        Law("mine", "Fc + (Fs - Fc)*exp(-s/v_s")
-    line, caret = refused.value.do.splitlines()[-2:]
-    assert line[caret.index("^")] == "("
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

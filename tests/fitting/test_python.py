@@ -1,7 +1,6 @@
 """`fitting` from Python: arrays in, results out, the numbers of the command, and mistakes answered with what to do."""
 
 import ast
-import doctest
 import inspect
 import json
 import re
@@ -41,17 +40,6 @@ def ranking(run):
 def joint(run):
     motion = processing.smooth(run)
     return fitting.rank([motion, motion], laws=5)
-
-
-@pytest.mark.parametrize("what", [fitting.rank, fitting.Ranking, fitting.Law], ids=lambda what: what.__name__)
-def test_its_example_does_what_it_says(what, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(ROOT / "data_samples", "data_samples")
-    (test,) = [found for found in doctest.DocTestFinder(recurse=False).find(what, what.__name__) if found.examples]
-    said: list[str] = []
-    result = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(test, out=said.append)
-    assert result.attempted > 0
-    assert result.failed == 0, "".join(said)
 
 
 def without_costs(document):

@@ -62,15 +62,20 @@ def _end(name: str) -> "NoReturn":
 def interrupt_again(lost: "UnraisableHookArgs") -> None:
     """Let a Ctrl-C come again that was lost in a callback of a library; report other exceptions as usual.
 
-    An exception cannot leave such a callback: Python prints it and the command goes on.
+    An exception cannot leave such a callback: Python prints it and the command goes on.  The signal is sent to the main
+    thread, so that it also ends a call which waits there; `_thread.interrupt_main` would take effect behind that call.
     """
     import _thread
+    import signal
     import sys
     import threading
 
     if lost.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(lost)
         return
-    timer = threading.Timer(AGAIN_S, _thread.interrupt_main)
+    if sys.platform == "win32":  # has no signals to threads
+        timer = threading.Timer(AGAIN_S, _thread.interrupt_main)
+    else:
+        timer = threading.Timer(AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
     timer.daemon = True
     timer.start()

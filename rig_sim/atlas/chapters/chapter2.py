@@ -10,7 +10,7 @@ from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import F, T, V, X, motion
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import entries
-from rig_sim.dynamics.orbits.limit_cycle import Orbit, cycle
+from rig_sim.dynamics.limit_cycles.limit_cycle import Orbit, cycle
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.motion.play import Event, events

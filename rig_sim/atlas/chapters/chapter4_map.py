@@ -13,8 +13,8 @@ from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.map_branches import map_continuation
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
 from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
-from rig_sim.dynamics.rig.section import CELLS, attractors_at
-from rig_sim.dynamics.rig.stick import StickMap
+from rig_sim.dynamics.return_maps.section import CELLS, attractors_at
+from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.dynamics.system.interface import slope
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene

@@ -9,8 +9,8 @@ from daq.base.compute.arrays import Array
 from rig_sim.atlas.figure import Computed, Label, Panel, Trace
 from rig_sim.atlas.statements import entries
 from rig_sim.dynamics.analyses.exponent import Exponent, exponent
-from rig_sim.dynamics.orbits.fixed_point import two_mass_fixed_point
-from rig_sim.dynamics.rig.stick import StickMap
+from rig_sim.dynamics.limit_cycles.fixed_point import two_mass_fixed_point
+from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.motion.two_masses import TwoMassEvent, TwoMassPlayer, stretch, two_mass_events

@@ -9,10 +9,10 @@ from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import V, X, motion
 from rig_sim.atlas.figure import Computed, Panel, Style, Trace
 from rig_sim.atlas.statements import entries
-from rig_sim.dynamics.orbits.branches import continuation
-from rig_sim.dynamics.orbits.fixed_point import FixedPoint, fixed_point
-from rig_sim.dynamics.orbits.floquet import FloquetOrbit, floquet
-from rig_sim.dynamics.orbits.limit_cycle import Orbit, cycle
+from rig_sim.dynamics.limit_cycles.branches import continuation
+from rig_sim.dynamics.limit_cycles.fixed_point import FixedPoint, fixed_point
+from rig_sim.dynamics.limit_cycles.floquet import FloquetOrbit, floquet
+from rig_sim.dynamics.limit_cycles.limit_cycle import Orbit, cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 

@@ -24,8 +24,8 @@ from rig_sim.atlas.chapters.chapter5 import (
 from rig_sim.atlas.figure import Computed, Label, Panel, Style, Trace
 from rig_sim.atlas.statements import entries
 from rig_sim.dynamics.analyses.special_points import Branch, Continuation
-from rig_sim.dynamics.orbits.branches import continuation
-from rig_sim.dynamics.orbits.floquet import FloquetOrbit
+from rig_sim.dynamics.limit_cycles.branches import continuation
+from rig_sim.dynamics.limit_cycles.floquet import FloquetOrbit
 
 SPACE_FROM = 0.28  # the least damping of figure 5.7
 BESIDE = 1e-6  # of a special point: how close to it the branches are drawn and the fold's multiplier is taken

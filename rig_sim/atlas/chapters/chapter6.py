@@ -12,8 +12,8 @@ from rig_sim.dynamics.analyses.exponent import Exponent, exponent
 from rig_sim.dynamics.analyses.settling import attractors
 from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
 from rig_sim.dynamics.control.dither import Quench, quench
-from rig_sim.dynamics.orbits.limit_cycle import cycle
-from rig_sim.dynamics.rig.driven import DrivenMap, with_starts
+from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.dynamics.return_maps.driven import DrivenMap, with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 

@@ -15,7 +15,7 @@ from rig_sim.dynamics.control.ogy import Lock
 from rig_sim.dynamics.control.phasor import phasor
 from rig_sim.dynamics.control.search_and_lock import SearchAndLock, search_and_lock
 from rig_sim.dynamics.control.stability import ShakerCurve, ShakerPlane
-from rig_sim.dynamics.rig.landing import LandingMap
+from rig_sim.dynamics.return_maps.landing import LandingMap
 
 S = 0.3  # gamma_lin - c: the thesis's least amplification at phi = pi
 HIGHEST = 5.5  # amplification drawn, that of figure 6.11

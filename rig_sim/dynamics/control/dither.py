@@ -22,7 +22,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.analyses.settling import TRANSIENTS, Settled, settled
-from rig_sim.dynamics.rig.driven import DrivenMap
+from rig_sim.dynamics.return_maps.driven import DrivenMap
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow

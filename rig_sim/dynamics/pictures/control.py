@@ -24,8 +24,8 @@ from rig_sim.dynamics.control.dither import (
 )
 from rig_sim.dynamics.control.ogy import Lock
 from rig_sim.dynamics.control.stability import ShakerPlane
-from rig_sim.dynamics.rig.driven import DrivenMap
-from rig_sim.dynamics.rig.landing import LandingMap
+from rig_sim.dynamics.return_maps.driven import DrivenMap
+from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow.flow import Flow
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -71,8 +72,10 @@ FORMATS = {
 }
 
 
-@pytest.mark.parametrize("unit", ["mm", "cm", "um"])
-@pytest.mark.parametrize("form", FORMATS)
+UNITS = ("mm", "cm", "um")
+
+
+@pytest.mark.parametrize(("form", "unit"), [*zip(FORMATS, cycle(UNITS), strict=False), ("csv", "cm"), ("csv", "um")])
 def test_every_format_is_read_with_the_units_it_states(tmp_path, form, unit):
     run = daq.load(FORMATS[form](tmp_path, columns(unit)))
     np.testing.assert_allclose(run.time, TIME, atol=1e-6)

@@ -8,7 +8,7 @@ import daq
 import processing
 from daq.base.errors import InputError
 from daq.cli import sentences
-from daq.imports import track
+from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
 
 
@@ -24,14 +24,14 @@ def path(tmp_path):
 
 
 def test_vectors_become_columns_bit_for_bit(path):
-    found = track.read(path[0], ImportOptions(time="t", position="qm")).run
+    found = table_to_run.read(path[0], ImportOptions(time="t", position="qm")).run
     assert np.array_equal(found.time, path[1])
     assert np.array_equal(found.position, path[2])
 
 
 def test_vectors_are_not_described_as_text_with_a_delimiter(path):
     # It was "read as: delimiter tab, decimal '.'".
-    words = sentences.columns(track.read(path[0], ImportOptions(time="t", position="qm")))
+    words = sentences.columns(table_to_run.read(path[0], ImportOptions(time="t", position="qm")))
     assert words.startswith("read as: vectors of a MATLAB file, time from column 't' in s")
 
 
@@ -39,7 +39,7 @@ def test_process_smooths_what_daq_import_made_of_it(path, tmp_path):
     from daq.runfile import store
 
     target = tmp_path / "run.h5"
-    store.write(target, track.read(path[0], ImportOptions(time="t", position="qm")).run)
+    store.write(target, table_to_run.read(path[0], ImportOptions(time="t", position="qm")).run)
     motion = processing.smooth(daq.load(target))
     inner = slice(200, -200)
     assert np.abs(motion.velocity - 0.3 * np.cos(3 * path[1]))[inner].max() < 1e-4
@@ -47,19 +47,19 @@ def test_process_smooths_what_daq_import_made_of_it(path, tmp_path):
 
 def test_a_name_that_is_not_there_is_told_with_those_that_are(path):
     with pytest.raises(InputError, match="qm"):
-        track.read(path[0], ImportOptions(time="t", position="q"))
+        table_to_run.read(path[0], ImportOptions(time="t", position="q"))
 
 
 def test_what_is_no_matlab_file_is_refused(tmp_path):
     target = tmp_path / "fake.mat"
     target.write_text("t,x\n0,1\n")
     with pytest.raises(InputError, match="is not a MATLAB file"):
-        track.read(target, ImportOptions())
+        table_to_run.read(target, ImportOptions())
     savemat(tmp_path / "empty.mat", {"name": "nothing"})
     with pytest.raises(InputError, match="holds no vector"):
-        track.read(tmp_path / "empty.mat", ImportOptions())
+        table_to_run.read(tmp_path / "empty.mat", ImportOptions())
     with pytest.raises(InputError, match="no such file"):
-        track.read(tmp_path / "missing.mat", ImportOptions())
+        table_to_run.read(tmp_path / "missing.mat", ImportOptions())
 
 
 def test_a_file_that_crashes_the_matlab_library_is_refused(tmp_path):
@@ -71,4 +71,4 @@ def test_a_file_that_crashes_the_matlab_library_is_refused(tmp_path):
     content[145] |= 8
     target.write_bytes(content)
     with pytest.raises(InputError, match="it crashes the library"):
-        track.read(target, ImportOptions())
+        table_to_run.read(target, ImportOptions())

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -68,6 +69,16 @@ class Viewer:
         answer.close()
         link.close()
         return found
+
+
+@contextmanager
+def started(line: list[str]) -> Iterator["subprocess.Popen[str]"]:
+    """Start a command, and kill it where a test fails: the test would wait for it for ever."""
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.fixture
@@ -159,7 +170,7 @@ def test_a_viewer_waits_for_the_first_record(keep_journal: Callable[..., Path], 
     line = [sys.executable, "-m", "daq.cli.app", "watch", str(part), "--no-browser", "--wait"]
     done = subprocess.run([*line, "0.2"], capture_output=True, text=True, check=False)
     assert (done.returncode, "is not a journal of daq" in done.stderr) == (2, True)
-    with subprocess.Popen([*line, "30"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with started([*line, "30"]) as process:
         time.sleep(2.0)
         assert process.poll() is None
         with part.open("ab") as file:
@@ -173,7 +184,7 @@ def test_a_viewer_that_is_killed_leaves_the_recording_alone(tmp_path: Path) -> N
     run = tmp_path / "run.h5"  # the whole path, so that pkill finds no viewer of a test that runs beside this one
     line = [sys.executable, "-m", "daq.cli.app", "record", "--live", "--no-browser", "--duration", "6", "--json"]
     line += ["--output", str(run)]
-    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with started(line) as process:
         assert process.stderr is not None
         lines = iter(process.stderr.readline, "")
         url = urlsplit(next(text.strip() for text in lines if text.startswith("http")))
@@ -247,8 +258,8 @@ def test_a_journal_that_vanishes_or_is_replaced_ends_the_view_with_a_reason(view
 
 def test_a_finished_run_is_served_until_it_is_interrupted(keep_journal: Callable[..., Path]) -> None:
     run = keep_journal(duration_s=12.0).with_suffix("")
-    line = [sys.executable, "-m", "daq.cli.app", "watch", str(run), "--no-browser", "--json"]
-    with subprocess.Popen(line[:-1], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    line = [sys.executable, "-m", "daq.cli.app", "watch", str(run), "--no-browser"]
+    with started(line) as process:
         assert process.stdout is not None
         address = urlsplit(process.stdout.readline().strip())
         viewer = Viewer.__new__(Viewer)

@@ -279,20 +279,6 @@ def test_lost_frames_are_counted_and_marked_and_never_filled(tmp_path, attach):
     assert "24 samples were lost in 2 places" in found.warnings
 
 
-def test_a_damaged_frame_is_thrown_away_and_counted(tmp_path, attach):
-    attach(FakeBoard({30: lambda line: line[:20] + bytes([line[20] ^ 4]) + line[21:]}))
-    found = record(request(tmp_path))
-    assert (found.crc_errors, found.lost, found.samples) == (1, 8, 792)
-    assert (240, "crc") in kinds(daq.load(tmp_path / "run.h5"))
-
-
-def test_a_repeated_frame_is_left_out(tmp_path, attach):
-    attach(FakeBoard({30: lambda line: line + line}))
-    found = record(request(tmp_path))
-    assert (found.samples, found.lost, found.segments) == (800, 0, 1)
-    assert any("came twice or late" in warning for warning in found.warnings)
-
-
 @pytest.mark.parametrize(
     "faults",
     [
@@ -325,22 +311,6 @@ def test_a_port_that_stays_away_leaves_what_came(tmp_path, attach):
     attach(FakeBoard({50: raising(SerialException("gone"))}))
     found = record(request(tmp_path))
     assert found.samples == 400
-
-
-def test_a_board_that_resets_is_set_to_work_again(tmp_path, attach):
-    def reset(line):
-        board.running = False
-        board.start_ticks = 123
-        board.faults.clear()
-        return line[:30] + b"\0" + board.ident()
-
-    board = FakeBoard({40: reset})
-    attach(board)
-    found = record(request(tmp_path))
-    run = daq.load(tmp_path / "run.h5")
-    assert found.segments == 2
-    assert board.commands.count("S") == 2
-    assert (320, "reopened") in kinds(run)
 
 
 def test_a_gap_too_long_for_the_counters_is_invalid_and_not_joined(tmp_path, attach):

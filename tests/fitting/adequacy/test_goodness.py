@@ -147,6 +147,7 @@ def test_wear_within_the_slips_is_no_misfit(belt_rig):
     assert found.goodness.repeat < 0.1
 
 
+@pytest.mark.usefixtures("no_rivals")
 def test_slips_that_a_joint_has_struck_spoil_no_others(belt_rig):
     """Two of 12 slips pulled the parameters of law 4 until the others were too smooth for noise (p = 8e-7)."""
     scene = belt_rig.nominal(4, 2, belt=0.3, duration=16.0)

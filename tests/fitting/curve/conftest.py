@@ -2,15 +2,11 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from daq.base.measured import Measured
-from daq.runfile.recording import Recording
-from daq.runfile.rig import Rig
 from fitting.curve.measure import measure_curve
 from fitting.data import cycles, frame
 from fitting.driver.driver import fit_laws
@@ -20,31 +16,13 @@ from processing.smoothing import smooth
 
 from ... import rig as belt_rig
 
-JITTER, COUNT = 30e-6, 50e-6
+COUNT = 50e-6  # m
 
 
 def run_of(contact, bare):
     """Bring a contact, recorded by an encoder of 50 um, calibrated unless ``bare``, into the fit's frame."""
-    time, position = belt_rig.recorded(contact, count=COUNT, jitter=JITTER)
-    rig = Rig(name="contact", metres_per_count=Measured(COUNT))
-    if not bare:
-        rig = replace(
-            rig,
-            mass=Measured(contact.m, 1e-3 * contact.m),
-            datum=Measured(0.0, 5e-4),
-            damping=Measured(contact.c, 0.1 * contact.c + 1e-4),
-        )
-    recording = Recording(
-        source=Path("contact.h5"),
-        title=contact.curve,
-        started="2026-01-01T00:00:00+00:00",
-        ended="2026-01-01T00:00:30+00:00",
-        time=time,
-        position=position,
-        rate_hz=1000.0,
-        rig=rig,
-    )
-    motion = frame.from_kinematics(smooth(recording), rig, None)
+    recording = belt_rig.by_encoder(contact, count=COUNT, damping_sd=None if bare else 0.1 * contact.c + 1e-4)
+    motion = frame.from_kinematics(smooth(recording), recording.rig, None)
     return Run(motion, cycles.segment_cycles(motion, frozenset()))
 
 
@@ -60,7 +38,9 @@ def measured():
     def of(*together, laws=(5,), bare=False):
         runs = [run_of(contact, bare) for contact in together]
         fits = sorted(map(Fit.of, fit_laws(laws, runs)), key=lambda fit: fit.geometric_mean_rms)
-        noise = np.array([np.sqrt(COUNT**2 / 12 + JITTER**2 * np.mean(run.motion.velocity**2)) for run in runs])
+        noise = np.array(
+            [np.sqrt(COUNT**2 / 12 + belt_rig.JITTER**2 * np.mean(run.motion.velocity**2)) for run in runs]
+        )
         curve = measure_curve(fits, noise)
         contact = together[0]
         truth = np.array([belt_rig.curve(contact, s) for s in curve.speed - curve.ramp]) / contact.m

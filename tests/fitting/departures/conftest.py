@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from daq.imports import track
+from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
 from fitting.data import cycles, frame, ripple
 from fitting.departures.base import Base
@@ -27,7 +27,7 @@ def fitted(belt_rig, tmp_path_factory):
         time, position = belt_rig.recorded(belt_rig.Contact(duration=duration, **changes), count=count)
         path = folder / "contact.csv"
         np.savetxt(path, np.c_[time, position], fmt="%.6f,%.7f", header="t,x", comments="")
-        kinematics = smooth(track.read(path, ImportOptions()).run)
+        kinematics = smooth(table_to_run.read(path, ImportOptions()).run)
         motion = frame.from_kinematics(kinematics, kinematics.recording.rig, None)
         cut = cycles.segment_cycles(motion)
         found = ripple.find_ripple(motion, cut)

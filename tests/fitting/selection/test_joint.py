@@ -112,17 +112,9 @@ def test_one_run_in_a_list_is_that_run(runs_of):
 
 
 @pytest.mark.slow
-def test_narrow_ramps_are_told_from_belts_that_give_by_a_share_of_their_speed(tmp_path):
-    from daq.protocols.request import RecordRequest
-    from daq.recorder import ports
-    from daq.recorder.record import record
-
-    runs = []
-    for number, speed in enumerate(SPEEDS):
-        path = tmp_path / f"run{number}.h5"
-        listed = [f"belt.speed={speed}", "droop.fraction=0.01", "friction.law=5", f"seed={number}"]
-        record(RecordRequest(ports.rig_url("rig", listed, False), path, 1000, 20.0))
-        runs.append(smooth(store.load(path)))
+def test_narrow_ramps_are_told_from_belts_that_give_by_a_share_of_their_speed(simulated):
+    changes = ("droop.fraction=0.01", "friction.law=5")
+    runs = [simulated(f"belt.speed={speed}", *changes, f"seed={number}") for number, speed in enumerate(SPEEDS)]
     assert rank(runs[1], laws=(5, 6)).laws_in_set == (5, 6)
     assert rank(runs, laws=(5, 6)).laws_in_set == (5,)
 

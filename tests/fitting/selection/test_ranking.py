@@ -142,22 +142,6 @@ def changed(belt_rig, position):
     return smooth(replace(recording, position=np.floor(position(recording.time) / 7.67e-6) * 7.67e-6))
 
 
-@pytest.mark.parametrize(
-    "position",
-    [
-        lambda t: 0.22 * t,
-        lambda t: np.full(t.size, 0.01),
-        lambda t: 1e-3 * np.random.default_rng(1).standard_normal(t.size),
-        lambda t: np.cumsum(1e-4 * np.random.default_rng(2).standard_normal(t.size)),
-        lambda t: 0.05 * np.sin(3 * t + 0.5 * t**2),
-    ],
-    ids=["ramp", "constant", "noise", "walk", "chirp"],
-)
-def test_what_is_no_stick_slip_is_never_ranked(belt_rig, position):
-    with pytest.raises(DataError, match="no belt stick-slip in this record"):
-        rank(changed(belt_rig, position))
-
-
 def test_a_sine_without_a_start_up_may_be_constant_friction(belt_rig):
     kinematics = changed(belt_rig, lambda t: 0.1307 + 0.22 / 5.93 * np.sin(5.93 * t))
     with pytest.raises(DataError, match="constant friction is possible"):

@@ -16,6 +16,8 @@ from processing.record.setting import Setting
 from processing.segmentation import landing_snap
 from processing.segmentation.switching_times import KERNELS, SwitchingTimes
 
+BELT = 0.22  # m/s, as the motions have it
+
 
 def velocity_error(found, v):
     error = 1e3 * (found.velocity - v)
@@ -29,6 +31,13 @@ def near_landings(true, within=0.01):
     return near
 
 
+def in_sticks(true):
+    stuck = np.zeros(true.time.size, bool)
+    for start, end in true.sticks:
+        stuck |= (true.time > start) & (true.time < end)
+    return stuck
+
+
 # Pitch, jitter, times, and the limits in mm/s of rms and largest error.
 CLAIMED = [
     (7.67e-6, 30e-6, "recorded", 0.07, 1.8),
@@ -37,7 +46,7 @@ CLAIMED = [
 ]
 
 
-@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(("pitch", "jitter", "times", "rms", "largest"), CLAIMED)
 def test_sticks_and_slips_smoothed_apart_keep_the_flat_top(motion, recorded, seed, pitch, jitter, times, rms, largest):
     true = motion(5, 60.0, jitter, seed=seed)
@@ -64,17 +73,14 @@ def test_a_mass_that_rests_and_is_then_dragged_slowly_is_no_straight_line(speed)
 
 def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
     covered, covered_near = [], []
-    for seed in (1, 2, 5):
+    for seed in (1, 2, 3):
         true = motion(5, 60.0, seed=seed)
         data = series.from_recording(recorded(true))
         found = registry.estimate("auto", data, Setting())
         error = found.velocity - true.v
         near = near_landings(true)
         assert 1e3 * np.sqrt(np.mean(error[near] ** 2)) < 0.4
-        stuck = np.zeros(true.time.size, bool)
-        for start, end in true.sticks:
-            stuck |= (true.time > start) & (true.time < end)
-        assert 1e3 * np.sqrt(np.mean(error[stuck] ** 2)) < 0.02
+        assert 1e3 * np.sqrt(np.mean(error[in_sticks(true)] ** 2)) < 0.02
         inside = np.abs(error) <= 2 * found.velocity_errors
         covered.append(inside.mean())
         covered_near.append(inside[near].mean())
@@ -99,17 +105,27 @@ def test_corner_times_lie_within_their_uncertainties(motion, recorded):
     assert np.median([s.start_sd for s in found.sticks[1:]]) < 3e-4
 
 
-@pytest.mark.parametrize("seed", [1, 2, 5])  # of 3, 4 and 6 the mass overtakes the belt before a stick
-def test_landings_are_not_told_late(motion, recorded, seed):
-    # A snap of no mean before landings placed them 72 to 90 us late, and the velocity before them 1.3 mm/s off.
-    true = motion(5, 60.0, seed=seed)
-    found = processing.smooth(recorded(true))
-    starts = np.array([start for start, _ in true.sticks[1:]]) - true.time[0]
-    late = np.array([stick.start - starts[np.argmin(np.abs(starts - stick.start))] for stick in found.sticks])
-    late = late[np.abs(late) < 2e-3]
-    assert late.size >= 33
-    assert abs(late.mean()) < 5e-5
-    assert 1e3 * np.abs(found.velocity - true.v).max() < 1.1
+def test_landings_are_not_told_late(motion, recorded):
+    """A snap of no mean before landings placed them 52 to 90 us late (74 on average), and v before them 0.22 mm/s low.
+
+    Of eight records a mass ahead of the belt lands once each in the third, fourth and sixth.  It has reached the belt's
+    speed 9 to 30 ms earlier, and which of the two the smoother calls the landing is not at stake here.
+    """
+    late, error = [], []
+    for seed in (1, 2, 3):
+        true = motion(5, 60.0, seed=seed)
+        found = processing.smooth(recorded(true))
+        time = true.time - true.time[0]
+        begins = np.array([stick.start for stick in found.sticks])
+        for landing in (start - true.time[0] for start, _ in true.sticks[1:]):
+            if (true.v[(time > landing - 0.1) & (time < landing)] < BELT).all():
+                late.append(begins[np.argmin(np.abs(begins - landing))] - landing)
+                just_before = (time > landing - 2e-3) & (time < landing)
+                error.append((found.velocity - true.v)[just_before].mean())
+    assert len(late) == 33 + 33 + 32
+    assert abs(np.mean(late)) < 2.5e-5
+    assert abs(np.mean(error)) < 1e-4
+    assert np.abs(late).max() < 2.5e-4
 
 
 @pytest.mark.parametrize(
@@ -143,13 +159,6 @@ def test_the_default_is_never_worse_than_the_smoother_without_corners(motion, re
     data = series.from_recording(recorded(true))
     plain, default = (registry.estimate(name, data, Setting()) for name in ("rts", "auto"))
     assert velocity_error(default, true.v)[0] <= 1.03 * velocity_error(plain, true.v)[0]
-
-
-def in_sticks(true):
-    stuck = np.zeros(true.time.size, bool)
-    for start, end in true.sticks:
-        stuck |= (true.time > start) & (true.time < end)
-    return stuck
 
 
 def test_the_mean_snap_before_landings_is_learned_from_many(imported):

@@ -15,7 +15,7 @@ from scipy.io import savemat
 
 from daq.base.console import settings
 from daq.base.measured import Measured
-from daq.imports import capture, replay, sigrok, track
+from daq.imports import capture, replay, sigrok, table_to_run
 from daq.imports.options import ImportOptions, ProbeOptions
 from daq.runfile import listing, store
 from daq.runfile.recording import Raw, Recording
@@ -66,7 +66,7 @@ def damaged_csv(draw: random.Random, folder: Path) -> None:
     for _ in range(draw.choice((1, 1, 2, 4))):
         content = textual(draw, content, tables())
     path.write_bytes(draw.choice((b"", b"", b"\xef\xbb\xbf", b"sep=;\n")) + content)
-    track.read(path, draw.choice(_options()))
+    table_to_run.read(path, draw.choice(_options()))
 
 
 @functools.cache
@@ -104,7 +104,7 @@ def damaged_mat(draw: random.Random, folder: Path) -> None:
     for _ in range(draw.choice((1, 1, 2))):
         content = bytewise(draw, content, mats())
     path.write_bytes(_recompressed(content) if draw.random() < 0.3 else content)
-    track.read(path, draw.choice(_options()))
+    table_to_run.read(path, draw.choice(_options()))
 
 
 @functools.cache

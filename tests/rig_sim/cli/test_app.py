@@ -1,7 +1,6 @@
 """``rig-sim``: its JSON keys, its numbers, its one-line errors, and what it does not import."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -21,11 +20,7 @@ from rig_sim.functions.maps import with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
 
-SHARED = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).parents[4] / "shared"))
-REFERENCE = [
-    Path(__file__).parents[2] / "reference" / "limit_cycles.json",
-    SHARED / "reference" / "limit_cycles.json",
-]
+CASES = json.loads((Path(__file__).parents[2] / "reference" / "limit_cycles.json").read_text())["cases"]
 KEYS = {
     "law": "friction.law",
     "Gs": "friction.G_slip",
@@ -36,13 +31,6 @@ KEYS = {
 }
 
 
-def reference_cases() -> list[dict[str, Any]]:
-    for path in REFERENCE:
-        if path.exists():
-            return list(json.loads(path.read_text())["cases"])
-    return []
-
-
 def answer(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> Any:
     assert application.run(app, [*arguments, "--json"]) == code
     printed = capsys.readouterr()
@@ -50,7 +38,7 @@ def answer(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -
     return json.loads(printed.out)
 
 
-@pytest.mark.parametrize("case", reference_cases(), ids=lambda case: case["name"])
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"])
 def test_cycle_meets_the_reference_through_set(capsys: pytest.CaptureFixture[str], case: dict[str, Any]) -> None:
     changes = [f"--set={KEYS[key]}={value}" for key, value in case["params"].items()]
     found = answer(capsys, "cycle", "base", *changes)

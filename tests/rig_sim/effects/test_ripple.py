@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from daq.base.errors import InputError
-from rig_sim.dynamics.orbits.limit_cycle import cycle
+from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
 

@@ -8,8 +8,8 @@ import pytest
 
 from daq.base.errors import InputError
 from rig_sim.dynamics.control.phasor import phasor
-from rig_sim.dynamics.orbits.fixed_point import friction_at_rest
-from rig_sim.dynamics.orbits.limit_cycle import cycle
+from rig_sim.dynamics.limit_cycles.fixed_point import friction_at_rest
+from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.effects.shaker import controlled
 from rig_sim.flow.flow import Flow
 from rig_sim.motion.play import ScenePlayer, events

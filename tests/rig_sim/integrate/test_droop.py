@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from daq.base.errors import InputError
-from rig_sim.dynamics.orbits.limit_cycle import cycle
+from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP

@@ -45,15 +45,6 @@ def test_law_1_on_its_grazing_circle_and_an_ulp_beside_it_goes_on_for_ever(v):
     assert found.steps < 100
 
 
-def test_event_times_of_law_5_are_right_to_two_ulp_after_1000_time_units():
-    period = 8.28274352267811740
-    found = list_events(flow_of(5), 1.0, 0.5, 1000.0)
-    slips = [t for t, kind in zip(found.t, found.kinds, strict=True) if kind == "S>N"]
-    assert slips[0] == 0.0
-    assert len(slips) == 121
-    assert max(abs(t - n * period) for n, t in enumerate(slips)) <= 2.3e-13
-
-
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("drive", [{}, {"u0": 0.2, "omega": 1.1, "phase": 0.3}])
 def test_mirror_symmetry_is_exact(law, drive):

@@ -11,7 +11,7 @@ import pytest
 
 from daq.base.console import application
 from rig_sim.comparison.error_vs_time import difference
-from rig_sim.dynamics.orbits.limit_cycle import cycle
+from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, NEGATIVE, OUTCOMES

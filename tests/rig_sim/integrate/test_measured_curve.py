@@ -9,12 +9,12 @@ import pytest
 from daq.base.errors import InputError
 from rig_sim.comparison import reference
 from rig_sim.dynamics.analyses.settling import attractors
-from rig_sim.dynamics.orbits.branches import continuation
-from rig_sim.dynamics.orbits.fixed_point import fixed_point
-from rig_sim.dynamics.orbits.floquet import floquet
-from rig_sim.dynamics.orbits.limit_cycle import cycle
-from rig_sim.dynamics.rig.driven import with_starts
-from rig_sim.dynamics.rig.landing import LandingMap
+from rig_sim.dynamics.limit_cycles.branches import continuation
+from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
+from rig_sim.dynamics.limit_cycles.floquet import floquet
+from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.dynamics.return_maps.driven import with_starts
+from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.spline import about, piece_of, refused, spline_table
 from rig_sim.integrate.events import list_events

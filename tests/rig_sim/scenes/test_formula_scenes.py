@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 
 from daq.base.errors import InputError
 from rig_sim.dynamics.analyses.settling import attractors
-from rig_sim.dynamics.orbits.branches import continuation
-from rig_sim.dynamics.orbits.fixed_point import fixed_point
-from rig_sim.dynamics.orbits.floquet import floquet
-from rig_sim.dynamics.orbits.limit_cycle import cycle
-from rig_sim.dynamics.rig.driven import with_starts
+from rig_sim.dynamics.limit_cycles.branches import continuation
+from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
+from rig_sim.dynamics.limit_cycles.floquet import floquet
+from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.dynamics.return_maps.driven import with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.friction.curve import LINEAR, MEASURED

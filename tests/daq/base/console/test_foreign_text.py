@@ -97,7 +97,7 @@ def output(line, folder, encoding):
     return subprocess.run(line, cwd=folder, env=environment, capture_output=True, check=False)
 
 
-@pytest.mark.parametrize("encoding", ["cp850", "latin-1", "ascii"])
+@pytest.mark.parametrize("encoding", ["cp850", "ascii"])
 def test_no_encoding_of_the_terminal_loses_a_result(tmp_path, encoding):
     # "…" ended the fit with a traceback, exit code 1, before its parameters were printed.
     run = tmp_path / "run.h5"
@@ -118,19 +118,20 @@ def test_no_encoding_of_the_terminal_loses_a_result(tmp_path, encoding):
         ["daq.cli.app", "--help"],
         ["daq.cli.app", "--version"],
         ["daq.cli.app", "list", "."],
-        ["processing.cli", "inspect", "run.h5", "--plot", "p.png"],
+        ["daq.cli.app", "list", ".", "--json"],
+        ["processing.cli", "inspect", "run.h5", "--plot", "p.png", "--json"],
         pytest.param(["fitting.cli", "run.h5", "--laws", "5", "--no-report"], marks=pytest.mark.slow),
         ["rig_sim.cli.app", "scenes"],
+        ["rig_sim.cli.app", "scenes", "--json"],
         ["rig_sim.cli.app", "compare", "--help"],
     ],
 )
-@pytest.mark.parametrize("form", ["text", "--json"])
-def test_a_reader_that_goes_away_is_no_error(tmp_path, line, form):
+def test_a_reader_that_goes_away_is_no_error(tmp_path, line):
     # A table or a help page before `| head` ended with 1, the exit code of a bug: rich ends the process so.
     (tmp_path / "run.h5").write_bytes(SAMPLE.read_bytes())
     reading, writing = os.pipe()
     os.close(reading)
-    line = [sys.executable, "-m", *line, *([form] if form == "--json" else [])]
+    line = [sys.executable, "-m", *line]
     try:
         done = subprocess.run(line, cwd=tmp_path, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
     finally:

@@ -15,8 +15,8 @@ from rig_sim.dynamics.analyses.map_branches import map_continuation
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
 from rig_sim.dynamics.analyses.sweep import AttractorAt, numbered
 from rig_sim.dynamics.pictures.maps import PLACES, jumps
-from rig_sim.dynamics.rig.section import attractors_at
-from rig_sim.dynamics.rig.stick import StickMap
+from rig_sim.dynamics.return_maps.section import attractors_at
+from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from rig_sim.dynamics.rig.passage import (
+from rig_sim.dynamics.return_maps.passage import (
     COLUMNS,
     ENDS,
     FACTOR,

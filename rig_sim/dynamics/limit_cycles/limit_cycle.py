@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from rig_sim.dynamics.rig.turn import STEPS_ALLOWED_HERE, Turn, next_slip
+from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE, Turn, next_slip
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import classify, force
 from rig_sim.flow.flow import Flow, validate

@@ -16,7 +16,7 @@ from rig_sim.cli.app import app
 from rig_sim.dynamics.analyses.unstable_orbits import periodic_orbits
 from rig_sim.dynamics.control.ogy import lock
 from rig_sim.dynamics.control.search_and_lock import search_and_lock
-from rig_sim.dynamics.rig.landing import LandingMap
+from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.dynamics.system.interface import difference, orbit
 from rig_sim.functions import control
 from rig_sim.scenes.scene import scene

@@ -8,7 +8,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from rig_sim.dynamics.analyses.basins import NOWHERE, basins
 from rig_sim.dynamics.analyses.sweep import SAME_POINT, AttractorAt, distinct
-from rig_sim.dynamics.rig.stick import StickMap
+from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.dynamics.system.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.modes import OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
-from rig_sim.dynamics.rig.variation import after_event, deviation
+from rig_sim.dynamics.return_maps.variation import after_event, deviation
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import transition
 from rig_sim.flow.frame import Frame, mode_bounds
@@ -177,4 +177,4 @@ def compiled_passages() -> Callable[..., tuple[int, int]]:
     """Return `passages` as machine code."""
     from rig_sim.integrate.compiled import compiled
 
-    return compiled(passages, "rig_sim.dynamics.rig.variation", __name__)
+    return compiled(passages, "rig_sim.dynamics.return_maps.variation", __name__)

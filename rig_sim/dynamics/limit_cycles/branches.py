@@ -25,11 +25,11 @@ from rig_sim.dynamics.analyses.special_points import (
     crossing,
     least,
 )
-from rig_sim.dynamics.orbits.fixed_point import fixed_point, friction_at_rest
-from rig_sim.dynamics.orbits.floquet import floquet
-from rig_sim.dynamics.orbits.limit_cycle import cycle
-from rig_sim.dynamics.rig.minimum import next_minimum
-from rig_sim.dynamics.rig.turn import STEPS_ALLOWED_HERE
+from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point, friction_at_rest
+from rig_sim.dynamics.limit_cycles.floquet import floquet
+from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.dynamics.return_maps.minimum import next_minimum
+from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import displacement, frame
 from rig_sim.integrate.work import new_work

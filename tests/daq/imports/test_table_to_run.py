@@ -18,7 +18,7 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from daq.base.measured import Measured
 from daq.cli import files
-from daq.imports import frame_rate, layout, table, track
+from daq.imports import frame_rate, layout, table, table_to_run
 from daq.imports.options import ImportOptions
 from daq.runfile import store
 
@@ -81,7 +81,7 @@ def test_the_format_is_found(csv: Path, head: str, how: dict[str, Any]) -> None:
     time, x = sawtooth(100, 3)
     how = dict(how)
     columns = [time, x, x] if how.pop("wide", False) else [time, x]
-    found = track.read(make(csv, head, zip(*columns, strict=True), **how), options())
+    found = table_to_run.read(make(csv, head, zip(*columns, strict=True), **how), options())
     np.testing.assert_allclose(found.run.time, time, atol=1e-8)
     np.testing.assert_allclose(found.run.position, x, atol=1e-8)
     assert found.decimal == how.get("decimal", ".")
@@ -160,7 +160,7 @@ def test_units_come_from_the_flag_or_the_header(
     csv: Path, head: str, t_size: float, x_size: float, changes: Any
 ) -> None:
     csv.write_text(f"{head}\n0,1\n2,3\n5,7\n")
-    found = track.read(csv, ImportOptions(**changes))
+    found = table_to_run.read(csv, ImportOptions(**changes))
     np.testing.assert_allclose(found.run.time, np.array([0, 2, 5]) * t_size, rtol=1e-15)
     np.testing.assert_allclose(found.run.position, np.array([1, 3, 7]) * x_size, rtol=1e-15)
     assert found.warnings == ()
@@ -168,7 +168,7 @@ def test_units_come_from_the_flag_or_the_header(
 
 def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
     csv.write_text("t,x (cm)\n0,1\n2,3\n")
-    found = track.read(csv, ImportOptions(x_unit="mm"))
+    found = table_to_run.read(csv, ImportOptions(x_unit="mm"))
     assert found.run.position.tolist() == [0.001, 0.003]
     assert "not in cm" in found.warnings[0]
 
@@ -184,7 +184,7 @@ def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
 )
 def test_a_frame_rate_makes_the_times(csv: Path, text: str, changes: Any, time: Any, position: Any) -> None:
     csv.write_text(text)
-    found = track.read(csv, ImportOptions(**changes))
+    found = table_to_run.read(csv, ImportOptions(**changes))
     np.testing.assert_allclose(found.run.time, np.array(time) / 400, rtol=1e-15)
     assert found.run.position.tolist() == position
 
@@ -192,14 +192,14 @@ def test_a_frame_rate_makes_the_times(csv: Path, text: str, changes: Any, time: 
 def test_columns_are_chosen_by_name_or_number(csv: Path) -> None:
     csv.write_text("i,Clock,laser A,laser B\n0,0.5,1,2\n1,0.6,3,4\n")
     for time, position in (("Clock", "laser B"), ("clock", "LASER B"), ("2", "4")):
-        found = track.read(csv, ImportOptions(time=time, position=position))
+        found = table_to_run.read(csv, ImportOptions(time=time, position=position))
         assert found.run.position.tolist() == [2, 4]
         np.testing.assert_allclose(found.run.time, [0, 0.1], atol=1e-15)
 
 
 def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
     csv.write_text("t,x\n0,1\n0.1,2\n0.35,2\n0.4,5\n")
-    found = track.read(csv, ImportOptions())
+    found = table_to_run.read(csv, ImportOptions())
     assert not found.even
     assert found.run.time.tolist() == [0, 0.1, 0.35, 0.4]
 
@@ -236,7 +236,7 @@ def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
 def test_bad_tables_are_refused_by_line(csv: Path, text: str, changes: Any, words: list[str]) -> None:
     csv.write_text(text)
     with pytest.raises(InputError) as error:
-        track.read(csv, ImportOptions(**changes))
+        table_to_run.read(csv, ImportOptions(**changes))
     line = error.value.as_line()
     assert "\n" not in line
     for word in words:
@@ -254,14 +254,14 @@ def test_the_half_period_of_the_slip_is_found_in_either_direction(belt: float) -
 
 
 def test_a_right_frame_rate_is_accepted(csv: Path) -> None:
-    found = track.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options())
+    found = table_to_run.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options())
     assert found.warnings == ()
 
 
 def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> None:
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))  # a 400 fps film played at 30
-    found = track.read(csv, options())
+    found = table_to_run.read(csv, options())
     assert "frame rate must be wrong" in found.warnings[0]
     fitting = float(found.warnings[0].split(" would match")[0].split()[-1])
     assert fitting == pytest.approx(400, rel=0.01)
@@ -274,7 +274,7 @@ def test_few_samples_a_slip_are_no_wrong_frame_rate(csv: Path, samples: float, s
     slip = math.pi * math.sqrt(MASS / STIFFNESS)
     time, x = sawtooth(samples / slip, until=60.0)
     make(csv, "t [s],x [m]\n", zip(time * slower, x, strict=True))
-    found = track.read(csv, options(stiffness=Measured(STIFFNESS / slower**2)))
+    found = table_to_run.read(csv, options(stiffness=Measured(STIFFNESS / slower**2)))
     assert found.warnings == ()
 
 
@@ -284,13 +284,13 @@ def test_a_wrong_frame_rate_is_noticed_at_few_samples_a_slip(csv: Path, samples:
     slip = math.pi * math.sqrt(MASS / STIFFNESS)
     time, x = sawtooth(samples / slip, until=60.0)
     make(csv, "t [s],x [m]\n", zip(time * factor, x, strict=True))
-    assert "frame rate must be wrong" in track.read(csv, options()).warnings[0]
+    assert "frame rate must be wrong" in table_to_run.read(csv, options()).warnings[0]
 
 
 def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))
-    found = track.read(csv, options(frame_rate_hz=400.0))
+    found = table_to_run.read(csv, options(frame_rate_hz=400.0))
     np.testing.assert_allclose(found.run.time, time, atol=1e-6)
     assert len(found.warnings) == 1
     assert "times were multiplied by 0.075" in found.warnings[0]
@@ -298,14 +298,14 @@ def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
 
 def test_times_that_agree_with_the_given_frame_rate_stay_as_they_are(csv: Path) -> None:
     csv.write_text("t,x\n0,1\n0.0025,2\n0.005,2\n0.00752,2\n")
-    found = track.read(csv, ImportOptions(frame_rate_hz=400.0))
+    found = table_to_run.read(csv, ImportOptions(frame_rate_hz=400.0))
     assert found.run.time.tolist() == [0, 0.0025, 0.005, 0.00752]
     assert found.warnings == ()
 
 
 def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv: Path) -> None:
     csv.write_text("t,x\n0,0\n1,1\n2,2\n")
-    assert "could not be checked" in track.read(csv, options()).warnings[0]
+    assert "could not be checked" in table_to_run.read(csv, options()).warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -440,9 +440,9 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(
 
 def test_the_start_is_the_files_date_unless_given(csv: Path) -> None:
     csv.write_text("t,x\n0,1\n1.5,2\n")
-    given_start = track.read(csv, ImportOptions(started="2024-05-01T12:00:00+02:00")).run
+    given_start = table_to_run.read(csv, ImportOptions(started="2024-05-01T12:00:00+02:00")).run
     assert (given_start.started, given_start.ended) == ("2024-05-01T12:00:00+02:00", "2024-05-01T12:00:01.500000+02:00")
-    assert "modification" in str(track.read(csv, ImportOptions()).run.provenance["start_time_from"])
+    assert "modification" in str(table_to_run.read(csv, ImportOptions()).run.provenance["start_time_from"])
 
 
 def servo_log(rows: str = "") -> str:
@@ -456,7 +456,7 @@ def servo_log(rows: str = "") -> str:
 def test_a_preamble_with_numbers_and_a_line_of_units_is_passed_over(csv: Path, changes: Any) -> None:
     """Used to end in "holds 'Drive', not a number"; a line of units was taken for the names."""
     csv.write_text(servo_log())
-    found = track.read(csv, ImportOptions(**changes))
+    found = table_to_run.read(csv, ImportOptions(**changes))
     np.testing.assert_allclose(found.run.time, np.arange(12) * 1e-3, atol=1e-12)
     np.testing.assert_allclose(found.run.position, (5 + np.arange(12)) * 1e-3, rtol=1e-12)
 
@@ -464,8 +464,8 @@ def test_a_preamble_with_numbers_and_a_line_of_units_is_passed_over(csv: Path, c
 def test_a_preamble_that_could_be_data_is_asked_about(csv: Path) -> None:
     csv.write_text("Rate,1000\n0,1\n1,2\n2,5\n")
     with pytest.raises(InputError, match=r"line 1, column 1: column 1 holds 'Rate', not a number.*preamble 1"):
-        track.read(csv, ImportOptions())
-    assert track.read(csv, ImportOptions(preamble=1)).run.position.tolist() == [1, 2, 5]
+        table_to_run.read(csv, ImportOptions())
+    assert table_to_run.read(csv, ImportOptions(preamble=1)).run.position.tolist() == [1, 2, 5]
 
 
 def test_bad_lines_are_counted_and_left_out_on_request(csv: Path, app: cyclopts.App, capsys: Any) -> None:
@@ -493,8 +493,8 @@ def test_times_of_day_are_read_across_midnight(csv: Path) -> None:
     stamps = ["23:59:59.500", "23:59:59.750", "00:00:00.000", "0:00:00.250", "00:00:00.50"]
     csv.write_text("clock,x\n" + "".join(f"{stamp},{k}\n" for k, stamp in enumerate(stamps)))
     with pytest.raises(InputError, match=r"times of day such as 23:59:59\.500; give clock"):
-        track.read(csv, ImportOptions(time="clock"))
-    found = track.read(csv, ImportOptions(time="clock", clock=True))
+        table_to_run.read(csv, ImportOptions(time="clock"))
+    found = table_to_run.read(csv, ImportOptions(time="clock", clock=True))
     np.testing.assert_allclose(found.run.time, [0, 0.25, 0.5, 0.75, 1.0], atol=1e-9)
 
 
@@ -502,8 +502,8 @@ def test_the_results_table_of_imagej_takes_a_frame_rate(csv: Path) -> None:
     csv.write_text(" ,Area,Mean,X,Y,Slice\n" + "".join(f"{k},12,80.5,{10 + k},{7},{k}\n" for k in range(1, 9)))
     options_ = {"position": "X", "x_unit": "0.25 mm"}
     with pytest.raises(InputError, match="frame numbers but no times; give frame_rate"):
-        track.read(csv, ImportOptions(**options_))
-    found = track.read(csv, ImportOptions(**options_, frame_rate_hz=400.0))
+        table_to_run.read(csv, ImportOptions(**options_))
+    found = table_to_run.read(csv, ImportOptions(**options_, frame_rate_hz=400.0))
     np.testing.assert_allclose(found.run.time, np.arange(8) / 400, atol=1e-12)
     np.testing.assert_allclose(found.run.position, (11 + np.arange(8)) * 2.5e-4)
 
@@ -524,11 +524,11 @@ def test_a_unit_that_cannot_be_right_is_asked_for(
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(t_size * time, x_size * x, strict=True))
     with pytest.raises(InputError) as error:
-        track.read(csv, options())
+        table_to_run.read(csv, options())
     assert question in error.value.as_line()
-    found = track.read(csv, options(**answer))
+    found = table_to_run.read(csv, options(**answer))
     np.testing.assert_allclose(found.run.position, x, atol=1e-6)
-    assert track.read(csv, options(x_unit="m", t_unit="s")).run.time[-1] == pytest.approx(t_size * time[-1])
+    assert table_to_run.read(csv, options(x_unit="m", t_unit="s")).run.time[-1] == pytest.approx(t_size * time[-1])
 
 
 def test_the_force_of_a_pulled_spring_is_its_stretch(csv: Path, app: cyclopts.App, capsys: Any) -> None:
@@ -548,15 +548,15 @@ def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv: Path)
     time, x = sawtooth(400)
     make(csv, "t,Fnorm\n", zip(time, x, strict=True))
     force = {"spring_force": "Fnorm", "force_unit": "weight", "mass": None, "stiffness": Measured(168.0)}
-    bare = track.read(csv, options(**force))
+    bare = table_to_run.read(csv, options(**force))
     np.testing.assert_allclose(bare.run.position, x, atol=1e-8)
     assert "units of weight / stiffness" in bare.warnings[0]
     assert bare.run.rig.stiffness is None
     with pytest.raises(InputError, match="belt is in SI"):
-        track.read(csv, options(**force, belt_speed=Measured(4.2e-5)))
-    known = track.read(csv, options(**force | {"mass": Measured(0.03)}))
+        table_to_run.read(csv, options(**force, belt_speed=Measured(4.2e-5)))
+    known = table_to_run.read(csv, options(**force | {"mass": Measured(0.03)}))
     np.testing.assert_allclose(known.run.position, x * 0.03 * 9.80665 / 168, atol=1e-10)
-    plain = track.read(csv, options(**force | {"force_unit": None}))
+    plain = table_to_run.read(csv, options(**force | {"force_unit": None}))
     np.testing.assert_allclose(plain.run.position, x / 168, atol=1e-10)
     assert "states no unit and is read in N" in plain.warnings[0]
 
@@ -576,7 +576,7 @@ def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv: Path)
 def test_flags_that_cannot_go_together_are_refused(csv: Path, changes: Any, words: str) -> None:
     csv.write_text("x\n1\n2\n3\n")
     with pytest.raises(InputError) as error:
-        track.read(csv, ImportOptions(**changes))
+        table_to_run.read(csv, ImportOptions(**changes))
     assert re.search(words, error.value.as_line())
 
 
@@ -595,13 +595,15 @@ def test_wild_tables_end_in_one_line(csv: Path, text: str) -> None:
     """The first, the third and the fourth used to end in a traceback, or in a run of inf Hz."""
     csv.write_text(text)
     with pytest.raises(InputError):
-        track.read(csv, ImportOptions(frame_rate_hz=1.0 if text.startswith("x") else None))
+        table_to_run.read(csv, ImportOptions(frame_rate_hz=1.0 if text.startswith("x") else None))
 
 
 def test_progress_counts_the_lines_of_each_stage(csv, monkeypatch):
     monkeypatch.setattr(table, "TOGETHER", 2000)
     done = []
-    track.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options(), lambda *stage: done.append(stage))
+    table_to_run.read(
+        make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options(), lambda *stage: done.append(stage)
+    )
     lines = (("reading lines", 4802), ("splitting lines", 4801), ("reading numbers", 4800))  # the last one is empty
     assert done == [(stage, begin, whole) for stage, whole in lines for begin in (0, 2000, 4000)]
 
@@ -609,20 +611,20 @@ def test_progress_counts_the_lines_of_each_stage(csv, monkeypatch):
 def test_the_time_column_is_named_with_its_unit_or_as_times_of_day(csv):
     # A table of times of day was "read as: ... time from column 'clock' in time of day".
     rows = list(zip(*sawtooth(400), strict=True))[:40]
-    found = track.read(make(csv, "t (s),x (m)\n", rows), ImportOptions())
+    found = table_to_run.read(make(csv, "t (s),x (m)\n", rows), ImportOptions())
     assert found.columns["time"] == "column 't (s)' in s"
     csv.write_text("clock,x (m)\n" + "".join(f"12:00:{t:09.6f},{x:.9g}\n" for t, x in rows))
-    found = track.read(csv, ImportOptions(clock=True))
+    found = table_to_run.read(csv, ImportOptions(clock=True))
     assert found.columns["time"] == "column 'clock', times of day"
 
 
 def test_a_run_file_is_named_as_what_it_is(csv):
     csv.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(64))
     with pytest.raises(InputError, match="HDF5"):
-        track.read(csv, ImportOptions())
+        table_to_run.read(csv, ImportOptions())
 
 
 def test_a_line_cut_short_is_counted_in_the_singular(csv):
     csv.write_text("t (s),x (m)\n" + "".join(f"{i / 100},0.0{i}\n" for i in range(9)) + "0.09\n")
     with pytest.raises(InputError, match="has 1 column where the others have 2"):
-        track.read(csv, ImportOptions())
+        table_to_run.read(csv, ImportOptions())

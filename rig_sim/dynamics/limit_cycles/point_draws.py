@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from daq.base.compute.arrays import Array
 from rig_sim.dynamics.analyses.special_points import SpecialPoint, bisected
-from rig_sim.dynamics.orbits.branches import FlowAt
-from rig_sim.dynamics.orbits.fixed_point import fixed_point
-from rig_sim.dynamics.orbits.limit_cycle import sticks
+from rig_sim.dynamics.limit_cycles.branches import FlowAt
+from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
+from rig_sim.dynamics.limit_cycles.limit_cycle import sticks
 from rig_sim.flow.flow import Flow
 
 # Of the interval: the first step.  Draws scatter by about as much in a record of the rig; ten times more or less costs
@@ -55,7 +55,7 @@ class MovingPoint:
     flow_at : callable
         The fitted flow at a value of the parameter.
     values : (n,) array
-        As for `rig_sim.dynamics.orbits.branches.continuation`.
+        As for `rig_sim.dynamics.limit_cycles.branches.continuation`.
     """
 
     def __init__(self, point: SpecialPoint, flow_at: FlowAt, values: Array) -> None:

@@ -13,8 +13,8 @@ from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.settling import attractors
 from rig_sim.dynamics.control import dither
-from rig_sim.dynamics.rig import driven as driven_mass
-from rig_sim.dynamics.rig.driven import DrivenMap, with_starts
+from rig_sim.dynamics.return_maps import driven as driven_mass
+from rig_sim.dynamics.return_maps.driven import DrivenMap, with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT, LINEAR
 

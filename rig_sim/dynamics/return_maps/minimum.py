@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from functools import cache
 
-from rig_sim.dynamics.rig.turn import PHASES_PER_TURN, creeps
+from rig_sim.dynamics.return_maps.turn import PHASES_PER_TURN, creeps
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import classify, transition
 from rig_sim.flow.frame import Frame, free_acceleration, friction_slope, mode_bounds, steepest_slope

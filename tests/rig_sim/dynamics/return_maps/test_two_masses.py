@@ -11,10 +11,10 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
-from rig_sim.dynamics.orbits.fixed_point import two_mass_fixed_point
-from rig_sim.dynamics.rig import section
-from rig_sim.dynamics.rig import stick as stick_map
-from rig_sim.dynamics.rig.stick import COARSE, FINE, StickMap
+from rig_sim.dynamics.limit_cycles.fixed_point import two_mass_fixed_point
+from rig_sim.dynamics.return_maps import section
+from rig_sim.dynamics.return_maps import stick as stick_map
+from rig_sim.dynamics.return_maps.stick import COARSE, FINE, StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 from rig_sim.friction.curve import CONSTANT, LINEAR

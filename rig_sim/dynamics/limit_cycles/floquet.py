@@ -1,19 +1,19 @@
 """Floquet multipliers of the periodic orbits of one mass on a belt, stable and unstable.
 
-The stable orbit is the one that `rig_sim.dynamics.orbits.limit_cycle` reaches from the slip point.  Where a stable
-fixed point lies inside it, an unstable orbit separates the two: on the map from one minimum of the position to the next
-(`rig_sim.dynamics.rig.minimum`) it is the fixed point between theirs, found as a bracketed root.  An orbit in the plane
-has two multipliers: 1 along the orbit, and that of the map across it.
+The stable orbit is the one that `rig_sim.dynamics.limit_cycles.limit_cycle` reaches from the slip point.  Where a
+stable fixed point lies inside it, an unstable orbit separates the two: on the map from one minimum of the position to
+the next (`rig_sim.dynamics.return_maps.minimum`) it is the fixed point between theirs, found as a bracketed root.  An
+orbit in the plane has two multipliers: 1 along the orbit, and that of the map across it.
 """
 
 import math
 from dataclasses import dataclass
 from typing import Literal
 
-from rig_sim.dynamics.orbits.fixed_point import fixed_point
-from rig_sim.dynamics.orbits.limit_cycle import Orbit, cycle
-from rig_sim.dynamics.rig.minimum import MinimumTurn, next_minimum
-from rig_sim.dynamics.rig.turn import STEPS_ALLOWED_HERE
+from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
+from rig_sim.dynamics.limit_cycles.limit_cycle import Orbit, cycle
+from rig_sim.dynamics.return_maps.minimum import MinimumTurn, next_minimum
+from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE
 from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import Frame, displacement, frame, mirrored, position
@@ -54,7 +54,7 @@ class FloquetOrbit:
 def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbit: Orbit | None = None) -> FloquetOrbit:
     """Return the stable or the unstable periodic orbit of a flow (one mass, no drive) with its multipliers.
 
-    ``orbit`` is what `rig_sim.dynamics.orbits.limit_cycle.cycle` finds of the flow, where that is known already.
+    ``orbit`` is what `rig_sim.dynamics.limit_cycles.limit_cycle.cycle` finds of the flow, where that is known already.
 
     Raises
     ------

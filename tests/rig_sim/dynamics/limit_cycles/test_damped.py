@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 from daq.base.console import application
 from daq.base.errors import InputError
 from rig_sim.cli import app as cli
-from rig_sim.dynamics.orbits.branches import continuation
-from rig_sim.dynamics.orbits.fixed_point import fixed_point, quadratic_roots
-from rig_sim.dynamics.orbits.floquet import floquet
+from rig_sim.dynamics.limit_cycles.branches import continuation
+from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point, quadratic_roots
+from rig_sim.dynamics.limit_cycles.floquet import floquet
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.functions.arguments import ParameterRange, parameter_range

@@ -1,1 +1,0 @@
-"""One undriven mass: its fixed point, its periodic orbits with multipliers, their branches over a parameter."""
