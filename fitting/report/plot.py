@@ -221,8 +221,8 @@ def break_aways(statistics: Sequence[StickSlipStatistics], ranking: RankedLaws, 
     against = Axes(
         2 * width, 0, width, height, AxisScale.around(stick), tall, "against stick time", "stick time (s)", label, rows
     )
-    for number, (run, when, (colour, named)) in enumerate(zip(statistics, times, shown_as, strict=True), start=1):
-        levels_of_run, sign = factor * run.column("break_away_m"), run_mark(number)
+    for place, (run, when, (colour, named)) in enumerate(zip(statistics, times, shown_as, strict=True), start=1):
+        levels_of_run, sign = factor * run.column("break_away_m"), run_mark(place)
         trend.marks(when, levels_of_run, colour, sign=sign, label=named)
         against.marks(run.column("stick_s"), levels_of_run, colour, sign=sign, label=named)
     summary = counted.summary("break_away_m")
