@@ -423,7 +423,7 @@ def savgol_rows(ratios: dict[str, float], errors: dict[str, tuple[float, float]]
         ratio = ratios.get(f"sg {key} over scipy")
         ours, scipys = errors.get(key, (None, None))
         found[key] = ["" if ratio is None else pages.significant(ratio)]
-        found[key] += ["" if error is None else f"{error:.0e}" for error in (ours, scipys)]
+        found[key] += ["" if error is None else "1" if error > 0.5 else f"{error:.0e}" for error in (ours, scipys)]
     return found
 
 
