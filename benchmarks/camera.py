@@ -1,11 +1,12 @@
 """Identification study on camera tracks, bare of calibration: verdict, belt speed and false alarms under noise.
 
-``python benchmarks/camera.py [--seeds N] [--noise 0.2,1] [--laws 2,3,4,5,6] [--decimals 5,4,6] [--foreign FOLDER]``:
-tracks of 30 s at 400 frames a second with 3 % scatter of the friction level are written as tables, imported, smoothed
-and ranked.  They are made by the integrator of ``tests/rig.py``; with ``--foreign`` by ``make.py`` in
-FOLDER, which has the function ``make(case, file, seed, sensor)``.  With several ``--decimals`` each track is also
+``python benchmarks/camera.py [--seeds N] [--noise 0.2,1] [--laws 2,3,4,5,6] [--decimals 5,4,6] [--foreign FOLDER]
+[--write]``: tracks of 30 s at 400 frames a second with 3 % scatter of the friction level are written as tables,
+imported, smoothed and ranked.  They are made by the integrator of ``tests/rig.py``; with ``--foreign`` by ``make.py``
+in FOLDER, which has the function ``make(case, file, seed, sensor)``.  With several ``--decimals`` each track is also
 printed with so many, and the set must be the same as with the first.  Rows are written to
-``benchmarks/results/camera.json``.
+``benchmarks/results/camera.json``; with ``--write`` those of all laws also into docs/identification.md and
+docs/explanation/how-sure.md, where the tracks are those of ``--foreign``.
 """
 
 import argparse
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pages
 
 import fitting
 import processing
@@ -106,6 +108,23 @@ def table(rows: list[dict[str, Any]], name: str) -> None:
     )
 
 
+def page_rows(rows: list[dict[str, Any]]) -> dict[tuple[str, str], dict[str, list[str]]]:
+    """Return by page and table the rows of each noise."""
+    found: dict[tuple[str, str], dict[str, list[str]]] = {
+        ("identification.md", "camera"): {},
+        ("explanation/how-sure.md", "identify"): {},
+    }
+    for noise in dict.fromkeys(row["noise_mm"] for row in rows):
+        own = [row for row in rows if row["noise_mm"] == noise]
+        truth = [row["law"] in row["sets"][0] for row in own]
+        alone = [row["sets"][0] == [row["law"]] for row in own if len(row["sets"][0]) == 1]
+        covered = [row.get("covered", False) for row in own]
+        found["identification.md", "camera"][f"{noise:g} mm"] = [share(truth), share(alone), share(covered)]
+        cells = [f"{sum(counted)} of {len(counted)}" for counted in (truth, alone)]
+        found["explanation/how-sure.md", "identify"][f"camera, {noise:g} mm of noise, no calibration"] = cells
+    return found
+
+
 def main() -> None:
     """Run the study, print its table and write every row as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -117,7 +136,10 @@ def main() -> None:
     parser.add_argument("--foreign", type=Path, help="folder with make.py, another simulator")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--output", type=Path, default=RESULTS / "camera.json")
+    parser.add_argument("--write", action="store_true", help="put the results into the tables of the pages")
     given = parser.parse_args()
+    if given.write and (given.foreign is None or given.laws != parser.get_default("laws")):
+        parser.error("--write takes --foreign FOLDER, and all laws: leave out --laws")
     decimals = tuple(int(places) for places in given.decimals.split(","))
     cases = [
         (int(law), float(noise), seed, decimals, given.foreign)
@@ -138,6 +160,8 @@ def main() -> None:
         table(own, f"{noise:g} mm, all laws")
         for law in dict.fromkeys(row["law"] for row in own):
             table([row for row in own if row["law"] == law], f"{noise:g} mm, law {law}")
+    for (page, name), cells in page_rows(rows).items() if given.write else ():
+        pages.write(page, name, cells)
     given.output.parent.mkdir(exist_ok=True)
     given.output.write_text(json.dumps(rows, indent=1, default=float) + "\n")
 

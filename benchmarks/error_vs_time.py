@@ -1,14 +1,14 @@
 """Error against run time of every method, for the six laws and a driven one: tables, a figure and JSON.
 
-``python benchmarks/error_vs_time.py [UNTIL]``: each scene runs for UNTIL time units (default 1000).  The error is
-the largest error of an event time, compared with 40-digit arithmetic; CPU times exclude compilation.  Every cycle is
-integrated.  heyoka, if installed, checks the reference independently: the two must agree.  PathSim, if installed, is
-what a block diagram of the rig costs.
+``python benchmarks/error_vs_time.py [UNTIL] [--write]``: each scene runs for UNTIL time units (default 1000).  The
+error is the largest error of an event time, compared with 40-digit arithmetic; CPU times exclude compilation.  Every
+cycle is integrated.  heyoka, if installed, checks the reference independently: the two must agree.  PathSim, if
+installed, is what a block diagram of the rig costs; it is timed up to 200 time units only.  ``--write`` puts the
+results into the tables of docs/accuracy.md: with UNTIL up to 200 that of PathSim, with more the others.
 """
 
 import json
 import math
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 
 import matplotlib as mpl
+import pages
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -30,8 +31,11 @@ from rig_sim.scenes.scene import scene
 Peer = Callable[[Flow], Callable[[float, float, float], EventList]]
 
 
-def peers() -> dict[tuple[str, str], Peer]:
-    """Return the other programs that are installed, by name and setting: each makes of a flow its list of events."""
+def peers(until: float) -> dict[tuple[str, str], Peer]:
+    """Return the other programs that are installed, by name and setting: each makes of a flow its list of events.
+
+    PathSim is left out of runs longer than `SHORT`.
+    """
     found: dict[tuple[str, str], Peer] = {}
     try:
         from oracles import heyoka_events
@@ -39,10 +43,12 @@ def peers() -> dict[tuple[str, str], Peer]:
         found["heyoka", f"tol {heyoka_events.TOLERANCE:g}"] = lambda flow: heyoka_events.Rig(flow).events
     except ModuleNotFoundError as missing:
         print(f"{missing.name} is not installed and is omitted (make bench installs it)")
+    if until > SHORT:
+        return found
     try:
         from oracles import pathsim_events
 
-        for tolerance in (1e-6, 1e-12):
+        for tolerance in PATHSIM:
             found["pathsim", f"tol {tolerance:g}"] = partial(_diagram, pathsim_events.Rig, tolerance)
     except ModuleNotFoundError as missing:
         print(f"{missing.name} is not installed and is omitted (make bench installs it)")
@@ -55,15 +61,30 @@ def _diagram(rig: type, tolerance: float, flow: Flow) -> Callable[[float, float,
 
 RESULTS = Path(__file__).resolve().parent / "results"
 DRIVE = {"drive.u0": 0.2, "drive.omega": 0.3}
-SCENES = {**{f"law {law}": {"friction.law": law} for law in range(1, 7)}, "law 5, driven": DRIVE}
+SCENES = {**{f"law {law}": {"friction.law": law} for law in range(1, 7)}, "law 5, u0 = 0.2, omega = 0.3": DRIVE}
 MARKS = {"exact": "*", "rk4-henon": "o", "dop853": "s", "radau": "^", "lsoda": "v", "heyoka": "D", "pathsim": "P"}
+PATHSIM = (1e-6, 1e-12)  # tolerances
+TIGHTEST = "dop853", "rtol 2.3e-14"
+SHORT = 200.0  # time units up to which PathSim is timed
+ROWS = {  # of the other methods on law 5, by method and setting: how the page calls them
+    ("exact", "compiled"): "exact, compiled",
+    ("exact", "interpreted"): "exact, interpreted",
+    ("rk4-henon", "h 0.1"): "rk4-henon, h = 0.1",
+    ("rk4-henon", "h 0.01"): "rk4-henon, h = 0.01",
+    ("rk4-henon", "h 0.003"): "rk4-henon, h = 0.003",
+    ("dop853", "rtol 1e-06"): "DOP853, rtol 1e-6",
+    ("dop853", "rtol 1e-09"): "DOP853, rtol 1e-9",
+    ("dop853", "rtol 1e-12"): "DOP853, rtol 1e-12",
+    ("radau", "rtol 1e-09"): "Radau, rtol 1e-9",
+    ("lsoda", "rtol 1e-09"): "LSODA, rtol 1e-9",
+}
 REPEATS, SLOW_S = 5, 1.0  # a peer that takes longer is timed once
 
 
 def ratios(found: Comparison) -> dict[str, float]:
     """Return the ratios of CPU time and of error between DOP853 at its smallest tolerance and the exact method."""
     rows = {(row.method, row.setting): row for row in found.rows}
-    peer, machine = rows["dop853", "rtol 2.3e-14"], rows["exact", "compiled"]
+    peer, machine = rows[TIGHTEST], rows["exact", "compiled"]
     answer = {
         "compiled": peer.cpu_s / machine.cpu_s,
         "interpreted": peer.cpu_s / rows["exact", "interpreted"].cpu_s,
@@ -89,16 +110,53 @@ def by_peer(name: str, setting: str, peer: Peer, found: Scene, until: float, cyc
     return MethodResult(name, setting, error, least, 1e6 * least / cycles, note)
 
 
-def main(until: float) -> None:
-    """Print the tables, write the figure and the JSON."""
-    others = peers()
+def error_text(row: MethodResult) -> str:
+    """Return the error of a row, or what prevents one."""
+    return row.note.partition(" from ")[0] if row.error is None else f"{row.error:.1e}"
+
+
+def over(row: MethodResult, exact: MethodResult) -> str:
+    """Return the CPU time of a row over that of another."""
+    return pages.significant(row.cpu_s / exact.cpu_s)
+
+
+def tables(compared: dict[str, Comparison]) -> dict[str, dict[str, list[str]]]:
+    """Return the rows of the tables of the page, by table and first cell; of a peer that was not timed none."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for name, comparison in compared.items():
+        rows = {(row.method, row.setting): row for row in comparison.rows}
+        compiled, plain, tight = rows["exact", "compiled"], rows["exact", "interpreted"], rows[TIGHTEST]
+        own = f"{compiled.error:.1e}"
+        if ("pathsim", f"tol {PATHSIM[-1]:g}") in rows:
+            peer = rows["pathsim", f"tol {PATHSIM[-1]:g}"]
+            cells = [own, error_text(peer), over(peer, compiled), over(peer, plain)]
+            found.setdefault("error_vs_time pathsim", {})[name] = cells
+            continue
+        cells = [own, error_text(tight), over(tight, compiled), over(tight, plain)]
+        found.setdefault("error_vs_time scenes", {})[name] = cells
+        for key, row in rows.items():
+            if key[0] == "heyoka":
+                cells = [own, error_text(row), over(row, compiled)]
+                found.setdefault("error_vs_time heyoka", {})[name] = cells
+    if "error_vs_time scenes" in found:
+        rows = {(row.method, row.setting): row for row in compared["law 5"].rows}
+        found["error_vs_time methods"] = {
+            named: [error_text(rows[key]), over(rows[key], rows["exact", "compiled"])] for key, named in ROWS.items()
+        }
+    return found
+
+
+def main(until: float, write: bool) -> None:
+    """Print the tables, write the figure and the JSON, and with ``write`` the tables of the page."""
+    others = peers(until)
     collected = {}
+    compared = {}
     figure, axes = plt.subplots(2, 4, figsize=(12.0, 6.0), sharex=True, sharey=True, layout="constrained")
     for axis, (name, changes) in zip(axes.flat, SCENES.items(), strict=False):
         played = scene("base", **changes)
         found = compare(played, until)
         rows = [by_peer(*key, peer, played, until, found.cycles) for key, peer in others.items()]
-        found = replace(found, rows=(*found.rows, *rows))
+        found = compared[name] = replace(found, rows=(*found.rows, *rows))
         collected[name] = {"until": until, "ratios": ratios(found), **asdict(found)}
         print(f"\n{name}, {until:g} time units, {found.cycles} cycles; reference: {found.reference}")
         for row in found.rows:
@@ -114,10 +172,13 @@ def main(until: float) -> None:
     axes[-1, -1].legend(*axes[0, 2].get_legend_handles_labels(), loc="center")
     figure.supxlabel("CPU per cycle, us")
     figure.supylabel("largest error of an event time")
+    for table, cells in tables(compared).items() if write else ():
+        pages.write("accuracy.md", table, cells)
     RESULTS.mkdir(exist_ok=True)
     figure.savefig(RESULTS / "error_vs_time.png", dpi=110)
     (RESULTS / "error_vs_time.json").write_text(json.dumps(collected, indent=1) + "\n")
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else 1000.0)
+    words, written = pages.asked()
+    main(float(words[0]) if words else 1000.0, written)

@@ -11,8 +11,9 @@ law is recorded (30 s at 1 kHz, the scene `rig`), smoothed and ranked N times (d
     tachometer  the same with belt counts
     speeds      three runs of 16 s at 0.1, 0.2 and 0.3 m/s, nominal noise, fitted together
 
-``--scenes`` selects the scenes (default nominal).  ``--write`` puts the rows of these scenes into the tables of
-docs/identification.md and docs/explanation/how-sure.md; rows of others stay.  Only the benchmark reads the true
+``--scenes`` selects the scenes (default nominal).  ``--write`` puts the rows of these scenes, and of the nominal one
+the errors of the parameters, into the tables of docs/identification.md and docs/explanation/how-sure.md; rows of others
+stay.  Only the benchmark reads the true
 values; the commands do not.  Errors are relative to them; the true Fs/m is its mean over the times of the cycles, with
 wear but without scatter.  CPU time is user and system time of the ranking alone, without compilation.
 """
@@ -31,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pages
 
 import fitting
 import processing
@@ -50,8 +52,6 @@ DURATION, JOINT_DURATION = 30.0, 16.0
 SPEEDS = (0.1, 0.2, 0.3)
 LAWS_OF = {"droop": (5,), "tachometer": (5,)}
 SCENES = ("nominal", "harsh", "clean", "droop", "tachometer", "speeds")
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-TABLE = "<!-- begin: identify -->", "<!-- end: identify -->"
 SAID = {  # how the pages call the scenes
     "nominal": "encoder, disturbances of a laboratory rig",
     "harsh": "encoder, harsh: 12 % scatter, 25 % wear, 2 % ripple",
@@ -243,15 +243,24 @@ def page_rows(rows: list[dict[str, Any]]) -> dict[str, dict[str, list[str]]]:
     return found
 
 
-def with_rows(text: str, rows: dict[str, list[str]]) -> str:
-    """Return a page whose marked table has these rows in place of those of the same first cell, new ones at its end."""
-    before, _, rest = text.partition(TABLE[0])
-    inside, found, after = rest.partition(TABLE[1])
-    if not found:
-        raise ValueError(f"the page has no {TABLE[0]} ... {TABLE[1]}")
-    lines = {line.split("|")[1].strip(): line for line in inside.strip().splitlines()}
-    lines |= {name: f"| {' | '.join([name, *cells])} |" for name, cells in rows.items()}
-    return "\n".join([before + TABLE[0], "", *lines.values(), "", TABLE[1] + after])
+def parameter_rows(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Return by parameter, for each law of the nominal runs, the 90th percentile of the error, % (intervals right)."""
+    found: dict[str, list[str]] = {}
+    for name in (*LIMITS, "c/m"):
+        cells = []
+        for law in range(1, 7):
+            own = [
+                row["parameters"][name]
+                for row in rows
+                if row["scene"] == "nominal" and row["law"] == law and name in row.get("parameters", {})
+            ]
+            errors = [abs((one["value"] - one["truth"]) / (one["truth"] or 1.0)) for one in own]
+            covered = sum(one["lo"] <= one["truth"] <= one["hi"] for one in own)
+            percentile = pages.significant(100 * float(np.quantile(errors, 0.9))) if own else ""
+            cells.append(f"{percentile} ({covered}/{len(own)})" if own else "")
+        if any(cells):
+            found[name] = cells
+    return found
 
 
 def main() -> None:
@@ -287,7 +296,9 @@ def main() -> None:
     for scene in given.scenes.split(","):
         table(rows, scene)
     for page, cells in page_rows(rows).items() if given.write else ():
-        (DOCS / page).write_text(with_rows((DOCS / page).read_text(), cells))
+        pages.write(page, "identify", cells)
+    if given.write:
+        pages.write("identification.md", "identify parameters", parameter_rows(rows))
     given.output.parent.mkdir(exist_ok=True)
     given.output.write_text(json.dumps(rows, indent=1, default=float) + "\n")
 

@@ -1,17 +1,19 @@
 """Steep ramps: CPU time for slopes from -5 to -5e8, and the error of the position at break-away, for law 6.
 
-``python benchmarks/stiff.py [UNTIL]`` (default 40 time units).  The exact method is compared with scipy's Radau and
-LSODA at rtol 1e-9 and DOP853 at rtol 1e-12, phase by phase; a method that needs more than `EVALUATIONS` evaluations of
-the right-hand side is stopped and has no error.  The reference is 40-digit arithmetic.
+``python benchmarks/stiff.py [UNTIL] [--write]`` (default 40 time units).  The exact method is compared with scipy's
+Radau and LSODA at rtol 1e-9 and DOP853 at rtol 1e-12, phase by phase; a method that needs more than `EVALUATIONS`
+evaluations of the right-hand side is stopped and has no error.  The reference is 40-digit arithmetic.  ``--write`` puts
+the results into two tables of docs/accuracy.md.
 """
 
 import json
-import sys
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
+import pages
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -52,8 +54,36 @@ def cost(compiled: bool, slope: float) -> tuple[float, float]:
     return least / cycles, found.steps / cycles
 
 
-def main(until: float) -> None:
-    """Print the table, write the figure and the JSON."""
+def slope_name(row: dict[str, Any]) -> str:
+    """Return the slope of a row: -5, -5e2, ..."""
+    return f"{row['G_stick']:.0e}".replace("e+0", "e").removesuffix("e0")
+
+
+def exact_rows(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Return the rows of the exact method: steps and CPU time over those of the mildest ramp, and errors."""
+    mildest, found = rows[0], {}
+    for row in rows:
+        ratios = [row[name] / mildest[name] for name in ("steps_per_cycle", "compiled_s", "interpreted_s")]
+        found[slope_name(row)] = [f"{ratios[0]:.3f}", f"{ratios[1]:.2f}", f"{ratios[2]:.2f}"]
+        found[slope_name(row)] += [f"{row['exact_error']:.1e}", f"{row['exact_t_error']:.1e}"]
+    return found
+
+
+def peer_rows(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Return the rows of scipy's methods: CPU time over that of the compiled exact method, and error."""
+    found = {}
+    for row in rows:
+        cells = []
+        for method, _ in PEERS:
+            ratio = pages.significant(row[f"{method}_s"] / row["compiled_s"])
+            error = row[f"{method}_t_error"]
+            cells.append(f"stopped after {ratio}" if error is None else f"{ratio}, {error:.1e}")
+        found[slope_name(row)] = cells
+    return found
+
+
+def main(until: float, write: bool) -> None:
+    """Print the table, write the figure and the JSON, and with ``write`` the tables of the page."""
     rows = []
     for slope in SLOPES:
         played = scene("base", **{"friction.law": 6, "friction.G_stick": slope})
@@ -73,6 +103,9 @@ def main(until: float) -> None:
             row[f"{method}_error"], row[f"{method}_t_error"] = errors(found, expected)
             row[f"{method}_outcome"] = found.outcome
         rows.append(row)
+    if write:
+        pages.write("accuracy.md", "stiff exact", exact_rows(rows))
+        pages.write("accuracy.md", "stiff scipy", peer_rows(rows))
     mildest = rows[0]
     print(f"{'G_stick':>8} {'method':8} {'steps':>6} {'compiled':>8} {'interpr.':>8} {'x error':>8} {'t error':>8}")
     for row in rows:
@@ -107,4 +140,5 @@ def main(until: float) -> None:
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else 40.0)
+    words, written = pages.asked()
+    main(float(words[0]) if words else 40.0, written)

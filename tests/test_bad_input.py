@@ -247,6 +247,11 @@ def test_counters_that_may_have_rolled_over_are_warned_about(folder):
 
 MISTAKES = [
     ("process smoth run.h5", ["smoth", "Did you mean", "smooth"]),
+    ("process run.h5", ["'run.h5' is a file", "did you mean 'process smooth run.h5'"]),
+    ("process --method rts run.h5", ["did you mean 'process smooth --method rts run.h5'"]),
+    ("process table.csv", ["'table.csv' is a file", "did you mean 'daq import table.csv'"]),
+    ("daq run.h5.part", ["did you mean 'daq recover run.h5.part'"]),
+    ("rig-sim run.h5", ["did you mean 'process smooth run.h5'"]),
     ("process smooth", ["FILE", "process smooth --help"]),
     ("process smooth folder", ["folder", "give the run file in it"]),
     ("process smooth table.csv", ["table.csv", "daq import"]),

@@ -12,13 +12,26 @@ MEASURED = "#9a9a9a"
 INK = "#222222"
 DASH = "5 3"
 WIDE, NARROW = 930.0, 455.0  # px: of the page, and of half of it
-# Of runs fitted jointly: none is the colour of a law.  From the tenth run on they repeat.
-RUNS = ("#6A4FC0", "#C8325A", "#5E9C1F", "#B89B1E", "#2AA0A0", "#8C4A1F", "#666666", "#9DB4E8", "#D080B0")
+# Of runs fitted jointly: none is the colour of a law.  Each third is dark, middle and light, so that without colours
+# runs of a third are told apart by luminance, and the thirds by dashes and marks.  From the tenth on they repeat.
+RUNS = ("#3B1A78", "#C03A58", "#A9B83A", "#4A2409", "#1F7F7F", "#D598BC", "#1E1E1E", "#8F6510", "#7FB0EA")
+RUN_DASHES = ("", "12 6", "4 5")
+RUN_MARKS = ("o", "c", "|")
 
 
 def run_colour(number: int) -> str:
     """Return the colour of a run, counted from 1."""
     return RUNS[(number - 1) % len(RUNS)]
+
+
+def run_dash(number: int) -> str:
+    """Return the dashes of a run's line, as `run_colour` its colour."""
+    return RUN_DASHES[(number - 1) % len(RUNS) // 3]
+
+
+def run_mark(number: int) -> str:
+    """Return the sign of a run's marks, as `run_colour` their colour."""
+    return RUN_MARKS[(number - 1) % len(RUNS) // 3]
 
 
 def law_colours(laws: Iterable[int | str]) -> dict[int | str, str]:

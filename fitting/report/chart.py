@@ -152,20 +152,19 @@ class Axes:
         *,
         width: float = 1.0,
         opacity: float = 1.0,
+        dash: str = "",
         label: str | None = None,
     ) -> None:
-        """Draw many lines of many points, (n,) each, as an image."""
+        """Draw many lines of many points, (n,) each, as an image; ``dash`` as of a path, px along the line."""
 
         def drawn(shape: tuple[int, int], fine: float) -> Array:
-            points = [_along(*self._fine(x, y, fine)) for x, y in parts if x.size > 1]
+            points = [_dashed(*_along(*self._fine(x, y, fine)), dash, fine) for x, y in parts if x.size > 1]
             px, py = (np.concatenate(one) for one in zip(*points, strict=True)) if points else np.empty((2, 0))
             return opacity * np.minimum(_dots(px, py, shape, max(round(width * fine), 1), 1.0), 1.0)
 
         self._image(drawn, colour)
-        self._key(
-            label,
-            f'<path stroke="{colour}" stroke-width="{max(width, 1.2):g}" stroke-opacity="{opacity:g}" d="M0,0h18"/>',
-        )
+        style = _stroke(colour, max(width, 1.2), dash)
+        self._key(label, f'<path {style} stroke-opacity="{opacity:g}" d="M0,0h18"/>')
 
     def _fine(self, x: Array, y: Array, fine: float) -> tuple[Array, Array]:
         left, top, _, _ = self.frame
@@ -293,6 +292,16 @@ def _along(px: Array, py: Array) -> tuple[Array, Array]:
     start = np.repeat(np.arange(steps.size), steps)
     part = (np.arange(start.size) - np.repeat(np.cumsum(steps) - steps, steps)) / steps[start]
     return px[start] + part * (px[start + 1] - px[start]), py[start] + part * (py[start + 1] - py[start])
+
+
+def _dashed(px: Array, py: Array, dash: str, fine: float) -> tuple[Array, Array]:
+    """Return those points along a line that lie in its dashes; ``fine`` is the number of image pixels per px."""
+    if not dash or not px.size:
+        return px, py
+    ends = fine * np.cumsum([float(length) for length in dash.split()])
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(px), np.diff(py))))) % ends[-1]
+    shown = np.searchsorted(ends, along, side="right") % 2 == 0
+    return px[shown], py[shown]
 
 
 def _dots(px: Array, py: Array, shape: tuple[int, int], size: int, opacity: float) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from fitting.data.cycles import Cycle
-from fitting.drawing.palette import DASH, INK, MEASURED, NARROW, run_colour
+from fitting.drawing.palette import DASH, INK, MEASURED, NARROW, run_colour, run_dash
 from fitting.report.chart import BOTTOM, CLOSE, ROW, Axes, legend_rows, picture
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, RankedLaws
@@ -15,6 +15,7 @@ MM = 1e3  # positions are drawn in mm, speeds in m/s
 HEIGHT = 300.0  # px
 GAP = 0.01  # between runs that are drawn one after another, of the time of all
 BROAD, PALE = 4.0, 0.45  # width and opacity of a measured line, so that a fitted one over it leaves both to be seen
+PALE_RUN = 0.65  # opacity of each of several runs, whose luminances are to stay apart
 Part = tuple[Array, Array, Array]  # time (s), position (mm), velocity (m/s)
 
 
@@ -104,7 +105,7 @@ def _over_time(
     name: str, ranking: RankedLaws, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
 ) -> str:
     """Draw position above velocity against one time; what is measured broad and pale, the fit thin and dark."""
-    runs = [("measured", MEASURED)]
+    runs, opacity = [("measured", MEASURED)], PALE_RUN if ranking.runs else PALE
     if ranking.runs:
         runs = [(f"run {number}", run_colour(number)) for number in range(1, len(measured) + 1)]
     words = [f"{ranking.best.label}, fitted"] if ranking.rows else []
@@ -117,8 +118,9 @@ def _over_time(
         tall = AxisScale.around(np.concatenate([part[place] for part in (*measured, *fitted)]))
         axes = Axes(0, top, NARROW, height, across, tall, ylabel=unit, over=place == 1)
         axes.rows, axes.xlabel = (rows, "") if axes.over else (0, label)
-        for part, (named, colour) in zip(measured, runs, strict=True):
-            axes.trace([(part[0], part[place])], colour, width=BROAD, opacity=PALE, label=named if axes.over else None)
+        for number, (part, (named, colour)) in enumerate(zip(measured, runs, strict=True), start=1):
+            line, dash, label_here = [(part[0], part[place])], run_dash(number), named if axes.over else None
+            axes.trace(line, colour, width=BROAD, opacity=opacity, dash=dash, label=label_here)
         if ranking.rows:
             axes.trace([(part[0], part[place]) for part in fitted], INK, label=words[0] if axes.over else None)
             if axes.over:

@@ -1,6 +1,6 @@
 """Pictures of a report as SVG: portrait, friction curves, residuals, evidence, levels, cost, break-aways.
 
-Each holds all runs of a joint fit, each run in its own colour.
+Each holds all runs of a joint fit, each run in its own colour, dashes and marks.
 """
 
 from collections.abc import Sequence
@@ -10,11 +10,22 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.output.lengths import shown_length
 from fitting.drawing import curves
-from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE, law_dashes, run_colour
+from fitting.drawing.palette import (
+    COLOURS,
+    DASH,
+    INK,
+    MEASURED,
+    NARROW,
+    WIDE,
+    law_dashes,
+    run_colour,
+    run_dash,
+    run_mark,
+)
 from fitting.report import adequacy_plot, motion_plot
 from fitting.report.adequacy_plot import by_law, colours_of
 from fitting.report.chart import LEFT, SMALL, Axes, legend_rows, picture, text_width
-from fitting.report.motion_plot import BROAD, PALE, begins, fitted_motion, measured_motion, time_label
+from fitting.report.motion_plot import BROAD, PALE, PALE_RUN, begins, fitted_motion, measured_motion, time_label
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, RankedLaws
 from processing.statistics import StickSlipStatistics, pooled
@@ -36,8 +47,9 @@ def portrait(ranking: RankedLaws) -> str:
     rows = legend_rows([label for _, label in legend] + (fitted and [*fitted, "belt speed"]), NARROW)
     axes = Axes(0, 0, NARROW, 350, AxisScale.around(x), AxisScale.around(v), rows=rows)
     axes.xlabel, axes.ylabel = "position (mm)", "velocity (m/s)"
-    for orbit, (colour, label) in zip(runs, legend, strict=True):
-        axes.trace([orbit], colour, width=BROAD, opacity=PALE, label=label)
+    opacity = PALE_RUN if ranking.runs else PALE
+    for number, (orbit, (colour, label)) in enumerate(zip(runs, legend, strict=True), start=1):
+        axes.trace([orbit], colour, width=BROAD, opacity=opacity, dash=run_dash(number), label=label)
     if ranking.rows:
         parts = [part[1:] for side in ranking.sides for part in fitted_motion(side.best, side.motion.sign)]
         axes.trace(parts, INK, width=0.7, label=fitted[0])
@@ -209,10 +221,10 @@ def break_aways(statistics: Sequence[StickSlipStatistics], ranking: RankedLaws, 
     against = Axes(
         2 * width, 0, width, height, AxisScale.around(stick), tall, "against stick time", "stick time (s)", label, rows
     )
-    for run, when, (colour, named) in zip(statistics, times, shown_as, strict=True):
-        levels_of_run = factor * run.column("break_away_m")
-        trend.marks(when, levels_of_run, colour, label=named)
-        against.marks(run.column("stick_s"), levels_of_run, colour, label=named)
+    for place, (run, when, (colour, named)) in enumerate(zip(statistics, times, shown_as, strict=True), start=1):
+        levels_of_run, sign = factor * run.column("break_away_m"), run_mark(place)
+        trend.marks(when, levels_of_run, colour, sign=sign, label=named)
+        against.marks(run.column("stick_s"), levels_of_run, colour, sign=sign, label=named)
     summary = counted.summary("break_away_m")
     if summary is not None and summary["trend_per_s"] is not None:
         slope, reach = factor * summary["trend_per_s"], np.array([time.min(), time.max()])

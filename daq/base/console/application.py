@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 GARBAGE = 100_000
 BAR = 16  # columns of a progress bar
 WHOLE = ("next:", "-> ")  # how lines begin that name a command or a file
+# What is most likely wanted of a file that stands where a command should, by the end of its name.
+COMMAND_OF_FILE = {".h5": "process smooth", ".part": "daq recover", ".toml": "rig-sim events"}
+COMMAND_OF_FILE |= dict.fromkeys((".csv", ".tsv", ".txt", ".mat", ".xlsx", ".lvm", ".tdms"), "daq import")
 logger = logging.getLogger(__name__)
 
 Json = Annotated[
@@ -232,9 +235,10 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     except StickslipError as error:
         return _fail(name, error, error.exit_code, as_json)
     except cyclopts.CycloptsError as error:
+        forgotten = _without_command(error, name, rest)
         what = _unused(error) or " ".join(str(error).split()).removesuffix(".")
         command = " ".join([name, *(error.command_chain or ())])
-        usage = StickslipError(what, "command line", f"see '{command} --help'")
+        usage = forgotten or StickslipError(what, "command line", f"see '{command} --help'")
         return _fail(name, usage, EXIT_INPUT, as_json)
     except KeyboardInterrupt:
         return _fail(name, StickslipError("interrupted"), EXIT_INTERRUPTED, as_json)
@@ -258,6 +262,20 @@ def _unused(error: cyclopts.CycloptsError) -> str:
     if not isinstance(error, cyclopts.UnusedCliTokensError):
         return ""
     return f"nothing takes {', '.join(repr(word) for word in error.unused_tokens or ())}"
+
+
+def _without_command(error: cyclopts.CycloptsError, name: str, words: Sequence[str]) -> StickslipError | None:
+    """Return that a file stands where a command should, and the line that was most likely meant; else None."""
+    import shlex
+
+    if not isinstance(error, cyclopts.UnknownCommandError) or not error.unused_tokens:
+        return None
+    file = next((word for word in words if os.path.splitext(word)[1].lower() in COMMAND_OF_FILE), None)
+    if file is None or not (error.unused_tokens[0] == file or error.unused_tokens[0].startswith("-")):
+        return None
+    meant = COMMAND_OF_FILE[os.path.splitext(file)[1].lower()].split()
+    line = " ".join(map(shlex.quote, [*meant, *(words if meant[0] == name else [file])]))
+    return StickslipError(f"{file!r} is a file, not a command", "command line", f"did you mean '{line}'?")
 
 
 def _printed(name: str, answer: object, as_json: bool) -> int:

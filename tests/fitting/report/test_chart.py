@@ -10,6 +10,7 @@ from matplotlib.font_manager import FontProperties, findfont
 from matplotlib.ft2font import FT2Font
 from PIL import Image
 
+from fitting.drawing.palette import RUNS, run_colour, run_dash, run_mark
 from fitting.report.chart import Axes, picture, text_width
 from fitting.report.scale import AxisScale
 
@@ -71,3 +72,37 @@ def test_a_legend_leaves_each_label_its_width_in_a_broad_font():
         # Behind each label 8 px are free and 4 px lie between two.
         assert font.get_width_height()[0] / 64.0 < text_width(words, 10.0) + 12.0, words
         assert text_width(words, 10.0) < 1.25 * font.get_width_height()[0] / 64.0, words
+
+
+def test_a_dashed_trace_is_drawn_in_its_dashes():
+    axes = Axes(0, 0, 200, 150, AxisScale(0.0, 1.0), AxisScale(0.0, 1.0))
+    line = [(np.array([0.0, 1.0]), np.array([0.5, 0.5]))]
+    axes.trace(line, "#0000ff", dash="12 6", label="dashed")
+    drawn = picture("one", 200, 150, [axes], "a dashed line")
+    found = Image.open(io.BytesIO(base64.b64decode(re.search('base64,([^"]+)"', drawn)[1])))
+    columns = (np.asarray(found.convert("RGBA"))[:, :, 3] > 0).any(axis=0)
+    left, _, right, _ = axes.frame
+    assert np.count_nonzero(np.diff(columns.astype(int)) == -1) == pytest.approx((right - left) / 18, abs=1)
+    dashes = np.ceil((right - left) / 18)
+    assert columns.mean() == pytest.approx(12 * dashes / (right - left), abs=0.06)  # each is a dot's width longer
+    assert 'stroke-dasharray="12 6"' in drawn  # in the legend too
+
+
+def lightness(colour):
+    """Return L* of a colour (CIE 1976), 0 for black and 100 for white."""
+    parts = np.array([int(colour[at : at + 2], 16) for at in (1, 3, 5)]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    luminance = float(linear @ [0.2126, 0.7152, 0.0722])
+    return 116 * luminance ** (1 / 3) - 16 if luminance > 0.008856 else 903.3 * luminance
+
+
+def test_runs_of_a_joint_fit_are_told_apart_without_colours():
+    """They were told apart by hue alone: the first, the second and the seventh had lightnesses of 42, 46 and 43."""
+    numbers = range(1, len(RUNS) + 1)
+    for one in numbers:
+        assert lightness(run_colour(one)) < 75, "too pale on white"
+        for other in range(1, one):
+            apart = abs(lightness(run_colour(one)) - lightness(run_colour(other)))
+            drawn_alike = run_dash(one) == run_dash(other)
+            assert drawn_alike == (run_mark(one) == run_mark(other))
+            assert apart > 20 or not drawn_alike, (one, other)
