@@ -160,8 +160,7 @@ def fit_all(
     left = [own if own is not None and not np.array_equal(own.q, one.q) else None for one, own in begun]
     found = from_left_starts(found, left, each)
     found = _overtaking(found, each)
-    found = _contained(beside_better(_opened(found, each), each), settle, each)
-    found = _opened(found, each)  # a ramp that started from its jump may have ended below it
+    found = _opened(_contained(beside_better(found, each), settle, each), each)
     limit = FAR_BEYOND_BEST * min((one.geometric_mean_rms for one in found), default=0.0)
     found = list(each(partial(_with_static, limit=limit), found))
     for one in found:
@@ -219,11 +218,12 @@ def _resolution(task: Task) -> float:
 
 
 def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
-    """Return where a task starts beside another's end: shared unknowns and windows as there, and the same friction.
+    """Return where a task starts beside another's end: shared unknowns and windows as there.
 
-    A ramp that starts next to none has ``narrow`` of its first width.
+    A law has the same friction, another curve starts where it is made to start.  A ramp that starts next to none has
+    ``narrow`` of its first width.
     """
-    u, (_, n, m) = donor.u, task.widths
+    u = donor.u
     mine, other = task.curve, donor.task.curve
     if isinstance(mine, LawCurve) and isinstance(other, LawCurve):
         u = task.problem.start_near(other.law, u)
@@ -232,9 +232,7 @@ def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
     elif mine.ramp and not other.ramp:
         u[Global.D :: PER_RUN] = narrow * task.problem.start[Global.D :: PER_RUN]
     u = np.clip(u, task.problem.lower, task.problem.upper)
-    shared = u[list(task.places)]
-    theta = mine.near(lambda s: donor.task.friction(donor.q, s), shared) if n else np.empty(0)
-    return FitStart(np.concatenate([shared, theta, np.zeros(m)]), donor.local)
+    return FitStart(np.concatenate([u[list(task.places)], mine.start, np.zeros(task.widths[2])]), donor.local)
 
 
 def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit]:

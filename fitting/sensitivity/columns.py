@@ -68,18 +68,32 @@ def spline_tangents(path: Path, directions: Array) -> Array:
     spline = path.curve.spline
     if spline is None:
         raise ValueError("this path follows a law's curve: there are no coefficients")
-    d, q, at_rest = _contact(path)
-    forces = spline.basis(path.slip_speed, path.level * path.side * _yielding(path))
+    used = np.flatnonzero(directions.any(axis=0))
+    along = np.ascontiguousarray(directions[:, used])
+    columns = np.zeros((path.reached.size, directions.shape[1]))
+    basis = spline.basis(path.slip_speed, path.slips.astype(float))
+    columns[:, used] = curve_tangents(path, np.einsum("mn,nk->mk", basis, along), along[0])
+    return columns
+
+
+def curve_tangents(path: Path, changes: Array, at_rest: Array) -> Array:
+    """Return the derivatives of the positions by changes of a curve that a spline follows, shape (N, k).
+
+    Parameters
+    ----------
+    path : Path
+    changes : (M, k) f8
+        By how much friction per unit mass changes at each point's slip speed, in slip.
+    at_rest : (k,) f8
+        By how much it changes at rest.
+    """
+    d, q, rest = _contact(path)
+    forces = changes * np.broadcast_to(path.level * path.side * _yielding(path), path.time.shape)[:, None]
     if path.curve.ramp or np.any(q):
         ramp = ~path.slips & (path.mode != STICK)
-        forces[ramp, 0] = (path.friction / at_rest * (d / np.maximum(d + q * at_rest, 1e-300)))[ramp]
-    edge = np.zeros((path.windows.table.shape[0], directions.shape[0]))
-    edge[:, 0] = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
-    used = np.flatnonzero(directions.any(axis=0))
-    columns = np.zeros((path.reached.size, directions.shape[1]))
-    along = np.ascontiguousarray(directions[:, used])
-    columns[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=np.einsum("wn,nk->wk", edge, along))
-    return columns
+        forces[ramp] = (path.friction / rest * (d / np.maximum(d + q * rest, 1e-300)))[ramp, None] * at_rest
+    edge = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
+    return tangents(path, forces, edge=edge[:, None] * at_rest)
 
 
 def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:

@@ -1,0 +1,375 @@
+"""Starting values of a formula: its projection on another friction, such as the measured curve.
+
+The parameters in which the formula is linear follow from least squares beside any values of the others.  A single other
+one is scanned over its range, and each minimum of what is then left is settled (Golub and Pereyra, 1973); several are
+tried in combinations, and the best of these are improved by least squares of all within their bounds.  Nothing is
+needed from the user.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import product
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.base.compute.arrays import Array
+from daq.base.errors import InputError
+from fitting.law import Law
+from fitting.undetermined import natural_size
+
+DOUBLED = 2.0  # factor on a parameter: whether the derivative by it changes then shows whether it bends the curve
+BEND_DRAWS = 3  # sets of values at which that is looked at
+DERIVATIVE_ROUNDING = 1e-9  # change over a derivative: less is rounding
+# Range of a single parameter that bends the curve, over its natural size, and how many values of it are scanned.  Half
+# as many find the same minima.
+SCANNED_RANGE, SCANNED = (2e-3, 1e2), 40
+# Steps of a minimum of the scan, at most, and the change of the logarithm at which it is settled.
+MOST_STEPS, LOG_SETTLED = 40, 1e-6
+# Trials of several such parameters, over their natural sizes: half as many a decade still start Stribeck curves.
+TRIALS = 10.0 ** np.arange(-2.5, 2.1, 0.5)
+MOST_TRIALS, SEED = 300, 7  # trials of all such parameters together; more than that are drawn
+BEST_TRIALS = 4  # best trials that are improved, each in a valley of its own
+SAME_VALLEY = 0.25  # difference over what a start leaves: curves that differ by less are in one valley
+ROUNDING = 1e-12  # change over a misfit: less is rounding
+MISFIT_ROUNDING = 1e-6  # difference of two misfits of one curve, over them and over 1: more is a formula with a kink
+SPEEDS_CHECKED = 400  # slip speeds at which a formula must be friction
+REFUSED_RESIDUAL = 1e9  # a residual of no number: the step is refused
+
+
+class Target(NamedTuple):
+    """What a formula f is to come near: ``root`` f(``speeds``) is to be ``aim``; shapes (k,) m/s, (m, k), (m,).
+
+    ``size`` is that of the friction, m/s^2.
+    """
+
+    speeds: Array
+    root: Array
+    aim: Array
+    size: float
+
+    @classmethod
+    def of(cls, speeds: Array, friction: Array, sd: float) -> "Target":
+        """Return friction (k,), known everywhere to the same standard deviation, m/s^2, as a target."""
+        return cls(speeds, np.eye(speeds.size) / sd, friction / sd, float(np.median(friction)))
+
+    def off_by_a_constant(self, sd: float) -> "Target":
+        """Return the same where all of it may be off by one constant of standard deviation ``sd``, m/s^2."""
+        along = sd * self.root.sum(axis=1)
+        square = float(np.sum(along**2))
+        if not square > 0:
+            return self
+        narrow = (1 - 1 / math.sqrt(1 + square)) / square  # (I + along along')^-1/2 = I - narrow along along'
+        root = self.root - narrow * np.outer(along, np.einsum("m,mk->k", along, self.root))
+        return self._replace(root=root, aim=self.aim - narrow * along * float(np.sum(along * self.aim)))
+
+    def constant_beside(self, friction: Array, sd: float) -> float:
+        """Return the constant, of standard deviation ``sd``, that brings friction (k,) nearest, m/s^2."""
+        along = sd * self.root.sum(axis=1)
+        return -sd * float(np.sum(along * self.away(friction))) / (1 + float(np.sum(along**2)))
+
+    def away(self, friction: Array) -> Array:
+        """Return how far friction (k,) at the speeds is from the target, (m,)."""
+        return np.asarray(np.einsum("mk,k->m", self.root, friction) - self.aim)
+
+
+class Start(NamedTuple):
+    """Values of the free parameters by name, the square of what they leave, and whether that is a minimum of all."""
+
+    values: dict[str, float]
+    misfit: float
+    settled: bool = False
+
+
+def find_starts(law: Law, near: Target, fastest: float = 0.0) -> list[Start]:
+    """Return values of a law's free parameters near another friction, nearest first: a local minimum each.
+
+    Parameters
+    ----------
+    law : Law
+        Its first values are where these parameters are tried; its bounds hold.
+    near : Target
+    fastest : float
+        Slip speed up to which it must be friction, m/s; at least the target's fastest.
+
+    Raises
+    ------
+    InputError
+        With none of the values tried is the formula a friction curve; the reason is that of the first of them.
+    """
+    return StartSearch(law, near, fastest).minima()
+
+
+class StartSearch:
+    """The values of a law's free parameters that are tried near another friction; arguments as of `find_starts`."""
+
+    def __init__(self, law: Law, near: Target, fastest: float = 0.0) -> None:
+        self.law, self.near = law, near
+        self.fixed, self.given = dict(law.fix or {}), dict(law.start or {})
+        self.checked = np.linspace(0.0, max(fastest, float(near.speeds[-1])), SPEEDS_CHECKED)
+        self.sizes = {name: natural_size(law, name, near.size, float(near.speeds[-1])) for name in law.free}
+        first = self.sizes | self.given
+        self.begin = {name: self._inside(name, first[name]) for name in law.free}
+        self.refused: InputError | None = None
+        self._tried: list[Start] = []
+
+    def minima(self) -> list[Start]:
+        """Return the best local minima where the formula is friction, nearest first."""
+        best = self._valleys(sorted(self._trials(), key=_order))
+        for start in best:
+            self._is_friction(start.values)  # the reason of a trial is understood more easily than that of an end
+        ends = [start if start.settled else self._improved(start) for start in best]
+        found = [end for end in ends if self._is_friction(end.values)]
+        found = found or [start for start in sorted(self._tried, key=_order) if self._is_friction(start.values)][:1]
+        if not found:
+            why = self.refused or InputError("no values were tried", "formula", "give first values")
+            what = f"law {self.law.name} is no friction curve with any of the values tried: {why.what}"
+            raise InputError(what, why.where, why.do)
+        return self._valleys(sorted(found, key=_order))
+
+    def nearest(self) -> Start:
+        """Return the nearest minimum, even where friction would be negative."""
+        return min(
+            (start if start.settled else self._improved(start) for start in self._trials()), key=attrgetter("misfit")
+        )
+
+    @cached_property
+    def bends(self) -> dict[str, bool]:
+        """Whether each parameter bends the curve: whether the derivative by it depends on it."""
+        return {name: self._moves((name,)) for name in self.law.free}
+
+    @cached_property
+    def linear(self) -> tuple[str, ...]:
+        """The parameters without a first value in which the formula is linear, in all of them together."""
+        chosen: list[str] = []
+        for name in self.law.free:
+            if name not in self.given and not self.bends[name] and not (chosen and self._moves((*chosen, name))):
+                chosen.append(name)
+        return tuple(chosen)
+
+    def _moves(self, group: tuple[str, ...]) -> bool:
+        """Return whether the derivatives by a group of parameters depend on them, at some values of the others.
+
+        These differ from each other by chance: where two friction levels are equal, a Stribeck speed seems to act not.
+        """
+        rng = np.random.default_rng(SEED)
+        for _ in range(BEND_DRAWS):
+            whole = self.fixed | {
+                name: self._inside(name, value * rng.uniform(0.5, 2.0)) for name, value in self.begin.items()
+            }
+            moved = whole | {name: (whole[name] or 1.0) / DOUBLED for name in group}
+            try:
+                first, other = (self.law.curve.gradient(self.near.speeds, at, group) for at in (whole, moved))
+            except InputError:
+                return True
+            if np.any(np.abs(first - other) > DERIVATIVE_ROUNDING * np.max(np.abs(first))):
+                return True
+        return False
+
+    def _inside(self, name: str, value: float) -> float:
+        low, high = self.law.limits(name)
+        if low < value < high:
+            return value
+        if math.isfinite(low) and math.isfinite(high):
+            return 0.5 * (low + high)
+        return float(np.clip(value, low, high))
+
+    def _trials(self) -> list[Start]:
+        """Return the values that are tried: minima of a scan, or combinations."""
+        tried = [name for name in self.law.free if name not in self.linear and name not in self.given]
+        if len(tried) == 1 and not self.given and (found := self._scanned(tried[0])):
+            return found
+        every = (self._with_linear(values) for values in [self.begin, *self._combined(tried)])
+        self._tried = [exact for start in every if start is not None and (exact := self._exact(start)) is not None]
+        return self._tried
+
+    def _scanned(self, name: str) -> list[Start]:
+        """Return the minima over a scan of the one parameter beside which all others are linear.
+
+        On fine records the valley of the true value is so narrow that a wide one elsewhere is lower on the scan: so
+        every minimum is settled.
+        """
+        low, high = self.law.limits(name)
+        found = []
+        for sign, least, most in ((1.0, low, high), (-1.0, -high, -low)):
+            size = self.sizes[name]
+            first = least if least > 0 else SCANNED_RANGE[0] * min(size, most)
+            last = most if most < math.inf else SCANNED_RANGE[1] * max(size, first)
+            if not 0 < first < last:
+                continue
+            logs = np.linspace(math.log(first), math.log(last), SCANNED)
+            values = np.clip(np.exp(logs), first, last)
+            starts = [self._with_linear(self.begin | {name: sign * value}) for value in values.tolist()]
+            self._tried += [start for start in starts if start is not None]
+            left = np.array([math.inf, *(math.inf if one is None else one.misfit for one in starts), math.inf])
+            for k in np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])).tolist():
+                start = starts[k]
+                if start is not None:
+                    ends = logs[max(k - 1, 0)], logs[min(k + 1, SCANNED - 1)]
+                    found.append(self._settled(name, start, *map(float, ends)))
+        return found
+
+    def _settled(self, name: str, start: Start, begin: float, end: float) -> Start:
+        """Return the minimum between two logarithms of the parameter; the start where bounds of others are in its way.
+
+        By secants of the derivative of what is left, halved where these do not lead down.
+        """
+        at, before = math.log(abs(start.values[name])), None
+        for _ in range(MOST_STEPS):
+            columns, left = self.sloped(start.values, (*self.linear, name)), self._left(start.values)
+            if columns is None or left is None or not _agree(start.misfit, left):
+                return self._exact(start) or start
+            along, beside = columns[:, -1] * start.values[name], columns[:, :-1]
+            along = along - np.einsum("mp,p->m", beside, np.linalg.lstsq(beside, along, rcond=None)[0])
+            slope, curvature = float(np.sum(along * left)), float(np.sum(along**2))
+            if before is not None and before[1] != slope:
+                curvature = (slope - before[1]) / (at - before[0])
+            begin, end = (begin, at) if slope > 0 else (at, end)
+            there = at - slope / curvature if curvature > 0 else math.inf
+            if not begin <= there <= end:
+                there = 0.5 * (begin + end)
+            while abs(there - at) > LOG_SETTLED:
+                moved = self._with_linear(start.values | {name: math.copysign(math.exp(there), start.values[name])})
+                if moved is None or any(self._bounded(moved.values)):
+                    return start
+                if moved.misfit < start.misfit:
+                    break
+                there = 0.5 * (at + there)
+            else:
+                return start._replace(settled=True)
+            before, at, start = (at, slope), there, moved
+        return start._replace(settled=True)
+
+    def _bounded(self, values: dict[str, float]) -> list[bool]:
+        """Return whether each of the linear parameters is on a bound."""
+        return [values[name] in self.law.limits(name) for name in self.linear]
+
+    def _combined(self, tried: Sequence[str]) -> list[dict[str, float]]:
+        """Return trials of the parameters that bend the curve: every combination, or some of very many."""
+        each = []
+        for name in tried:
+            low, high = self.law.limits(name)
+            values = [float(self.sizes[name] * factor) for factor in TRIALS]
+            values += [] if low >= 0 else [-value for value in values]
+            if math.isfinite(low) and math.isfinite(high):
+                values += np.linspace(low, high, TRIALS.size)[1:-1].tolist()
+            each.append([value for value in values if low <= value <= high])
+        if math.prod(len(values) for values in each) <= MOST_TRIALS:
+            combined = list(product(*each))
+        else:
+            rng = np.random.default_rng(SEED)
+            combined = [tuple(values[rng.integers(len(values))] for values in each) for _ in range(MOST_TRIALS)]
+        return [self.begin | dict(zip(tried, values, strict=True)) for values in combined]
+
+    def _with_linear(self, values: dict[str, float]) -> Start | None:
+        """Return values with the linear ones by least squares, within their bounds; None where they are not finite."""
+        left = self._left(values)
+        if left is None:
+            return None
+        if self.linear:
+            columns = self.sloped(values, self.linear)
+            if columns is None:
+                return None
+            wanted = np.linalg.lstsq(columns, -left, rcond=None)[0]
+            before = np.array([values[name] for name in self.linear])
+            low, high = np.array([self.law.limits(name) for name in self.linear]).T
+            moved = np.clip(before + wanted, low, high)
+            values = values | dict(zip(self.linear, moved.tolist(), strict=True))
+            left = left + np.einsum("mp,p->m", columns, moved - before)
+        with np.errstate(over="ignore"):
+            misfit = float(np.sum(left**2))
+        every = len(self.linear) == len(self.law.free) and not any(self._bounded(values))
+        return Start(values, misfit, settled=every) if misfit < math.inf else None
+
+    def _exact(self, start: Start) -> Start | None:
+        """Return a start with what it leaves: a formula with a kink is not linear everywhere."""
+        left = self._left(start.values)
+        if left is None or _agree(start.misfit, left):
+            return None if left is None else start
+        with np.errstate(over="ignore"):
+            return Start(start.values, float(np.sum(left**2)))
+
+    def sloped(self, values: dict[str, float], by: tuple[str, ...]) -> Array | None:
+        """Return the derivatives (m, p) of what is left by parameters; None where they are not finite."""
+        try:
+            slopes = self.law.curve.gradient(self.near.speeds, self.fixed | values, by)
+        except InputError as error:
+            self.refused = self.refused or error
+            return None
+        return np.asarray(np.einsum("mk,kp->mp", self.near.root, slopes))
+
+    def _left(self, values: dict[str, float]) -> Array | None:
+        """Return how far the formula is from the target (m,); None where it is not finite."""
+        try:
+            return self.near.away(self.law.curve.value(self.near.speeds, self.fixed | values))
+        except InputError as error:
+            self.refused = self.refused or error
+            return None
+
+    def _valleys(self, starts: Sequence[Start]) -> list[Start]:
+        """Return the best of the starts in each of the best valleys."""
+        kept: list[tuple[Start, Array]] = []
+        for start in starts:
+            left = self._left(start.values)
+            if left is not None and all(np.sum((left - other) ** 2) > SAME_VALLEY * start.misfit for _, other in kept):
+                kept.append((start, left))
+            if len(kept) == BEST_TRIALS:
+                break
+        return [start for start, _ in kept]
+
+    def _improved(self, start: Start) -> Start:
+        """Return the end of least squares within the bounds."""
+        from scipy.optimize import least_squares
+
+        names = self.law.free
+        low, high = np.array([self.law.limits(name) for name in names]).T
+        begin = np.array([start.values[name] for name in names])
+        size = np.maximum(np.abs(begin), [DERIVATIVE_ROUNDING * self.sizes[name] for name in names])
+        bounds = (low / size, high / size)
+
+        def values(z: Array) -> dict[str, float]:
+            return dict(zip(names, (z * size).tolist(), strict=True))
+
+        def residual(z: Array) -> Array:
+            left = self._left(values(z))
+            return np.full(self.near.aim.size, REFUSED_RESIDUAL) if left is None else left
+
+        def slopes(z: Array) -> Array:
+            own = self.sloped(values(z), names)
+            return np.zeros((self.near.aim.size, len(names))) if own is None else own * size
+
+        inside = np.clip(begin / size, *bounds)
+        with np.errstate(all="ignore"):  # of steps along what hardly changes the curve
+            found = least_squares(residual, inside, slopes, bounds=bounds, method="trf", x_scale=1.0, max_nfev=200)
+        return Start(values(found.x), float(2 * found.cost), settled=True)
+
+    def _is_friction(self, values: dict[str, float]) -> bool:
+        """Return whether friction is finite and not negative at every slip speed, and above 0 at rest."""
+        whole = self.fixed | values
+        try:
+            friction = self.law.curve.value(self.checked, whole)
+            self.law.curve.gradient(self.checked, whole, self.law.free)
+        except InputError as error:
+            self.refused = self.refused or error
+            return False
+        lowest = int(np.argmin(friction))
+        if friction[lowest] >= 0 and friction[0] > 0:
+            return True
+        bad, kind = (lowest, "negative") if friction[lowest] < 0 else (0, "not above 0")
+        at = self.law.curve.place(float(self.checked[bad]), whole)
+        what = f"friction is {kind}, {friction[bad]:.4g} m/s^2, {at}"
+        self.refused = self.refused or InputError(what, "formula", "give bounds, or a form that stays above 0")
+        return False
+
+
+def _agree(misfit: float, left: Array) -> bool:
+    """Return whether a misfit is that of what is left (m,), but for rounding."""
+    with np.errstate(over="ignore"):
+        return bool(abs(misfit - np.sum(left**2)) <= MISFIT_ROUNDING * np.sum(left**2) + MISFIT_ROUNDING)
+
+
+def _order(start: Start) -> tuple[float, int]:
+    """Return by what starts are sorted: of values that give the same curve those with fewer signs come first."""
+    return float(f"{max(start.misfit, ROUNDING):.5g}"), sum(value < 0 for value in start.values.values())
