@@ -43,14 +43,14 @@ def measured_target(fit: SplineFit, linear: LinearisedFit) -> MeasuredTarget:
     Where the residuals exceed the noise, the metric is as if that were larger.  The lowest coefficients are fitted
     again beside each formula, as all else: what they do is not linear in them.
     """
-    _, total = linear.information()
+    total = linear.reduced.H
     places, n = len(fit.places), fit.basis.precision.size
     turn = np.eye(places + n)
     turn[places:] = fit.basis.inverse_slopes  # from coordinates to coefficients
     prior = np.zeros((places + n, places + n))
     prior[places:, places:] = np.diag(fit.basis.precision)
     total, prior, data = (np.einsum("ki,kl,lj->ij", turn, one, turn) for one in (total, prior, total - prior))
-    gradient = linear.gradients().sum(axis=0)
+    gradient = linear.gradients.sum(axis=0)
     gradient[:places] += linear.prior_gradient[:places]
     gradient = np.einsum("ki,k->i", turn, gradient)
     if fit.rest is not None:  # taken as known here: how far it may be off is `MeasuredTarget.level_sd`

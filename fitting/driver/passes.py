@@ -20,7 +20,7 @@ from fitting.driver.nodes import SampleNodes
 from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task
 from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.normal_equations import SchurComplement, normal_equations, scaled_inverse
+from fitting.least_squares.normal_equations import SchurComplement, normal_equations
 from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, RIPPLE, Global
@@ -195,10 +195,9 @@ def _static_score(at: TaskFit, task: Task) -> float:
         return 0.0
     blocks = normal_equations(least_squares_problem(model, at.noise, q), q, at.local, *found)
     reduced = SchurComplement(blocks)
-    scale, inverse = scaled_inverse(reduced.H, np.diag(blocks.H))
     gradient = reduced.reduced_gradient(blocks.g, reduced.local_step(blocks.gl))
     index = task.places.index(Global.STATIC)
-    return 0.5 * float(gradient[index]) ** 2 * float(inverse[index, index] * scale[index] ** 2)
+    return 0.5 * float(gradient[index]) ** 2 * float(reduced.covariance[index, index])
 
 
 def _beside(task: Task, u: Array, at: TaskFit) -> Array:

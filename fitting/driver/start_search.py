@@ -26,6 +26,8 @@ DERIVATIVE_ROUNDING = 1e-9  # change over a derivative: less is rounding
 # Range of a single parameter that bends the curve, over its natural size, and how many values of it are scanned.  Half
 # as many find the same minima.
 SCANNED_RANGE, SCANNED = (2e-3, 1e2), 40
+# How far beyond an end of the scan, where no bound is, a minimum may lie: a change of the logarithm.
+LOG_BEYOND = 10.0
 # Steps of a minimum of the scan, at most, and the change of the logarithm at which it is settled.
 MOST_STEPS, LOG_SETTLED = 40, 1e-6
 # Trials of several such parameters, over their natural sizes: half as many a decade still start Stribeck curves.
@@ -181,7 +183,7 @@ class StartSearch:
         tried = [name for name in self.law.free if name not in self.linear and name not in self.given]
         if len(tried) == 1 and not self.given and (found := self._scanned(tried[0])):
             return found
-        every = (self._with_linear(values) for values in [self.begin, *self._combined(tried)])
+        every = (self._with_linear(values) for values in [self.begin, *(self._combined(tried) if tried else ())])
         self._tried = [exact for start in every if start is not None and (exact := self._exact(start)) is not None]
         return self._tried
 
@@ -207,8 +209,9 @@ class StartSearch:
             for k in np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])).tolist():
                 start = starts[k]
                 if start is not None:
-                    ends = logs[max(k - 1, 0)], logs[min(k + 1, SCANNED - 1)]
-                    found.append(self._settled(name, start, *map(float, ends)))
+                    begin = logs[k - 1] if k > 0 else max(_log(least), logs[0] - LOG_BEYOND)
+                    end = logs[k + 1] if k + 1 < SCANNED else min(_log(most), logs[-1] + LOG_BEYOND)
+                    found.append(self._settled(name, start, float(begin), float(end)))
         return found
 
     def _settled(self, name: str, start: Start, begin: float, end: float) -> Start:
@@ -362,6 +365,11 @@ class StartSearch:
         what = f"friction is {kind}, {friction[bad]:.4g} m/s^2, {at}"
         self.refused = self.refused or InputError(what, "formula", "give bounds, or a form that stays above 0")
         return False
+
+
+def _log(bound: float) -> float:
+    """Return the logarithm of a bound, -inf of one that is not above 0."""
+    return math.log(bound) if bound > 0 else -math.inf
 
 
 def _agree(misfit: float, left: Array) -> bool:
