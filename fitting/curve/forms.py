@@ -148,8 +148,8 @@ def _with_interval(value: float, error: float, unit: str, *, by_log: bool = Fals
     reach = normal_quantile(0.5 + CONFIDENCE / 2) * error
     if not by_log:
         return Parameter(value, error, value - reach, value + reach, unit)
-    ends = [math.exp(min(max(math.log(value) + sign * reach / value, -LARGEST_LOG), LARGEST_LOG)) for sign in (-1, 1)]
-    return Parameter(value, error, *ends, unit)
+    low, high = (math.log(value) + sign * reach / value for sign in (-1, 1))
+    return Parameter(value, error, math.exp(max(low, -LARGEST_LOG)), math.exp(min(high, LARGEST_LOG)), unit)
 
 
 def _written(text: str, named: dict[str, str] | None = None) -> str:

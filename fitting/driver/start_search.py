@@ -20,6 +20,7 @@ from daq.base.errors import InputError
 from fitting.law import Law
 from fitting.undetermined import natural_size
 
+ROUGH_SPEEDS = 20  # speeds at which a start is roughly near
 DOUBLED = 2.0  # factor on a parameter: whether the derivative by it changes then shows whether it bends the curve
 BEND_DRAWS = 3  # sets of values at which that is looked at
 DERIVATIVE_ROUNDING = 1e-9  # change over a derivative: less is rounding
@@ -56,6 +57,16 @@ class Target(NamedTuple):
     def of(cls, speeds: Array, friction: Array, sd: float) -> "Target":
         """Return friction (k,), known everywhere to the same standard deviation, m/s^2, as a target."""
         return cls(speeds, np.eye(speeds.size) / sd, friction / sd, float(np.median(friction)))
+
+    def roughly_near(self, friction: Array) -> "Target":
+        """Return the same where friction (k,) at the speeds is also known, but for its size.
+
+        Off by its size at all speeds costs 1: no more than to keep from a curve what the target alone would let be.
+        """
+        few = np.linspace(0, self.speeds.size - 1, ROUGH_SPEEDS).astype(int)
+        weight = 1 / (self.size * math.sqrt(ROUGH_SPEEDS))
+        root = np.vstack([self.root, weight * np.eye(self.speeds.size)[few]])
+        return self._replace(root=root, aim=np.append(self.aim, weight * friction[few]))
 
     def off_by_a_constant(self, sd: float) -> "Target":
         """Return the same where all of it may be off by one constant of standard deviation ``sd``, m/s^2."""
@@ -119,10 +130,11 @@ class StartSearch:
 
     def minima(self) -> list[Start]:
         """Return the best local minima where the formula is friction, nearest first."""
-        best = self._valleys(sorted(self._trials(), key=_order))
-        for start in best:
+        trials = sorted(self._trials(), key=_order)
+        ends = [start for start in trials if start.settled]
+        for start in self._valleys([start for start in trials if not start.settled]):
             self._is_friction(start.values)  # the reason of a trial is understood more easily than that of an end
-        ends = [start if start.settled else self._improved(start) for start in best]
+            ends.append(self._improved(start))
         found = [end for end in ends if self._is_friction(end.values)]
         found = found or [start for start in sorted(self._tried, key=_order) if self._is_friction(start.values)][:1]
         if not found:
