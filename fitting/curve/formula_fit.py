@@ -142,7 +142,7 @@ def fit_formula(
     """
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
     measured = measured_target(host, host.linearised())
-    curve = FormulaCurve(law, fastest, measured.near_everywhere(host.spline))
+    curve = FormulaCurve(law, fastest, measured.near)
     level_held = host.rest is not None and _has_constant(curve)
     problem = _problem(law, host, rest_free=host.rest is not None and not level_held)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))

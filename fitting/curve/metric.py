@@ -15,7 +15,6 @@ from fitting.driver.task import KNOT_POWER
 from fitting.estimation.linearised import LinearisedFit
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
-from fitting.sensitivity.spline import FrictionSpline
 
 GRID_SPEEDS = 300  # speeds at which a formula is projected on the spline, as dense as the knots
 LOW_COEFFICIENTS = 2  # coefficients, which act below a twentieth of the largest slip speed
@@ -36,10 +35,6 @@ class MeasuredTarget(NamedTuple):
     def near(self) -> Target:
         """The target with what is not known of the level."""
         return self.alone.off_by_a_constant(self.level_sd)
-
-    def near_everywhere(self, curve: FrictionSpline) -> Target:
-        """Return the same for a start of a fit, in which friction must not leap at low speed, where little is shown."""
-        return self.alone.roughly_near(curve(self.alone.speeds)).off_by_a_constant(self.level_sd)
 
 
 def measured_target(fit: SplineFit, linear: LinearisedFit) -> MeasuredTarget:
@@ -81,7 +76,7 @@ def measured_target(fit: SplineFit, linear: LinearisedFit) -> MeasuredTarget:
     level_sd = 0.0 if fit.rest is None else fit.fit.values.K * fit.rest.sd
     speeds = float(fit.spline.knots[-1]) * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER
     root = np.einsum("mn,nk->mk", root, fit.spline.projection(speeds))
-    friction = abs(float(np.median(fit.spline.coefficients)))
+    friction = float(np.median(fit.spline.coefficients))
     return MeasuredTarget(Target(speeds, root / excess, aim / excess, friction), level_sd)
 
 

@@ -21,6 +21,7 @@ from fitting.driver.fit import TaskFit
 from fitting.driver.noise import PassNoise
 from fitting.driver.overtaking import find_overtaking, with_overtaking
 from fitting.driver.passes import (
+    GIVEN_UP_BEYOND_BEST,
     assumed_noise,
     finish,
     first_pass,
@@ -36,9 +37,6 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
 
 logger = logging.getLogger(__name__)
-# Error over the best after the first pass, from which a task is not settled.  True laws reach 20 there in harsh
-# records; twice costs time alone.
-GIVEN_UP_BEYOND_BEST = 30.0
 # Error over the best, or over the resolution, from which a task is not looked at more closely: no law that errs 5 times
 # as much was in a set, and at 20 every sample costs time.
 FAR_BEYOND_BEST = 10.0
@@ -67,13 +65,19 @@ def best_end(
 ) -> TaskFit | None:
     """Settle a task from each start until one reaches the noise; return the end that errs least.
 
-    Starts come with the noise of the fit that they are from; that errs least after its first pass comes first.
-    ``noise_m`` (runs,) is the noise of a position, m, where it is known; else the resolution.
+    Starts come with the noise of the fit that they are from, the likeliest first.  The one that errs least after its
+    first pass is settled first; once that pass reaches the noise, the starts after it are not looked at.  ``noise_m``
+    (runs,) is the noise of a position, m, where it is known; else the resolution.
     """
     reached = noise_levels.DESCRIBES * (_resolution(task) if noise_m is None else float(np.max(noise_m)))
     best: TaskFit | None = None
-    tried = [first_pass(task, start, noise) for start, noise in starts]
-    for first in sorted((one for one in tried if one is not None), key=lambda one: one.geometric_mean_rms):
+    tried: list[TaskFit] = []
+    for start, noise in starts:
+        first = first_pass(task, start, noise)
+        tried += [] if first is None else [first]
+        if first is not None and first.geometric_mean_rms < reached:
+            break
+    for first in sorted(tried, key=lambda one: one.geometric_mean_rms):
         settled = settle(first, noise_m)
         if settled is not None and (best is None or settled.geometric_mean_rms < best.geometric_mean_rms):
             best = settled

@@ -15,9 +15,10 @@ from daq.base.errors import InputError
 from fitting.driver.curves import FrictionCurve
 from fitting.driver.start_search import StartSearch, Target
 from fitting.law import Law
-from fitting.sensitivity.columns import curve_tangents, shared_tangents
+from fitting.sensitivity.columns import friction_effect, shared_tangents
 from fitting.sensitivity.path import Curve, Path, spline_curve
 from fitting.sensitivity.spline import FrictionSpline
+from fitting.sensitivity.tangents import tangents
 
 SPLINE_ERROR = 1e-6  # distance of the spline from the formula, over the largest friction
 FIRST_PIECES, KNOT_POWER = 24, 1.8  # knots s_max u^1.8, before they are set closer where the curve bends most
@@ -67,9 +68,12 @@ class FormulaCurve(FrictionCurve):
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
         """See `FrictionCurve`; the derivatives by the parameters are the formula's own."""
-        changes = np.zeros((path.time.size, theta.size))
-        changes[path.slips] = self.slopes(theta, np.clip(path.slip_speed[path.slips], 0.0, self.fastest))
-        own = curve_tangents(path, changes, self.slopes(theta, np.zeros(1))[0])
+        in_slip, in_stick, edge = friction_effect(path)
+        at_rest = self.slopes(theta, np.zeros(1))[0]
+        forces = in_stick[:, None] * at_rest
+        speed = np.clip(path.slip_speed[path.slips], 0.0, self.fastest)
+        forces[path.slips] = in_slip[path.slips, None] * self.slopes(theta, speed)
+        own = tangents(path, forces, edge=edge[:, None] * at_rest)
         return np.hstack([shared_tangents(path, places), own])
 
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:

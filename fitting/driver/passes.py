@@ -52,6 +52,9 @@ NOISE_SETTLED = 0.8
 NOISE_CUT = 4.0  # factor by which the noise assumed falls from pass to pass, where it is known
 FIRST_DAMPING, LATER_DAMPING = 1e-4, 1e-6  # of the curvatures: far from the end, and near it
 CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the own unknowns of outlying cycles
+# Error over the best after the first pass, from which a fit is not settled.  True laws reach 20 there in harsh records;
+# twice costs time alone.
+GIVEN_UP_BEYOND_BEST = 30.0
 # Least gain in log likelihood of a ramp's break-away level of its own: of one that is estimated, and, by the first step
 # on the thinned record, of one that is tried.  One contact in three without one has the second.
 STATIC_GAIN, STATIC_HINT = 5.0, 0.5
@@ -177,7 +180,8 @@ def with_own_static(at: TaskFit) -> TaskFit:
         u = at.u.copy()
         _set_static(task, u, level)
         first = first_pass(task, FitStart(_beside(task, u, at), at.local), at.noise)
-        found = None if first is None else settle(first)
+        far = first is None or first.geometric_mean_rms > GIVEN_UP_BEYOND_BEST * at.geometric_mean_rms
+        found = None if first is None or far else settle(first)
         if found is not None and found.geometric_mean_rms < best.geometric_mean_rms:
             best, gain = found, at.residual.size * math.log(at.geometric_mean_rms / found.geometric_mean_rms)
         if max(gain, score) < STATIC_GAIN:

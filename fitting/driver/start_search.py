@@ -1,13 +1,12 @@
 """Starting values of a formula: its projection on another friction, such as the measured curve.
 
-The parameters in which the formula is linear follow from least squares beside any values of the others.  A single other
-one is scanned over its range, and each minimum of what is then left is settled (Golub and Pereyra, 1973); several are
-tried in combinations, and the best of these are improved by least squares of all within their bounds.  Nothing is
-needed from the user.
+The parameters in which the formula is linear follow from least squares beside trials of the others.  For a fit the best
+of these are improved within the bounds, and several valleys count: motion tells more than a curve.  For the curve alone
+one parameter is scanned, and the nearest minimum counts.  Nothing is needed from the user.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from itertools import product
 from operator import attrgetter
@@ -20,24 +19,19 @@ from daq.base.errors import InputError
 from fitting.law import Law
 from fitting.undetermined import natural_size
 
-ROUGH_SPEEDS = 20  # speeds at which a start is roughly near
 DOUBLED = 2.0  # factor on a parameter: whether the derivative by it changes then shows whether it bends the curve
 BEND_DRAWS = 3  # sets of values at which that is looked at
 DERIVATIVE_ROUNDING = 1e-9  # change over a derivative: less is rounding
-# Range of a single parameter that bends the curve, over its natural size, and how many values of it are scanned.  Half
-# as many find the same minima.
-SCANNED_RANGE, SCANNED = (2e-3, 1e2), 40
-# How far beyond an end of the scan, where no bound is, a minimum may lie: a change of the logarithm.
-LOG_BEYOND = 10.0
+SCANNED = 40  # values of a parameter that are scanned: half as many find the same minima
 # Steps of a minimum of the scan, at most, and the change of the logarithm at which it is settled.
 MOST_STEPS, LOG_SETTLED = 40, 1e-6
-# Trials of several such parameters, over their natural sizes: half as many a decade still start Stribeck curves.
+# Trials of the parameters that bend the curve, over their natural sizes: half as many a decade still start Stribeck
+# curves.
 TRIALS = 10.0 ** np.arange(-2.5, 2.1, 0.5)
 MOST_TRIALS, SEED = 300, 7  # trials of all such parameters together; more than that are drawn
 BEST_TRIALS = 4  # best trials that are improved, each in a valley of its own
 SAME_VALLEY = 0.25  # difference over what a start leaves: curves that differ by less are in one valley
 ROUNDING = 1e-12  # change over a misfit: less is rounding
-MISFIT_ROUNDING = 1e-6  # difference of two misfits of one curve, over them and over 1: more is a formula with a kink
 SPEEDS_CHECKED = 400  # slip speeds at which a formula must be friction
 REFUSED_RESIDUAL = 1e9  # a residual of no number: the step is refused
 
@@ -57,16 +51,6 @@ class Target(NamedTuple):
     def of(cls, speeds: Array, friction: Array, sd: float) -> "Target":
         """Return friction (k,), known everywhere to the same standard deviation, m/s^2, as a target."""
         return cls(speeds, np.eye(speeds.size) / sd, friction / sd, float(np.median(friction)))
-
-    def roughly_near(self, friction: Array) -> "Target":
-        """Return the same where friction (k,) at the speeds is also known, but for its size.
-
-        Off by its size at all speeds costs 1: no more than to keep from a curve what the target alone would let be.
-        """
-        few = np.linspace(0, self.speeds.size - 1, ROUGH_SPEEDS).astype(int)
-        weight = 1 / (self.size * math.sqrt(ROUGH_SPEEDS))
-        root = np.vstack([self.root, weight * np.eye(self.speeds.size)[few]])
-        return self._replace(root=root, aim=np.append(self.aim, weight * friction[few]))
 
     def off_by_a_constant(self, sd: float) -> "Target":
         """Return the same where all of it may be off by one constant of standard deviation ``sd``, m/s^2."""
@@ -89,11 +73,10 @@ class Target(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Values of the free parameters by name, the square of what they leave, and whether that is a minimum of all."""
+    """Values of the free parameters by name, and the square of what they leave of the target."""
 
     values: dict[str, float]
     misfit: float
-    settled: bool = False
 
 
 def find_starts(law: Law, near: Target, fastest: float = 0.0) -> list[Start]:
@@ -126,28 +109,31 @@ class StartSearch:
         first = self.sizes | self.given
         self.begin = {name: self._inside(name, first[name]) for name in law.free}
         self.refused: InputError | None = None
-        self._tried: list[Start] = []
 
     def minima(self) -> list[Start]:
         """Return the best local minima where the formula is friction, nearest first."""
-        trials = sorted(self._trials(), key=_order)
-        ends = [start for start in trials if start.settled]
-        for start in self._valleys([start for start in trials if not start.settled]):
-            self._is_friction(start.values)  # the reason of a trial is understood more easily than that of an end
-            ends.append(self._improved(start))
-        found = [end for end in ends if self._is_friction(end.values)]
-        found = found or [start for start in sorted(self._tried, key=_order) if self._is_friction(start.values)][:1]
-        if not found:
+        trials = [self.begin, *self._combined(self._bending)]
+        found = [start for values in trials if (start := self._with_linear(values)) is not None]
+        best = self._valleys(sorted(found, key=_order))
+        improved = [end for start in best if (end := self._improved(start)) is not None]
+        if not improved:
             why = self.refused or InputError("no values were tried", "formula", "give first values")
             what = f"law {self.law.name} is no friction curve with any of the values tried: {why.what}"
             raise InputError(what, why.where, why.do)
-        return self._valleys(sorted(found, key=_order))
+        return self._valleys(sorted(improved, key=_order))
 
     def nearest(self) -> Start:
-        """Return the nearest minimum, even where friction would be negative."""
-        return min(
-            (start if start.settled else self._improved(start) for start in self._trials()), key=attrgetter("misfit")
-        )
+        """Return the nearest minimum, even where friction would be negative.
+
+        At most one parameter bends the curve, within bounds above 0, and no other has bounds: as that is scanned, the
+        others follow by least squares.
+        """
+        if not self._bending:
+            found = [self._with_linear(self.begin)]
+        else:
+            (name,) = self._bending
+            found = list(self._scanned(name))
+        return min((start for start in found if start is not None), key=attrgetter("misfit"))
 
     @cached_property
     def bends(self) -> dict[str, bool]:
@@ -190,52 +176,35 @@ class StartSearch:
             return 0.5 * (low + high)
         return float(np.clip(value, low, high))
 
-    def _trials(self) -> list[Start]:
-        """Return the values that are tried: minima of a scan, or combinations."""
-        tried = [name for name in self.law.free if name not in self.linear and name not in self.given]
-        if len(tried) == 1 and not self.given and (found := self._scanned(tried[0])):
-            return found
-        every = (self._with_linear(values) for values in [self.begin, *(self._combined(tried) if tried else ())])
-        self._tried = [exact for start in every if start is not None and (exact := self._exact(start)) is not None]
-        return self._tried
+    @property
+    def _bending(self) -> list[str]:
+        """The parameters that are tried: those without a first value in which the formula is not linear."""
+        return [name for name in self.law.free if name not in self.linear and name not in self.given]
 
-    def _scanned(self, name: str) -> list[Start]:
-        """Return the minima over a scan of the one parameter beside which all others are linear.
+    def _scanned(self, name: str) -> Iterator[Start]:
+        """Yield the minima over a scan of a parameter beside which all others are linear.
 
         On fine records the valley of the true value is so narrow that a wide one elsewhere is lower on the scan: so
         every minimum is settled.
         """
-        low, high = self.law.limits(name)
-        found = []
-        for sign, least, most in ((1.0, low, high), (-1.0, -high, -low)):
-            size = self.sizes[name]
-            first = least if least > 0 else SCANNED_RANGE[0] * min(size, most)
-            last = most if most < math.inf else SCANNED_RANGE[1] * max(size, first)
-            if not 0 < first < last:
-                continue
-            logs = np.linspace(math.log(first), math.log(last), SCANNED)
-            values = np.clip(np.exp(logs), first, last)
-            starts = [self._with_linear(self.begin | {name: sign * value}) for value in values.tolist()]
-            self._tried += [start for start in starts if start is not None]
-            left = np.array([math.inf, *(math.inf if one is None else one.misfit for one in starts), math.inf])
-            for k in np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])).tolist():
-                start = starts[k]
-                if start is not None:
-                    begin = logs[k - 1] if k > 0 else max(_log(least), logs[0] - LOG_BEYOND)
-                    end = logs[k + 1] if k + 1 < SCANNED else min(_log(most), logs[-1] + LOG_BEYOND)
-                    found.append(self._settled(name, start, float(begin), float(end)))
-        return found
+        logs = np.linspace(*np.log(self.law.limits(name)), SCANNED)
+        starts = [self._with_linear(self.begin | {name: value}) for value in np.exp(logs).tolist()]
+        left = np.array([math.inf, *(math.inf if one is None else one.misfit for one in starts), math.inf])
+        for k in np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])).tolist():
+            start = starts[k]
+            if start is not None:
+                yield self._settled(name, start, float(logs[max(k - 1, 0)]), float(logs[min(k + 1, SCANNED - 1)]))
 
     def _settled(self, name: str, start: Start, begin: float, end: float) -> Start:
-        """Return the minimum between two logarithms of the parameter; the start where bounds of others are in its way.
+        """Return the minimum between two logarithms of the parameter (Golub and Pereyra, 1973).
 
         By secants of the derivative of what is left, halved where these do not lead down.
         """
-        at, before = math.log(abs(start.values[name])), None
+        at, before = math.log(start.values[name]), None
         for _ in range(MOST_STEPS):
             columns, left = self.sloped(start.values, (*self.linear, name)), self._left(start.values)
-            if columns is None or left is None or not _agree(start.misfit, left):
-                return self._exact(start) or start
+            if columns is None or left is None:
+                return start
             along, beside = columns[:, -1] * start.values[name], columns[:, :-1]
             along = along - np.einsum("mp,p->m", beside, np.linalg.lstsq(beside, along, rcond=None)[0])
             slope, curvature = float(np.sum(along * left)), float(np.sum(along**2))
@@ -246,20 +215,14 @@ class StartSearch:
             if not begin <= there <= end:
                 there = 0.5 * (begin + end)
             while abs(there - at) > LOG_SETTLED:
-                moved = self._with_linear(start.values | {name: math.copysign(math.exp(there), start.values[name])})
-                if moved is None or any(self._bounded(moved.values)):
-                    return start
-                if moved.misfit < start.misfit:
+                moved = self._with_linear(start.values | {name: math.exp(there)})
+                if moved is not None and moved.misfit < start.misfit:
                     break
                 there = 0.5 * (at + there)
             else:
-                return start._replace(settled=True)
+                return start
             before, at, start = (at, slope), there, moved
-        return start._replace(settled=True)
-
-    def _bounded(self, values: dict[str, float]) -> list[bool]:
-        """Return whether each of the linear parameters is on a bound."""
-        return [values[name] in self.law.limits(name) for name in self.linear]
+        return start
 
     def _combined(self, tried: Sequence[str]) -> list[dict[str, float]]:
         """Return trials of the parameters that bend the curve: every combination, or some of very many."""
@@ -287,24 +250,13 @@ class StartSearch:
             columns = self.sloped(values, self.linear)
             if columns is None:
                 return None
-            wanted = np.linalg.lstsq(columns, -left, rcond=None)[0]
-            before = np.array([values[name] for name in self.linear])
-            low, high = np.array([self.law.limits(name) for name in self.linear]).T
-            moved = np.clip(before + wanted, low, high)
-            values = values | dict(zip(self.linear, moved.tolist(), strict=True))
-            left = left + np.einsum("mp,p->m", columns, moved - before)
-        with np.errstate(over="ignore"):
-            misfit = float(np.sum(left**2))
-        every = len(self.linear) == len(self.law.free) and not any(self._bounded(values))
-        return Start(values, misfit, settled=every) if misfit < math.inf else None
-
-    def _exact(self, start: Start) -> Start | None:
-        """Return a start with what it leaves: a formula with a kink is not linear everywhere."""
-        left = self._left(start.values)
-        if left is None or _agree(start.misfit, left):
-            return None if left is None else start
-        with np.errstate(over="ignore"):
-            return Start(start.values, float(np.sum(left**2)))
+            change = np.linalg.lstsq(columns, -left, rcond=None)[0]
+            values = values | {
+                name: float(np.clip(values[name] + step, *self.law.limits(name)))
+                for name, step in zip(self.linear, change, strict=True)
+            }
+            left = self._left(values)
+        return None if left is None else Start(values, float(np.sum(left**2)))
 
     def sloped(self, values: dict[str, float], by: tuple[str, ...]) -> Array | None:
         """Return the derivatives (m, p) of what is left by parameters; None where they are not finite."""
@@ -334,8 +286,8 @@ class StartSearch:
                 break
         return [start for start, _ in kept]
 
-    def _improved(self, start: Start) -> Start:
-        """Return the end of least squares within the bounds."""
+    def _improved(self, start: Start) -> Start | None:
+        """Return the end of least squares within the bounds, or the start; None where neither is friction."""
         from scipy.optimize import least_squares
 
         names = self.law.free
@@ -358,7 +310,9 @@ class StartSearch:
         inside = np.clip(begin / size, *bounds)
         with np.errstate(all="ignore"):  # of steps along what hardly changes the curve
             found = least_squares(residual, inside, slopes, bounds=bounds, method="trf", x_scale=1.0, max_nfev=200)
-        return Start(values(found.x), float(2 * found.cost), settled=True)
+        usable = self._is_friction(start.values)  # its reason is understood more easily than that of the end
+        end = Start(values(found.x), float(2 * found.cost))
+        return end if self._is_friction(end.values) else start if usable else None
 
     def _is_friction(self, values: dict[str, float]) -> bool:
         """Return whether friction is finite and not negative at every slip speed, and above 0 at rest."""
@@ -377,17 +331,6 @@ class StartSearch:
         what = f"friction is {kind}, {friction[bad]:.4g} m/s^2, {at}"
         self.refused = self.refused or InputError(what, "formula", "give bounds, or a form that stays above 0")
         return False
-
-
-def _log(bound: float) -> float:
-    """Return the logarithm of a bound, -inf of one that is not above 0."""
-    return math.log(bound) if bound > 0 else -math.inf
-
-
-def _agree(misfit: float, left: Array) -> bool:
-    """Return whether a misfit is that of what is left (m,), but for rounding."""
-    with np.errstate(over="ignore"):
-        return bool(abs(misfit - np.sum(left**2)) <= MISFIT_ROUNDING * np.sum(left**2) + MISFIT_ROUNDING)
 
 
 def _order(start: Start) -> tuple[float, int]:

@@ -68,32 +68,35 @@ def spline_tangents(path: Path, directions: Array) -> Array:
     spline = path.curve.spline
     if spline is None:
         raise ValueError("this path follows a law's curve: there are no coefficients")
+    in_slip, in_stick, edge = friction_effect(path)
+    forces = spline.basis(path.slip_speed, in_slip)
+    forces[:, 0] += in_stick
     used = np.flatnonzero(directions.any(axis=0))
     along = np.ascontiguousarray(directions[:, used])
     columns = np.zeros((path.reached.size, directions.shape[1]))
-    basis = spline.basis(path.slip_speed, path.slips.astype(float))
-    columns[:, used] = curve_tangents(path, np.einsum("mn,nk->mk", basis, along), along[0])
+    columns[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=edge[:, None] * along[0])
     return columns
 
 
-def curve_tangents(path: Path, changes: Array, at_rest: Array) -> Array:
-    """Return the derivatives of the positions by changes of a curve that a spline follows, shape (N, k).
+def friction_effect(path: Path) -> tuple[Array, Array, Array]:
+    """Return what a unit of friction per unit mass more does where a spline is followed.
 
-    Parameters
-    ----------
-    path : Path
-    changes : (M, k) f8
-        By how much friction per unit mass changes at each point's slip speed, in slip.
-    at_rest : (k,) f8
-        By how much it changes at rest.
+    Returns
+    -------
+    in_slip : (M,) f8
+        To the acceleration, of friction at each point's slip speed.
+    in_stick : (M,) f8
+        To the acceleration on a ramp, of friction at rest.
+    edge : (windows,) f8
+        To the ramp's edge, of friction at rest.
     """
-    d, q, rest = _contact(path)
-    forces = changes * np.broadcast_to(path.level * path.side * _yielding(path), path.time.shape)[:, None]
+    d, q, at_rest = _contact(path)
+    in_slip = np.broadcast_to(path.level * path.side * _yielding(path), path.time.shape)
+    in_stick = np.zeros(path.time.size)
     if path.curve.ramp or np.any(q):
         ramp = ~path.slips & (path.mode != STICK)
-        forces[ramp] = (path.friction / rest * (d / np.maximum(d + q * rest, 1e-300)))[ramp, None] * at_rest
-    edge = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
-    return tangents(path, forces, edge=edge[:, None] * at_rest)
+        in_stick[ramp] = (path.friction / at_rest * (d / np.maximum(d + q * at_rest, 1e-300)))[ramp]
+    return in_slip, in_stick, np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
 
 
 def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:

@@ -156,5 +156,5 @@ def test_a_narrow_valley_is_found_beside_a_wide_one():
     true, false = 2e-3 * np.exp(20.5 * step), 2e-3 * np.exp(3 * step)
     away = f"min(4*abs(log(v/{float(true)!r})), 0.3 + 0.2*abs(log(v/{float(false)!r})))"
     law = Law("mine", f"a*(1 - s + s*{away})", bounds={"v": (2e-3, 1e2)})
-    found = find_starts(law, Target(np.array([0.0, 1.0]), np.eye(2), np.array([1.0, 0.0]), 1.0))[0]
+    found = StartSearch(law, Target(np.array([0.0, 1.0]), np.eye(2), np.array([1.0, 0.0]), 1.0)).nearest()
     assert found.values["v"] == pytest.approx(true, rel=1e-4)
