@@ -187,7 +187,8 @@ class StartSearch:
         On fine records the valley of the true value is so narrow that a wide one elsewhere is lower on the scan: so
         every minimum is settled.
         """
-        logs = np.linspace(*np.log(self.law.limits(name)), SCANNED)
+        low, high = self.law.limits(name)
+        logs = np.linspace(math.log(low), math.log(high), SCANNED)
         starts = [self._with_linear(self.begin | {name: value}) for value in np.exp(logs).tolist()]
         left = np.array([math.inf, *(math.inf if one is None else one.misfit for one in starts), math.inf])
         for k in np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])).tolist():
