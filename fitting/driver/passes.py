@@ -36,6 +36,7 @@ class Limits(NamedTuple):
     steps: int
     gain: float
     steady: float
+    corrections: int = 0
 
 
 # Noise that the first pass assumes, over the resolution.  At half a start that errs by a slip's tenth is held where it
@@ -45,7 +46,7 @@ FIRST_NOISE = 30.0
 # are wrong twice the time.  A wrong law's noise is large and its gain small: its rms says whether it still moves.
 SEARCH = Limits(12, 1e-3, 1e-3)
 AT_START = Limits(0, 1e-3, 1e-3)  # no step at all
-WHOLE = Limits(30, 1e-5, np.inf)  # of every sample: at half, a level that fades is not at its end
+WHOLE = Limits(30, 1e-5, np.inf, corrections=3)  # of every sample: at half, a level that fades is not at its end
 MOST_PASSES = 4  # passes after the first; the noise of a true law stays after two
 # Noise shown over the noise assumed: a pass that shows no less was the last.  At 0.9 each law takes one pass more.
 NOISE_SETTLED = 0.8
@@ -333,7 +334,7 @@ def _one_pass(
     """Minimise with the noise assumed; forces along the path are evaluated anew until they settle."""
     model.settle(*start, FOLLOWED)
     problem = least_squares_problem(model, noise, start.q, below_belt=below_belt)
-    settings: dict[str, Any] = {"tolerance": limits.gain, "steady": limits.steady}
+    settings: dict[str, Any] = {"tolerance": limits.gain, "steady": limits.steady, "corrections": limits.corrections}
     solution = levenberg_marquardt.minimise(problem, *start, max_steps=limits.steps, damping=damping, **settings)
     first = model.task.curve.size + len(model.task.places)
     for _ in range(FORCE_PASSES if model.along else 0):

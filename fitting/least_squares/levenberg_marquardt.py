@@ -33,6 +33,8 @@ from fitting.least_squares.problem import LeastSquaresProblem, cost, cost_by_cyc
 FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # of the curvatures; factors after a step taken, refused
 CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
 PROBE_STEP = 0.1  # share of the step: where the second derivative along it is measured
+# Of a step back onto the floor of a valley: at less it moves along the valley too, which may bend there; not swept.
+CORRECTION_DAMPING = 1e-6
 LARGEST_DAMPING, LEAST_DAMPING = 1e10, 1e-12
 LEAST_CHANGE = 1e-12  # change over the cost: less is rounding
 # Share of the rise of the cost where a step fails: a cycle with more is fitted anew.  0.03 does the same.
@@ -104,6 +106,7 @@ def minimise(
     tolerance: float = 1e-5,
     damping: float = FIRST_DAMPING,
     steady: float = math.inf,
+    corrections: int = 0,
 ) -> Solution | None:
     """Minimise from (u, local); None when not even the start can be followed.
 
@@ -121,6 +124,9 @@ def minimise(
     steady : float
         Of the weighted rms residual: a step that changes it by more is not one to stop at, however little it gains.
         Where the noise is taken to be large, the cost is small and nearly all priors.
+    corrections : int
+        How often a step that leads off the floor of a bent valley is led back by the same derivatives before it counts
+        as failed.  Near the end of a search, where derivatives cost much more than residuals.
     """
     u, local = np.clip(u, problem.lower, problem.upper), np.minimum(local, problem.local_upper)
     at = _point(problem, u, local)
@@ -130,7 +136,7 @@ def minimise(
     while steps < max_steps:
         trial, refused = None, 0
         while damping < LARGEST_DAMPING:
-            trial = _trial(problem, at, damping)
+            trial = _trial(problem, at, damping, corrections)
             if trial is not None and trial.cost - at.cost < LEAST_CHANGE * at.cost:
                 break
             refused += 1
@@ -191,7 +197,7 @@ def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None
     return Point(u, local, *found, cost(problem, u, local, found[0]), blocks)
 
 
-def _trial(problem: LeastSquaresProblem, at: Point, damping: float) -> Trial | None:
+def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections: int = 0) -> Trial | None:
     """Return where a step leads; None where that cannot be followed, or where the second order no longer holds."""
     step = _accelerated_step(problem, at, damping)
     if step is None:
@@ -201,9 +207,34 @@ def _trial(problem: LeastSquaresProblem, at: Point, damping: float) -> Trial | N
     found = problem.evaluate(u, local, False)
     if found is None:
         return None
-    trial = Trial(u, local, cost(problem, u, local, found[0]))
+    trial, residual = Trial(u, local, cost(problem, u, local, found[0])), found[0]
+    for _ in range(corrections):
+        if trial.cost < at.cost:
+            break
+        corrected = _corrected(problem, at, trial, residual)
+        if corrected is None or corrected[0].cost >= trial.cost:
+            break
+        trial, residual = corrected
     failed = trial.cost - at.cost >= LEAST_CHANGE * at.cost
-    return _with_failed_cycles_anew(problem, at, trial, found[0]) if failed else trial
+    return _with_failed_cycles_anew(problem, at, trial, residual) if failed else trial
+
+
+def _corrected(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> tuple[Trial, Array] | None:
+    """Return where a step across the valley leads from a trial, by the derivatives before it, and the residuals there.
+
+    None where that cannot be followed.
+    """
+    p = at.u.size
+    gradient = np.zeros((trial.local.shape[0], p + trial.local.shape[1]))
+    kernel(elimination.sum_gradients)(at.jacobian, residual * problem.weights[problem.owner], problem.first, gradient)
+    g = gradient[:, :p].sum(axis=0) + problem.precision * (trial.u - problem.prior)
+    gl = gradient[:, p:] + problem.local_precision * (trial.local - problem.local_prior)
+    damped = SchurComplement(at.blocks, CORRECTION_DAMPING, (trial.local >= problem.local_upper) & (gl < 0))
+    step = _step(problem, trial.u, damped, g, gl)
+    u = np.clip(trial.u + step.u, problem.lower, problem.upper)
+    local = np.minimum(trial.local + step.local, problem.local_upper)
+    found = problem.evaluate(u, local, False)
+    return None if found is None else (Trial(u, local, cost(problem, u, local, found[0])), found[0])
 
 
 def _with_failed_cycles_anew(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> Trial:
