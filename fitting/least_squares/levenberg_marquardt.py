@@ -9,6 +9,7 @@ and a straight step along it soon leaves its floor.  So each step is bent: the s
 along it, one evaluation more, gives the acceleration with which a geodesic would follow the floor (Transtrum & Sethna,
 arXiv:1201.5885).  Where a step fails because of a few cycles (a kick, a corner on the wrong side, a valley of their own
 that bends more), their own unknowns are fitted anew beside the shared ones that the step leads to.
+Where the valley bends more than the acceleration says, a step may be led back across it by the derivatives at hand.
 """
 
 import math
