@@ -37,7 +37,6 @@ from fitting.undetermined import natural_size
 
 CONFIDENCE = 0.95  # confidence of the intervals, and of a form inside the band
 LEAST_SEEN = 1e-10  # singular value over that of the best known combination of a form's parameters: less is rounding
-LARGEST_LOG = 300.0  # largest logarithm of an end of an interval
 # Ends of the speed over which friction falls, over the largest slip speed: beyond them the fall lies below the slowest
 # speed, or the curve is straight.
 FALLS = (2e-3, 1e2)
@@ -117,17 +116,17 @@ def _fitted(form: Form, search: StartSearch, shown: int, samples: int, speeds: A
         raise RuntimeError("a form has derivatives where it is nearest")
     inverse = np.linalg.pinv(slopes * sizes, rcond=LEAST_SEEN) * sizes[:, None]
     deviations = dict(zip(law.free, np.linalg.norm(inverse, axis=1).tolist(), strict=True))
-    freedom = max(shown - len(law.free), 1)
+    freedom, quantile = max(shown - len(law.free), 1), normal_quantile(0.5 + CONFIDENCE / 2)
     fall = None
     if "Fc" in law.free:
         at = [law.free.index(name) for name in ("Fs", "Fc")]
         error = float(np.linalg.norm(inverse[at[0]] - inverse[at[1]]))
-        fall = _with_interval(values["Fs"] - values["Fc"], error, law.unit("Fs"))
+        fall = replace(Parameter.around(values["Fs"] - values["Fc"], error, quantile), unit=law.unit("Fs"))
     parameters = {}
     for name in sorted(law.free, key=lambda name: (name != "Fs", law.free.index(name))):
-        item = _with_interval(values[name], deviations[name], law.unit(name), by_log=name == form.bend)
-        least = form.law.limits(name)[0]
-        parameters[_written(name)] = replace(item, lo=max(item.lo, least))
+        limits = form.law.limits(name)
+        item = Parameter.around(values[name], deviations[name], quantile, limits, by_log=name == form.bend)
+        parameters[_written(name)] = replace(item, unit=law.unit(name))
     fixed = {name: f"{value:.4g} m/s" for name, value in (law.fix or {}).items()}
     return FormFit(
         name=form.name,
@@ -141,15 +140,6 @@ def _fitted(form: Form, search: StartSearch, shown: int, samples: int, speeds: A
         inside_band=bool(start.misfit <= chi_square_quantile(CONFIDENCE, freedom)),
         values=law.curve.value(speeds, values | dict(law.fix or {})),
     )
-
-
-def _with_interval(value: float, error: float, unit: str, *, by_log: bool = False) -> Parameter:
-    """Return a value with its interval; of one that is fitted by its logarithm by a factor."""
-    reach = normal_quantile(0.5 + CONFIDENCE / 2) * error
-    if not by_log:
-        return Parameter(value, error, value - reach, value + reach, unit)
-    low, high = (math.log(value) + sign * reach / value for sign in (-1, 1))
-    return Parameter(value, error, math.exp(max(low, -LARGEST_LOG)), math.exp(min(high, LARGEST_LOG)), unit)
 
 
 def _written(text: str, named: dict[str, str] | None = None) -> str:
