@@ -36,6 +36,8 @@ CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
 PROBE_STEP = 0.1  # share of the step: where the second derivative along it is measured
 # Of a step back onto the floor of a valley: at less it moves along the valley too, which may bend there; not swept.
 CORRECTION_DAMPING = 1e-6
+# Gain over the cost, of a step that was led back: with less a shorter one may gain more, and small gains end a search.
+CORRECTED_GAIN = 1e-4
 LARGEST_DAMPING, LEAST_DAMPING = 1e10, 1e-12
 LEAST_CHANGE = 1e-12  # change over the cost: less is rounding
 # Share of the rise of the cost where a step fails: a cycle with more is fitted anew.  0.03 does the same.
@@ -209,13 +211,15 @@ def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections:
     if found is None:
         return None
     trial, residual = Trial(u, local, cost(problem, u, local, found[0])), found[0]
-    for _ in range(corrections):
-        if trial.cost < at.cost:
+    led_back = trial, residual
+    for _ in range(corrections if trial.cost >= at.cost else 0):
+        corrected = _corrected(problem, at, *led_back)
+        if corrected is None or corrected[0].cost >= led_back[0].cost:
             break
-        corrected = _corrected(problem, at, trial, residual)
-        if corrected is None or corrected[0].cost >= trial.cost:
+        led_back = corrected
+        if led_back[0].cost < (1 - CORRECTED_GAIN) * at.cost:
+            trial, residual = led_back
             break
-        trial, residual = corrected
     failed = trial.cost - at.cost >= LEAST_CHANGE * at.cost
     return _with_failed_cycles_anew(problem, at, trial, residual) if failed else trial
 
