@@ -157,7 +157,7 @@ class Law:
         if newtons and force == 1:
             return {0: "N", -1: "N s/m"}.get(speed) or f"N (m/s)^{speed}"
         words = {(0, 1): "m/s", (0, -1): "s/m"}
-        powers = (("m", force + speed), ("s", -2 * force - speed))
+        powers = sorted((("m", force + speed), ("s", -2 * force - speed)), key=lambda part: -part[1])
         composed = " ".join(f"{base}^{power}" if power != 1 else base for base, power in powers if power)
         return words.get((force, speed), composed)
 

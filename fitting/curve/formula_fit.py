@@ -16,14 +16,14 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.measured import Measured
-from fitting.curve.forms import GRID_SPEEDS, metric_of
 from fitting.curve.level import rest_prior
+from fitting.curve.metric import measured_target
 from fitting.curve.spline_fit import SplineFit
 from fitting.driver.driver import best_end, start_beside
 from fitting.driver.fit import TaskFit
-from fitting.driver.formula import SPLINE_REACH, FormulaCurve, Target
+from fitting.driver.formula import SPLINE_REACH, FormulaCurve
 from fitting.driver.passes import finish
-from fitting.driver.task import KNOT_POWER, OF_THE_LAW, Task
+from fitting.driver.task import OF_THE_LAW, Task
 from fitting.estimation.covariance import covariances
 from fitting.estimation.fitted_law import FittedLaw
 from fitting.law import Law
@@ -141,18 +141,18 @@ def fit_formula(
         With none of the values tried is the formula a friction curve.
     """
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
-    measured, level_sd = _measured(host)
-    near = measured.off_by_a_constant(level_sd)
-    curve = FormulaCurve(law, fastest, near)
+    measured = measured_target(host, host.linearised())
+    curve = FormulaCurve(law, fastest, measured.near)
     level_held = host.rest is not None and _has_constant(curve)
     problem = _problem(law, host, rest_free=host.rest is not None and not level_held)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
     beside = start_beside(task, host.at)
     starts = []
     for start in curve.starts:
-        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, near.aim.size):
+        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, measured.alone.aim.size):
             theta = curve.theta(start.values)
-            rise = measured.constant_beside(curve.at_speeds(theta, measured.speeds), level_sd) / host.u[Global.K]
+            friction = curve.at_speeds(theta, measured.alone.speeds)
+            rise = measured.alone.constant_beside(friction, measured.level_sd) / host.u[Global.K]
             shared = beside.q[: len(task.places)] + [rise * _is_free_rest(problem, place) for place in task.places]
             begin = beside._replace(q=np.concatenate([shared, theta]))
             starts += [(begin, host.at.noise.without_fade), (begin, None)]
@@ -170,17 +170,6 @@ def _read(
     u = at.u.copy()
     u[Global.LOG_F :: PER_RUN] = math.log(float(at.task.friction(at.q, np.zeros(1))[0]))
     return FormulaFit(**(read | {"u": u}), asked_for=asked_for, number=number, together=together, level_held=level_held)
-
-
-def _measured(host: SplineFit) -> tuple[Target, float]:
-    """Return the measured curve in the metric of the record, and how well its level is known, m/s^2.
-
-    That metric is `fitting.curve.forms.Metric`.
-    """
-    metric, fastest = metric_of(host, host.linearised()), float(host.spline.knots[-1])
-    s = fastest * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER
-    root = np.einsum("mn,nk->mk", metric.root, host.spline.projection(s))
-    return Target(s, root, metric.aim, float(np.median(host.spline.coefficients))), metric.level_sd
 
 
 def _is_free_rest(problem: EstimationProblem, place: int) -> bool:

@@ -152,7 +152,7 @@ def _own(fit: FormulaFit, name: str, motion: MeasuredMotion, quantile: float) ->
     error = math.hypot(error, (force + speed) * value * motion.length_error)  # that of the metres per count
     trusted = not any(name in one.names for one in fit.together)
     fixed = name in (law.fix or {})
-    item = _interval(value, 0.0 if fixed else error, quantile, law.limits(name), by_log=by_log)
+    item = Parameter.around(value, 0.0 if fixed else error, quantile, law.limits(name), by_log=by_log)
     item = replace(item, unit=law.unit(name), trusted=trusted, fixed=fixed)
     if not force:
         return {name: item}
@@ -162,7 +162,7 @@ def _own(fit: FormulaFit, name: str, motion: MeasuredMotion, quantile: float) ->
     factor = (known.value if motion.mass else known.value / fit.values.K) ** force
     spread = math.hypot(item.stderr * factor, force * value * factor * known.sd / known.value)
     low, high = (factor * end for end in law.limits(name))
-    newtons = _interval(value * factor, spread, quantile, (low, high), by_log=by_log)
+    newtons = Parameter.around(value * factor, spread, quantile, (low, high), by_log=by_log)
     return {f"{name}/m": item, name: replace(newtons, unit=law.unit(name, newtons=True), trusted=trusted)}
 
 
@@ -188,13 +188,3 @@ def _differences(fit: FormulaFit, own: dict[str, Parameter], quantile: float) ->
 
 def _level_known(item: Parameter) -> bool:
     return item.stderr < STATED_ERROR * abs(item.value)
-
-
-def _interval(value: float, error: float, quantile: float, limits: tuple[float, float], *, by_log: bool) -> Parameter:
-    """Return a value with its interval within the limits; of one that was fitted by its logarithm by a factor."""
-    if by_log and value > 0:
-        factor = math.exp(min(quantile * error / value, 700.0))
-        lo, hi = value / factor, value * factor
-    else:
-        lo, hi = value - quantile * error, value + quantile * error
-    return Parameter(value, error, max(lo, limits[0]), min(hi, limits[1]), "")

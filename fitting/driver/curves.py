@@ -5,7 +5,7 @@ fitted beside it.  It gives the friction along a path and the derivatives of the
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,8 +20,6 @@ from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS
 
 NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
-Friction = Callable[[Array], Array]  # slip speeds (k,), m/s, to friction per unit mass (k,), m/s^2
-PER_PIECE = 20  # slip speeds a piece at which another friction is read; half and twice give the same spline to 1e-4
 
 
 class FrictionCurve(ABC):
@@ -60,10 +58,6 @@ class FrictionCurve(ABC):
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,); ``u`` are the unknowns of all runs."""
 
-    @abstractmethod
-    def near(self, friction: Friction, beside: Array) -> Array:
-        """Return theta (size,) of this kind of curve near another friction."""
-
     def is_ramp_of(self, other: "FrictionCurve") -> bool:
         """Return whether this is the other curve behind a ramp, and so contains it."""
         return False
@@ -94,10 +88,6 @@ class LawCurve(FrictionCurve):
         """See `FrictionCurve`."""
         p = parameters.values(u[:PER_RUN])
         return np.asarray(magnitude(LAWS[self.law].curve_code, s, p.F, p.shape * p.F, p.shape))
-
-    def near(self, friction: Friction, beside: Array) -> Array:
-        """Return nothing: what a law starts from beside another one is `EstimationProblem.start_near`."""
-        return np.empty(0)
 
     def is_ramp_of(self, other: FrictionCurve) -> bool:
         """See `FrictionCurve`."""
@@ -158,12 +148,6 @@ class FreeCurve(ThroughSpline):
         self.prior, self.precision = np.zeros(self.size), self.basis.precision
         self.lower, self.upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         self.start = self.basis.unknowns(beside, coefficients)[beside.size :]
-
-    def near(self, friction: Friction, beside: Array) -> Array:
-        """See `FrictionCurve`."""
-        s = np.linspace(0.0, self.spline.knots[-1], PER_PIECE * (self.spline.knots.size - 1))
-        found = np.einsum("ik,k->i", self.spline.projection(s), friction(s))
-        return self.basis.unknowns(beside, found)[beside.size :]
 
     def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:
         """See `ThroughSpline`."""

@@ -21,6 +21,7 @@ from fitting.driver.fit import TaskFit
 from fitting.driver.noise import PassNoise
 from fitting.driver.overtaking import find_overtaking, with_overtaking
 from fitting.driver.passes import (
+    GIVEN_UP_BEYOND_BEST,
     assumed_noise,
     finish,
     first_pass,
@@ -36,9 +37,6 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
 
 logger = logging.getLogger(__name__)
-# Error over the best after the first pass, from which a task is not settled.  True laws reach 20 there in harsh
-# records; twice costs time alone.
-GIVEN_UP_BEYOND_BEST = 30.0
 # Error over the best, or over the resolution, from which a task is not looked at more closely: no law that errs 5 times
 # as much was in a set, and at 20 every sample costs time.
 FAR_BEYOND_BEST = 10.0
@@ -67,13 +65,19 @@ def best_end(
 ) -> TaskFit | None:
     """Settle a task from each start until one reaches the noise; return the end that errs least.
 
-    Starts come with the noise of the fit that they are from; that errs least after its first pass comes first.
-    ``noise_m`` (runs,) is the noise of a position, m, where it is known; else the resolution.
+    Starts come with the noise of the fit that they are from, the likeliest first.  The one that errs least after its
+    first pass is settled first; once that pass reaches the noise, the starts after it are not looked at.  ``noise_m``
+    (runs,) is the noise of a position, m, where it is known; else the resolution.
     """
     reached = noise_levels.DESCRIBES * (_resolution(task) if noise_m is None else float(np.max(noise_m)))
     best: TaskFit | None = None
-    tried = [first_pass(task, start, noise) for start, noise in starts]
-    for first in sorted((one for one in tried if one is not None), key=lambda one: one.geometric_mean_rms):
+    tried: list[TaskFit] = []
+    for start, noise in starts:
+        first = first_pass(task, start, noise)
+        tried += [] if first is None else [first]
+        if first is not None and first.geometric_mean_rms < reached:
+            break
+    for first in sorted(tried, key=lambda one: one.geometric_mean_rms):
         settled = settle(first, noise_m)
         if settled is not None and (best is None or settled.geometric_mean_rms < best.geometric_mean_rms):
             best = settled
@@ -160,8 +164,7 @@ def fit_all(
     left = [own if own is not None and not np.array_equal(own.q, one.q) else None for one, own in begun]
     found = from_left_starts(found, left, each)
     found = _overtaking(found, each)
-    found = _contained(beside_better(_opened(found, each), each), settle, each)
-    found = _opened(found, each)  # a ramp that started from its jump may have ended below it
+    found = _opened(_contained(beside_better(found, each), settle, each), each)
     limit = FAR_BEYOND_BEST * min((one.geometric_mean_rms for one in found), default=0.0)
     found = list(each(partial(_with_static, limit=limit), found))
     for one in found:
@@ -219,11 +222,12 @@ def _resolution(task: Task) -> float:
 
 
 def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
-    """Return where a task starts beside another's end: shared unknowns and windows as there, and the same friction.
+    """Return where a task starts beside another's end: shared unknowns and windows as there.
 
-    A ramp that starts next to none has ``narrow`` of its first width.
+    A law has the same friction, another curve starts where it is made to start.  A ramp that starts next to none has
+    ``narrow`` of its first width.
     """
-    u, (_, n, m) = donor.u, task.widths
+    u = donor.u
     mine, other = task.curve, donor.task.curve
     if isinstance(mine, LawCurve) and isinstance(other, LawCurve):
         u = task.problem.start_near(other.law, u)
@@ -232,9 +236,7 @@ def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
     elif mine.ramp and not other.ramp:
         u[Global.D :: PER_RUN] = narrow * task.problem.start[Global.D :: PER_RUN]
     u = np.clip(u, task.problem.lower, task.problem.upper)
-    shared = u[list(task.places)]
-    theta = mine.near(lambda s: donor.task.friction(donor.q, s), shared) if n else np.empty(0)
-    return FitStart(np.concatenate([shared, theta, np.zeros(m)]), donor.local)
+    return FitStart(np.concatenate([u[list(task.places)], mine.start, np.zeros(task.widths[2])]), donor.local)
 
 
 def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit]:

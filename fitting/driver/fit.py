@@ -11,7 +11,7 @@ from fitting.driver.model import Model
 from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task
 from fitting.least_squares.levenberg_marquardt import Solution
-from fitting.least_squares.normal_equations import SchurComplement, scaled_inverse
+from fitting.least_squares.normal_equations import SchurComplement
 from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
@@ -99,6 +99,5 @@ class TaskFit:
 
     def deviation(self, place: int) -> float:
         """Return the standard deviation of a shared unknown by the noise that the last pass assumed."""
-        blocks, index = self.solution.blocks, self.task.places.index(place)
-        scale, inverse = scaled_inverse(SchurComplement(blocks).H, np.diag(blocks.H))
-        return float(scale[index] * np.sqrt(inverse[index, index]))
+        index = self.task.places.index(place)
+        return math.sqrt(float(SchurComplement(self.solution.blocks).covariance[index, index]))

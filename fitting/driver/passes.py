@@ -20,7 +20,7 @@ from fitting.driver.nodes import SampleNodes
 from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task
 from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.normal_equations import SchurComplement, normal_equations, scaled_inverse
+from fitting.least_squares.normal_equations import SchurComplement, normal_equations
 from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, RIPPLE, Global
@@ -36,6 +36,7 @@ class Limits(NamedTuple):
     steps: int
     gain: float
     steady: float
+    corrections: int = 0
 
 
 # Noise that the first pass assumes, over the resolution.  At half a start that errs by a slip's tenth is held where it
@@ -45,13 +46,16 @@ FIRST_NOISE = 30.0
 # are wrong twice the time.  A wrong law's noise is large and its gain small: its rms says whether it still moves.
 SEARCH = Limits(12, 1e-3, 1e-3)
 AT_START = Limits(0, 1e-3, 1e-3)  # no step at all
-WHOLE = Limits(30, 1e-5, np.inf)  # of every sample: at half, a level that fades is not at its end
+WHOLE = Limits(30, 1e-5, np.inf, corrections=3)  # of every sample: at half, a level that fades is not at its end
 MOST_PASSES = 4  # passes after the first; the noise of a true law stays after two
 # Noise shown over the noise assumed: a pass that shows no less was the last.  At 0.9 each law takes one pass more.
 NOISE_SETTLED = 0.8
 NOISE_CUT = 4.0  # factor by which the noise assumed falls from pass to pass, where it is known
 FIRST_DAMPING, LATER_DAMPING = 1e-4, 1e-6  # of the curvatures: far from the end, and near it
 CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the own unknowns of outlying cycles
+# Error over the best after the first pass, from which a fit is not settled.  True laws reach 20 there in harsh records;
+# twice costs time alone.
+GIVEN_UP_BEYOND_BEST = 30.0
 # Least gain in log likelihood of a ramp's break-away level of its own: of one that is estimated, and, by the first step
 # on the thinned record, of one that is tried.  One contact in three without one has the second.
 STATIC_GAIN, STATIC_HINT = 5.0, 0.5
@@ -177,7 +181,8 @@ def with_own_static(at: TaskFit) -> TaskFit:
         u = at.u.copy()
         _set_static(task, u, level)
         first = first_pass(task, FitStart(_beside(task, u, at), at.local), at.noise)
-        found = None if first is None else settle(first)
+        far = first is None or first.geometric_mean_rms > GIVEN_UP_BEYOND_BEST * at.geometric_mean_rms
+        found = None if first is None or far else settle(first)
         if found is not None and found.geometric_mean_rms < best.geometric_mean_rms:
             best, gain = found, at.residual.size * math.log(at.geometric_mean_rms / found.geometric_mean_rms)
         if max(gain, score) < STATIC_GAIN:
@@ -195,10 +200,9 @@ def _static_score(at: TaskFit, task: Task) -> float:
         return 0.0
     blocks = normal_equations(least_squares_problem(model, at.noise, q), q, at.local, *found)
     reduced = SchurComplement(blocks)
-    scale, inverse = scaled_inverse(reduced.H, np.diag(blocks.H))
     gradient = reduced.reduced_gradient(blocks.g, reduced.local_step(blocks.gl))
     index = task.places.index(Global.STATIC)
-    return 0.5 * float(gradient[index]) ** 2 * float(inverse[index, index] * scale[index] ** 2)
+    return 0.5 * float(gradient[index]) ** 2 * float(reduced.covariance[index, index])
 
 
 def _beside(task: Task, u: Array, at: TaskFit) -> Array:
@@ -330,7 +334,7 @@ def _one_pass(
     """Minimise with the noise assumed; forces along the path are evaluated anew until they settle."""
     model.settle(*start, FOLLOWED)
     problem = least_squares_problem(model, noise, start.q, below_belt=below_belt)
-    settings: dict[str, Any] = {"tolerance": limits.gain, "steady": limits.steady}
+    settings: dict[str, Any] = {"tolerance": limits.gain, "steady": limits.steady, "corrections": limits.corrections}
     solution = levenberg_marquardt.minimise(problem, *start, max_steps=limits.steps, damping=damping, **settings)
     first = model.task.curve.size + len(model.task.places)
     for _ in range(FORCE_PASSES if model.along else 0):

@@ -89,7 +89,7 @@ def covariances(fit: FittedLaw, precision: Array) -> tuple[Array, Array]:
     blocks = fit.solution.blocks
     reduced = SchurComplement(blocks)
     H = reduced.H
-    own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.local_step(blocks.gl))
+    own = reduced.reduced_gradients(blocks.cycle_g, reduced.local_step(blocks.gl))
     cycles = own.shape[0]
     scale, bread = scaled_inverse(H, np.diag(blocks.H))
     own = own * scale

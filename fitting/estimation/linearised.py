@@ -4,20 +4,18 @@ How would the residuals change with other noise, what does the record show of an
 single cycles pull at the estimates: all of it follows from the derivatives at the solution, without another search.
 
 The cost is 1/2 sum_c w_c |r_c|^2 and the priors' quadratic forms, as in
-`fitting.least_squares.levenberg_marquardt`; the unknowns of each cycle are eliminated by their Schur complement.
+`fitting.least_squares.levenberg_marquardt`; the unknowns of each cycle are eliminated by the same `SchurComplement`.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from daq.base.compute.arrays import Array, Integers, Mask
-from daq.base.compute.compile import compiled
 from fitting.driver.fit import TaskFit
 from fitting.least_squares import elimination
-from fitting.least_squares.normal_equations import scaled_inverse
+from fitting.least_squares.normal_equations import NormalEquations, SchurComplement, kernel
 
 WEIGHT_LEFT = 1e-6  # share of its weight left to a cycle that does not count: its own unknowns stay determined
 
@@ -115,70 +113,53 @@ class LinearisedFit:
         """First residual of each cycle, and how many there are, shape (cycles + 1,)."""
         return np.array([*(rows.start for rows in self.rows), self.rows[-1].stop], np.int64)
 
-    @cached_property
-    def _inverse(self) -> Array:
-        """Inverse curvatures (cycles, q, q) of the cycles' own unknowns."""
-        q = self.local.shape[1]
-        own = self._product(self.local, self.local) + self.local_precision[:, :, None] * np.eye(q)
-        inverse = np.empty_like(own)
-        _kernel(elimination.invert)(own, inverse)
-        return inverse
-
     def _product(self, left: Array, right: Array) -> Array:
         """Return w L'R of each cycle, shape (cycles, m, n), for L (N, m) and R (N, n)."""
         out = np.zeros((len(self.rows), left.shape[1], right.shape[1]))
-        _kernel(elimination.sum_cross)(left, np.ascontiguousarray(right), self.first, out)
+        kernel(elimination.sum_cross)(left, np.ascontiguousarray(right), self.first, out)
         out *= self.weights[:, None, None]
         return out
 
-    def _reduced(self, cross: Array, own: Array, other: Array) -> Array:
-        """Return cross (cycles, m, n) less what goes by way of the cycles' own unknowns.
-
-        ``own`` (cycles, m, q) and ``other`` (cycles, q, n) are the products with the derivatives by these.
-        """
-        follow = np.einsum("cij,cjn->cin", self._inverse, other)
-        return np.asarray(cross - np.einsum("cmi,cin->cmn", own, follow))
-
     @cached_property
-    def _own(self) -> Array:
-        """Products (cycles, p, q) of the derivatives with respect to shared and own unknowns."""
-        return self._product(self.shared, self.local)
-
-    def information(self) -> tuple[Array, Array]:
-        """Return the curvature of the shared unknowns, the cycles' own eliminated.
-
-        Returns
-        -------
-        each : (cycles, p, p) f8
-            Each cycle's.
-        total : (p, p) f8
-            Their sum and the curvature of the priors.
-        """
-        return self._information
-
-    @cached_property
-    def _information(self) -> tuple[Array, Array]:
-        own = self._own
-        each = self._reduced(self._product(self.shared, self.shared), own, np.swapaxes(own, 1, 2))
-        return each, each.sum(axis=0) + self.prior_precision
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Inverse (p, p) of the total information: covariance of the shared unknowns for white noise."""
-        _, total = self.information()
-        raw = np.einsum("cpp->p", self._product(self.shared, self.shared)) + np.diag(self.prior_precision)
-        scale, inverse = scaled_inverse(total, raw)
-        return np.asarray(inverse * scale[:, None] * scale)
-
-    def gradients(self) -> Array:
-        """Return each cycle's gradient in the shared unknowns, shape (cycles, p), its own unknowns eliminated."""
-        return self._gradients(self.shared)
-
-    def _gradients(self, columns: Array) -> Array:
-        """Return each cycle's gradient (cycles, m) in unknowns with the derivatives ``columns`` (N, m)."""
+    def blocks(self) -> NormalEquations:
+        """The normal equations."""
         residual = self.residual[:, None]
-        pull = self._product(self.local, residual) + self.local_gradient[:, :, None]
-        return self._reduced(self._product(columns, residual), self._product(columns, self.local), pull)[:, :, 0]
+        curvature, own = self._product(self.shared, self.shared), self._product(self.local, self.local)
+        cycle_g = self._product(self.shared, residual)[:, :, 0]
+        return NormalEquations(
+            g=cycle_g.sum(axis=0) + self.prior_gradient,
+            H=curvature.sum(axis=0) + self.prior_precision,
+            gl=self._product(self.local, residual)[:, :, 0] + self.local_gradient,
+            Hl=own + self.local_precision[:, :, None] * np.eye(own.shape[1]),
+            cross=self._product(self.shared, self.local),
+            cycle_g=cycle_g,
+            cycle_curvature=curvature,
+        )
+
+    @cached_property
+    def reduced(self) -> SchurComplement:
+        """The same with the cycles' own unknowns eliminated: ``H`` is the information on the shared ones."""
+        return SchurComplement(self.blocks)
+
+    @cached_property
+    def information(self) -> Array:
+        """Each cycle's information on the shared unknowns, its own eliminated, (cycles, p, p)."""
+        return self.reduced.by_cycle(self.blocks.cycle_curvature)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (p, p) of the shared unknowns for white noise."""
+        return self.reduced.covariance
+
+    @cached_property
+    def _pull(self) -> Array:
+        """What the gradients of the cycles' own unknowns alone would move these by, (cycles, q)."""
+        return self.reduced.local_step(self.blocks.gl)
+
+    @cached_property
+    def gradients(self) -> Array:
+        """Each cycle's gradient in the shared unknowns, its own eliminated, shape (cycles, p)."""
+        return self.reduced.reduced_gradients(self.blocks.cycle_g, self._pull)
 
     def refit(self, residuals: Array) -> Array:
         """Return what a linear fit of all unknowns leaves of other residuals.
@@ -195,29 +176,9 @@ class LinearisedFit:
             As they were where the step would raise the cost: a search that ended beside a jump of the motion has no
             derivatives there.
         """
-        pull = self._product(self.local, residuals)
-        gradient = self._reduced(self._product(self.shared, residuals), self._own, pull).sum(axis=0)
-        step = -np.einsum("ij,jb->ib", self.covariance, gradient)
-        pull += np.einsum("cpq,pb->cqb", self._own, step)
-        own = -np.einsum("cij,cjb->cib", self._inverse, pull)
-        shared = np.broadcast_to(step, (len(self.rows), *step.shape))
-        out = np.array(residuals, order="C")
-        self._add(shared, own, out)
+        gradient = self._product(self.shared, residuals).sum(axis=0)
+        out = self._moved(residuals, *self.reduced.newton_step(gradient, self._product(self.local, residuals)))
         return np.where(self._squares(out) <= self._squares(residuals), out, residuals)
-
-    def step(self, damping: float = 0.0) -> tuple[Array, Array]:
-        """Return the Gauss-Newton step of the shared (p,) and of the cycles' own unknowns (cycles, q).
-
-        ``damping`` adds that share of its own to every shared unknown's curvature (Levenberg-Marquardt).
-        """
-        _, total = self.information()
-        raw = np.einsum("cpp->p", self._product(self.shared, self.shared)) + np.diag(self.prior_precision)
-        scale, inverse = scaled_inverse(total + damping * np.diag(np.diag(total)), raw)
-        gradient = self.gradients().sum(axis=0) + self.prior_gradient
-        step = -scale * np.einsum("ij,j->i", inverse, scale * gradient)
-        pull = self._product(self.local, self.residual[:, None])[:, :, 0] + self.local_gradient
-        own = np.einsum("cij,cj->ci", self._inverse, pull + np.einsum("cpq,p->cq", self._own, step))
-        return np.asarray(step), np.asarray(-own)
 
     def without(self, spoilt: Mask) -> "LinearisedFit":
         """Return the fit one Gauss-Newton step on, without the weight of some cycles (cycles,).
@@ -225,16 +186,17 @@ class LinearisedFit:
         As it was where that raises the cost of the others: there the derivatives do not hold.
         """
         others = replace(self, weights=np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights))
-        step, own = others.step()
-        out = self.residual[:, None].copy()
-        self._add(np.broadcast_to(step[:, None], (len(self.rows), step.size, 1)), own[:, :, None], out)
-        moved = replace(others, residual=out[:, 0])
+        step, own = others.reduced.newton_step(others.blocks.g, others.blocks.gl)
+        moved = replace(others, residual=self._moved(self.residual[:, None], step[:, None], own[:, :, None])[:, 0])
         return moved if moved.cost <= others.cost else self
 
-    def _add(self, shared: Array, own: Array, out: Array) -> None:
-        """Add what steps of shared (cycles, p, B) and own unknowns (cycles, q, B) do to positions ``out`` (N, B)."""
+    def _moved(self, residuals: Array, step: Array, own: Array) -> Array:
+        """Return residuals (N, B) after steps of the shared (p, B) and the cycles' own unknowns (cycles, q, B)."""
+        out = np.array(residuals, order="C")
+        shared = np.broadcast_to(step, (len(self.rows), *step.shape))
         for columns, steps in ((self.shared, shared), (self.local, own)):
-            _kernel(elimination.add_along)(columns, self.first, np.ascontiguousarray(steps), out)
+            kernel(elimination.add_along)(columns, self.first, np.ascontiguousarray(steps), out)
+        return out
 
     @property
     def cost(self) -> float:
@@ -254,22 +216,20 @@ class LinearisedFit:
             Derivatives of the predicted positions with respect to them.
         """
         columns = np.ascontiguousarray(columns)
-        each, _ = self.information()
-        raw = self._product(columns, columns)
-        to_local = self._product(self.local, columns)
-        beside = self._reduced(self._product(self.shared, columns), self._own, to_local)
-        own = self._reduced(raw, np.swapaxes(to_local, 1, 2), to_local)
+        raw, to_local = self._product(columns, columns), self._product(self.local, columns)
+        pull = self.reduced.local_step(to_local)
+        beside = self.reduced.reduced_gradients(self._product(self.shared, columns), pull)
+        own = raw - np.einsum("cqd,cqe->cde", to_local, pull)
+        gradient = self._product(columns, self.residual[:, None])[:, :, 0]
+        gradient -= np.einsum("cqd,cq->cd", to_local, self._pull)
         follow = np.einsum("ij,jd->id", self.covariance, beside.sum(axis=0))
         back = np.einsum("id,cie->cde", follow, beside)
-        own += np.einsum("id,cij,je->cde", follow, each, follow, optimize=True) - back - np.swapaxes(back, 1, 2)
+        own += np.einsum("id,cij,je->cde", follow, self.information, follow, optimize=True)
+        own -= back + np.swapaxes(back, 1, 2)
         return Scores(
-            score=self._gradients(columns) - np.einsum("id,ci->cd", follow, self.gradients()),
+            score=gradient - np.einsum("id,ci->cd", follow, self.gradients),
             information=own,
             prior_score=-np.einsum("id,i->d", follow, self.prior_gradient),
             prior_information=np.einsum("id,ij,je->de", follow, self.prior_precision, follow),
             raw=np.einsum("cdd->d", raw),
         )
-
-
-def _kernel(function: Callable[..., None]) -> Callable[..., None]:
-    return compiled(function, (elimination.__name__,))

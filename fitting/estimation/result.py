@@ -12,6 +12,10 @@ from daq.base.compute.arrays import Array
 STATED_ERROR = 0.5
 
 
+NO_LIMITS = (-math.inf, math.inf)
+LARGEST_LOG = 300.0  # logarithm of a value's factor: at more the end of an interval is no number
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A value with its standard error and confidence interval, in the unit named.
@@ -46,6 +50,27 @@ class Parameter:
         """Return the document's form; null for what is withheld."""
         error = {"stderr": self.stderr, "lo": self.lo, "hi": self.hi} if self.trusted else _WITHHELD
         return {"value": self.value, **error, "unit": self.unit} | ({"fixed": True} if self.fixed else {})
+
+    @classmethod
+    def around(
+        cls,
+        value: float,
+        stderr: float,
+        quantile: float,
+        limits: tuple[float, float] = NO_LIMITS,
+        *,
+        by_log: bool = False,
+    ) -> "Parameter":
+        """Return a value with its interval within the limits; of one that is fitted by its logarithm by a factor.
+
+        ``quantile`` is half the width of the interval over the standard error.
+        """
+        if by_log and value > 0:
+            factor = math.exp(min(quantile * stderr / value, LARGEST_LOG))
+            lo, hi = value / factor, value * factor
+        else:
+            lo, hi = value - quantile * stderr, value + quantile * stderr
+        return cls(value, stderr, max(lo, limits[0]), min(hi, limits[1]), "")
 
 
 def in_columns(parameters: Mapping[str, Parameter]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ and a straight step along it soon leaves its floor.  So each step is bent: the s
 along it, one evaluation more, gives the acceleration with which a geodesic would follow the floor (Transtrum & Sethna,
 arXiv:1201.5885).  Where a step fails because of a few cycles (a kick, a corner on the wrong side, a valley of their own
 that bends more), their own unknowns are fitted anew beside the shared ones that the step leads to.
+Where the valley bends more than the acceleration says, a step may be led back across it by the derivatives at hand.
 """
 
 import math
@@ -33,6 +34,10 @@ from fitting.least_squares.problem import LeastSquaresProblem, cost, cost_by_cyc
 FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # of the curvatures; factors after a step taken, refused
 CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
 PROBE_STEP = 0.1  # share of the step: where the second derivative along it is measured
+# Of a step back onto the floor of a valley: at less it moves along the valley too, which may bend there; not swept.
+CORRECTION_DAMPING = 1e-6
+# Gain over the cost, of a step that was led back: with less a shorter one may gain more, and small gains end a search.
+CORRECTED_GAIN = 1e-4
 LARGEST_DAMPING, LEAST_DAMPING = 1e10, 1e-12
 LEAST_CHANGE = 1e-12  # change over the cost: less is rounding
 # Share of the rise of the cost where a step fails: a cycle with more is fitted anew.  0.03 does the same.
@@ -104,6 +109,7 @@ def minimise(
     tolerance: float = 1e-5,
     damping: float = FIRST_DAMPING,
     steady: float = math.inf,
+    corrections: int = 0,
 ) -> Solution | None:
     """Minimise from (u, local); None when not even the start can be followed.
 
@@ -121,6 +127,9 @@ def minimise(
     steady : float
         Of the weighted rms residual: a step that changes it by more is not one to stop at, however little it gains.
         Where the noise is taken to be large, the cost is small and nearly all priors.
+    corrections : int
+        How often a step that leads off the floor of a bent valley is led back by the same derivatives before it counts
+        as failed.  Near the end of a search, where derivatives cost much more than residuals.
     """
     u, local = np.clip(u, problem.lower, problem.upper), np.minimum(local, problem.local_upper)
     at = _point(problem, u, local)
@@ -130,7 +139,7 @@ def minimise(
     while steps < max_steps:
         trial, refused = None, 0
         while damping < LARGEST_DAMPING:
-            trial = _trial(problem, at, damping)
+            trial = _trial(problem, at, damping, corrections)
             if trial is not None and trial.cost - at.cost < LEAST_CHANGE * at.cost:
                 break
             refused += 1
@@ -191,7 +200,7 @@ def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None
     return Point(u, local, *found, cost(problem, u, local, found[0]), blocks)
 
 
-def _trial(problem: LeastSquaresProblem, at: Point, damping: float) -> Trial | None:
+def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections: int = 0) -> Trial | None:
     """Return where a step leads; None where that cannot be followed, or where the second order no longer holds."""
     step = _accelerated_step(problem, at, damping)
     if step is None:
@@ -201,9 +210,36 @@ def _trial(problem: LeastSquaresProblem, at: Point, damping: float) -> Trial | N
     found = problem.evaluate(u, local, False)
     if found is None:
         return None
-    trial = Trial(u, local, cost(problem, u, local, found[0]))
+    trial, residual = Trial(u, local, cost(problem, u, local, found[0])), found[0]
+    led_back = trial, residual
+    for _ in range(corrections if trial.cost >= at.cost else 0):
+        corrected = _corrected(problem, at, *led_back)
+        if corrected is None or corrected[0].cost >= led_back[0].cost:
+            break
+        led_back = corrected
+        if led_back[0].cost < (1 - CORRECTED_GAIN) * at.cost:
+            trial, residual = led_back
+            break
     failed = trial.cost - at.cost >= LEAST_CHANGE * at.cost
-    return _with_failed_cycles_anew(problem, at, trial, found[0]) if failed else trial
+    return _with_failed_cycles_anew(problem, at, trial, residual) if failed else trial
+
+
+def _corrected(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> tuple[Trial, Array] | None:
+    """Return where a step across the valley leads from a trial, by the derivatives before it, and the residuals there.
+
+    None where that cannot be followed.
+    """
+    p = at.u.size
+    gradient = np.zeros((trial.local.shape[0], p + trial.local.shape[1]))
+    kernel(elimination.sum_gradients)(at.jacobian, residual * problem.weights[problem.owner], problem.first, gradient)
+    g = gradient[:, :p].sum(axis=0) + problem.precision * (trial.u - problem.prior)
+    gl = gradient[:, p:] + problem.local_precision * (trial.local - problem.local_prior)
+    damped = SchurComplement(at.blocks, CORRECTION_DAMPING, (trial.local >= problem.local_upper) & (gl < 0))
+    step = _step(problem, trial.u, damped, g, gl)
+    u = np.clip(trial.u + step.u, problem.lower, problem.upper)
+    local = np.minimum(trial.local + step.local, problem.local_upper)
+    found = problem.evaluate(u, local, False)
+    return None if found is None else (Trial(u, local, cost(problem, u, local, found[0])), found[0])
 
 
 def _with_failed_cycles_anew(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> Trial:

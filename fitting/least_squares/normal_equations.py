@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -75,11 +76,17 @@ class SchurComplement:
         p = blocks.g.size
         raised = damping if held is None else np.where(held, HELD_CURVATURE, damping)
         Hl = blocks.Hl + (raised * np.einsum("cii->ci", blocks.Hl))[:, :, None] * np.eye(q)
-        self._cross = blocks.cross
+        self._cross, self._raw = blocks.cross, np.diag(blocks.H)
         self._inverse, self._spread = np.empty((c, q, q)), np.empty((c, q, p))
         self.H = blocks.H + damping * np.diag(np.diag(blocks.H))
         kernel(elimination.invert)(Hl, self._inverse)
         kernel(elimination.eliminate)(self._cross, self._inverse, self.H, self._spread)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (p, p) of the shared unknowns for the noise that the weights assume."""
+        scale, inverse = scaled_inverse(self.H, self._raw)
+        return np.asarray(inverse * scale[:, None] * scale)
 
     def by_cycle(self, cycle_curvature: Array) -> Array:
         """Return what each cycle informs of the shared unknowns, (c, p, p), with its own unknowns also fitted."""
@@ -93,16 +100,29 @@ class SchurComplement:
         return np.asarray(np.einsum("cqp,cq,cqr->cpr", self._spread, precision, self._spread))
 
     def local_step(self, gl: Array) -> Array:
-        """Return inv(Hl) gl, shape (cycles, q)."""
-        return np.asarray(np.einsum("cij,cj->ci", self._inverse, gl))
+        """Return inv(Hl) gl, shape (cycles, q); of several gradients (cycles, q, n) each."""
+        return np.asarray(np.einsum("cij,cj...->ci...", self._inverse, gl))
 
     def reduced_gradient(self, g: Array, pull: Array) -> Array:
-        """Return the gradient (p,) with the cycles' unknowns eliminated."""
-        return np.asarray(g - np.einsum("cpq,cq->p", self._cross, pull))
+        """Return the gradient (p,) with the cycles' unknowns eliminated, ``pull`` their `local_step`; or (p, n)."""
+        return np.asarray(g - np.einsum("cpq,cq...->p...", self._cross, pull))
+
+    def reduced_gradients(self, cycle_g: Array, pull: Array) -> Array:
+        """Return each cycle's share of the reduced gradient, (cycles, p) or (cycles, p, n), without the priors of u."""
+        return np.asarray(cycle_g - np.einsum("cpq,cq...->cp...", self._cross, pull))
+
+    def newton_step(self, g: Array, gl: Array) -> tuple[Array, Array]:
+        """Return the whole step of the shared (p,) and of the cycles' own unknowns (cycles, q); or with one axis more.
+
+        ``g`` and ``gl`` are the gradients, as in `NormalEquations`.
+        """
+        pull = self.local_step(gl)
+        step = -np.einsum("ij,j...->i...", self.covariance, self.reduced_gradient(g, pull))
+        return step, self.back_substitute(step, pull)
 
     def back_substitute(self, step: Array, pull: Array) -> Array:
-        """Return the cycles' own step (cycles, q) beside a shared one."""
-        return np.asarray(-pull - np.einsum("cqp,p->cq", self._spread, step))
+        """Return the cycles' own step (cycles, q) beside a shared one (p,); or (cycles, q, n) beside (p, n)."""
+        return np.asarray(-pull - np.einsum("cqp,p...->cq...", self._spread, step))
 
 
 def eigen(matrix: Array) -> tuple[Array, Array]:

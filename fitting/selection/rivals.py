@@ -15,10 +15,11 @@ import numpy as np
 from daq.base.errors import InputError
 from fitting.competitors import Competitors
 from fitting.curve.band import seen_speeds
+from fitting.curve.forms import FORM_OF_LAW
 from fitting.curve.formula_fit import FormulaFit, fit_formula
 from fitting.curve.result import FormFit, MeasuredCurve
 from fitting.curve.spline_fit import SplineFit
-from fitting.driver.formula import Target, find_starts
+from fitting.driver.start_search import Target, find_starts
 from fitting.estimation.fit import Fit
 from fitting.law import PUBLISHED, Law
 from fitting.model.problem import Run
@@ -32,14 +33,6 @@ logger = logging.getLogger(__name__)
 # in another way, which agree to rounding, and for other families, which are off by more than a hundredth.
 SAME_CURVE = 1e-3
 OF_THE_SIX = ("constant", "linear", "hyperbolic")
-FORM = {  # of the measured curve, of each published law
-    "stribeck": "stribeck-exponential",
-    "stribeck-viscous": "stribeck-exponential-viscous",
-    "stribeck-gaussian": "stribeck-gaussian",
-    "stribeck-gaussian-viscous": "stribeck-gaussian-viscous",
-    "logarithmic": "logarithmic",
-    "power": "power",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +94,7 @@ def preferred_forms(forms: Sequence[FormFit]) -> list[Law]:
     """
     by_name = {form.name: form for form in forms}
     limit = min(by_name[name].bic for name in OF_THE_SIX) + OPEN
-    found = [(PUBLISHED[name], by_name[form]) for name, form in FORM.items() if by_name[form].bic < limit]
+    found = [(PUBLISHED[name], by_name[form]) for name, form in FORM_OF_LAW.items() if by_name[form].bic < limit]
     least = min((form.bic for _, form in found), default=0.0)
     return [law for law, form in sorted(found, key=lambda one: one[1].bic) if form.bic < least + OPEN]
 
@@ -180,8 +173,7 @@ def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:
         return False
     speeds = seen_speeds(host)
     friction = rival.curve.at_speeds(rival.theta, speeds)
-    size = float(np.max(friction))
-    nearest = find_starts(law, Target(speeds, np.eye(speeds.size) / size, friction / size, size))[0]
+    nearest = find_starts(law, Target.of(speeds, friction, float(np.max(friction))))[0]
     return nearest.misfit < SAME_CURVE**2 * speeds.size
 
 

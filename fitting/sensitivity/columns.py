@@ -68,18 +68,35 @@ def spline_tangents(path: Path, directions: Array) -> Array:
     spline = path.curve.spline
     if spline is None:
         raise ValueError("this path follows a law's curve: there are no coefficients")
+    in_slip, in_stick, edge = friction_effect(path)
+    forces = spline.basis(path.slip_speed, in_slip)
+    forces[:, 0] += in_stick
+    used = np.flatnonzero(directions.any(axis=0))
+    along = np.ascontiguousarray(directions[:, used])
+    columns = np.zeros((path.reached.size, directions.shape[1]))
+    columns[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=edge[:, None] * along[0])
+    return columns
+
+
+def friction_effect(path: Path) -> tuple[Array, Array, Array]:
+    """Return what a unit of friction per unit mass more does where a spline is followed.
+
+    Returns
+    -------
+    in_slip : (M,) f8
+        To the acceleration, of friction at each point's slip speed.
+    in_stick : (M,) f8
+        To the acceleration on a ramp, of friction at rest.
+    edge : (windows,) f8
+        To the ramp's edge, of friction at rest.
+    """
     d, q, at_rest = _contact(path)
-    forces = spline.basis(path.slip_speed, path.level * path.side * _yielding(path))
+    in_slip = np.broadcast_to(path.level * path.side * _yielding(path), path.time.shape)
+    in_stick = np.zeros(path.time.size)
     if path.curve.ramp or np.any(q):
         ramp = ~path.slips & (path.mode != STICK)
-        forces[ramp, 0] = (path.friction / at_rest * (d / np.maximum(d + q * at_rest, 1e-300)))[ramp]
-    edge = np.zeros((path.windows.table.shape[0], directions.shape[0]))
-    edge[:, 0] = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
-    used = np.flatnonzero(directions.any(axis=0))
-    columns = np.zeros((path.reached.size, directions.shape[1]))
-    along = np.ascontiguousarray(directions[:, used])
-    columns[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=np.einsum("wn,nk->wk", edge, along))
-    return columns
+        in_stick[ramp] = (path.friction / at_rest * (d / np.maximum(d + q * at_rest, 1e-300)))[ramp]
+    return in_slip, in_stick, np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
 
 
 def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:

@@ -1,25 +1,34 @@
-"""The search for the parameter in which a form is not linear, and what follows a form."""
-
-import math
+"""Published forms are laws that are projected on the measured curve, and the lowest coefficients follow them."""
 
 import numpy as np
 import pytest
 
-from fitting.curve.forms import TRIED, best_bend, followed
+from fitting.curve.forms import FORMS
+from fitting.curve.metric import followed
+from fitting.driver.start_search import StartSearch, Target
+
+SPEEDS = np.linspace(0.0, 0.5, 200)
+TRUE = {
+    "constant": {"Fs": 4.6},
+    "linear": {"Fs": 4.6, "G": 2.0},
+    "hyperbolic": {"Fs": 4.6, "gamma": 9.6},
+    "stribeck-exponential": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.004},
+    "stribeck-exponential-viscous": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.08, "Fv": 0.4},
+    "stribeck-gaussian": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.4},
+    "stribeck-gaussian-viscous": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.15, "Fv": 0.5},
+    "logarithmic": {"Fs": 9.0, "b": 0.3, "v_0": 1e-7},
+    "power": {"Fs": 4.6, "b": 3.0, "p": 0.4},
+    "polynomial": {"a0": 4.6, "a1": -9.0, "a2": 20.0, "a3": -16.0},
+}
 
 
-def test_a_narrow_valley_is_found_beside_a_wide_one():
-    # On a record of 7.67 um counts the true curve's valley lay between two values that were tried: the form ended with
-    # Fs = -94 m/s^2 and chi 12 instead of 1.1.
-    step = math.log(1e2 / 2e-3) / (TRIED - 1)
-    true, false = 2e-3 * math.exp(20.5 * step), 2e-3 * math.exp(3 * step)
-
-    def columns(value):
-        narrow, wide = 4 * abs(math.log(value / true)), 0.3 + 0.2 * abs(math.log(value / false))
-        angle = min(narrow, wide)
-        return np.array([[math.cos(angle)], [math.sin(angle)], [0.0]])
-
-    assert best_bend(columns, np.array([1.0, 0.0, 0.0]), 2e-3, 1e2) == pytest.approx(true, rel=1e-4)
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+def test_a_form_is_found_on_its_own_curve(form):
+    law = form.on(3.0, 0.5)
+    friction = law.curve.value(SPEEDS, TRUE[form.name] | dict(law.fix or {}))
+    found = StartSearch(law, Target.of(SPEEDS, friction, 1e-3)).nearest()
+    assert found.values == pytest.approx(TRUE[form.name], rel=1e-4)
+    assert found.misfit < 1e-3
 
 
 def test_an_unknown_without_curvature_does_not_follow_a_form():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from daq.base.errors import InputError
-from fitting.driver.formula import FormulaCurve, StartSearch, Target, find_starts
+from fitting.driver.formula import FormulaCurve
+from fitting.driver.start_search import SCANNED, StartSearch, Target, find_starts
 from fitting.law import PUBLISHED, Law
 
 FASTEST = 0.7
@@ -19,7 +20,9 @@ TRUE = {
 
 def of(law, values):
     whole = dict(law.fix or {}) | values
-    return Target.of(lambda s: law.curve.value(s, whole), FASTEST)
+    s = FASTEST * np.linspace(0.06, 1.0, 61)
+    friction = law.curve.value(s, whole)
+    return Target.of(s, friction, float(np.median(friction)))
 
 
 @pytest.mark.parametrize("name", list(TRUE))
@@ -64,7 +67,7 @@ SPEEDS = np.linspace(0.015, 0.5, 200)
 
 def target(friction, sd):
     """Return friction at `SPEEDS`, m/s^2, known to this standard deviation, as a target."""
-    return Target(SPEEDS, np.eye(SPEEDS.size) / sd, friction / sd, float(np.median(friction)))
+    return Target.of(SPEEDS, friction, sd)
 
 
 def on(formula, values, *, level_sd=0.0, offset=0.0, **law):
@@ -144,3 +147,14 @@ def test_published_forms_start_on_a_noisy_curve(name):
     assert (found.misfit < 1.3 * SPEEDS.size) == true
     if true:
         assert found.values["v_s"] == pytest.approx(0.08, rel=0.1)
+
+
+def test_a_narrow_valley_is_found_beside_a_wide_one():
+    # On a record of 7.67 um counts the true curve's valley lay between two values that were tried: the form ended with
+    # Fs = -94 m/s^2 and chi 12 instead of 1.1.
+    step = np.log(1e2 / 2e-3) / (SCANNED - 1)
+    true, false = 2e-3 * np.exp(20.5 * step), 2e-3 * np.exp(3 * step)
+    away = f"min(4*abs(log(v/{float(true)!r})), 0.3 + 0.2*abs(log(v/{float(false)!r})))"
+    law = Law("mine", f"a*(1 - s + s*{away})", bounds={"v": (2e-3, 1e2)})
+    found = StartSearch(law, Target(np.array([0.0, 1.0]), np.eye(2), np.array([1.0, 0.0]), 1.0)).nearest()
+    assert found.values["v"] == pytest.approx(true, rel=1e-4)

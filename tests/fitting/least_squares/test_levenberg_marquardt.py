@@ -307,3 +307,24 @@ def test_a_search_stops_where_derivatives_are_too_large_for_a_number(linear, ste
     assert np.isfinite(found.u).all()
     assert np.isfinite(found.blocks.H).all()
     assert levenberg_marquardt.minimise(task, begin[0] + 1.0, begin[1]) is None
+
+
+def test_a_step_off_the_floor_of_a_bent_valley_is_led_back():
+    # A free curve behind a ramp took 22 steps, half of them refused, and stopped 0.01 in cost above the minimum.
+    rows = tuple(slice(k * SAMPLES, (k + 1) * SAMPLES) for k in range(CYCLES))
+    first = np.arange(CYCLES) * SAMPLES
+
+    def evaluate(u, local, derivatives):
+        x, y, z = u
+        value, slopes = np.zeros(CYCLES * SAMPLES), np.zeros((CYCLES * SAMPLES, SHARED + LOCAL))
+        value[first], slopes[first, :2] = 1e4 * (y - math.exp(x)), (-1e4 * math.exp(x), 1e4)
+        value[first + 1], slopes[first + 1, 0] = x - 1.5, 1.0
+        value[first + 2], slopes[first + 2, 2] = z, 1.0
+        return value, slopes if derivatives else np.empty((0, 0))
+
+    bent = problem(evaluate, rows, local_precision=np.ones((CYCLES, LOCAL)))
+    start = np.array([0.5, math.exp(0.5), 1.0]), np.zeros((CYCLES, LOCAL))
+    plain, led_back = (levenberg_marquardt.minimise(bent, *start, max_steps=200, corrections=n) for n in (0, 3))
+    assert led_back.outcome == "converged"
+    assert led_back.u == pytest.approx([1.5, math.exp(1.5), 0.0], abs=1e-4)
+    assert led_back.steps < 0.6 * plain.steps

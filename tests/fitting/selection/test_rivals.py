@@ -107,7 +107,7 @@ def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
 def test_a_curve_that_is_negative_is_not_fitted(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
     with pytest.raises(InputError, match="friction is negative"):
-        fit_formula(Law("mine", "Fs - 1000*s"), curve.spline_fit)
+        fit_formula(Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve.spline_fit)
 
 
 def with_form_at(curve, name, lead):
@@ -127,6 +127,7 @@ def test_a_form_as_good_as_those_of_the_six_is_a_rival(ranked, lead, tried):
 
 def test_a_published_curve_that_is_no_friction_is_no_rival(ranked, monkeypatch):
     # A record was refused with "law logarithmic is no friction curve", which nobody had asked for.
-    monkeypatch.setitem(PUBLISHED, "logarithmic", Law("logarithmic", "Fs - 1000*s"))
+    negative = Law("logarithmic", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)})
+    monkeypatch.setitem(PUBLISHED, "logarithmic", negative)
     curve = with_form_at(ranked(law=5, duration=10.0).adequacy.curve, "logarithmic", 1.0)
     assert fit_formulas(Competitors.of(ALL_LAWS), curve, rivals=True).fits == ()

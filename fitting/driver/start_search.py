@@ -1,0 +1,339 @@
+"""Starting values of a formula: its projection on another friction, such as the measured curve.
+
+The parameters in which the formula is linear follow from least squares beside trials of the others.  For a fit the best
+of these are improved within the bounds, and several valleys count: motion tells more than a curve.  For the curve alone
+one parameter is scanned, and the nearest minimum counts.  Nothing is needed from the user.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from itertools import product
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.base.compute.arrays import Array
+from daq.base.errors import InputError
+from fitting.law import Law
+from fitting.undetermined import natural_size
+
+DOUBLED = 2.0  # factor on a parameter: whether the derivative by it changes then shows whether it bends the curve
+BEND_DRAWS = 3  # sets of values at which that is looked at
+DERIVATIVE_ROUNDING = 1e-9  # change over a derivative: less is rounding
+SCANNED = 40  # values of a parameter that are scanned: half as many find the same minima
+# Steps of a minimum of the scan, at most, and the change of the logarithm at which it is settled.
+MOST_STEPS, LOG_SETTLED = 40, 1e-6
+# Trials of the parameters that bend the curve, over their natural sizes: half as many a decade still start Stribeck
+# curves.
+TRIALS = 10.0 ** np.arange(-2.5, 2.1, 0.5)
+MOST_TRIALS, SEED = 300, 7  # trials of all such parameters together; more than that are drawn
+BEST_TRIALS = 4  # best trials that are improved, each in a valley of its own
+SAME_VALLEY = 0.25  # difference over what a start leaves: curves that differ by less are in one valley
+ROUNDING = 1e-12  # change over a misfit: less is rounding
+SPEEDS_CHECKED = 400  # slip speeds at which a formula must be friction
+REFUSED_RESIDUAL = 1e9  # a residual of no number: the step is refused
+
+
+class Target(NamedTuple):
+    """What a formula f is to come near: ``root`` f(``speeds``) is to be ``aim``; shapes (k,) m/s, (m, k), (m,).
+
+    ``size`` is that of the friction, m/s^2.
+    """
+
+    speeds: Array
+    root: Array
+    aim: Array
+    size: float
+
+    @classmethod
+    def of(cls, speeds: Array, friction: Array, sd: float) -> "Target":
+        """Return friction (k,), known everywhere to the same standard deviation, m/s^2, as a target."""
+        return cls(speeds, np.eye(speeds.size) / sd, friction / sd, float(np.median(friction)))
+
+    def off_by_a_constant(self, sd: float) -> "Target":
+        """Return the same where all of it may be off by one constant of standard deviation ``sd``, m/s^2."""
+        along = sd * self.root.sum(axis=1)
+        square = float(np.sum(along**2))
+        if not square > 0:
+            return self
+        narrow = (1 - 1 / math.sqrt(1 + square)) / square  # (I + along along')^-1/2 = I - narrow along along'
+        root = self.root - narrow * np.outer(along, np.einsum("m,mk->k", along, self.root))
+        return self._replace(root=root, aim=self.aim - narrow * along * float(np.sum(along * self.aim)))
+
+    def constant_beside(self, friction: Array, sd: float) -> float:
+        """Return the constant, of standard deviation ``sd``, that brings friction (k,) nearest, m/s^2."""
+        along = sd * self.root.sum(axis=1)
+        return -sd * float(np.sum(along * self.away(friction))) / (1 + float(np.sum(along**2)))
+
+    def away(self, friction: Array) -> Array:
+        """Return how far friction (k,) at the speeds is from the target, (m,)."""
+        return np.asarray(np.einsum("mk,k->m", self.root, friction) - self.aim)
+
+
+class Start(NamedTuple):
+    """Values of the free parameters by name, and the square of what they leave of the target."""
+
+    values: dict[str, float]
+    misfit: float
+
+
+def find_starts(law: Law, near: Target, fastest: float = 0.0) -> list[Start]:
+    """Return values of a law's free parameters near another friction, nearest first: a local minimum each.
+
+    Parameters
+    ----------
+    law : Law
+        Its first values are where these parameters are tried; its bounds hold.
+    near : Target
+    fastest : float
+        Slip speed up to which it must be friction, m/s; at least the target's fastest.
+
+    Raises
+    ------
+    InputError
+        With none of the values tried is the formula a friction curve; the reason is that of the first of them.
+    """
+    return StartSearch(law, near, fastest).minima()
+
+
+class StartSearch:
+    """The values of a law's free parameters that are tried near another friction; arguments as of `find_starts`."""
+
+    def __init__(self, law: Law, near: Target, fastest: float = 0.0) -> None:
+        self.law, self.near = law, near
+        self.fixed, self.given = dict(law.fix or {}), dict(law.start or {})
+        self.checked = np.linspace(0.0, max(fastest, float(near.speeds[-1])), SPEEDS_CHECKED)
+        self.sizes = {name: natural_size(law, name, near.size, float(near.speeds[-1])) for name in law.free}
+        first = self.sizes | self.given
+        self.begin = {name: self._inside(name, first[name]) for name in law.free}
+        self.refused: InputError | None = None
+
+    def minima(self) -> list[Start]:
+        """Return the best local minima where the formula is friction, nearest first."""
+        trials = [self.begin, *self._combined(self._bending)]
+        found = [start for values in trials if (start := self._with_linear(values)) is not None]
+        best = self._valleys(sorted(found, key=_order))
+        improved = [end for start in best if (end := self._improved(start)) is not None]
+        if not improved:
+            why = self.refused or InputError("no values were tried", "formula", "give first values")
+            what = f"law {self.law.name} is no friction curve with any of the values tried: {why.what}"
+            raise InputError(what, why.where, why.do)
+        return self._valleys(sorted(improved, key=_order))
+
+    def nearest(self) -> Start:
+        """Return the nearest minimum, even where friction would be negative.
+
+        At most one parameter bends the curve, within bounds above 0, and no other has bounds: as that is scanned, the
+        others follow by least squares.
+        """
+        if not self._bending:
+            found = [self._with_linear(self.begin)]
+        else:
+            (name,) = self._bending
+            found = list(self._scanned(name))
+        return min((start for start in found if start is not None), key=attrgetter("misfit"))
+
+    @cached_property
+    def bends(self) -> dict[str, bool]:
+        """Whether each parameter bends the curve: whether the derivative by it depends on it."""
+        return {name: self._moves((name,)) for name in self.law.free}
+
+    @cached_property
+    def linear(self) -> tuple[str, ...]:
+        """The parameters without a first value in which the formula is linear, in all of them together."""
+        chosen: list[str] = []
+        for name in self.law.free:
+            if name not in self.given and not self.bends[name] and not (chosen and self._moves((*chosen, name))):
+                chosen.append(name)
+        return tuple(chosen)
+
+    def _moves(self, group: tuple[str, ...]) -> bool:
+        """Return whether the derivatives by a group of parameters depend on them, at some values of the others.
+
+        These differ from each other by chance: where two friction levels are equal, a Stribeck speed seems to act not.
+        """
+        rng = np.random.default_rng(SEED)
+        for _ in range(BEND_DRAWS):
+            whole = self.fixed | {
+                name: self._inside(name, value * rng.uniform(0.5, 2.0)) for name, value in self.begin.items()
+            }
+            moved = whole | {name: (whole[name] or 1.0) / DOUBLED for name in group}
+            try:
+                first, other = (self.law.curve.gradient(self.near.speeds, at, group) for at in (whole, moved))
+            except InputError:
+                return True
+            if np.any(np.abs(first - other) > DERIVATIVE_ROUNDING * np.max(np.abs(first))):
+                return True
+        return False
+
+    def _inside(self, name: str, value: float) -> float:
+        low, high = self.law.limits(name)
+        if low < value < high:
+            return value
+        if math.isfinite(low) and math.isfinite(high):
+            return 0.5 * (low + high)
+        return float(np.clip(value, low, high))
+
+    @property
+    def _bending(self) -> list[str]:
+        """The parameters that are tried: those without a first value in which the formula is not linear."""
+        return [name for name in self.law.free if name not in self.linear and name not in self.given]
+
+    def _scanned(self, name: str) -> Iterator[Start]:
+        """Yield the minima over a scan of a parameter beside which all others are linear.
+
+        On fine records the valley of the true value is so narrow that a wide one elsewhere is lower on the scan: so
+        every minimum is settled.
+        """
+        low, high = self.law.limits(name)
+        logs = np.linspace(math.log(low), math.log(high), SCANNED)
+        starts = [self._with_linear(self.begin | {name: value}) for value in np.exp(logs).tolist()]
+        left = np.array([math.inf, *(math.inf if one is None else one.misfit for one in starts), math.inf])
+        for k in np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])).tolist():
+            start = starts[k]
+            if start is not None:
+                yield self._settled(name, start, float(logs[max(k - 1, 0)]), float(logs[min(k + 1, SCANNED - 1)]))
+
+    def _settled(self, name: str, start: Start, begin: float, end: float) -> Start:
+        """Return the minimum between two logarithms of the parameter (Golub and Pereyra, 1973).
+
+        By secants of the derivative of what is left, halved where these do not lead down.
+        """
+        at, before = math.log(start.values[name]), None
+        for _ in range(MOST_STEPS):
+            columns, left = self.sloped(start.values, (*self.linear, name)), self._left(start.values)
+            if columns is None or left is None:
+                return start
+            along, beside = columns[:, -1] * start.values[name], columns[:, :-1]
+            along = along - np.einsum("mp,p->m", beside, np.linalg.lstsq(beside, along, rcond=None)[0])
+            slope, curvature = float(np.sum(along * left)), float(np.sum(along**2))
+            if before is not None and before[1] != slope:
+                curvature = (slope - before[1]) / (at - before[0])
+            begin, end = (begin, at) if slope > 0 else (at, end)
+            there = at - slope / curvature if curvature > 0 else math.inf
+            if not begin <= there <= end:
+                there = 0.5 * (begin + end)
+            while abs(there - at) > LOG_SETTLED:
+                moved = self._with_linear(start.values | {name: math.exp(there)})
+                if moved is not None and moved.misfit < start.misfit:
+                    break
+                there = 0.5 * (at + there)
+            else:
+                return start
+            before, at, start = (at, slope), there, moved
+        return start
+
+    def _combined(self, tried: Sequence[str]) -> list[dict[str, float]]:
+        """Return trials of the parameters that bend the curve: every combination, or some of very many."""
+        each = []
+        for name in tried:
+            low, high = self.law.limits(name)
+            values = [float(self.sizes[name] * factor) for factor in TRIALS]
+            values += [] if low >= 0 else [-value for value in values]
+            if math.isfinite(low) and math.isfinite(high):
+                values += np.linspace(low, high, TRIALS.size)[1:-1].tolist()
+            each.append([value for value in values if low <= value <= high])
+        if math.prod(len(values) for values in each) <= MOST_TRIALS:
+            combined = list(product(*each))
+        else:
+            rng = np.random.default_rng(SEED)
+            combined = [tuple(values[rng.integers(len(values))] for values in each) for _ in range(MOST_TRIALS)]
+        return [self.begin | dict(zip(tried, values, strict=True)) for values in combined]
+
+    def _with_linear(self, values: dict[str, float]) -> Start | None:
+        """Return values with the linear ones by least squares, within their bounds; None where they are not finite."""
+        left = self._left(values)
+        if left is None:
+            return None
+        if self.linear:
+            columns = self.sloped(values, self.linear)
+            if columns is None:
+                return None
+            change = np.linalg.lstsq(columns, -left, rcond=None)[0]
+            values = values | {
+                name: float(np.clip(values[name] + step, *self.law.limits(name)))
+                for name, step in zip(self.linear, change, strict=True)
+            }
+            left = self._left(values)
+        return None if left is None else Start(values, float(np.sum(left**2)))
+
+    def sloped(self, values: dict[str, float], by: tuple[str, ...]) -> Array | None:
+        """Return the derivatives (m, p) of what is left by parameters; None where they are not finite."""
+        try:
+            slopes = self.law.curve.gradient(self.near.speeds, self.fixed | values, by)
+        except InputError as error:
+            self.refused = self.refused or error
+            return None
+        return np.asarray(np.einsum("mk,kp->mp", self.near.root, slopes))
+
+    def _left(self, values: dict[str, float]) -> Array | None:
+        """Return how far the formula is from the target (m,); None where it is not finite."""
+        try:
+            return self.near.away(self.law.curve.value(self.near.speeds, self.fixed | values))
+        except InputError as error:
+            self.refused = self.refused or error
+            return None
+
+    def _valleys(self, starts: Sequence[Start]) -> list[Start]:
+        """Return the best of the starts in each of the best valleys."""
+        kept: list[tuple[Start, Array]] = []
+        for start in starts:
+            left = self._left(start.values)
+            if left is not None and all(np.sum((left - other) ** 2) > SAME_VALLEY * start.misfit for _, other in kept):
+                kept.append((start, left))
+            if len(kept) == BEST_TRIALS:
+                break
+        return [start for start, _ in kept]
+
+    def _improved(self, start: Start) -> Start | None:
+        """Return the end of least squares within the bounds, or the start; None where neither is friction."""
+        from scipy.optimize import least_squares
+
+        names = self.law.free
+        low, high = np.array([self.law.limits(name) for name in names]).T
+        begin = np.array([start.values[name] for name in names])
+        size = np.maximum(np.abs(begin), [DERIVATIVE_ROUNDING * self.sizes[name] for name in names])
+        bounds = (low / size, high / size)
+
+        def values(z: Array) -> dict[str, float]:
+            return dict(zip(names, (z * size).tolist(), strict=True))
+
+        def residual(z: Array) -> Array:
+            left = self._left(values(z))
+            return np.full(self.near.aim.size, REFUSED_RESIDUAL) if left is None else left
+
+        def slopes(z: Array) -> Array:
+            own = self.sloped(values(z), names)
+            return np.zeros((self.near.aim.size, len(names))) if own is None else own * size
+
+        inside = np.clip(begin / size, *bounds)
+        with np.errstate(all="ignore"):  # of steps along what hardly changes the curve
+            found = least_squares(residual, inside, slopes, bounds=bounds, method="trf", x_scale=1.0, max_nfev=200)
+        usable = self._is_friction(start.values)  # its reason is understood more easily than that of the end
+        end = Start(values(found.x), float(2 * found.cost))
+        return end if self._is_friction(end.values) else start if usable else None
+
+    def _is_friction(self, values: dict[str, float]) -> bool:
+        """Return whether friction is finite and not negative at every slip speed, and above 0 at rest."""
+        whole = self.fixed | values
+        try:
+            friction = self.law.curve.value(self.checked, whole)
+            self.law.curve.gradient(self.checked, whole, self.law.free)
+        except InputError as error:
+            self.refused = self.refused or error
+            return False
+        lowest = int(np.argmin(friction))
+        if friction[lowest] >= 0 and friction[0] > 0:
+            return True
+        bad, kind = (lowest, "negative") if friction[lowest] < 0 else (0, "not above 0")
+        at = self.law.curve.place(float(self.checked[bad]), whole)
+        what = f"friction is {kind}, {friction[bad]:.4g} m/s^2, {at}"
+        self.refused = self.refused or InputError(what, "formula", "give bounds, or a form that stays above 0")
+        return False
+
+
+def _order(start: Start) -> tuple[float, int]:
+    """Return by what starts are sorted: of values that give the same curve those with fewer signs come first."""
+    return float(f"{max(start.misfit, ROUNDING):.5g}"), sum(value < 0 for value in start.values.values())
