@@ -265,8 +265,9 @@ def test_a_finished_run_is_served_until_it_is_interrupted(keep_journal: Callable
         viewer = Viewer.__new__(Viewer)
         viewer.address, viewer.process = address, process
         sent = viewer.events(0, 1)
+        while sent[-1][1]["progress"] < 1.0:  # on a busy machine the first event comes before all is read
+            sent = viewer.events(sent[-1][0], 1)
         loaded = store.load(run)
-        assert sent[-1][1]["progress"] == 1.0
         assert sent[-1][1]["counts"]["samples"] == loaded.time.size
         assert sent[-1][1]["summary"]["cycles"] >= 4
         found = json.loads(viewer.ask("GET", address.path + "stretch?from=2&to=3")[1])
