@@ -138,8 +138,11 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
-    """Raise DataError for a record whose residuals by the best law show frames lost or doubled among even times."""
-    best = min(fits, key=lambda fit: fit.geometric_mean_rms, default=None)
+    """Raise DataError for a record whose residuals by the best law show frames lost or doubled among even times.
+
+    Only residuals of every sample show them: a fit that was not brought to its end is passed over.
+    """
+    best = min((fit for fit in fits if fit.at.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
     for run, record in enumerate(records):
         share = None if best is None else lost_frames.missing_share(best, record, run)
         if share is not None:

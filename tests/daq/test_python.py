@@ -35,7 +35,7 @@ def test_its_example_does_what_it_says(what, tmp_path, monkeypatch):
 def test_the_page_of_rig_toml_has_every_key():
     page = (ROOT / "docs" / "reference" / "rig-toml.md").read_text()
     for section, keys in {**SECTIONS, "board": tuple(KEYS)}.items():
-        part = page.split(f"## [{section}]")[1].split("\n## ")[0]
+        part = page.split(f"| key of `[{section}]`")[1].split("\n\n")[0]
         rows = dict(re.findall(r"^\| `(\w+)` \|.*\| ?(yes)? ?\|$", part, re.MULTILINE))
         rows |= {name: "" for name in re.findall(r"^\| `(\w+)` \|", part, re.MULTILINE) if name not in rows}
         assert tuple(rows) == keys or set(rows) == set(keys)
