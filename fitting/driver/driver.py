@@ -164,7 +164,10 @@ def fit_all(
     left = [own if own is not None and not np.array_equal(own.q, one.q) else None for one, own in begun]
     found = from_left_starts(found, left, each)
     found = _overtaking(found, each)
-    found = _opened(_contained(beside_better(found, each), settle, each), each)
+    # Before, so that a law can start beside a ramp that opened; after, a ramp that started from its jump may have ended
+    # below it.
+    found = _contained(beside_better(_opened(found, each), each), settle, each)
+    found = _opened(found, each)
     limit = FAR_BEYOND_BEST * min((one.geometric_mean_rms for one in found), default=0.0)
     found = list(each(partial(_with_static, limit=limit), found))
     for one in found:
