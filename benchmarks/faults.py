@@ -27,7 +27,7 @@ import pages
 from velocity import Bench
 
 import processing
-from daq.imports import track
+from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
 from daq.runfile.recording import Recording
 from processing.record.kinematics import Kinematics
@@ -57,7 +57,7 @@ def imported(time: np.ndarray, position: np.ndarray) -> Recording:
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "track.csv"
         np.savetxt(table, np.c_[time, position], fmt=["%.6f", "%.5f"], delimiter=",", header="t,x", comments="")
-        return track.read(table, ImportOptions()).run
+        return table_to_run.read(table, ImportOptions()).run
 
 
 def changed(recording: Recording, samples: np.ndarray, values: np.ndarray) -> Recording:

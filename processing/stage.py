@@ -8,6 +8,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,11 @@ class _Stage:
     part: slice
     statistics: StickSlipStatistics
 
+    @cached_property
+    def summaries(self) -> dict[str, dict[str, float | None]]:
+        """The summary of each quantity of a `SlipEvent`, empty where there are few slips."""
+        return {of: self.statistics.summary(of) or {} for of, _, _ in BREAK_AWAYS.values()}
+
     @property
     def first(self) -> int | None:
         return None if self.part == nexus.EVERY else self.part.start
@@ -60,7 +66,7 @@ class _Stage:
 
 
 def _summary(of: str, key: str) -> Callable[[_Stage], float | None]:
-    return lambda stage: (stage.statistics.summary(of) or {}).get(key)
+    return lambda stage: stage.summaries[of].get(key)
 
 
 def _columns(name: str, unit: str, text: str) -> tuple[Field, Field]:

@@ -12,8 +12,8 @@ MEASURED = "#9a9a9a"
 INK = "#222222"
 DASH = "5 3"
 WIDE, NARROW = 930.0, 455.0  # px: of the page, and of half of it
-# Of runs fitted jointly: none is the colour of a law.  Each third is dark, middle and light, so that without colours
-# runs of a third are told apart by luminance, and the thirds by dashes and marks.  From the tenth on they repeat.
+# Of runs fitted jointly: none is the colour of a law.  In greyscale the three runs of a group differ in luminance, and
+# the groups in dashes and marks.  From the tenth run on they repeat.
 RUNS = ("#3B1A78", "#C03A58", "#A9B83A", "#4A2409", "#1F7F7F", "#D598BC", "#1E1E1E", "#8F6510", "#7FB0EA")
 RUN_DASHES = ("", "12 6", "4 5")
 RUN_MARKS = ("o", "c", "|")

@@ -7,7 +7,7 @@ what differs between the runs stand once for each: cycles_run1 ..., parameters_r
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from operator import methodcaller
+from operator import attrgetter, methodcaller
 from pathlib import Path
 
 import h5py
@@ -37,10 +37,6 @@ class _Stage:
     @cached_property
     def six(self) -> tuple[LawResult, ...]:
         return tuple(sorted((row for row in self.ranking.rows if isinstance(row.law, int)), key=_number))
-
-    @property
-    def formulas(self) -> tuple[LawResult, ...]:
-        return tuple(self.ranking.rivals)
 
     @property
     def span(self) -> tuple[float, float] | None:
@@ -104,7 +100,7 @@ def _table(path: str, of: str, *columns: Field) -> tree.Tree:
 
 
 def _names(of: str) -> Callable[[_Stage], list[str] | None]:
-    return lambda stage: [_shown_name(row) for row in getattr(stage, of)] or None
+    return lambda stage: [_shown_name(row) for row in attrgetter(of)(stage)] or None
 
 
 def _cycles(path: str) -> tree.Tree:
@@ -171,11 +167,13 @@ RANKING = _table(
 )
 FORMULAS = _table(
     "fit/formulas",
-    "formulas",
-    Field("fit/formulas/row", "u1[l]", "", "from 1", value=lambda stage: range(1, len(stage.formulas) + 1) or None),
-    Field("fit/formulas/law_name", "text[l]", "", "of the law", value=_names("formulas")),
-    Field("fit/formulas/formula", "text[l]", "", "of the law", "formulas.formula"),
-    Field("fit/formulas/asked", "u1[l]", "", "1 where it was asked for", "formulas.asked"),
+    "ranking.rivals",
+    Field(
+        "fit/formulas/row", "u1[l]", "", "from 1", value=lambda stage: range(1, len(stage.ranking.rivals) + 1) or None
+    ),
+    Field("fit/formulas/law_name", "text[l]", "", "of the law", value=_names("ranking.rivals")),
+    Field("fit/formulas/formula", "text[l]", "", "of the law", "ranking.rivals.formula"),
+    Field("fit/formulas/asked", "u1[l]", "", "1 where it was asked for", "ranking.rivals.asked"),
 )
 RUNS: tree.Tree = (  # of a joint fit, beside what `daq.runfile.joint` writes
     Field("runs/begin", "f8[r]", "s", "of what was fitted", value=lambda fit: [_span(side)[0] for side in fit.runs]),
@@ -256,7 +254,7 @@ def save_joint(
 
 def _write(entry: h5py.Group, ranking: RankedLaws, part: str, smoothed: str = "") -> None:
     stage = _Stage(ranking, part, smoothed)
-    shown = "ranking" if stage.six else "formulas" if stage.formulas else "parameters"
+    shown = "ranking" if stage.six else "formulas" if ranking.rivals else "parameters"
     # The two tables of laws are of different lengths.
     tree.write(entry, (*tree.process("fit", "fit-friction", 2, shown), *ABOUT, *RANKING), stage)
     tree.write(entry, FORMULAS, stage)
@@ -265,7 +263,7 @@ def _write(entry: h5py.Group, ranking: RankedLaws, part: str, smoothed: str = ""
     for number, side in enumerate(ranking.sides, start=1):
         tree.write(entry, _cycles(f"fit/cycles_run{number}" if ranking.runs else "fit/cycles"), side)
     speeds = speeds_of_all([side.motion for side in ranking.sides])
-    for row in (*stage.six, *stage.formulas):
+    for row in (*stage.six, *ranking.rivals):
         name = f"fit_law{row.law}" if isinstance(row.law, int) else f"fit_law_{row.law.replace('-', '_')}"
         title = row.title if row.formula is not None else f"law {row.law}: {row.name}"
         law = _Law(row, ranking, speeds)

@@ -1,5 +1,6 @@
 """Benchmarks write tables of the pages: rows replace their own, and every marked table has a benchmark."""
 
+import ast
 import dataclasses
 import importlib
 import re
@@ -12,6 +13,7 @@ from . import examples
 BENCHMARKS = examples.ROOT / "benchmarks"
 DOCS = examples.ROOT / "docs"
 PAGES = ("velocity.md", "accuracy.md", "identification.md")  # of which the benchmarks write the tables
+PACKAGES = ("daq", "processing", "fitting", "rig_sim")
 PAGE = """# Errors
 
 <!-- begin: race methods; python benchmarks/race.py --write -->
@@ -36,6 +38,16 @@ def benchmark(name):
         return importlib.import_module(name)
     finally:
         sys.path.remove(str(BENCHMARKS))
+
+
+@pytest.mark.parametrize("path", sorted(BENCHMARKS.rglob("*.py")), ids=lambda path: path.name)
+def test_what_a_benchmark_imports_of_the_packages_is_there(path):
+    """Benchmarks are not type-checked: one imported a module by the name that it had before."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in PACKAGES:
+            module = importlib.import_module(node.module)
+            for name in (alias.name for alias in node.names if not hasattr(module, alias.name)):
+                importlib.import_module(f"{node.module}.{name}")
 
 
 @pytest.fixture(scope="module")

@@ -96,8 +96,8 @@ def lightness(colour):
     return 116 * luminance ** (1 / 3) - 16 if luminance > 0.008856 else 903.3 * luminance
 
 
-def test_runs_of_a_joint_fit_are_told_apart_without_colours():
-    """They were told apart by hue alone: the first, the second and the seventh had lightnesses of 42, 46 and 43."""
+def test_runs_of_a_joint_fit_differ_in_greyscale():
+    """They differed in hue alone: the lightnesses of the first, the second and the seventh were 42, 46 and 43."""
     numbers = range(1, len(RUNS) + 1)
     for one in numbers:
         assert lightness(run_colour(one)) < 75, "too pale on white"
