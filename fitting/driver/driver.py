@@ -43,7 +43,7 @@ FAR_BEYOND_BEST = 10.0
 # Error over the best, where that is lost: what errs less starts again.  At half a wrong law is judged by a poor
 # minimum, at twice laws that cannot be the nearest take time.
 RESTART_NEAR_BEST = 3.0
-# Noise, over the resolution, assumed in another first pass of a task that leaves more than noise.
+# Noise, over the resolution, assumed in another first pass where every task leaves more than noise.
 LESS_NOISE_ASSUMED = 10.0
 DONOR_ERROR = 0.8  # error over a task's: another that errs less gives it a start; at 0.95 neighbours in noise do
 NARROW_START = 0.02  # width over the first one, of a ramp that starts next to none at its jump law's end
@@ -152,10 +152,7 @@ def fit_all(
     progress : callable
         Called with the number of tasks that have made their first pass.
     """
-    first: list[TaskFit | None] = []
-    for one in each(_from_regression, tasks):
-        first.append(one)
-        progress(len(first))
+    first = _from_regression(tasks, each, progress)
     chosen = list(each(partial(_from_donors, tasks=tasks, first=tuple(first)), range(len(tasks))))
     begun = [(one, own) for one, own in zip(chosen, first, strict=True) if one is not None]
     found = _again([one for one, _ in begun], each)
@@ -181,17 +178,24 @@ def fit_all(
     return [one for one in needed if asked(one.task)]
 
 
-def _from_regression(task: Task) -> TaskFit | None:
-    """Return the first pass from the regression, or one with less noise assumed where that errs less.
+def _from_regression(tasks: Sequence[Task], each: Map, progress: Callable[[int], None]) -> list[TaskFit | None]:
+    """Return the first pass of each task from the regression, or one with less noise assumed where that errs less.
 
     Much noise leads out of poor minima of single cycles; less lets a law that is wrong find its way along a valley that
-    calibrations as strong as that noise close.
+    calibrations as strong as that noise close.  Where one task reaches the noise, that law's end shows the way better.
     """
-    found = regressed_pass(task)
-    if found is not None and found.geometric_mean_rms < noise_levels.NEAR * _resolution(task):
+    found: list[TaskFit | None] = []
+    for one in each(regressed_pass, tasks):
+        found.append(one)
+        progress(len(found))
+    if any(one is not None and one.geometric_mean_rms < noise_levels.NEAR * _resolution(one.task) for one in found):
         return found
-    other = regressed_pass(task, assumed_noise(task, LESS_NOISE_ASSUMED))
-    return other if found is None else _better(found, other)
+    others = each(_with_less_noise, tasks)
+    return [other if one is None else _better(one, other) for one, other in zip(found, others, strict=True)]
+
+
+def _with_less_noise(task: Task) -> TaskFit | None:
+    return regressed_pass(task, assumed_noise(task, LESS_NOISE_ASSUMED))
 
 
 def _from_donors(k: int, tasks: Sequence[Task], first: Sequence[TaskFit | None]) -> TaskFit | None:

@@ -2,7 +2,8 @@
 
 The spline's knots are set closer until it errs by less than `SPLINE_ERROR` of the friction; the derivatives by the
 parameters are the formula's own.  A parameter that bends the curve and is never negative is fitted by its logarithm.
-A trial whose formula is not finite or is negative at a speed of the motion is refused as one that cannot be followed.
+A trial whose formula is not finite, is negative at a speed of the motion or is not above 0 at rest is refused as one
+that cannot be followed.
 """
 
 from collections.abc import Sequence
@@ -127,6 +128,8 @@ class FormulaCurve(FrictionCurve):
             try:
                 target = self.at_speeds(theta, self._at)
             except InputError:
+                return None
+            if not target[0] > 0:
                 return None
             found = self._spline.with_coefficients(np.einsum("ij,j->i", self._project, target))
             away = np.abs(found(self._at) - target) > SPLINE_ERROR * target.max()

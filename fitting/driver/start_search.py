@@ -1,8 +1,9 @@
 """Starting values of a formula: its projection on another friction, such as the measured curve.
 
-The parameters in which the formula is linear follow from least squares beside trials of the others.  For a fit the best
-of these are improved within the bounds, and several valleys count: motion tells more than a curve.  For the curve alone
-one parameter is scanned, and the nearest minimum counts.  Nothing is needed from the user.
+The parameters in which the formula is linear follow from least squares beside trials of the others.  Where one other
+bends the curve, it is scanned; more are tried in combination.  For a fit the best of these are improved within the
+bounds, and several valleys count: motion tells more than a curve.  For the curve alone the nearest minimum counts.
+Nothing is needed from the user.
 """
 
 import math
@@ -112,8 +113,7 @@ class StartSearch:
 
     def minima(self) -> list[Start]:
         """Return the best local minima where the formula is friction, nearest first."""
-        trials = [self.begin, *self._combined(self._bending)]
-        found = [start for values in trials if (start := self._with_linear(values)) is not None]
+        found = self._tried()
         best = self._valleys(sorted(found, key=_order))
         improved = [end for start in best if (end := self._improved(start)) is not None]
         if not improved:
@@ -128,12 +128,7 @@ class StartSearch:
         At most one parameter bends the curve, within bounds above 0, and no other has bounds: as that is scanned, the
         others follow by least squares.
         """
-        if not self._bending:
-            found = [self._with_linear(self.begin)]
-        else:
-            (name,) = self._bending
-            found = list(self._scanned(name))
-        return min((start for start in found if start is not None), key=attrgetter("misfit"))
+        return min(self._tried(), key=attrgetter("misfit"))
 
     @cached_property
     def bends(self) -> dict[str, bool]:
@@ -181,27 +176,40 @@ class StartSearch:
         """The parameters that are tried: those without a first value in which the formula is not linear."""
         return [name for name in self.law.free if name not in self.linear and name not in self.given]
 
+    def _tried(self) -> list[Start]:
+        """Return the first values and what is tried of the parameters that bend the curve, with the linear ones."""
+        tried = self._bending
+        trials = [self.begin, *(self._combined(tried) if len(tried) != 1 else ())]
+        found = [start for values in trials if (start := self._with_linear(values)) is not None]
+        return found + (list(self._scanned(*tried)) if len(tried) == 1 else [])
+
     def _scanned(self, name: str) -> Iterator[Start]:
-        """Yield the minima over a scan of a parameter beside which all others are linear.
+        """Yield the minima over a scan of the one parameter that is tried.
 
         On fine records the valley of the true value is so narrow that a wide one elsewhere is lower on the scan: so
         every minimum is settled.
         """
-        low, high = self.law.limits(name)
-        logs = np.linspace(math.log(low), math.log(high), SCANNED)
-        starts = [self._with_linear(self.begin | {name: value}) for value in np.exp(logs).tolist()]
-        left = np.array([math.inf, *(math.inf if one is None else one.misfit for one in starts), math.inf])
-        for k in np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])).tolist():
-            start = starts[k]
-            if start is not None:
-                yield self._settled(name, start, float(logs[max(k - 1, 0)]), float(logs[min(k + 1, SCANNED - 1)]))
+        for sign in (1.0, -1.0):
+            low, high = sorted(sign * limit for limit in self.law.limits(name))
+            if not (low > 0 and math.isfinite(high)):
+                low, high = max(low, self.sizes[name] * TRIALS[0]), min(high, self.sizes[name] * TRIALS[-1])
+            if low >= high:
+                continue
+            logs = np.linspace(math.log(low), math.log(high), SCANNED)
+            starts = [self._with_linear(self.begin | {name: sign * value}) for value in np.exp(logs).tolist()]
+            left = np.array([math.inf, *(math.inf if one is None else one.misfit for one in starts), math.inf])
+            for k in np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])).tolist():
+                start = starts[k]
+                if start is not None:
+                    yield self._settled(name, start, float(logs[max(k - 1, 0)]), float(logs[min(k + 1, SCANNED - 1)]))
 
     def _settled(self, name: str, start: Start, begin: float, end: float) -> Start:
-        """Return the minimum between two logarithms of the parameter (Golub and Pereyra, 1973).
+        """Return the minimum between two logarithms of the parameter's size (Golub and Pereyra, 1973).
 
         By secants of the derivative of what is left, halved where these do not lead down.
         """
-        at, before = math.log(start.values[name]), None
+        sign = math.copysign(1.0, start.values[name])
+        at, before = math.log(abs(start.values[name])), None
         for _ in range(MOST_STEPS):
             columns, left = self.sloped(start.values, (*self.linear, name)), self._left(start.values)
             if columns is None or left is None:
@@ -216,7 +224,7 @@ class StartSearch:
             if not begin <= there <= end:
                 there = 0.5 * (begin + end)
             while abs(there - at) > LOG_SETTLED:
-                moved = self._with_linear(start.values | {name: math.exp(there)})
+                moved = self._with_linear(start.values | {name: sign * math.exp(there)})
                 if moved is not None and moved.misfit < start.misfit:
                     break
                 there = 0.5 * (at + there)
