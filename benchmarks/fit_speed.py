@@ -4,7 +4,8 @@
 
     warm      CPU seconds of `fitting.rank` (user and system, all threads) on the scene `rig` at 1 kHz with 5 % scatter,
               for a record of each law, compiled and called once before: of the six laws, and of goodness of fit and
-              measured curve together (`fitting.adequacy.assess`)
+              measured curve together (`measure` and `assess` of
+              `fitting.adequacy.assess`)
     first     wall and CPU seconds of the command `fit-friction` with an empty folder for machine code
     scipy     one slip window of law 5: the same residuals, priors and unknowns, from the same start to the same
               minimum, by `solve_ivp` with an event at the landing under `least_squares`, compared with this project's
@@ -20,7 +21,9 @@ import subprocess
 import sys
 import tempfile
 import time as clock
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +37,6 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
-from fitting.adequacy.assess import Assessment
 from fitting.data import cycles, frame
 from fitting.driver.model import Model
 from fitting.driver.task import law_task
@@ -89,20 +91,22 @@ def warm(laws: list[int], lengths: list[float], folder: str) -> list[dict[str, A
 
 def ranked(kinematics: Kinematics) -> tuple[RankedLaws, float]:
     """Rank one record; also return the CPU seconds of goodness of fit and measured curve."""
-    spent, assess = 0.0, ranking.assess
+    spent, stages = 0.0, {name: getattr(ranking, name) for name in ("measure", "assess")}
 
-    def timed(*arguments: Any, **options: Any) -> Assessment:
+    def timed(stage: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         nonlocal spent
         begun = cpu_s()
-        found = assess(*arguments, **options)
+        found = stage(*arguments, **options)
         spent += cpu_s() - begun
         return found
 
-    ranking.assess = timed
+    for name, stage in stages.items():
+        setattr(ranking, name, partial(timed, stage))
     try:
         found = fitting.rank(kinematics)
     finally:
-        ranking.assess = assess
+        for name, stage in stages.items():
+            setattr(ranking, name, stage)
     return found, spent
 
 

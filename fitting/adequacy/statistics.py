@@ -7,6 +7,7 @@ a velocity step has spoilt must not count for more than the others.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -124,8 +125,28 @@ class SlipBins:
 
     def per_slip(self, binned: Array) -> Array:
         """Return the sum of what stands in the bins (occupied bins, B) over each slip, shape (slips, B)."""
-        edges = np.searchsorted(self.slip, np.arange(self.slips))
-        return np.asarray(np.add.reduceat(binned, edges, axis=0))
+        return np.asarray(np.add.reduceat(binned, self._edges, axis=0))
+
+    def per_phase(self, binned: Array) -> Array:
+        """Return the sum of what stands in the bins (occupied bins, B) over each phase that is met, shape (phases, B)."""
+        order, edges = self._by_phase
+        return np.asarray(np.add.reduceat(binned[order], edges, axis=0))
+
+    @cached_property
+    def _edges(self) -> Integers:
+        """First occupied bin of each slip."""
+        return np.searchsorted(self.slip, np.arange(self.slips))
+
+    @cached_property
+    def _by_phase(self) -> tuple[Integers, Integers]:
+        """Occupied bins in the order of their phases, and the first of each phase."""
+        order = np.argsort(self.phase, kind="stable")
+        return order, np.unique(self.phase[order], return_index=True)[1]
+
+    @cached_property
+    def _residuals_and_bins(self) -> tuple[Array, Array]:
+        """Residuals and occupied bins of each slip, shapes (slips, 1)."""
+        return self.per_slip(self.count[:, None]), self.per_slip(np.ones((self.slip.size, 1)))
 
     def statistics(self, residuals: Array) -> SlipStatistics:
         """Return the statistics of residuals (N, B), m, of which there are two slips or more."""
@@ -138,20 +159,17 @@ class SlipBins:
 
         Without products `lag1` is 0.
         """
-        products = np.zeros_like(sums) if products is None else products
-        number = self.per_slip(self.count[:, None])
-        occupied = self.per_slip(np.ones((self.slip.size, 1)))
+        number, occupied = self._residuals_and_bins
         square = np.maximum(self.per_slip(squares) / number, 1e-300)
         binned = self.per_slip(sums**2 / self.count[:, None]) / occupied
         usual = np.median(square, axis=0)
         weight = np.sqrt(np.minimum(usual / square, 1.0))  # a spoilt slip is scaled down to the usual one
         mean = sums / self.count[:, None] * weight[self.slip]
         own = np.sum(mean**2, axis=0)
-        together = np.zeros((self.bins, sums.shape[1]))
-        np.add.at(together, self.phase, mean)
+        together, total = self.per_phase(mean), np.sum(squares, axis=0)
         return SlipStatistics(
             repeat=(np.sum(together**2, axis=0) - own) / np.maximum((self.slips - 1) * own, 1e-300),
             smooth=np.median(binned / square, axis=0),
-            rms=np.sqrt(np.sum(squares, axis=0) / self.count.sum()),
-            lag1=np.sum(products, axis=0) / np.maximum(np.sum(squares, axis=0), 1e-300),
+            rms=np.sqrt(total / self.count.sum()),
+            lag1=np.zeros(sums.shape[1]) if products is None else np.sum(products, axis=0) / np.maximum(total, 1e-300),
         )

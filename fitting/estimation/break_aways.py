@@ -118,20 +118,21 @@ def _misfit(fit: FittedLaw, motion: MeasuredMotion, trials: Array) -> Array:
     for k, cycle in enumerate(fit.cycles):
         first = int(np.searchsorted(motion.time, trials[k].min() - BEFORE_BREAK_AWAY * motion.slip_s))
         last = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + JUDGED_SLIP * motion.slip_s))
-        starts = zip(trials[k], _in_stick(fit, motion, k, trials[k]), _edge_speed(fit, trials[k]), strict=True)
-        for j, (begin, x, edge) in enumerate(starts):
-            after = max(first, int(np.searchsorted(motion.time, begin, side="right")))
-            if after >= last:
-                continue
-            row = np.zeros(PER_CYCLE)
-            row[PerCycle.X_SLIP], row[PerCycle.V_SLIP] = x, float(edge) - 1e-9 * fit.u[Global.V_DR]
-            row[PerCycle.LEVEL] = row[PerCycle.NEXT_LEVEL] = fit.local[k, PerCycle.LEVEL]
-            taken = np.r_[begin, motion.time[after:last]]
-            table.append((len(local), 0, total, taken.size, 0, 0))
-            time.append(taken)
-            local.append(row)
-            owner.append((k, j, first, after, last, total))
-            total += taken.size
+        row = np.zeros(PER_CYCLE)
+        row[PerCycle.LEVEL] = row[PerCycle.NEXT_LEVEL] = fit.local[k, PerCycle.LEVEL]
+        rows = np.tile(row, (trials.shape[1], 1))
+        rows[:, PerCycle.X_SLIP] = _in_stick(fit, motion, k, trials[k])
+        rows[:, PerCycle.V_SLIP] = _edge_speed(fit, trials[k]) - 1e-9 * fit.u[Global.V_DR]
+        after = np.maximum(np.searchsorted(motion.time, trials[k], side="right"), first)
+        sticking = _in_stick(fit, motion, k, motion.time[first:last]) - motion.measured[first:last]
+        before = np.concatenate([[0.0], np.cumsum(sticking**2)])
+        for j in np.flatnonzero(after < last).tolist():
+            errors[k, j] = before[after[j] - first]
+            table.append((len(local), 0, total, 1 + last - int(after[j]), 0, 0))
+            time += [trials[k, j : j + 1], motion.time[after[j] : last]]
+            local.append(rows[j])
+            owner.append((k, j, int(after[j]), last, total))
+            total += 1 + last - int(after[j])
     if not table:
         return errors
     windows = ShootingWindows(
@@ -145,11 +146,10 @@ def _misfit(fit: FittedLaw, motion: MeasuredMotion, trials: Array) -> Array:
     )
     model = fit.residual_in(windows, np.array(local))
     if model is None:
-        return errors
-    for k, j, first, after, last, at in owner:
-        before = _in_stick(fit, motion, k, motion.time[first:after]) - motion.measured[first:after]
-        slipping = model[at + 1 : at + 1 + last - after] - motion.measured[after:last]
-        errors[k, j] = float(np.sum(before**2) + np.sum(slipping**2))
+        return np.full(trials.shape, np.inf)
+    for k, j, start, last, at in owner:
+        slipping = model[at + 1 : at + 1 + last - start] - motion.measured[start:last]
+        errors[k, j] += float(np.sum(slipping**2))
     return errors
 
 
