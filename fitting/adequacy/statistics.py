@@ -128,7 +128,7 @@ class SlipBins:
         return np.asarray(np.add.reduceat(binned, self._edges, axis=0))
 
     def per_phase(self, binned: Array) -> Array:
-        """Return the sum of what stands in the bins (occupied bins, B) over each phase that is met, shape (phases, B)."""
+        """Return the sum of what stands in the bins (occupied bins, B) over each phase, shape (phases met, B)."""
         order, edges = self._by_phase
         return np.asarray(np.add.reduceat(binned[order], edges, axis=0))
 

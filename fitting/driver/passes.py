@@ -20,7 +20,6 @@ from fitting.driver.nodes import SampleNodes
 from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task
 from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.normal_equations import SchurComplement, normal_equations
 from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, RIPPLE, Global
@@ -56,11 +55,10 @@ CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the o
 # Error over the best after the first pass, from which a fit is not settled.  True laws reach 20 there in harsh records;
 # twice costs time alone.
 GIVEN_UP_BEYOND_BEST = 30.0
-# Least gain in log likelihood of a ramp's break-away level of its own: of one that is estimated, and, by the first step
-# on the thinned record, of one that is tried.  One contact in three without one has the second.
-STATIC_GAIN, STATIC_HINT = 5.0, 0.5
-# Starts of the break-away level over that of slip, one after the other.  The first reaches every level of a
-# ramp that is nearly straight; where friction falls steeply one of 1.3 is reached from 1.5 or from 2 alone.
+STATIC_GAIN = 5.0  # least gain in log likelihood of a ramp's break-away level of its own
+# Starts of the break-away level over that of slip.  What the level's first step would gain does not say whether it is
+# worth a search: with levels of 1.05 and of 1.5 it was nothing at the end without one.  From 1.1 alone a level of 1.5
+# was missed, from 1.5 alone one of 1.3.
 STATIC_STARTS = (1.1, 1.5, 2.0)
 CYCLE_GAIN = 0.99  # cost over that of a cycle before: another start of its own unknowns led to another minimum
 # Of forces along an earlier path: how often the path is followed before a pass, the passes in which they settle, the
@@ -168,41 +166,24 @@ def with_cycles_of(pair: tuple[TaskFit, TaskFit]) -> TaskFit | None:
 def with_own_static(at: TaskFit) -> TaskFit:
     """Return the fit of a ramp with a break-away level of its own where that gains something on the thinned record.
 
-    Asked first is what a small change of the level would gain; then the fit is settled again from levels above that of
-    slip, from others too where the first gains something or the small change would, and the best stays.  A level that
-    is free from the first pass on ends in a poor minimum where the ramp has none.
+    It is settled again from each of `STATIC_STARTS`, and the best stays.  A level that is free from the first pass on
+    ends in a poor minimum where the ramp has none.
     """
     begun, task = clock.process_time(), at.task.with_static
-    score = 0.0 if task is at.task else _static_score(at, task)
-    if score < STATIC_HINT:
+    if task is at.task:
         return at
-    best, gain = at, 0.0
+    best = at
     for level in STATIC_STARTS:
         u = at.u.copy()
         _set_static(task, u, level)
         first = first_pass(task, FitStart(_beside(task, u, at), at.local), at.noise)
-        far = first is None or first.geometric_mean_rms > GIVEN_UP_BEYOND_BEST * at.geometric_mean_rms
-        found = None if first is None or far else settle(first)
+        if first is None or first.geometric_mean_rms > GIVEN_UP_BEYOND_BEST * at.geometric_mean_rms:
+            continue
+        found = settle(first)
         if found is not None and found.geometric_mean_rms < best.geometric_mean_rms:
-            best, gain = found, at.residual.size * math.log(at.geometric_mean_rms / found.geometric_mean_rms)
-        if max(gain, score) < STATIC_GAIN:
-            break
-    best = best if gain >= STATIC_GAIN else at
-    return replace(best, cpu_s=at.cpu_s + clock.process_time() - begun)
-
-
-def _static_score(at: TaskFit, task: Task) -> float:
-    """Return by how much the log likelihood would rise with the level's first step."""
-    model = Model(task, at.windows, flow.SEARCH_STEP)
-    q = _beside(task, at.u, at)
-    found = model.evaluate(q, at.local, True)
-    if found is None:
-        return 0.0
-    blocks = normal_equations(least_squares_problem(model, at.noise, q), q, at.local, *found)
-    reduced = SchurComplement(blocks)
-    gradient = reduced.reduced_gradient(blocks.g, reduced.local_step(blocks.gl))
-    index = task.places.index(Global.STATIC)
-    return 0.5 * float(gradient[index]) ** 2 * float(reduced.covariance[index, index])
+            best = found
+    gain = at.residual.size * math.log(at.geometric_mean_rms / best.geometric_mean_rms)
+    return replace(best if gain >= STATIC_GAIN else at, cpu_s=at.cpu_s + clock.process_time() - begun)
 
 
 def _beside(task: Task, u: Array, at: TaskFit) -> Array:
