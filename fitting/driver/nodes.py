@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.base.compute.arrays import Array, Integers
-from fitting.model.windows import ShootingWindows
+from fitting.model.windows import ShootingWindows, Thinning, stuck_from
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +33,15 @@ class SampleNodes:
     count: Array
 
     @classmethod
-    def of(cls, whole: ShootingWindows, strides: Sequence[int]) -> "SampleNodes":
-        """Take every so many samples of each run's windows."""
+    def of(cls, whole: ShootingWindows, thinned: Sequence[Thinning]) -> "SampleNodes":
+        """Take the nodes of each run's windows."""
         table, picked, left, share, total = whole.table.copy(), [], [], [], 0
         ends = np.zeros(len(whole.rows), np.int64)
-        for row, (cycle, _, first, size, _, run) in enumerate(whole.table):
+        for row, (cycle, stick, first, size, overtakes, run) in enumerate(whole.table):
             time = whole.time[first : first + size]
-            own = np.unique(np.r_[np.arange(0, size, strides[run]), size - 1])
+            landing = 2 * float(whole.earliest_landing[row]) - float(time[0])
+            stuck = stuck_from(time, stick, landing, overtakes=bool(overtakes))
+            own = np.unique(np.r_[thinned[run].taken(size, stuck), size - 1])
             before = np.clip(np.searchsorted(own, np.arange(size), side="right") - 1, 0, max(own.size - 2, 0))
             gap = time[own[np.minimum(before + 1, own.size - 1)]] - time[own[before]]
             left.append(total + before)

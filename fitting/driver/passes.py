@@ -23,7 +23,7 @@ from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, RIPPLE, Global
-from fitting.model.problem import coarse_stride
+from fitting.model.problem import thinned_to
 from fitting.sensitivity import flow
 from fitting.sensitivity.path import Path
 from rig_sim.friction.law import LAWS
@@ -239,7 +239,7 @@ def _whole(
     """Fit every sample through nodes, from near the end."""
     noise = settled.for_last_pass
     whole = task.problem.windows(thinned=False)
-    nodes = SampleNodes.of(whole, [coarse_stride(motion) for motion in task.problem.motions])
+    nodes = SampleNodes.of(whole, [thinned_to(run) for run in task.problem.runs])
     every, sparse = Model(task, whole, flow.LONGEST_STEP), Model(task, nodes.windows, flow.LONGEST_STEP)
     for model in (every, sparse):
         model.settle(*start, FOLLOWED)

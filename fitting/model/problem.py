@@ -15,11 +15,12 @@ from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
-from fitting.model.windows import ShootingWindows
+from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
 from rig_sim.friction.law import LAWS
 
 # Samples a slip of a thinned record, on which searches and scans run, as residuals are correlated over many samples: at
-# half as many the shortest wavelengths blur, twice as many take twice the time.
+# half as many the shortest wavelengths blur, twice as many take twice the time.  A stick, where the mass moves as the
+# belt does, has no more: of one 10 times as long as its slip they took nearly all the time.
 COARSE_SAMPLES = 62.5
 DEFAULT_DAMPING_SD = 0.01  # standard deviation of the damping over the critical one, when no ring-down was recorded
 LEAST_LINEAR_FRICTION = 0.97  # fall of the linear curve at the fastest slip, over the level, at the most
@@ -201,10 +202,10 @@ class EstimationProblem:
         return np.where(self.held, self.start, start)
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
-        """Return the windows of all runs, of every sample or thinned to `COARSE_SAMPLES` a slip."""
+        """Return the windows of all runs, of every sample or thinned (`thinned_to`)."""
         return ShootingWindows.join(
             [
-                ShootingWindows.from_cycles(run.motion, run.cut.used, coarse_stride(run.motion) if thinned else 1)
+                ShootingWindows.from_cycles(run.motion, run.cut.used, thinned_to(run) if thinned else EVERY_SAMPLE)
                 for run in self.runs
             ]
         )
@@ -251,9 +252,11 @@ def _regressed(
     return [own._replace(**contact) for own, _ in found], float(np.median([size for _, size in found]))
 
 
-def coarse_stride(motion: MeasuredMotion) -> int:
-    """Return every how many samples one is left of a record thinned to `COARSE_SAMPLES` a slip."""
-    return max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE_SAMPLES))
+def thinned_to(run: Run) -> Thinning:
+    """Return how a run is thinned: to `COARSE_SAMPLES` a slip, and in a stick, unless its belt ripples."""
+    motion = run.motion
+    stride = max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE_SAMPLES))
+    return Thinning(stride, COARSE_SAMPLES if run.ripple is None else math.inf)
 
 
 def level_prior(motions: Sequence[MeasuredMotion]) -> float:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,33 @@ from fitting.model.parameters import PER_CYCLE, PER_RUN, PerCycle
 # that steps by 10 mm/s gives 3 to 20.  At 3 slips that were struck lightly still pulled true laws to p = 1e-8.
 SPOILT = 1.5
 BESIDE_BELT = 0.9995  # speed over the belt's: the fastest start of a slip window
+
+
+class Thinning(NamedTuple):
+    """Which samples of a window are taken: every ``stride``-th, and of a long stick about ``most`` in all."""
+
+    stride: int = 1
+    most: float = math.inf
+
+    def taken(self, size: int, stuck: int) -> NDArray[np.int64]:
+        """Return which of a window's samples are taken; from sample ``stuck`` on the mass is stuck."""
+        moving = np.arange(0, stuck, self.stride)
+        begin = moving.size * self.stride
+        return np.concatenate([moving, np.arange(begin, size, max(self.stride, int((size - begin) / self.most)))])
+
+
+EVERY_SAMPLE = Thinning()
+
+
+def stuck_from(time: Array, stick: int, landing: float, *, overtakes: bool) -> int:
+    """Return from which sample of a window (n,), s, on the mass is stuck.
+
+    Where it overtakes the belt after landing, it slips forwards for less time than it slipped before.
+    """
+    if stick:
+        return 0
+    end = 2 * landing - float(time[0]) if overtakes else landing
+    return int(np.searchsorted(time, end))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +80,17 @@ class ShootingWindows:
     parts: "tuple[ShootingWindows, ...]" = ()
 
     @classmethod
-    def from_cycles(cls, motion: MeasuredMotion, cycles: tuple[Cycle, ...], stride: int = 1) -> "ShootingWindows":
-        """Gather the windows of the given cycles, taking every ``stride``-th sample."""
+    def from_cycles(
+        cls, motion: MeasuredMotion, cycles: tuple[Cycle, ...], thinning: Thinning = EVERY_SAMPLE
+    ) -> "ShootingWindows":
+        """Gather the windows of the given cycles."""
         table, level_epoch, earliest_landing, source, rows, total = [], [], [], [], [], 0
         for k, cycle in enumerate(cycles):
             begin = total
             for stick, (first, end) in ((1, cycle.stick), (0, cycle.slip)):
                 if end > first:
-                    taken = np.arange(first, end, stride)
+                    stuck = stuck_from(motion.time[first:end], stick, cycle.landing, overtakes=cycle.overtakes)
+                    taken = first + thinning.taken(end - first, stuck)
                     table.append((k, stick, total, taken.size, cycle.overtakes, 0))
                     level_epoch.append(cycle.break_away)
                     earliest_landing.append(0.5 * (float(motion.time[first]) + cycle.landing))
