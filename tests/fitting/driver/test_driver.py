@@ -35,7 +35,7 @@ def curve_task(runs, forces=()):
     return replace(free_curve_task(problem, knots, start, coefficients), forces=tuple(forces))
 
 
-@pytest.mark.parametrize("law", [2, 3, 4, 5, 6])
+@pytest.mark.parametrize("law", [2, 4, 5])
 def test_a_true_law_leaves_the_noise_and_covers_what_made_the_record(runs_of, law):
     runs = runs_of(law=law, seed=3, duration=10.0)
     (found,) = fit_laws([law], runs)

@@ -230,11 +230,6 @@ def test_a_triangular_wave_is_no_ramp_that_is_never_left(strangers, belt_rig):
         rank(smooth(recording))
 
 
-def test_a_law_that_fits_badly_is_said_to_do_so(belt_rig):
-    ranking = rank(smooth(belt_rig.recording(law=5, duration=10.0)), laws=(1,))
-    assert any("no law fits well" in warning for warning in ranking.warnings)
-
-
 def test_paper_on_paper_is_stick_slip_that_no_law_describes(published, tmp_path, capsys):
     # "no belt stick-slip in this record" was said of 93 and of 227 sticks, and later an error with exit code 4.
     run = tmp_path / "run.h5"
