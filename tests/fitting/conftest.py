@@ -32,7 +32,7 @@ def no_rivals(monkeypatch):
 
 @pytest.fixture(scope="module")
 def asked_laws_alone():
-    """Search for no law beside those asked for, where a module is about commands: the others take half of a fit."""
+    """Search for no law beside those asked for, in a module that is not about which law is found: that takes half."""
     fit = law_fits._fit_laws
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(law_fits, "_fit_laws", lambda laws, runs, among=None, **how: fit(laws, runs, laws, **how))

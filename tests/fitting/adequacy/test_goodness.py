@@ -17,6 +17,8 @@ from fitting.selection import verdict_warnings
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
+pytestmark = pytest.mark.usefixtures("asked_laws_alone")
+
 
 def test_what_repeats_and_what_is_smooth_is_found_beside_noise():
     rng = np.random.default_rng(2)

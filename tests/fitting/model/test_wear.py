@@ -8,6 +8,8 @@ import pytest
 from fitting.model import wear
 from fitting.selection.ranking import rank
 
+pytestmark = pytest.mark.usefixtures("asked_laws_alone")
+
 
 def test_the_line_through_the_levels():
     time = np.arange(20.0)

@@ -19,7 +19,7 @@ from processing.smoothing import smooth
 
 from .. import command
 
-pytestmark = pytest.mark.usefixtures("undrawn_reports")
+pytestmark = pytest.mark.usefixtures("undrawn_reports", "asked_laws_alone")
 SPEEDS = (0.1, 0.2, 0.3)
 
 
@@ -90,7 +90,7 @@ def test_a_spring_one_percent_hard_is_seen_in_runs_fitted_together(belt_rig, tmp
 
 
 @pytest.fixture(scope="module")
-def law_five(runs_of):
+def law_five(runs_of, asked_laws_alone):
     """Give the joint fit of law 5 alone to its own runs."""
     return rank(runs_of(5, 2), laws=(5,))
 
@@ -145,7 +145,7 @@ def files(tmp_path_factory, belt_rig, runs_of):
 
 
 @pytest.fixture(scope="module")
-def fitted(files, undrawn_reports):
+def fitted(files, undrawn_reports, asked_laws_alone):
     """Give the answer of a joint fit, and what the files of the runs held before."""
     before = [path.read_bytes() for path in files]
     return command.fit(*files, laws="3,5"), before

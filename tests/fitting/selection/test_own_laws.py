@@ -27,6 +27,7 @@ from rig_sim.scenes.scene import scene
 
 from .. import command
 
+pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 VISCOUS = {"curve": "stribeck", "Fc": 0.6, "v_s": 0.08, "Fv": 0.15, "c": 0.01, "scatter": 0.03, "duration": 12.0}
 MINE = "Fc + (Fs - Fc)*exp(-s/v_s) + Fv*s"
 
@@ -38,7 +39,7 @@ def recorded(belt_rig, **changes):
 
 
 @pytest.fixture(scope="module")
-def won(belt_rig):
+def won(belt_rig, asked_laws_alone):
     """Give a contact that a formula of one's own describes, and its ranking beside law 5."""
     contact, recording = recorded(belt_rig)
     motion = smooth(recording)

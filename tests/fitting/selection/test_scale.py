@@ -9,6 +9,7 @@ from fitting.data import frame
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
+pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 DURATION = 12.0  # s, of the camera's record
 
 
@@ -26,7 +27,7 @@ def track(belt_rig, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def expected(track):
+def expected(track, asked_laws_alone):
     """Rank the record at its own speed."""
     return rank(smooth(track(1.0)), laws=(3, 5))
 
