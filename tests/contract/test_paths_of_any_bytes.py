@@ -50,7 +50,7 @@ def test_a_run_is_read_drawn_and_fitted_under_a_name_of_any_bytes(folder, monkey
     # A picture and a report ended with a traceback, exit code 1, after all was computed; so did an import.
     shutil.copy(SAMPLE, folder / os.fsdecode(b"l\xfe.h5"))
     assert run(monkeypatch, process, "inspect", b"l\xfe.h5", "--plot", b"p\xfe.png") == 0
-    assert run(monkeypatch, fit_friction, b"l\xfe.h5", "--csv", "table.csv") == 0
+    assert run(monkeypatch, fit_friction, b"l\xfe.h5", "--laws", "5", "--csv", "table.csv") == 0
     assert (folder / os.fsdecode(b"l\xfe.report.html")).read_text(encoding="utf-8").count(r"l\xfe.h5") > 0
     assert (folder / "table.csv").read_bytes().splitlines()[1].startswith(b"l\xfe.h5,5,")
     assert run(monkeypatch, app, "export", b"l\xfe.h5", "--csv", b"e\xfe.csv") == 0

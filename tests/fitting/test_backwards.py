@@ -26,7 +26,7 @@ def recorded(tmp_path_factory):
         path = folder / f"{law}-{speed}.h5"
         if path.exists():
             return path
-        line = ["record", "--scene", "rig", "--duration", "16", "-o", str(path), "--json"]
+        line = ["record", "--scene", "rig", "--duration", "12", "-o", str(path), "--json"]
         for change in (f"friction.law={law}", "seed=1", f"belt.speed={speed}"):
             line += ["--set", change]
         assert application.run(daq_cli.app, line) == 0
@@ -35,7 +35,7 @@ def recorded(tmp_path_factory):
     return of
 
 
-@pytest.mark.parametrize("law", [2, *(pytest.param(law, marks=pytest.mark.slow) for law in (1, 3, 4, 5, 6))])
+@pytest.mark.parametrize("law", [2, *(pytest.param(law, marks=pytest.mark.slow) for law in (3, 6))])
 def test_a_backward_belt_gives_the_same_law(recorded, law):
     forward, backward = (rank(smooth(store.load(recorded(law, speed)))) for speed in (0.22, -0.22))
     # Counts and jitter fall otherwise on the mirrored motion: the same curve with the other contact may be in one set.
@@ -58,7 +58,7 @@ def test_a_backward_belt_gives_the_same_law(recorded, law):
 def test_the_command_tells_a_backward_belt_by_its_sign(recorded, capsys):
     path = recorded(5, -0.22)
     capsys.readouterr()
-    assert application.run(cli.app, [str(path), "--json"]) == 0
+    assert application.run(cli.app, [str(path), "--laws", "3,5", "--no-report", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["set"] == [5]
     assert document["ranking"][0]["parameters"]["v_dr"]["value"] == pytest.approx(-0.22, rel=2e-3)

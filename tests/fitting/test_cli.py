@@ -26,7 +26,7 @@ from processing.smoothing import smooth
 
 from . import command
 
-pytestmark = pytest.mark.usefixtures("undrawn_reports")
+pytestmark = pytest.mark.usefixtures("undrawn_reports", "asked_laws_alone")
 
 
 @pytest.fixture(scope="module")
@@ -36,10 +36,10 @@ def run(tmp_path_factory, belt_rig):
 
 
 @pytest.fixture(scope="module")
-def fitted(run):
+def fitted(run, asked_laws_alone):
     path = run.with_name("fitted.h5")
     shutil.copy(run, path)
-    answer = command.fit(path, laws="3,5")
+    answer = command.fit(path, laws="3,5", csv=run.with_name("ranking.csv"), curve_csv=run.with_name("curve.csv"))
     return path, answer
 
 
@@ -106,8 +106,7 @@ def test_results_stand_beside_untouched_raw_data(fitted, run):
         assert (file[value][:] == before[value][:]).all()
 
 
-@pytest.mark.parametrize(("meanwhile", "what"), [("smoothed", "smoothed anew"), ("recorded", "recorded anew")])
-def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp_path, belt_rig, meanwhile, what):
+def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, tmp_path, belt_rig):
     # A fit used to stand beside a smoothed motion, or even a recording, that it was not made from.
     path = tmp_path / "run.h5"
     shutil.copy(run, path)
@@ -115,29 +114,34 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp
         [job.load_run(path, job.FitOptions())], job.FitOptions(competitors=Competitors((5,)), report=False)
     )
     done.save(None)
-    if meanwhile == "smoothed":
-        stage.save(smooth(store.load(path), method="sg"), path)
-    else:
-        store.write(path, belt_rig.recording(law=5, duration=10.0, seed=2), force=True)
+    stage.save(smooth(store.load(path), method="sg"), path)
+    refused(done, path, "smoothed anew")
+    command.fit(path, laws="5", no_report=True)
+    with h5py.File(path) as file:
+        assert file["entry/fit/parameters/sha256_smooth"].asstr()[()] == stage.digest(file["entry"])
+    store.write(path, belt_rig.recording(law=5, duration=10.0, seed=2), force=True)
+    refused(done, path, "recorded anew")
+
+
+def refused(done, path, what):
+    """Assert that a fit is not written into a run, for this reason."""
     before = path.read_bytes()
     with pytest.raises(InputError, match=what):
         done.save(None)
     assert path.read_bytes() == before
-    if meanwhile == "smoothed":
-        command.fit(path, laws="5", no_report=True)
-        with h5py.File(path) as file:
-            assert file["entry/fit/parameters/sha256_smooth"].asstr()[()] == stage.digest(file["entry"])
 
 
-def test_the_list_says_which_part_of_a_run_was_fitted(run, tmp_path):
+def test_the_list_says_which_part_of_a_run_was_fitted_and_its_table_is_replaced(run, tmp_path):
     # The verdict of a part of a run, or of some laws, used to stand in the list as that of the run.
-    path = tmp_path / "run.h5"
+    path, out = tmp_path / "run.h5", tmp_path / "ranking.csv"
     shutil.copy(run, path)
-    parts = []
+    parts, lines = [], []
     for options in ({"end": "9 s"}, {"laws": "1-6"}):
-        command.fit(path, **{"laws": "5"} | options, no_report=True)
+        command.fit(path, **{"laws": "5"} | options, no_report=True, csv=out)
         parts += [row.part for row in listing.runs([tmp_path])]
+        lines.append(len(out.read_text().splitlines()))
     assert parts == ["0 to 9 s; law 5", None]
+    assert lines == [2, 7]
 
 
 def test_the_report_goes_beside_the_run(fitted):
@@ -215,18 +219,15 @@ def test_parts_and_reports_that_cannot_be_are_refused(run, flags, what):
     assert what in f"{refused.value.what} {refused.value.where}"
 
 
-def test_the_ranking_can_be_had_as_a_table(run, tmp_path):
-    path, out = tmp_path / "run.h5", tmp_path / "ranking.csv"
-    shutil.copy(run, path)
-    document = application.plain(command.fit(path, laws="3,5", csv=out).data)
+def test_the_ranking_can_be_had_as_a_table(fitted):
+    path, answer = fitted
+    document, out = application.plain(answer.data), path.with_name("ranking.csv")
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["law"]) for row in rows] == [row["law"] for row in document["ranking"]]
     assert float(rows[0]["k/m"]) == document["ranking"][0]["parameters"]["k/m"]["value"]
     assert float(rows[0]["gamma stderr"]) == document["ranking"][0]["parameters"]["gamma"]["stderr"]
     assert rows[1]["gamma"] == ""
-    command.fit(path, laws="5", csv=out)
-    assert len(out.read_text().splitlines()) == 2
 
 
 def test_a_strangers_table_and_the_run_itself_are_not_replaced(run, tmp_path):
@@ -249,9 +250,9 @@ def test_the_ranking_of_another_run_is_replaced_by_force_alone(tmp_path):
     table.refuse_foreign_file(out, [tmp_path / "two.h5"], force=True)
 
 
-def test_the_measured_curve_is_a_table(run, tmp_path):
-    out = tmp_path / "curve.csv"
-    answer = command.fit(run, laws="5", curve_csv=out, report=tmp_path / "curve.html")
+def test_the_measured_curve_is_a_table(fitted):
+    path, answer = fitted
+    out = path.with_name("curve.csv")
     curve = application.plain(answer.data)["adequacy"]["curve"]
     with out.open() as file:
         header, *rows = csv.reader(file)

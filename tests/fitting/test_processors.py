@@ -44,7 +44,7 @@ for path in map(Path, sys.argv[2:]):
         measured = motion.recording.position * (1 + last_bits * rng.standard_normal(motion.time.size))
         motion = replace(motion, **noisy, recording=replace(motion.recording, position=measured))
     try:
-        ranking = rank(motion)
+        ranking = rank(motion, laws=(3, 4, 5, 6))
     except DataError as error:
         found[path.stem] = {"code": error.exit_code, "set": [], "verdict": error.what, "laws": {}, "rms": None}
         continue
@@ -139,15 +139,12 @@ def test_the_laws_are_named(native):
 
 
 @pytest.mark.parametrize(
-    "kernel", [NAMED] if NAMED in OTHERS else [pytest.param(kernel, marks=pytest.mark.slow) for kernel in OTHERS[:1]]
+    "kernel",
+    [NAMED] if NAMED in OTHERS else [pytest.param(kernel, marks=pytest.mark.slow) for kernel in OTHERS[:1] or [KERNEL]],
 )
-def test_every_kernel_of_the_linear_algebra_gives_the_same_answer(runs, native, kernel):
-    assert_the_same(judged(runs, kernel), native)
-
-
-@pytest.mark.slow
-def test_the_last_bits_of_a_record_decide_nothing(runs, native):
-    found = judged(runs, KERNEL, LAST_BITS)
+def test_neither_the_kernel_of_the_linear_algebra_nor_the_last_bits_decide_anything(runs, native, kernel):
+    """Both are changed at once: each alone is a smaller change, and a judgement costs half a minute."""
+    found = judged(runs, kernel, LAST_BITS)
     assert_the_same(found, native)
     # Two of 26 such changes of `harsh` used to end in a poorer minimum, five and six times as far from the record.
     assert found["harsh"]["rms"] == pytest.approx(native["harsh"]["rms"], rel=1e-3)

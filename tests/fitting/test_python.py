@@ -19,6 +19,7 @@ from daq.runfile.rig import Rig
 from fitting import cli
 from fitting.report import page
 
+pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 ROOT = Path(__file__).resolve().parents[2]
 RUN = ROOT / "data_samples" / "law5.h5"
 MINE = "Fs/(1 + s/v_s)"
@@ -32,12 +33,12 @@ def run():
 
 
 @pytest.fixture(scope="module")
-def ranking(run):
+def ranking(run, asked_laws_alone):
     return fitting.rank(run, laws=(5, fitting.Law("mine", MINE)))
 
 
 @pytest.fixture(scope="module")
-def joint(run):
+def joint(run, asked_laws_alone):
     motion = processing.smooth(run)
     return fitting.rank([motion, motion], laws=5)
 
@@ -72,6 +73,7 @@ def test_function_and_command_give_the_same_numbers(tmp_path, capsys):
     assert without_costs(called) == without_costs(typed)
 
 
+@pytest.mark.usefixtures("undrawn_report")
 def test_a_run_its_motion_and_its_arrays_give_one_answer(run, tmp_path):
     of_arrays = fitting.rank(run.time, run.position, laws=5, mass=run.rig.mass, x0=(0, 5e-4))
     assert "a run in memory" in of_arrays.save_scene(tmp_path / "arrays.toml").read_text()

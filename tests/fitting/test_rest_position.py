@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 from daq.base.console import application
+from daq.base.errors import DataError
 from daq.base.measured import Measured
 from daq.cli.app import app as daq
 from daq.runfile.rig import Rig
-from fitting import cli
+from fitting import cli, job
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
+pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 X0 = 0.6  # m: the reading at the rest; the mass moves between 0.46 and 0.74
 
 
@@ -61,20 +63,28 @@ def test_what_an_import_states_is_what_the_fit_prints(table, fitted, capsys):
     assert not [text for text in document["warnings"] if "x0" in text]
 
 
-def test_x0_and_the_datum_are_one_but_for_the_sign(bare, fitted):
+def test_x0_and_the_datum_are_one_but_for_the_sign(bare, fitted, monkeypatch):
     """--datum took no +-, and a minus before a unit was taken for a flag."""
-    for flags in (
-        ["--x0", "600 mm +- 0.5 mm"],
-        ["--datum", "-600 mm +- 0.5 mm"],
-        ["--datum", "-0.6", "--datum-sd", "5e-4"],
-    ):
-        code, document = fitted(bare, *flags)
-        assert code == 0
-        assert rest(document) == pytest.approx(X0, abs=2e-3)
+    code, document = fitted(bare, "--datum", "-600 mm +- 0.5 mm")
+    assert code == 0
+    assert rest(document) == pytest.approx(X0, abs=2e-3)
+    read = []
+
+    def read_alone(runs, *_, **__):
+        read.append((runs[0].rig.x0, runs[0].rig.datum))
+        raise DataError("read", "", "")
+
+    monkeypatch.setattr(job, "fit_runs", read_alone)
+    for flags in (["--x0", "600 mm +- 0.5 mm"], ["--datum", "-600 mm +- 0.5 mm"], ["--datum=-0.6", "--datum-sd=5e-4"]):
+        assert fitted(bare, *flags)[0] == 4
+    datum = Measured(-X0, 5e-4)
+    assert read == [(Measured(X0, 5e-4), None), (None, datum), (None, datum)]
 
 
 def test_the_printed_value_stated_again_changes_nothing(bare, fitted):
-    _, first = fitted(bare, "--x0", "600 mm +- 0.5 mm")
+    code, first = fitted(bare, "--x0", "600 mm +- 0.5 mm")
+    assert code == 0
+    assert rest(first) == pytest.approx(X0, abs=2e-3)
     _, again = fitted(bare, "--x0", f"{rest(first):.9g} +- 0.0005")
     assert rest(again) == pytest.approx(rest(first), abs=1e-4)
 

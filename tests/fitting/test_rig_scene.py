@@ -14,12 +14,12 @@ from rig_sim.scenes.scene import scene
 
 from . import command
 
-pytestmark = pytest.mark.usefixtures("undrawn_reports")
+pytestmark = pytest.mark.usefixtures("undrawn_reports", "asked_laws_alone")
 CALIBRATED = ("mass.m", "spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs", "friction.gamma")
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory, belt_rig):
+def fitted(tmp_path_factory, belt_rig, asked_laws_alone):
     """Give the scene that the fit of a record of law 5 without scatter is saved as, and the fit's answer."""
     folder = tmp_path_factory.mktemp("saved")
     run = belt_rig.written(folder / "run.h5", belt_rig.recording(law=5, scatter=0.0, damping=1.0, duration=12.0))

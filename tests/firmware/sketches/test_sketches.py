@@ -5,6 +5,8 @@ the PIO's state machine that runs the words of the sketch, and a counter in plac
 there.  The same words run on the emulator rp2040js, and the Pico's MicroPython on MicroPython's Unix port.
 """
 
+import contextlib
+import io
 import json
 import os
 import re
@@ -75,10 +77,9 @@ def recovered(folder, data, rate_hz, lines):
         writer.append(journal.RECEIVED, stamp, data[at : at + READ])
     writer.append(journal.END, int(1e9 * lines / rate_hz) + 2, json.dumps({"reason": "stopped"}).encode())
     writer.close()
-    line = [sys.executable, "-m", "daq.cli.app", "recover", str(part), "--json"]
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return json.loads(done.stdout), daq.load(folder / "run.h5")
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        assert application.run(app, ["recover", str(part), "--json"]) == 0
+    return json.loads(said.getvalue()), daq.load(folder / "run.h5")
 
 
 @pytest.mark.parametrize(

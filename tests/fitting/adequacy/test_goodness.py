@@ -3,14 +3,12 @@
 The motion is made by the generator of the tests, or by one that shares nothing with this project (`foreign`).
 """
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from daq.base.console import application
-from fitting import cli, job
+from fitting import job
 from fitting.adequacy import visible
 from fitting.adequacy.goodness import REJECTED, GoodnessOfFit, RunSlips, limit, probability, tail
 from fitting.adequacy.result import Adequacy
@@ -18,6 +16,8 @@ from fitting.adequacy.statistics import CycleSquares, SlipBins, cycle_squares
 from fitting.selection import verdict_warnings
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+
+pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 
 
 def test_what_repeats_and_what_is_smooth_is_found_beside_noise():
@@ -91,6 +91,7 @@ def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():
     assert len(verdict_warnings.not_judged(adequacy)) == 1
 
 
+@pytest.mark.usefixtures("no_rivals")
 @pytest.mark.parametrize(("curve", "adequate"), [("hyperbolic", True), ("stribeck", False)])
 def test_slips_of_25_samples_are_judged(belt_rig, tmp_path, curve, adequate):
     """With fewer samples than bins the statistics had no spread: an error, or "adequate" whatever the law."""
@@ -116,12 +117,14 @@ def test_a_true_law_is_adequate(ranked, law):
     assert all(item.trusted for item in ranking.best.parameters.values())
 
 
+@pytest.mark.usefixtures("no_rivals")
 def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(belt_rig):
     # "law 1 (constant friction), the only law fitted" was said of it, with narrow intervals.
-    ranking = rank(smooth(belt_rig.recording(law=5)), laws=(1,))
+    ranking = rank(smooth(belt_rig.recording(law=5, duration=10.0)), laws=(1,))
     document = ranking.as_json()
     assert document["adequacy"]["verdict"] == "none of the laws fitted"
     assert document["adequacy"]["p_value"] < 1e-6
+    assert any("no law fits well" in text for text in ranking.warnings)
     assert ranking.verdict.startswith("law 1 (constant friction) does not describe this record")
     for item in document["ranking"][0]["parameters"].values():
         assert item["lo"] is item["hi"] is item["stderr"] is None
@@ -129,15 +132,10 @@ def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(belt_rig):
     assert job.exit_code(document) == 6
 
 
-def test_the_same_record_gives_the_same_probability(belt_rig):
-    kinematics = smooth(belt_rig.recording(law=5, duration=12.0))
-    first, second = (rank(kinematics, laws=(5,)).as_json() for _ in range(2))
-    assert first["adequacy"] == second["adequacy"]
-
-
+@pytest.mark.usefixtures("no_rivals")
 def test_velocity_steps_of_a_belt_s_joint_spoil_no_law(belt_rig):
     """Slips with a velocity step fit badly under the true law: the others decide."""
-    assert rank(smooth(belt_rig.recording(law=5, kick=0.02, scatter=0.08)), laws=(5,)).adequacy.adequate
+    assert rank(smooth(belt_rig.recording(law=5, kick=0.02, scatter=0.08, duration=14.0)), laws=(5,)).adequacy.adequate
 
 
 def test_wear_within_the_slips_is_no_misfit(belt_rig):
@@ -159,6 +157,7 @@ def test_slips_that_a_joint_has_struck_spoil_no_others(belt_rig):
     assert any(text.startswith("cycles not judged: ") for text in ranking.warnings)
 
 
+@pytest.mark.usefixtures("no_rivals")
 @pytest.mark.parametrize("every", [3, 12])
 def test_slips_that_no_velocity_step_explains_are_judged(belt_rig, ranked, every):
     """Cycles with 1.5 times the usual mean square used to be left out, however many there were: here every third."""
@@ -173,10 +172,3 @@ def test_slips_that_no_velocity_step_explains_are_judged(belt_rig, ranked, every
     assert found.adequate == (every == 12)
     assert (found.goodness.misfit > 2) == (every == 3)
     assert len(found.goodness.left_out) == (1 if every == 12 else 0)
-
-
-def test_a_batch_ends_with_six_where_no_law_describes_a_run(belt_rig, tmp_path, capsys):
-    runs = [belt_rig.written(tmp_path / f"{law}.h5", belt_rig.recording(law=law, duration=12.0)) for law in (5, 3)]
-    assert application.run(cli.app, ["--each", *map(str, runs), "--laws", "5", "--json"]) == 6
-    rows = json.loads(capsys.readouterr().out)["runs"]
-    assert [row["adequacy"]["verdict"] for row in rows] == ["adequate", "none of the laws fitted"]

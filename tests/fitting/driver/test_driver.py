@@ -35,9 +35,9 @@ def curve_task(runs, forces=()):
     return replace(free_curve_task(problem, knots, start, coefficients), forces=tuple(forces))
 
 
-@pytest.mark.parametrize("law", [2, 3, 4, 5, 6])
+@pytest.mark.parametrize("law", [2, 4, 5])
 def test_a_true_law_leaves_the_noise_and_covers_what_made_the_record(runs_of, law):
-    runs = runs_of(law=law, seed=3)
+    runs = runs_of(law=law, seed=3, duration=10.0)
     (found,) = fit_laws([law], runs)
     assert found.whole
     assert found.geometric_mean_rms < 1.15 * runs[0].motion.resolution
@@ -47,7 +47,7 @@ def test_a_true_law_leaves_the_noise_and_covers_what_made_the_record(runs_of, la
 
 def test_what_a_law_leaves_does_not_depend_on_which_laws_are_asked_for(runs_of):
     """Law 1 left 1.13 mm beside all six laws and 6.42 mm beside law 5 alone."""
-    runs = runs_of(law=5, seed=1)
+    runs = runs_of(law=5, seed=1, duration=10.0)
     every = {found.task.curve.law: found for found in fit_laws(range(1, 7), runs)}
     assert sorted(every) == [1, 2, 3, 4, 5, 6]
     for asked in ([1, 5], [6]):
@@ -66,13 +66,13 @@ def test_noise_is_that_of_levels_that_fade(runs_of):
 
 
 def test_a_ramp_of_constant_friction_errs_no_more_than_a_jump(runs_of):
-    jump, ramp = fit_laws([1, 2], runs_of(law=1, seed=1))
+    jump, ramp = fit_laws([1, 2], runs_of(law=1, seed=1, duration=10.0))
     assert ramp.geometric_mean_rms <= 1.001 * jump.geometric_mean_rms
 
 
 @pytest.mark.parametrize("law", [3, 5])
 def test_a_free_curve_is_the_friction_that_made_the_record(runs_of, law):
-    runs = runs_of(law=law, seed=1)
+    runs = runs_of(law=law, seed=1, duration=10.0)
     (by_law,) = fit_laws([law], runs)
     task = curve_task(runs)
     starts = [(start_beside(task, by_law), by_law.noise.without_fade), (regressed_start(task), None)]
@@ -86,7 +86,7 @@ def test_a_free_curve_is_the_friction_that_made_the_record(runs_of, law):
 
 
 def test_a_ramps_break_away_level_is_found_when_it_is_free(runs_of):
-    runs = runs_of(law=6, seed=3, static=1.3)
+    runs = runs_of(law=6, seed=3, static=1.3, duration=10.0)
     task = law_task(6, runs)
     held = finish(settle(first_pass(task, regressed_start(task))))
     (free,) = fit_all([task])
@@ -95,7 +95,7 @@ def test_a_ramps_break_away_level_is_found_when_it_is_free(runs_of):
 
 
 def test_a_fit_goes_on_from_where_it_ended(runs_of):
-    runs = runs_of(law=5, seed=1)
+    runs = runs_of(law=5, seed=1, duration=10.0)
     (first,) = fit_all([law_task(5, runs)])
     again = fit_from(first.task, first.start, first.noise)
     assert again.geometric_mean_rms == pytest.approx(first.geometric_mean_rms, rel=1e-3)
@@ -105,7 +105,7 @@ def test_a_fit_goes_on_from_where_it_ended(runs_of):
 @pytest.mark.parametrize("free", [False, True])
 @pytest.mark.parametrize("force", [None, spring_nonlinear.DEPARTURE, guide_friction.DEPARTURE])
 def test_derivatives_are_differences_of_the_residuals(runs_of, free, force):
-    runs, forces = runs_of(law=5, seed=1), () if force is None else (Force(force),)
+    runs, forces = runs_of(law=5, seed=1, duration=10.0), () if force is None else (Force(force),)
     task = curve_task(runs, forces) if free else law_task(5, runs, forces)
     windows = task.problem.windows(thinned=True).some(np.arange(3))
     model = Model(task, windows, LONGEST_STEP)
@@ -130,7 +130,7 @@ def test_a_force_whose_scale_was_not_scanned_is_refused():
 
 
 def test_a_lost_law_starts_again_with_its_windows_at_the_smoothed_motion(runs_of):
-    runs = runs_of(law=4, seed=1)
+    runs = runs_of(law=4, seed=1, duration=10.0)
     task = law_task(5, runs)
     first = first_pass(task, regressed_start(task))
     again = restarted_windows(first)
@@ -163,7 +163,7 @@ def astray(at, times):
 
 def test_where_all_are_lost_a_law_ends_from_its_own_regression_too(runs_of):
     """Of slips of 10 samples law 5 went on from law 3's end, and left 10 times the noise that its regression led to."""
-    task = law_task(5, runs_of(law=5, seed=1))
+    task = law_task(5, runs_of(law=5, seed=1, duration=10.0))
     first = first_pass(task, regressed_start(task))
     (moved,) = from_left_starts([astray(settle(first), 4.0)], [first], map)
     assert moved.geometric_mean_rms == pytest.approx(settle(first).geometric_mean_rms)
@@ -171,7 +171,7 @@ def test_where_all_are_lost_a_law_ends_from_its_own_regression_too(runs_of):
 
 def test_a_law_that_errs_more_than_another_on_its_contact_starts_from_there_too(runs_of):
     """Law 4 of a record whose levels do not scatter stopped 0.4 % above what it could reach, law 6 did not."""
-    task = law_task(5, runs_of(law=5, seed=1))
+    task = law_task(5, runs_of(law=5, seed=1, duration=10.0))
     good = settle(first_pass(task, regressed_start(task)))
     moved, kept = beside_better([astray(good, 1.1), good], map)
     assert moved.geometric_mean_rms == pytest.approx(good.geometric_mean_rms, rel=1e-4)

@@ -100,7 +100,7 @@ def test_a_fit_is_linearised_at_its_minimum(ranked):
 
     The damping of this record ends at its bound 0, with a gradient of 0.35 standard errors.
     """
-    fit = ranked(law=5, seed=1).best.fit
+    fit = ranked(law=5).best.fit
     found = LinearisedFit.at(fit.at)
     assert found.residual == pytest.approx(fit.residual, abs=1e-12)
     gradient = found.gradients.sum(axis=0) + found.prior_gradient

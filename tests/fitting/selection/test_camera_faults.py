@@ -50,8 +50,8 @@ def faulty(belt_rig, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def clean(faulty):
-    """Give a function that ranks a sound track by laws 1, 3 and 5, once for each law that made it."""
-    return cache(lambda law: rank(faulty("", law), laws=(1, 3, 5)))
+    """Give a function that ranks a sound track by laws 3 and 5, once for each law that made it."""
+    return cache(lambda law: rank(faulty("", law), laws=(3, 5)))
 
 
 def test_samples_left_out_by_the_smoothing_are_no_data_of_the_fit(faulty):
@@ -88,9 +88,7 @@ def test_a_track_with_frames_lost_or_doubled_among_even_times_is_refused(faulty,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("law", "noise", "seed"), [(1, 5e-4, 1), (1, 5e-4, 2), (4, 5e-4, 1), (2, 1e-3, 1), (3, 1e-3, 1)]
-)
+@pytest.mark.parametrize(("law", "noise", "seed"), [(1, 5e-4, 1), (4, 5e-4, 1), (3, 1e-3, 1)])
 def test_frames_lost_are_found_in_the_residuals_where_noise_hides_single_ones(faulty, law, noise, seed):
     # Laws 1 to 4 under 0.5 mm of noise, and every law under 1 mm, were fitted without a word.  Of law 1 with seed 1 law
     # 4 comes nearest and ends on every third sample: of a thinned fit no piece could show lost frames.
@@ -112,7 +110,7 @@ def test_frames_lost_are_found_in_the_residuals_where_noise_hides_single_ones(fa
 )
 def test_a_fault_of_the_sensor_changes_neither_law_nor_parameters(faulty, clean, kind, law):
     # A law was named with Fs off by 49 to 5485 %, without a word.
-    found = rank(faulty(kind, law), laws=(1, 3, 5))
+    found = rank(faulty(kind, law), laws=(3, 5))
     assert found.laws_in_set == clean(law).laws_in_set
     assert law in found.laws_in_set
     code = "frozen" if "frozen" in kind else "position-steps" if "moved" in kind else "spikes"

@@ -100,7 +100,6 @@ def test_static_and_kinetic_levels_are_separate(ranked):
     [
         (4, 1.2),
         pytest.param(2, 1.1, marks=pytest.mark.slow),
-        pytest.param(2, 1.3, marks=pytest.mark.slow),
         pytest.param(6, 1.3, marks=pytest.mark.slow),
     ],
 )
@@ -113,13 +112,6 @@ def test_a_ramp_that_breaks_away_above_the_level_of_slip(belt_rig, law, static):
     assert found["d"].value == pytest.approx(0.03, rel=0.03)
     for name, true in (("static", static), ("d", 0.03), ("v_dr", 0.22)):
         assert found[name].lo < true < found[name].hi
-
-
-def test_a_backward_belt_gives_the_mirrored_answer(ranked):
-    forward, backward = ranked(law=6), ranked(law=6, belt=-0.22)
-    assert backward.laws_in_set == forward.laws_in_set
-    assert backward.best.parameters["v_dr"].value == pytest.approx(-0.22, rel=1e-3)
-    assert backward.best.parameters["gamma"].value == pytest.approx(9.618, rel=1e-2)
 
 
 def test_a_bare_track_without_any_calibration_still_finds_its_law(belt_rig):

@@ -9,11 +9,14 @@ from fitting.data import frame
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
+pytestmark = pytest.mark.usefixtures("asked_laws_alone")
+DURATION = 12.0  # s, of the camera's record
+
 
 @pytest.fixture(scope="module")
 def track(belt_rig, tmp_path_factory):
     """Give a camera's record of law 5, times of which are divided by ``faster``."""
-    time, position = belt_rig.camera(5, 5e-5, duration=20.0)
+    time, position = belt_rig.camera(5, 5e-5, duration=DURATION)
     table = tmp_path_factory.mktemp("track") / "track.csv"
 
     def at(faster):
@@ -24,20 +27,14 @@ def track(belt_rig, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def expected(track):
+def expected(track, asked_laws_alone):
     """Rank the record at its own speed."""
     return rank(smooth(track(1.0)), laws=(3, 5))
 
 
-@pytest.fixture(scope="module")
-def by_law_5(track):
-    """Fit law 5 alone to the record at its own speed."""
-    return rank(smooth(track(1.0)), laws=(5,)).best
-
-
-@pytest.mark.parametrize("faster", [20.0, 64.0, 1 / 64])
-def test_a_contact_in_fast_or_slow_motion_is_the_same_contact(track, expected, faster):
+def test_a_contact_in_fast_motion_is_the_same_contact(track, expected):
     """Twenty times as fast it was "no slip between two sticks", and ten times as fast k/m was 1.4 errors off."""
+    faster = 20.0
     found = rank(smooth(track(faster)), laws=(3, 5))
     assert found.laws_in_set == expected.laws_in_set == (5,)
     assert found.adequacy.adequate
@@ -47,11 +44,14 @@ def test_a_contact_in_fast_or_slow_motion_is_the_same_contact(track, expected, f
     assert len(found.events) == len(expected.events)
 
 
-@pytest.mark.parametrize("faster", [2.0, 2.0**-6])
-def test_a_motion_faster_by_a_power_of_two_gives_the_same_numbers(track, by_law_5, faster):
+def test_a_motion_slower_by_a_power_of_two_gives_the_same_numbers(track, expected):
     """64 times slower a step of the flow did not end: the fit of all samples was given up, that of a third kept."""
-    expected = by_law_5
-    found = rank(smooth(track(faster)), laws=(5,)).best
+    faster = 2.0**-6
+    ranking = rank(smooth(track(faster)), laws=(3, 5))
+    assert ranking.laws_in_set == (5,)
+    assert ranking.adequacy.adequate
+    assert len(ranking.events) == len(expected.events)
+    found, expected = ranking.best, expected.best
     assert found.rms_m == pytest.approx(expected.rms_m, rel=1e-9)
     for name, power in (("k/m", 2), ("v_dr", 1), ("gamma", -1)):
         ours, theirs = found.parameters[name], expected.parameters[name]
@@ -59,17 +59,15 @@ def test_a_motion_faster_by_a_power_of_two_gives_the_same_numbers(track, by_law_
         assert ours.stderr / faster**power == pytest.approx(theirs.stderr, rel=1e-5)
 
 
-@pytest.mark.parametrize("power", [-7, 5])
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_lengths_scaled_by_a_power_of_two_or_mirrored_give_the_same_numbers(track, by_law_5, power, side):
+def test_lengths_scaled_by_a_power_of_two_and_mirrored_give_the_same_numbers(track, expected):
     smoothed = smooth(track(1.0))
-    factor = side * 2.0**power
+    factor = -(2.0**-7)
     record = replace(smoothed.recording, position=factor * smoothed.recording.position)
     names = ("position", "velocity", "acceleration", "belt_speed", "plateau_speed")
     errors = ("noise", "position_errors", "velocity_errors", "acceleration_errors")
     changes = {name: factor * getattr(smoothed, name) for name in names}
     changes |= {name: abs(factor) * getattr(smoothed, name) for name in errors}
-    expected, found = by_law_5, rank(replace(smoothed, recording=record, **changes), laws=(5,)).best
+    expected, found = expected.best, rank(replace(smoothed, recording=record, **changes), laws=(3, 5)).best
     for name, unit in (("k/m", 1.0), ("v_dr", factor), ("gamma", 1 / abs(factor)), ("c/m", 1.0), ("Fs/m", abs(factor))):
         if name in expected.parameters:
             ours, theirs = found.parameters[name], expected.parameters[name]
@@ -108,10 +106,9 @@ def within_a_hundredth(found, expected, moved=()):
             assert ours.value == pytest.approx(theirs.value, abs=0.01 * theirs.stderr), (row.law, name)
 
 
-@pytest.mark.parametrize("later", [0.3, 100.0, -7.0])
-def test_it_does_not_matter_when_a_record_began(track, expected, later):
+def test_it_does_not_matter_when_a_record_began(track, expected):
     """The time of a fading level was that of the record: 100 s later a wrong law moved by 0.41 errors."""
-    record = track(1.0)
+    record, later = track(1.0), 100.0
     found = rank(smooth(replace(record, time=record.time + later)), laws=(3, 5))
     within_a_hundredth(found, expected)
     assert [event.t - later for event in found.events] == pytest.approx(
@@ -124,24 +121,17 @@ def test_it_does_not_matter_when_a_record_began(track, expected, later):
     assert found.best.position(times + later) == pytest.approx(expected.best.position(times), abs=1e-6)
 
 
-@pytest.mark.parametrize("aside", [0.0123, -1.0])
-def test_it_does_not_matter_where_a_record_lies(track, expected, aside):
+def test_it_does_not_matter_where_a_record_lies(track, expected):
     record = track(1.0)
-    found = rank(smooth(replace(record, position=record.position + aside)), laws=(3, 5))
+    found = rank(smooth(replace(record, position=record.position - 1.0)), laws=(3, 5))
     within_a_hundredth(found, expected, moved=("x0", "x0 + Fs/k"))
-
-
-def test_it_does_not_matter_how_many_decimals_are_printed(belt_rig, expected, tmp_path):
-    time, position = belt_rig.camera(5, 5e-5, duration=20.0)
-    many = rank(smooth(belt_rig.imported(tmp_path / "track.csv", time, position, decimals=9)), laws=(3, 5))
-    within_a_hundredth(expected, many)
 
 
 def test_it_does_not_matter_which_run_is_named_first(belt_rig, tmp_path):
     """Parameters that are one for all runs; the others stand in the rows of each run."""
     runs = []
     for number, noise in enumerate((5e-5, 8e-5)):
-        time, position = belt_rig.camera(5, noise, duration=15.0)
+        time, position = belt_rig.camera(5, noise, duration=9.0)
         runs.append(smooth(belt_rig.imported(tmp_path / f"{number}.csv", time, position, decimals=7)))
     expected, found = rank(runs, laws=(3, 5)), rank(runs[::-1], laws=(3, 5))
     within_a_hundredth(found, expected, moved=[name for name in expected.best.parameters if name.endswith(")")])

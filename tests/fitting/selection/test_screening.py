@@ -41,7 +41,6 @@ NAMES = (
 )
 KNOWN = {
     "nothing": Rig(),
-    "mass": Rig(mass=Measured(0.3, 1e-3)),
     "all": Rig(mass=Measured(0.3, 1e-3), datum=Measured(0.0, 5e-4), belt_speed=Measured(0.22, 2e-3)),
 }
 WHY = {
@@ -79,7 +78,7 @@ def smoothed(strangers, belt_rig):
     ("known", "seed"),
     [
         ("nothing", 11),
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("nothing", 12), ("mass", 11), ("all", 13))),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("nothing", 12), ("all", 13))),
     ],
 )
 @pytest.mark.parametrize("name", NAMES)
@@ -153,7 +152,7 @@ def test_an_imported_stranger_ends_in_exit_code_4(tmp_path, strangers, name, fla
 @pytest.mark.parametrize("law", [4, *(pytest.param(law, marks=pytest.mark.slow) for law in (3, 5))])
 def test_a_belt_that_stands_for_most_of_the_record_leaves_the_law_as_it_is(belt_rig, law):
     # Standing counted as record without a stick: laws 3 and 4 became constant friction.
-    ranking = rank(smooth(standing(belt_rig.recording(law=law, seed=2, duration=30.0), 10.0)))
+    ranking = rank(smooth(standing(belt_rig.recording(law=law, seed=2, duration=24.0), 8.0)))
     assert ranking.laws_in_set[0] == law
     assert ranking.cut.plateau_fraction > 0.24
 
@@ -229,11 +228,6 @@ def test_a_triangular_wave_is_no_ramp_that_is_never_left(strangers, belt_rig):
     recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=rig)
     with pytest.raises(DataError, match="no belt stick-slip in this record: "):
         rank(smooth(recording))
-
-
-def test_a_law_that_fits_badly_is_said_to_do_so(belt_rig):
-    ranking = rank(smooth(belt_rig.recording(law=5)), laws=(1,))
-    assert any("no law fits well" in warning for warning in ranking.warnings)
 
 
 def test_paper_on_paper_is_stick_slip_that_no_law_describes(published, tmp_path, capsys):

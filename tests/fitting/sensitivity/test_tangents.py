@@ -212,9 +212,7 @@ def test_tangents_through_steep_ramps_are_those_of_the_exact_flow(one_window, na
 STEPPED = {
     "jump": Slip(0.98, 0.12),
     "ramp": Slip(0.95, 0.024, {"d": 0.03}),
-    "ramp with a break-away level": Slip(1.1, 0.024, {"d": 0.03, "static": 1.2}),
     "jump on a rippling belt": Slip(0.98, 0.12, RIPPLE),
-    "ramp on a rippling belt": Slip(0.95, 0.024, {"d": 0.03, **RIPPLE}),
     "ramp with a break-away level on a rippling belt": Slip(1.1, 0.024, {"d": 0.03, "static": 1.2, **RIPPLE}),
     "strong damping": Slip(1.0, 0.12, {"damping": 1.5, "d": 0.03, **RIPPLE}),
 }
@@ -243,8 +241,10 @@ def test_tangents_by_a_ripple_hold_where_a_creep_breaks_away(one_window, d, rate
     assert max(found.values()) < 3e-3, found
 
 
-@pytest.mark.parametrize("load", [0.94, 0.97, 0.993, 0.9993, 1.0001, 1.007, 1.03])
-@pytest.mark.parametrize("hertz", [1.0, 14 / (2 * math.pi), 3.0])
+@pytest.mark.parametrize(
+    ("load", "hertz"),
+    [(0.94, 3.0), (0.97, 1.0), (0.993, 2.2), (0.993, 3.0), (0.9993, 2.2), (1.0001, 1.0), (1.007, 3.0), (1.03, 2.2)],
+)
 def test_a_slip_that_begins_beside_a_rippling_belt_is_followed(one_window, load, hertz):
     """The load left out the belt's acceleration: such slips were refused, or positions erred by 0.8 mm.
 

@@ -27,9 +27,7 @@ def test_a_loss_within_one_sample_is_marked_where_it_happened(motion, recorded, 
     assert np.abs([loss.counts - size for loss in found]).max() <= 1
 
 
-@pytest.mark.parametrize(
-    ("jitter", "times"), [(0.0, "recorded"), (30e-6, "recorded"), (100e-6, "recorded"), (30e-6, "nominal")]
-)
+@pytest.mark.parametrize(("jitter", "times"), [(0.0, "recorded"), (100e-6, "recorded"), (30e-6, "nominal")])
 def test_no_false_alarm_in_a_clean_minute(motion, recorded, times, jitter):
     assert steps_of(series.from_recording(recorded(motion(5, 60.0, jitter)), times)) == ()
 

@@ -15,9 +15,17 @@ def rms(data, true, setting):
     return float(np.sqrt(np.mean((found.velocity - true.v)[400:-400] ** 2)))
 
 
-@pytest.mark.parametrize("times", ["recorded", "nominal"])
-@pytest.mark.parametrize("jitter", [0.0, 30e-6])
-@pytest.mark.parametrize("pitch", [1e-6, 7.67e-6, 50e-6, 200e-6])
+@pytest.mark.parametrize(
+    ("pitch", "jitter", "times"),
+    [
+        (1e-6, 0.0, "recorded"),
+        (1e-6, 30e-6, "nominal"),
+        (7.67e-6, 30e-6, "recorded"),
+        (50e-6, 30e-6, "nominal"),
+        (200e-6, 0.0, "recorded"),
+        (200e-6, 30e-6, "recorded"),
+    ],
+)
 def test_the_chosen_window_is_close_to_the_best_one(motion, recorded, pitch, jitter, times):
     true = motion(5, 30.0, jitter)
     data = series.from_recording(recorded(true, pitch), times)

@@ -1,5 +1,7 @@
 """Savitzky-Golay on an even grid against 50-digit arithmetic, closed forms, and fits one by one."""
 
+from functools import cache
+
 import mpmath
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import pytest
 from processing.polynomial.even_fit import coefficients, fit
 
 
+@cache
 def reference(window, order, at):
     """Return the same weights in 50 digits, by orthonormal Gram polynomials."""
     with mpmath.workdps(50):

@@ -17,14 +17,16 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
+from rig_sim.dynamics.pictures import control
 
 FUNCTIONS = [name for name in rig_sim.__all__ if inspect.isfunction(getattr(rig_sim, name))]
 
 
 @pytest.fixture(autouse=True)
-def each_method_runs_once(monkeypatch):
-    """Measure no CPU times again and again: nothing here is about them."""
+def work_is_little(monkeypatch):
+    """Measure no CPU times again and again, and draw the swing at three amplitudes: nothing here is about them."""
     monkeypatch.setattr(error_vs_time, "LONG_ENOUGH_S", 0.0)
+    monkeypatch.setattr(control, "RATIOS", (0.5, 1.5, 3))
 
 
 # Each function as a call from Python, and the command line that asks the same.
@@ -70,8 +72,12 @@ CALLS = {
     ),
     "lock": (lambda: rig_sim.lock("forced", period=2, budget=0.0235), "lock forced --period 2 --budget 0.0235"),
     "lock, search": (
-        lambda: rig_sim.lock(rig_sim.scene("forced", **{"drive.omega": 1.1}), period=1, budget=0.0235, method="search"),
-        "lock forced --set drive.omega=1.1 --period 1 --budget 0.0235 --method search",
+        lambda: rig_sim.lock(rig_sim.scene("forced", **{"drive.omega": 0.9}), period=1, budget=0.0235, method="search"),
+        "lock forced --set drive.omega=0.9 --period 1 --budget 0.0235 --method search",
+    ),
+    "lock, missed": (
+        lambda: rig_sim.lock(rig_sim.scene("forced", **{"drive.omega": 1.3}), period=2, budget=0.3, method="search"),
+        "lock forced --set drive.omega=1.3 --period 2 --budget 0.3 --method search",
     ),
 }
 

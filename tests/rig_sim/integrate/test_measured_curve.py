@@ -202,6 +202,7 @@ def test_extremes_of_a_cycle_whose_mass_turns_on_a_knot_are_seen() -> None:
     assert found.x_max == pytest.approx(x.max(), abs=1e-6)
 
 
+@pytest.mark.slow  # two kernels are compiled; test_formula_scenes has the attractors of a table in `make test`
 def test_a_driven_curve_of_many_points_has_attractors() -> None:
     """A driven curve of 200 points and more ended in a bug, exit code 1.
 
