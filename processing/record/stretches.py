@@ -22,7 +22,10 @@ ACTIVE = 0.2  # of the travel within the most active stretches: less is rest, an
 STRIDE = 4  # of the samples whose percentiles are a window's travel
 READ = 2**15  # samples read at a time
 REST = 8  # samples: the medians of five of a shorter rest are few
-FARTHER, TURNING = 4.0, 1.5  # times the slack; times as long: twice for a mass that turns, four times in a stick
+# Times the slack, and times as long.  A mass that turns leaves the place of its turn four times as far in twice the
+# time.  Where it turned a little before, it passes its first place once more: in (1 + sqrt(5))/(1 + sqrt(2)) = 1.34 of
+# the time at least, 1.25 where readings are whole counts.  A stick takes four times as long.
+FARTHER, TURNING = 4.0, 1.25
 SHORTEST = 16  # samples: a stretch below this is left out (third differences of fewer say little)
 
 
@@ -146,7 +149,7 @@ def moving_samples(positions: Callable[[slice], Array], n: int, slack: float) ->
     """Return the first and the last sample between rest at the beginning and at the end; (n, -1) if nothing moves.
 
     At rest the medians of five positions differ by ``slack`` at most.  A mass that turns round stays as near its place
-    for a while, too, and needs twice as long to leave it four times as far; one that rested hardly longer.
+    for a while, too, and needs up to twice as long to leave it four times as far; one that rested hardly longer.
     """
     starts = list(range(0, max(n - 4, 1), WINDOW))
 
@@ -163,9 +166,10 @@ def moving_samples(positions: Callable[[slice], Array], n: int, slack: float) ->
     if first is None or last is None or first > last:
         return n, -1
     far = leaves(begin, starts[first // WINDOW :], 0, FARTHER * slack)
-    if first <= REST or (far is not None and far > TURNING * first):
+    # The place was left within the sample interval before.
+    if first <= REST or (far is not None and far > TURNING * (first - 1)):
         first = 0
     far = leaves(end, starts[last // WINDOW :: -1], -1, FARTHER * slack)
-    if n - 1 - last <= REST or (far is not None and n - 1 - far > TURNING * (n - 1 - last)):
+    if n - 1 - last <= REST or (far is not None and n - 1 - far > TURNING * (n - 2 - last)):
         last = n - 1
     return first, last
