@@ -51,6 +51,7 @@ LEAST_COUNTS = 4.0  # a smaller step may be an encoder's error between two lines
 SPREAD = 5  # samples that a step takes at most
 RETURNS = (3, 4, 5, 6, 7, 8, 10, 12)  # samples after which a kick is over
 SHARPEST = 1.5  # times the largest accelerations of the record (99th percentile): those by which kicks are over
+ACCELERATIONS = 2**14  # samples that these are learned from, at least; chosen, not swept
 ZONE, GROWING = 14, 10.0  # samples around a place that belong to it: more by so many for each power of e of its t
 LOOKED_AT = 24.0  # of the square of t: places below are no candidates, and no corner of theirs forbids a fault nearby
 LOCAL, LOUD = 64, 2.0  # samples of a block; times the usual median square beyond which its t are scaled down
@@ -241,11 +242,16 @@ class _Search:
             if place.kind == KICK:
                 yield place.sample, float(self._sizes[KICK, place.sample])
 
-    def acceleration(self) -> Array:
-        """Return the acceleration of the smoothed motion, m/s^2, (n,)."""
-        motion = np.empty((6, self.time.size))
-        white_jerk.smooth_piece(self.time, self.position, self._noise, white_jerk.BLOCK, self._reach, motion)
-        return np.asarray(motion[2])
+    def accelerations(self, every: int) -> list[Array]:
+        """Return the acceleration of the smoothed motion, m/s^2, in every so many-th block of samples."""
+        n, found = self.time.size, []
+        for first in range(0, n, every * white_jerk.BLOCK):
+            end = min(first + white_jerk.BLOCK, n)
+            low, high = max(first - self._reach, 0), min(end + self._reach, n)
+            motion, own = np.empty((6, high - low)), slice(low, high)
+            white_jerk.smooth_piece(self.time[own], self.position[own], self._noise, high - low, 0, motion)
+            found.append(motion[2, first - low : end - low])
+        return found
 
     def _look(self, first: int, end: int) -> None:
         """Smooth the samples first..end - 1, and judge them."""
@@ -478,11 +484,15 @@ def learn(series: Series, segment: Segments, *, steps: bool) -> tuple[FaultModel
             noise = position_noise(series.taken(kept))
         if not noise < LESS * before:  # else frequent spikes hid others
             break
-    accelerations = [search.acceleration() for _, search in searches]
+    every = max(series.time.size // ACCELERATIONS, 1)
+    accelerations = [own for _, search in searches for own in search.accelerations(every)]
     sharpest = float(np.percentile(np.abs(np.concatenate(accelerations)), 99)) if accelerations else math.inf
     model = FaultModel(step, noise, process, sharpest, steps)
-    for _, search in searches:
-        search.judge_by(model)
+    if kept.all():
+        for _, search in searches:
+            search.judge_by(model)
+    else:
+        searches = _searches(series, model, 0)
     found = _found(series, segment, searches)
     if found.steps and not _is_datum(series, found):
         model = replace(model, steps=False)

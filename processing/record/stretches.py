@@ -14,6 +14,8 @@ from processing.record.series import Series
 from processing.record.units import Units, power_of_two
 
 WINDOW = 2**11  # samples: stretches are so long, or multiples of it
+# Samples of a record that is learned from as a whole: it is smoothed in one block, from what was found on the way.
+WHOLE = 2**16
 LEAST, MOST = 2**14, 2**17  # samples that the model of a longer record is learned from
 PART = 2**15  # samples of one stretch of them at least: the sticks that its ends cut are odd ones
 SHARE = 1 / 8  # of a record, between those: it costs little, and a record changes
@@ -102,8 +104,10 @@ class Survey:
         """Return the stretches that the model of the record is learned from, in order of time.
 
         They are spread evenly over the parts of the record in which the mass moves, and have ``least`` to `MOST`
-        samples together: of a record that swings slowly, and of a long one, more.
+        samples together: of a record that swings slowly, and of a long one, more.  A record of `WHOLE` samples is one.
         """
+        if self.n <= WHOLE:
+            return [slice(0, self.n)]
         slow = round(SWINGS * self.n / self.swings) if self.swings else self.n
         wanted = min(max(least, round(SHARE * self.n), slow), MOST)
         parts = max(wanted // PART, 1)
