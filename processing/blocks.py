@@ -190,7 +190,7 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
     sound = replace(checked.series, moving=_span(data.time, stretches.number, moving))
     checked = replace(checked, series=sound)
     seen = sound.taken(checked.kept) if checked.faults else sound
-    how = registry.learn(method, seen, setting, known.noise)
+    how = registry.learn(method, sound, setting, known.noise)
     belt = BeltRecord.of(recording, checked.kept, seen, units)
     noise = None if belt is None else learn_noise(belt)
     whole = checked if sound.time.size == record.n else None

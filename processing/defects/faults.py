@@ -51,7 +51,7 @@ LEAST_COUNTS = 4.0  # a smaller step may be an encoder's error between two lines
 SPREAD = 5  # samples that a step takes at most
 RETURNS = (3, 4, 5, 6, 7, 8, 10, 12)  # samples after which a kick is over
 SHARPEST = 1.5  # times the largest accelerations of the record (99th percentile): those by which kicks are over
-ACCELERATIONS = 2**14  # samples that these are learned from, at least; chosen, not swept
+LEARNED, PART = 2**14, 2**12  # samples that a model is learned from, and of a part of them; chosen, not swept
 ZONE, GROWING = 14, 10.0  # samples around a place that belong to it: more by so many for each power of e of its t
 LOOKED_AT = 24.0  # of the square of t: places below are no candidates, and no corner of theirs forbids a fault nearby
 LOCAL, LOUD = 64, 2.0  # samples of a block; times the usual median square beyond which its t are scaled down
@@ -242,16 +242,12 @@ class _Search:
             if place.kind == KICK:
                 yield place.sample, float(self._sizes[KICK, place.sample])
 
-    def accelerations(self, every: int) -> list[Array]:
-        """Return the acceleration of the smoothed motion, m/s^2, in every so many-th block of samples."""
-        n, found = self.time.size, []
-        for first in range(0, n, every * white_jerk.BLOCK):
-            end = min(first + white_jerk.BLOCK, n)
-            low, high = max(first - self._reach, 0), min(end + self._reach, n)
-            motion, own = np.empty((6, high - low)), slice(low, high)
-            white_jerk.smooth_piece(self.time[own], self.position[own], self._noise, high - low, 0, motion)
-            found.append(motion[2, first - low : end - low])
-        return found
+    def acceleration(self) -> Array:
+        """Return the acceleration of the smoothed motion, m/s^2, but for its ends, where it is known worse."""
+        n = self.time.size
+        motion, end = np.empty((6, n)), min(WIDEST // 2, n // 4)
+        white_jerk.smooth_piece(self.time, self.position, self._noise, white_jerk.BLOCK, self._reach, motion)
+        return np.asarray(motion[2, end : n - end])
 
     def _look(self, first: int, end: int) -> None:
         """Smooth the samples first..end - 1, and judge them."""
@@ -279,11 +275,6 @@ class _Search:
             *(self._scores, t.steps, t.kicks, t.variance, t.durations, SHARPEST * self.model.sharpest, self._interval),
             *((first, end), self._squares, self._sizes, self._widths),
         )
-
-    def judge_by(self, model: FaultModel) -> None:
-        """Find the statistics again, by a model of the same noise."""
-        self.model = model
-        self._judge(0, self.time.size)
 
     def _look_again(self, changed: list[tuple[int, int]]) -> bool:
         """Find the statistics around the samples that were changed, first to last each; tell whether there are any."""
@@ -423,8 +414,8 @@ class _Search:
             return []
         at = suspects[picked]
         ends = np.searchsorted(suspects, at[:, None] + np.array([-ZONE, ZONE + 1]))
-        padded = np.append(squares, np.zeros((4, 1)), axis=1)
-        near = np.maximum.reduceat(padded, ends.ravel(), axis=1)[:, ::2].T
+        near = np.empty((at.size, 4))
+        compiled(residual_kernel.find_largest, KERNELS)(squares, ends, near)
         kinds = squares[:, picked].argmax(axis=0)
         return [_Place(*row) for row in zip(at.tolist(), kinds.tolist(), best[picked].tolist(), near, strict=True)]
 
@@ -472,48 +463,53 @@ def learn(series: Series, segment: Segments, *, steps: bool) -> tuple[FaultModel
         Whether to look for steps of the position.
     """
     step, noise = reading_step(series), position_noise(series)
+    some = _spread(series)
     while True:
         process = white_jerk.robust_fit(series, noise, WIDEST)
-        searches = _searches(series, FaultModel(step, noise, process, math.inf, steps), 0)
-        kept = np.ones(series.time.size, bool)
+        searches = _searches(series, FaultModel(step, noise, process, math.inf, steps), 0, some)
+        kept, left_out = np.zeros(series.time.size, bool), False
         for piece, search in searches:
             search.leave_out()
-            kept[piece] = ~(search.spike | search.frozen)
+            gone = search.spike | search.frozen
+            kept[piece], left_out = ~gone, left_out or bool(gone.any())
         before = noise
-        if not kept.all():
+        if left_out:
             noise = position_noise(series.taken(kept))
         if not noise < LESS * before:  # else frequent spikes hid others
             break
-    every = max(series.time.size // ACCELERATIONS, 1)
-    accelerations = [own for _, search in searches for own in search.accelerations(every)]
+    accelerations = [search.acceleration() for _, search in searches]
     sharpest = float(np.percentile(np.abs(np.concatenate(accelerations)), 99)) if accelerations else math.inf
     model = FaultModel(step, noise, process, sharpest, steps)
-    if kept.all():
-        for _, search in searches:
-            search.judge_by(model)
-    else:
-        searches = _searches(series, model, 0)
-    found = _found(series, segment, searches)
+    found = _found(series, segment, _searches(series, model, 0, series.pieces))
     if found.steps and not _is_datum(series, found):
         model = replace(model, steps=False)
-        found = _found(series, segment, _searches(series, model, 0))
+        found = _found(series, segment, _searches(series, model, 0, series.pieces))
     return model, found
+
+
+def _spread(series: Series) -> tuple[slice, ...]:
+    """Return parts of the pieces, spread evenly, of `LEARNED` samples together, or the pieces of a shorter record."""
+    every = series.time.size // LEARNED
+    if every < 2:
+        return series.pieces
+    starts = [(piece, first) for piece in series.pieces for first in range(piece.start, piece.stop, PART)]
+    return tuple(slice(first, min(first + PART, piece.stop)) for piece, first in starts[::every])
 
 
 def find(series: Series, segment: Segments, model: FaultModel, low: int = 0) -> CheckedRecord:
     """Find the faults of a record, or of a block of it whose first sample has the number ``low``."""
-    found = _found(series, segment, _searches(series, model, low))
+    found = _found(series, segment, _searches(series, model, low, series.pieces))
     if found.steps and not _is_datum(series, found):
-        return _found(series, segment, _searches(series, replace(model, steps=False), low))
+        return _found(series, segment, _searches(series, replace(model, steps=False), low, series.pieces))
     return found
 
 
-def _searches(series: Series, model: FaultModel, low: int) -> list[tuple[slice, _Search]]:
-    """Return the pieces that are long enough, and a search in each."""
+def _searches(series: Series, model: FaultModel, low: int, parts: tuple[slice, ...]) -> list[tuple[slice, _Search]]:
+    """Return the parts that are long enough, and a search in each."""
     templates = _Templates.of(model.process, series.interval)
     return [
         (own, _Search(series.time[own], series.position[own], low + own.start, model, templates))
-        for own in series.pieces
+        for own in parts
         if own.stop - own.start >= FEWEST
     ]
 

@@ -78,6 +78,7 @@ def fit(series: Series) -> Noise:
 
     Of a long record, stretches spread over it are looked at.  A record at rest has no jerk and errs by a count.
     """
+    series = series.readings()
     floor = least_variance(series)
     length = STRETCH
     while True:
@@ -196,7 +197,7 @@ def least_variance(series: Series) -> float:
 
     The step is a count, or what a table's last decimal is worth.
     """
-    rounding = 1e-15 * max(float(np.abs(series.position).max()), abs(series.origin))
+    rounding = 1e-15 * max(float(np.nanmax(np.abs(series.position))), abs(series.origin))
     return max(reading_step(series) ** 2 / 12, rounding**2, 1e-60)
 
 

@@ -113,12 +113,14 @@ class FirstPass:
     """The motion and the corners of a record that were found while it was learned from.
 
     `apply` goes on from there where the record is the very one, ``series``, and finds the same again where it is not.
-    ``corners`` is None where there is no stick, and ``judged`` where every one is accepted.  ``early`` is what `_run`
-    makes with the switching times of the sticks accepted, ``times``, a standard deviation early.
+    ``parted`` is that record without its longer holes, ``corners`` is None where there is no stick, and ``judged``
+    where every one is accepted.  ``early`` is what `_run` makes with the switching times of the sticks accepted,
+    ``times``, a standard deviation early.
     """
 
     series: Series
     pilot: Motion
+    parted: Series
     corners: PlacedCorners | None = None
     judged: Judged | None = None
     times: SwitchingTimes | None = None
@@ -128,7 +130,7 @@ class FirstPass:
         """Smooth the record with these switching times a standard deviation early."""
         if self.early is not None and self.times is not None and times.is_as(self.times):
             return self.early[0].copy(), self.early[1]
-        return _run(self.series, workspace, _shifted(self.series, times, -1.0), levels)
+        return _run(self.parted, workspace, _shifted(self.parted, times, -1.0), levels)
 
 
 def learn(
@@ -154,10 +156,14 @@ def learn(
     FirstPass
     """
     rule, phases, _ = plateaus.learn_phases(series, pilot, stated)
-    first, plain = initial_switching_times(series, phases), FirstPass(series, pilot)
+    plain = FirstPass(series, pilot, _parted(series, rule))
+    if plain.parted is not series:
+        series = plain.parted
+        phases = plateaus.segment(series, pilot, rule, math.nan, stated=stated).phases
+    first = initial_switching_times(series, phases)
     if not first.at.size:
         return rule, None, plain
-    workspace, needed = Workspace(), bic_penalty(series.time.size)
+    workspace, needed = Workspace(), bic_penalty(int(np.count_nonzero(~np.isnan(series.position))))
     crude = first_levels(series, noise, pilot, first.unit)
     misfit, early = _looked_for(series, workspace, first, crude, None)
     levels = _estimated(series, workspace, early.times, crude)
@@ -181,7 +187,12 @@ def learn(
     sticks = sticks_at_corners(series, _corners(series, times))
     speed = speed_of_sticks(series, sticks, motion[1], pilot.window)
     model = replace(found, levels=levels, gate=gate, line=line, speed=speed)
-    return rule, model, FirstPass(series, pilot, corners, judged, times, run)
+    return rule, model, replace(plain, corners=corners, judged=judged, times=times, early=run)
+
+
+def _parted(series: Series, rule: plateaus.PlateauRule) -> Series:
+    """Return the record without holes longer than the shortest stick."""
+    return series.parted(max(HOLE * series.interval, rule.shortest))
 
 
 def _aim(rule: plateaus.PlateauRule, stated: float | None) -> float:
@@ -204,9 +215,9 @@ def apply(
     """
     if not series.time.size:
         return pilot
-    series = series.parted(max(HOLE * series.interval, rule.shortest))
-    workspace = Workspace()
-    known = known if known is not None and known.series is series else FirstPass(series, pilot)
+    if known is None or known.series is not series:
+        known = FirstPass(series, pilot, _parted(series, rule))
+    series, workspace = known.parted, Workspace()
     corners = known.corners or _corners_of_block(series, workspace, pilot, stated, rule, model)
     times = corners.times
     if model.gate is not None:
@@ -296,7 +307,7 @@ def _averaged(known: FirstPass, workspace: Workspace, times: SwitchingTimes, mod
     H = 1/(1 + w^8), the two variances are the integrals of w^(2d) H^2 and of w^(2d) H, and their ratio is
     1 - (2 d + 1)/8 in the d-th derivative.
     """
-    series, pilot = known.series, known.pilot
+    series, pilot = known.parted, known.pilot
     early, stick = known.run_early(workspace, times, model.levels)
     _straighten(series, stick, times.unit, model.levels, early, model.line)
     late, stick_late = _run(series, workspace, _shifted(series, times, 1.0), model.levels)
