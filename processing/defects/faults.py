@@ -44,6 +44,8 @@ KERNELS = ("processing.defects.residual_kernel",)
 
 # Standard deviations that a fault must have: a record of a minute at 1 kHz has 60,000 places of each kind.
 THRESHOLD = {OUTLIER: 6.0, STEP: 6.0, KICK: 7.0}
+# Those of an outlier beside one: among the few places there chance makes one as seldom as among all, by 4.5 already.
+BESIDE_OUTLIER = 5.0
 BEYOND_CORNER = 12.0  # of the square of t: twice the log likelihood by which a step or a kick must beat any corner
 APART = 12.0  # likewise between a small step and a kick, which is a step where it is over in a few samples
 SMALL = 8.0  # counts, or sqrt(12) standard deviations of a position: with 10, a third of the steps of 10 are kicks
@@ -379,7 +381,8 @@ class _Search:
     def _judged(self, place: _Place) -> _Place | None:
         """Return the fault that a place is, if it is one."""
         i, kind, square, near = place
-        if kind == CORNER or square < THRESHOLD[kind] ** 2:
+        beside = kind == OUTLIER and bool(self.spike[max(i - BURST, 0) : i + BURST + 1].any())
+        if kind == CORNER or square < (BESIDE_OUTLIER if beside else THRESHOLD[kind]) ** 2:
             return None
         if kind == OUTLIER and min(i, self.time.size - 1 - i) < ENDS:
             bend = SHARPEST * self.model.sharpest * (ENDS * self._interval) ** 2  # by a corner that is not seen there
@@ -401,7 +404,7 @@ class _Search:
         suspects = suspects[~self._blind()[suspects]]
         squares = self._squares[:, suspects] / self._scale(suspects)
         best = squares.max(axis=0)
-        large = np.flatnonzero(best >= min(THRESHOLD.values()) ** 2)
+        large = np.flatnonzero(best >= BESIDE_OUTLIER**2)
         large = large[np.argsort(-best[large], kind="stable")]
         zones = (ZONE + GROWING * np.maximum(0.5 * np.log(best[large] / 100.0), 0.0)).astype(int)
         taken, picked = bytearray(self.time.size), []
