@@ -146,7 +146,8 @@ class _Step:
 class _Templates:
     """Steps and kicks as sums of scores, as `residual_kernel.find_statistics` takes them.
 
-    ``resolved`` tells whether the smoother tells them from corners.
+    ``resolved`` tells whether the smoother tells them from corners, ``beside`` is the scores of readings around a step
+    of 1 m, in the middle of as many samples before as behind.
     """
 
     steps: Array
@@ -154,11 +155,13 @@ class _Templates:
     variance: Array
     durations: Integers
     resolved: bool
+    beside: Array
 
     @classmethod
     def of(cls, noise: white_jerk.Noise, interval: float) -> "_Templates":
         """Return steps over 1 to `SPREAD` samples, and kicks that are over after `RETURNS`."""
-        lags = _covariances_of_scores(noise, interval)
+        beside, covariances = _scores_of_step(noise, interval)
+        lags = covariances[covariances.size // 2 :][: max(RETURNS)]
 
         def variance(weights: Array) -> float:
             apart = np.abs(np.subtract.outer(np.arange(weights.size), np.arange(weights.size)))
@@ -172,17 +175,27 @@ class _Templates:
             np.array([variance(own) for own in kicks]),
             np.array(RETURNS),
             bool(lags[0] * noise.reading * RESOLVED**2 >= 1.0),
+            beside,
         )
 
+    def readings_beside(self, apart: Integers, width: int) -> Array:
+        """Return the scores of readings so many samples behind the first of the ``width`` samples of a step of 1 m."""
+        middle = self.beside.size // 2
+        at = np.clip(apart + middle - np.arange(width)[:, None], 0, self.beside.size - 1)
+        return np.asarray(self.beside[at].mean(axis=0))
 
-def _covariances_of_scores(noise: white_jerk.Noise, interval: float) -> Array:
-    """Return the covariances of the scores of a step some samples apart, (12,): what a step of 1 m makes of them."""
-    n = min(2 * _fading(noise, interval) + 1, 2**12)
+
+def _scores_of_step(noise: white_jerk.Noise, interval: float) -> tuple[Array, Array]:
+    """Return what a step of 1 m in the middle of some samples makes of the scores of readings, and of steps, (n,) each.
+
+    The latter are the covariances of the scores of steps some samples apart.
+    """
+    n = min(2 * _fading(noise, interval) + 1, 2**12 + 1)
     time, position = np.asarray(interval * np.arange(n), float), np.zeros(n)
     position[n // 2 :] = 1.0
     scores = np.empty((n, white_jerk.SCORES))
     white_jerk.smooth_piece(time, position, noise, n, 0, NO_MOTION, scores=scores)
-    return scores[n // 2 : n // 2 + max(RETURNS), 2].copy()
+    return scores[:, 0].copy(), scores[:, 2].copy()
 
 
 def _fading(noise: white_jerk.Noise, interval: float) -> int:
@@ -402,7 +415,8 @@ class _Search:
         """Return the places that are out of line, the largest first; what is near a larger one belongs to that."""
         suspects = np.flatnonzero(self._squares.max(axis=0) > LOOKED_AT)
         suspects = suspects[~self._blind()[suspects]]
-        squares = self._squares[:, suspects] / self._scale(suspects)
+        squares = self._squares[:, suspects]
+        squares = squares / self._scale_but_for_steps(suspects, squares)
         best = squares.max(axis=0)
         large = np.flatnonzero(best >= BESIDE_OUTLIER**2)
         large = large[np.argsort(-best[large], kind="stable")]
@@ -422,6 +436,33 @@ class _Search:
         kinds = squares[:, picked].argmax(axis=0)
         return [_Place(*row) for row in zip(at.tolist(), kinds.tolist(), best[picked].tolist(), near, strict=True)]
 
+    def _scale_but_for_steps(self, suspects: Integers, squares: Array) -> Array:
+        """Return the `_scale` of samples, and near a step the one that there is without it, if that is less.
+
+        Around a step of the position most readings are out of line, and it would hide itself.
+        """
+        scale = self._scale(suspects)
+        step = (scale > 1.0) & (squares.argmax(axis=0) == STEP) & (squares[STEP] >= THRESHOLD[STEP] ** 2)
+        left = np.flatnonzero(step)
+        while left.size:
+            i = int(suspects[left[np.argmax(squares[STEP, left])]])
+            near = slice(*np.searchsorted(suspects, (i - ZONE, i + ZONE + 1)))
+            scale[near] = np.minimum(scale[near], self._scale_without(i))
+            left = left[np.abs(suspects[left] - i) > ZONE]
+        return scale
+
+    def _scale_without(self, step: int) -> float:
+        """Return the scale near a step, without what this makes of the readings there."""
+        before, n = self._low % LOCAL, self.time.size
+        begin = (before + step) // LOCAL * LOCAL - LOCAL - before
+        first, end = max(begin, 0), min(begin + 3 * LOCAL, n)
+        made = self._templates.readings_beside(np.arange(first, end) - step, int(self._widths[step]))
+        score, variance = self._scores[first:end, :2].T
+        left = score - float(self._sizes[STEP, step]) * made
+        squares = np.zeros(3 * LOCAL)
+        np.divide(left**2, variance, out=squares[first - begin : end - begin], where=variance > 0)
+        return float(_local_scale(squares.reshape(3, LOCAL)).max())
+
     def _scale(self, samples: Integers) -> Array:
         """Return how much larger than expected the squares of outliers are nearby: medians of blocks, at least 1.
 
@@ -434,8 +475,7 @@ class _Search:
         wanted = np.zeros(len(padded), bool)
         wanted[block[:, None] + np.arange(-1, 2)] = True
         scale = np.ones(len(padded))
-        scale[wanted] = np.partition(padded[wanted], LOCAL // 2, axis=1)[:, LOCAL // 2] / NORMAL
-        scale[scale < LOUD] = 1.0
+        scale[wanted] = _local_scale(padded[wanted])
         return np.maximum(scale[block], np.maximum(scale[block - 1], scale[block + 1]))
 
     def _blind(self) -> Mask:
@@ -446,6 +486,12 @@ class _Search:
             if end - first >= HOLE:
                 mask[max(first - BLIND, 0) : end + BLIND] = True
         return mask
+
+
+def _local_scale(squares: Array) -> Array:
+    """Return the medians of blocks of squares of outliers, (k, LOCAL), over the usual one; 1 where none is `LOUD`."""
+    scale = np.partition(squares, LOCAL // 2, axis=1)[:, LOCAL // 2] / NORMAL
+    return np.where(scale < LOUD, 1.0, scale)
 
 
 def _undo(sizes: list[float]) -> bool:
