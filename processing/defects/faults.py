@@ -388,8 +388,19 @@ class _Search:
     def _faults(self) -> list[_Place]:
         """Return the places that are faults, the largest first."""
         if self._found is None:
-            self._found = [fault for place in self._places() if (fault := self._judged(place)) is not None]
+            found = [fault for place in self._places() if (fault := self._judged(place)) is not None]
+            if not any(fault.kind == OUTLIER for fault in found):  # they go first
+                steps = [fault.sample for fault in found if fault.kind == STEP]
+                hidden = [step for step in self._hidden_steps() if all(abs(step.sample - at) > ZONE for at in steps)]
+                own = [step.sample for step in hidden]
+                found = [fault for fault in found if all(abs(fault.sample - at) > ZONE for at in own)] + hidden
+            self._found = found
         return self._found
+
+    def _hidden_steps(self) -> list[_Place]:
+        """Return the steps that are faults by what readings err by nearby without them."""
+        places = self._places(but_for_steps=True)
+        return [fault for place in places if (fault := self._judged(place)) is not None and fault.kind == STEP]
 
     def _judged(self, place: _Place) -> _Place | None:
         """Return the fault that a place is, if it is one."""
@@ -411,12 +422,12 @@ class _Search:
                 return None
         return place
 
-    def _places(self) -> list[_Place]:
+    def _places(self, *, but_for_steps: bool = False) -> list[_Place]:
         """Return the places that are out of line, the largest first; what is near a larger one belongs to that."""
         suspects = np.flatnonzero(self._squares.max(axis=0) > LOOKED_AT)
         suspects = suspects[~self._blind()[suspects]]
         squares = self._squares[:, suspects]
-        squares = squares / self._scale_but_for_steps(suspects, squares)
+        squares = squares / (self._scale_but_for_steps(suspects, squares) if but_for_steps else self._scale(suspects))
         best = squares.max(axis=0)
         large = np.flatnonzero(best >= BESIDE_OUTLIER**2)
         large = large[np.argsort(-best[large], kind="stable")]
