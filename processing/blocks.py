@@ -9,7 +9,7 @@ record.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from daq.base.compute.arrays import Array, Integers
 from daq.base.measured import Measured
 from processing.belt_motion import BeltNoise, BeltRecord, learn_noise, smooth_belt
 from processing.defects import faults, frames
+from processing.defects.faults import CheckedRecord
 from processing.defects.findings import belt_findings, drift_finding, sensor_findings, step_findings
 from processing.kalman import white_jerk
 from processing.methods import registry
@@ -87,6 +88,9 @@ class MotionModel:
         Of the belt by its sticks, signed; NaN where there are none.
     belt_noise : BeltNoise or None
         Of a belt with an encoder.
+    checked : CheckedRecord or None
+        The record and its faults where all of it was learned from, which is not stored: in one block it is smoothed
+        from there.
     """
 
     units: Units
@@ -97,6 +101,7 @@ class MotionModel:
     rule: plateaus.PlateauRule | None
     belt_speed: float
     belt_noise: BeltNoise | None
+    checked: CheckedRecord | None = field(default=None, metadata={"stored": False})
 
     @property
     def window(self) -> int:
@@ -183,16 +188,20 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
     moving = moving_samples(lambda part: stretches.positions(part) / length, record.n, slack)
     setting = replace(setting, belt_speed=speed_in(units, setting.belt_speed))
     sound = replace(checked.series, moving=_span(data.time, stretches.number, moving))
+    checked = replace(checked, series=sound)
     seen = sound.taken(checked.kept) if checked.faults else sound
-    how = registry.learn(method, seen, setting, known.noise)
+    how = registry.learn(method, sound, setting, known.noise)
     belt = BeltRecord.of(recording, checked.kept, seen, units)
     noise = None if belt is None else learn_noise(belt)
-    model = MotionModel(units, data.interval, moving, known, how, None, math.nan, noise)
+    whole = checked if sound.time.size == record.n else None
+    model = MotionModel(units, data.interval, moving, known, how, None, math.nan, noise, whole)
+    if whole is None:
+        model = replace(model, method=replace(how, known=None))
     if how.sticks is not None:
         return replace(model, belt_speed=how.sticks.speed)
     motion = registry.apply(seen, how)
     rides = _belt_motion(belt, model, motion, seen)
-    rule, speed, _ = plateaus.learn(seen, motion, how.stated, rides)
+    rule, speed = plateaus.learn(seen, motion, how.stated, rides)
     return replace(model, rule=rule, belt_speed=speed)
 
 
@@ -220,7 +229,10 @@ def apply(
     data = data.in_units(units)
     span = _span(data.time, low + np.arange(data.time.size), model.moving)
     data = replace(data, interval=model.interval, moving=span)
-    checked = faults.find(data, recording.segment, model.faults, low)
+    if model.checked is not None and model.checked.series.time.size == data.time.size:
+        checked = model.checked
+    else:
+        checked = faults.find(data, recording.segment, model.faults, low)
     sound = checked.series
     motion = registry.apply(sound, model.method)
     belt = _belt_motion(BeltRecord.of(recording, np.ones(sound.time.size, bool), sound, units), model, motion, sound)

@@ -68,8 +68,10 @@ def _value(name: str, own: Any, units: Units) -> Any:
 
 
 def _names(kind: type) -> tuple[str, ...]:
-    """Return the names of the parts of a dataclass or a NamedTuple; none of any other type."""
-    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else getattr(kind, "_fields", ())
+    """Return the names of the parts of a dataclass that are stored, or of a NamedTuple; none of any other type."""
+    if not is_dataclass(kind):
+        return getattr(kind, "_fields", ())
+    return tuple(field.name for field in fields(kind) if field.metadata.get("stored", True))
 
 
 def _restored(name: str, hint: Any, value: Any, units: Units) -> Any:

@@ -44,6 +44,8 @@ KERNELS = ("processing.defects.residual_kernel",)
 
 # Standard deviations that a fault must have: a record of a minute at 1 kHz has 60,000 places of each kind.
 THRESHOLD = {OUTLIER: 6.0, STEP: 6.0, KICK: 7.0}
+# Those of an outlier beside one: among the few places there chance makes one as seldom as among all, by 4.5 already.
+BESIDE_OUTLIER = 5.0
 BEYOND_CORNER = 12.0  # of the square of t: twice the log likelihood by which a step or a kick must beat any corner
 APART = 12.0  # likewise between a small step and a kick, which is a step where it is over in a few samples
 SMALL = 8.0  # counts, or sqrt(12) standard deviations of a position: with 10, a third of the steps of 10 are kicks
@@ -51,6 +53,7 @@ LEAST_COUNTS = 4.0  # a smaller step may be an encoder's error between two lines
 SPREAD = 5  # samples that a step takes at most
 RETURNS = (3, 4, 5, 6, 7, 8, 10, 12)  # samples after which a kick is over
 SHARPEST = 1.5  # times the largest accelerations of the record (99th percentile): those by which kicks are over
+LEARNED, PART = 2**14, 2**12  # samples that a model is learned from, and of a part of them; chosen, not swept
 ZONE, GROWING = 14, 10.0  # samples around a place that belong to it: more by so many for each power of e of its t
 LOOKED_AT = 24.0  # of the square of t: places below are no candidates, and no corner of theirs forbids a fault nearby
 LOCAL, LOUD = 64, 2.0  # samples of a block; times the usual median square beyond which its t are scaled down
@@ -143,7 +146,8 @@ class _Step:
 class _Templates:
     """Steps and kicks as sums of scores, as `residual_kernel.find_statistics` takes them.
 
-    ``resolved`` tells whether the smoother tells them from corners.
+    ``resolved`` tells whether the smoother tells them from corners, ``beside`` is the scores of readings around a step
+    of 1 m, in the middle of as many samples before as behind.
     """
 
     steps: Array
@@ -151,11 +155,13 @@ class _Templates:
     variance: Array
     durations: Integers
     resolved: bool
+    beside: Array
 
     @classmethod
     def of(cls, noise: white_jerk.Noise, interval: float) -> "_Templates":
         """Return steps over 1 to `SPREAD` samples, and kicks that are over after `RETURNS`."""
-        lags = _covariances_of_scores(noise, interval)
+        beside, covariances = _scores_of_step(noise, interval)
+        lags = covariances[covariances.size // 2 :][: max(RETURNS)]
 
         def variance(weights: Array) -> float:
             apart = np.abs(np.subtract.outer(np.arange(weights.size), np.arange(weights.size)))
@@ -169,17 +175,27 @@ class _Templates:
             np.array([variance(own) for own in kicks]),
             np.array(RETURNS),
             bool(lags[0] * noise.reading * RESOLVED**2 >= 1.0),
+            beside,
         )
 
+    def readings_beside(self, apart: Integers, width: int) -> Array:
+        """Return the scores of readings so many samples behind the first of the ``width`` samples of a step of 1 m."""
+        middle = self.beside.size // 2
+        at = np.clip(apart + middle - np.arange(width)[:, None], 0, self.beside.size - 1)
+        return np.asarray(self.beside[at].mean(axis=0))
 
-def _covariances_of_scores(noise: white_jerk.Noise, interval: float) -> Array:
-    """Return the covariances of the scores of a step some samples apart, (12,): what a step of 1 m makes of them."""
-    n = min(2 * _fading(noise, interval) + 1, 2**12)
+
+def _scores_of_step(noise: white_jerk.Noise, interval: float) -> tuple[Array, Array]:
+    """Return what a step of 1 m in the middle of some samples makes of the scores of readings, and of steps, (n,) each.
+
+    The latter are the covariances of the scores of steps some samples apart.
+    """
+    n = min(2 * _fading(noise, interval) + 1, 2**12 + 1)
     time, position = np.asarray(interval * np.arange(n), float), np.zeros(n)
     position[n // 2 :] = 1.0
     scores = np.empty((n, white_jerk.SCORES))
     white_jerk.smooth_piece(time, position, noise, n, 0, NO_MOTION, scores=scores)
-    return scores[n // 2 : n // 2 + max(RETURNS), 2].copy()
+    return scores[:, 0].copy(), scores[:, 2].copy()
 
 
 def _fading(noise: white_jerk.Noise, interval: float) -> int:
@@ -242,10 +258,11 @@ class _Search:
                 yield place.sample, float(self._sizes[KICK, place.sample])
 
     def acceleration(self) -> Array:
-        """Return the acceleration of the smoothed motion, m/s^2, (n,)."""
-        motion = np.empty((6, self.time.size))
+        """Return the acceleration of the smoothed motion, m/s^2, but for its ends, where it is known worse."""
+        n = self.time.size
+        motion, end = np.empty((6, n)), min(WIDEST // 2, n // 4)
         white_jerk.smooth_piece(self.time, self.position, self._noise, white_jerk.BLOCK, self._reach, motion)
-        return np.asarray(motion[2])
+        return np.asarray(motion[2, end : n - end])
 
     def _look(self, first: int, end: int) -> None:
         """Smooth the samples first..end - 1, and judge them."""
@@ -273,11 +290,6 @@ class _Search:
             *(self._scores, t.steps, t.kicks, t.variance, t.durations, SHARPEST * self.model.sharpest, self._interval),
             *((first, end), self._squares, self._sizes, self._widths),
         )
-
-    def judge_by(self, model: FaultModel) -> None:
-        """Find the statistics again, by a model of the same noise."""
-        self.model = model
-        self._judge(0, self.time.size)
 
     def _look_again(self, changed: list[tuple[int, int]]) -> bool:
         """Find the statistics around the samples that were changed, first to last each; tell whether there are any."""
@@ -376,13 +388,25 @@ class _Search:
     def _faults(self) -> list[_Place]:
         """Return the places that are faults, the largest first."""
         if self._found is None:
-            self._found = [fault for place in self._places() if (fault := self._judged(place)) is not None]
+            found = [fault for place in self._places() if (fault := self._judged(place)) is not None]
+            if not any(fault.kind == OUTLIER for fault in found):  # they go first
+                steps = [fault.sample for fault in found if fault.kind == STEP]
+                hidden = [step for step in self._hidden_steps() if all(abs(step.sample - at) > ZONE for at in steps)]
+                own = [step.sample for step in hidden]
+                found = [fault for fault in found if all(abs(fault.sample - at) > ZONE for at in own)] + hidden
+            self._found = found
         return self._found
+
+    def _hidden_steps(self) -> list[_Place]:
+        """Return the steps that are faults by what readings err by nearby without them."""
+        places = self._places(but_for_steps=True)
+        return [fault for place in places if (fault := self._judged(place)) is not None and fault.kind == STEP]
 
     def _judged(self, place: _Place) -> _Place | None:
         """Return the fault that a place is, if it is one."""
         i, kind, square, near = place
-        if kind == CORNER or square < THRESHOLD[kind] ** 2:
+        beside = kind == OUTLIER and bool(self.spike[max(i - BURST, 0) : i + BURST + 1].any())
+        if kind == CORNER or square < (BESIDE_OUTLIER if beside else THRESHOLD[kind]) ** 2:
             return None
         if kind == OUTLIER and min(i, self.time.size - 1 - i) < ENDS:
             bend = SHARPEST * self.model.sharpest * (ENDS * self._interval) ** 2  # by a corner that is not seen there
@@ -398,13 +422,14 @@ class _Search:
                 return None
         return place
 
-    def _places(self) -> list[_Place]:
+    def _places(self, *, but_for_steps: bool = False) -> list[_Place]:
         """Return the places that are out of line, the largest first; what is near a larger one belongs to that."""
         suspects = np.flatnonzero(self._squares.max(axis=0) > LOOKED_AT)
         suspects = suspects[~self._blind()[suspects]]
-        squares = self._squares[:, suspects] / self._scale(suspects)
+        squares = self._squares[:, suspects]
+        squares = squares / (self._scale_but_for_steps(suspects, squares) if but_for_steps else self._scale(suspects))
         best = squares.max(axis=0)
-        large = np.flatnonzero(best >= min(THRESHOLD.values()) ** 2)
+        large = np.flatnonzero(best >= BESIDE_OUTLIER**2)
         large = large[np.argsort(-best[large], kind="stable")]
         zones = (ZONE + GROWING * np.maximum(0.5 * np.log(best[large] / 100.0), 0.0)).astype(int)
         taken, picked = bytearray(self.time.size), []
@@ -417,10 +442,37 @@ class _Search:
             return []
         at = suspects[picked]
         ends = np.searchsorted(suspects, at[:, None] + np.array([-ZONE, ZONE + 1]))
-        padded = np.append(squares, np.zeros((4, 1)), axis=1)
-        near = np.maximum.reduceat(padded, ends.ravel(), axis=1)[:, ::2].T
+        near = np.empty((at.size, 4))
+        compiled(residual_kernel.find_largest, KERNELS)(squares, ends, near)
         kinds = squares[:, picked].argmax(axis=0)
         return [_Place(*row) for row in zip(at.tolist(), kinds.tolist(), best[picked].tolist(), near, strict=True)]
+
+    def _scale_but_for_steps(self, suspects: Integers, squares: Array) -> Array:
+        """Return the `_scale` of samples, and near a step the one that there is without it, if that is less.
+
+        Around a step of the position most readings are out of line, and it would hide itself.
+        """
+        scale = self._scale(suspects)
+        step = (scale > 1.0) & (squares.argmax(axis=0) == STEP) & (squares[STEP] >= THRESHOLD[STEP] ** 2)
+        left = np.flatnonzero(step)
+        while left.size:
+            i = int(suspects[left[np.argmax(squares[STEP, left])]])
+            near = slice(*np.searchsorted(suspects, (i - ZONE, i + ZONE + 1)))
+            scale[near] = np.minimum(scale[near], self._scale_without(i))
+            left = left[np.abs(suspects[left] - i) > ZONE]
+        return scale
+
+    def _scale_without(self, step: int) -> float:
+        """Return the scale near a step, without what this makes of the readings there."""
+        before, n = self._low % LOCAL, self.time.size
+        begin = (before + step) // LOCAL * LOCAL - LOCAL - before
+        first, end = max(begin, 0), min(begin + 3 * LOCAL, n)
+        made = self._templates.readings_beside(np.arange(first, end) - step, int(self._widths[step]))
+        score, variance = self._scores[first:end, :2].T
+        left = score - float(self._sizes[STEP, step]) * made
+        squares = np.zeros(3 * LOCAL)
+        np.divide(left**2, variance, out=squares[first - begin : end - begin], where=variance > 0)
+        return float(_local_scale(squares.reshape(3, LOCAL)).max())
 
     def _scale(self, samples: Integers) -> Array:
         """Return how much larger than expected the squares of outliers are nearby: medians of blocks, at least 1.
@@ -434,8 +486,7 @@ class _Search:
         wanted = np.zeros(len(padded), bool)
         wanted[block[:, None] + np.arange(-1, 2)] = True
         scale = np.ones(len(padded))
-        scale[wanted] = np.partition(padded[wanted], LOCAL // 2, axis=1)[:, LOCAL // 2] / NORMAL
-        scale[scale < LOUD] = 1.0
+        scale[wanted] = _local_scale(padded[wanted])
         return np.maximum(scale[block], np.maximum(scale[block - 1], scale[block + 1]))
 
     def _blind(self) -> Mask:
@@ -446,6 +497,12 @@ class _Search:
             if end - first >= HOLE:
                 mask[max(first - BLIND, 0) : end + BLIND] = True
         return mask
+
+
+def _local_scale(squares: Array) -> Array:
+    """Return the medians of blocks of squares of outliers, (k, LOCAL), over the usual one; 1 where none is `LOUD`."""
+    scale = np.partition(squares, LOCAL // 2, axis=1)[:, LOCAL // 2] / NORMAL
+    return np.where(scale < LOUD, 1.0, scale)
 
 
 def _undo(sizes: list[float]) -> bool:
@@ -466,44 +523,53 @@ def learn(series: Series, segment: Segments, *, steps: bool) -> tuple[FaultModel
         Whether to look for steps of the position.
     """
     step, noise = reading_step(series), position_noise(series)
+    some = _spread(series)
     while True:
         process = white_jerk.robust_fit(series, noise, WIDEST)
-        searches = _searches(series, FaultModel(step, noise, process, math.inf, steps), 0)
-        kept = np.ones(series.time.size, bool)
+        searches = _searches(series, FaultModel(step, noise, process, math.inf, steps), 0, some)
+        kept, left_out = np.zeros(series.time.size, bool), False
         for piece, search in searches:
             search.leave_out()
-            kept[piece] = ~(search.spike | search.frozen)
+            gone = search.spike | search.frozen
+            kept[piece], left_out = ~gone, left_out or bool(gone.any())
         before = noise
-        if not kept.all():
+        if left_out:
             noise = position_noise(series.taken(kept))
         if not noise < LESS * before:  # else frequent spikes hid others
             break
     accelerations = [search.acceleration() for _, search in searches]
     sharpest = float(np.percentile(np.abs(np.concatenate(accelerations)), 99)) if accelerations else math.inf
     model = FaultModel(step, noise, process, sharpest, steps)
-    for _, search in searches:
-        search.judge_by(model)
-    found = _found(series, segment, searches)
+    found = _found(series, segment, _searches(series, model, 0, series.pieces))
     if found.steps and not _is_datum(series, found):
         model = replace(model, steps=False)
-        found = _found(series, segment, _searches(series, model, 0))
+        found = _found(series, segment, _searches(series, model, 0, series.pieces))
     return model, found
+
+
+def _spread(series: Series) -> tuple[slice, ...]:
+    """Return parts of the pieces, spread evenly, of `LEARNED` samples together, or the pieces of a shorter record."""
+    every = series.time.size // LEARNED
+    if every < 2:
+        return series.pieces
+    starts = [(piece, first) for piece in series.pieces for first in range(piece.start, piece.stop, PART)]
+    return tuple(slice(first, min(first + PART, piece.stop)) for piece, first in starts[::every])
 
 
 def find(series: Series, segment: Segments, model: FaultModel, low: int = 0) -> CheckedRecord:
     """Find the faults of a record, or of a block of it whose first sample has the number ``low``."""
-    found = _found(series, segment, _searches(series, model, low))
+    found = _found(series, segment, _searches(series, model, low, series.pieces))
     if found.steps and not _is_datum(series, found):
-        return _found(series, segment, _searches(series, replace(model, steps=False), low))
+        return _found(series, segment, _searches(series, replace(model, steps=False), low, series.pieces))
     return found
 
 
-def _searches(series: Series, model: FaultModel, low: int) -> list[tuple[slice, _Search]]:
-    """Return the pieces that are long enough, and a search in each."""
+def _searches(series: Series, model: FaultModel, low: int, parts: tuple[slice, ...]) -> list[tuple[slice, _Search]]:
+    """Return the parts that are long enough, and a search in each."""
     templates = _Templates.of(model.process, series.interval)
     return [
         (own, _Search(series.time[own], series.position[own], low + own.start, model, templates))
-        for own in series.pieces
+        for own in parts
         if own.stop - own.start >= FEWEST
     ]
 

@@ -81,3 +81,13 @@ def find_statistics(
                     kick = square
                     sizes[KICK, i] = size
         squares[OUTLIER, i], squares[STEP, i], squares[KICK, i], squares[CORNER, i] = outlier, step, kick, corner
+
+
+def find_largest(squares: Array, ends: Integers, near: Array) -> None:
+    """Write the largest square of each kind, (4, n), in the spans ends[k, 0]..ends[k, 1] - 1 into ``near``, (k, 4)."""
+    for k in range(ends.shape[0]):
+        for kind in range(4):
+            most = 0.0
+            for i in range(ends[k, 0], ends[k, 1]):
+                most = max(most, squares[kind, i])
+            near[k, kind] = most

@@ -3,6 +3,8 @@
 Runs as written or compiled (`daq.base.compute.compile`).
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,7 +33,7 @@ def accumulate_normal_equations(
     Parameters
     ----------
     time, position : array of shape (n,)
-        Samples around the landing, no other corner among them.
+        Samples around the landing, no other corner among them; NaN where a reading is missing.
     state : array of shape (STATE,)
         Of the filter before the first of them.
     landing : float
@@ -81,6 +83,8 @@ def accumulate_normal_equations(
             ahead = False
             turn(order, 2, loose, y, p)
             part = edges.size
+        if math.isnan(position[i]):
+            continue
         s = 1.0 / (p[0] + r[parts[part]])
         e = position[i] - y[0]
         for n in range(k):

@@ -1,10 +1,10 @@
 """What a velocity method learns from a record, and then applies to the record or to any block of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from processing.kalman import white_jerk
 from processing.segmentation.plateaus import PlateauRule
-from processing.segmentation.smoother import StickSlip
+from processing.segmentation.smoother import FirstPass, StickSlip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,6 +27,8 @@ class MethodModel:
         How the record sticks and slips; None where it does not, or the method does not ask.
     stated : float or None
         Belt speed that a person stated, m/s, signed.
+    known : FirstPass or None
+        What was found on the way, which is not stored: the method goes on from there with the same series.
     """
 
     method: str
@@ -37,3 +39,4 @@ class MethodModel:
     rule: PlateauRule | None = None
     sticks: StickSlip | None = None
     stated: float | None = None
+    known: FirstPass | None = field(default=None, metadata={"stored": False})

@@ -63,6 +63,8 @@ def learn(name: str, series: Series, setting: Setting, noise: float | None = Non
     """
     check(name)
     method = resolve(name, setting)
+    if method not in ("auto", *SMOOTHERS):
+        series = series.readings()
     return _module(method).learn(method, series, setting, position_noise(series) if noise is None else noise)
 
 

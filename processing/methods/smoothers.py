@@ -37,9 +37,9 @@ def learn(method: str, series: Series, setting: Setting, noise: float) -> Method
     if method == "rts":
         return MethodModel(method="rts", noise=noise, jerk=jerk, stated=stated)
     pilot = white_jerk.smooth(series, jerk)
-    rule, sticks = smoother.learn(series, jerk, pilot, stated, gated=method == "auto")
+    rule, sticks, known = smoother.learn(series, jerk, pilot, stated, gated=method == "auto")
     chosen = "rts" if method == "auto" and sticks is None else "segment"
-    return MethodModel(method=chosen, noise=noise, jerk=jerk, rule=rule, sticks=sticks, stated=stated)
+    return MethodModel(method=chosen, noise=noise, jerk=jerk, rule=rule, sticks=sticks, stated=stated, known=known)
 
 
 def apply(series: Series, model: MethodModel) -> Motion:
@@ -51,7 +51,8 @@ def apply(series: Series, model: MethodModel) -> Motion:
         ``window`` is that of the equivalent Savitzky-Golay filter of order 4, ``order`` the spline's.  With its corners
         where sticks and slips are smoothed apart.
     """
-    pilot = white_jerk.smooth(series, model.jerk)
+    known = model.known
+    pilot = known.pilot if known is not None and known.series is series else white_jerk.smooth(series, model.jerk)
     if model.sticks is None or model.rule is None:
         return replace(pilot, method=model.method)
-    return smoother.apply(series, pilot, model.stated, model.rule, model.sticks)
+    return smoother.apply(series, pilot, model.stated, model.rule, model.sticks, known)

@@ -67,7 +67,8 @@ def reading_step(series: Series) -> float:
 
     Where they move by many steps a sample their changes do not show it, but their decimals do.
     """
-    return series.pitch or smallest_step(series.position) or last_decimal(series)
+    known = series.readings()
+    return series.pitch or smallest_step(known.position) or last_decimal(known)
 
 
 def last_decimal(series: Series) -> float:

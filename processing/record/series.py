@@ -84,6 +84,11 @@ class Series:
         taken = tuple(slice(i, j) for i, j in pairwise(edges))
         return replace(self, time=time, position=self.position[own], pieces=taken)
 
+    def readings(self) -> "Series":
+        """Return the record without the samples whose reading is missing (NaN)."""
+        known = ~np.isnan(self.position)
+        return self if known.all() else self.taken(known)
+
     def parted(self, longest: float) -> "Series":
         """Return the record with pieces that end at holes of missing readings (NaN) longer than ``longest``, s.
 

@@ -14,6 +14,8 @@ from processing.record.series import Series
 from processing.record.units import Units, power_of_two
 
 WINDOW = 2**11  # samples: stretches are so long, or multiples of it
+# Samples of a record that is learned from as a whole: it is smoothed in one block, from what was found on the way.
+WHOLE = 2**16
 LEAST, MOST = 2**14, 2**17  # samples that the model of a longer record is learned from
 PART = 2**15  # samples of one stretch of them at least: the sticks that its ends cut are odd ones
 SHARE = 1 / 8  # of a record, between those: it costs little, and a record changes
@@ -22,7 +24,10 @@ ACTIVE = 0.2  # of the travel within the most active stretches: less is rest, an
 STRIDE = 4  # of the samples whose percentiles are a window's travel
 READ = 2**15  # samples read at a time
 REST = 8  # samples: the medians of five of a shorter rest are few
-FARTHER, TURNING = 4.0, 1.5  # times the slack; times as long: twice for a mass that turns, four times in a stick
+# Times the slack, and times as long.  A mass that turns leaves the place of its turn four times as far in twice the
+# time.  Where it turned a little before, it passes its first place once more: in (1 + sqrt(5))/(1 + sqrt(2)) = 1.34 of
+# the time at least, 1.25 where readings are whole counts.  A stick takes four times as long.
+FARTHER, TURNING = 4.0, 1.25
 SHORTEST = 16  # samples: a stretch below this is left out (third differences of fewer say little)
 
 
@@ -99,8 +104,10 @@ class Survey:
         """Return the stretches that the model of the record is learned from, in order of time.
 
         They are spread evenly over the parts of the record in which the mass moves, and have ``least`` to `MOST`
-        samples together: of a record that swings slowly, and of a long one, more.
+        samples together: of a record that swings slowly, and of a long one, more.  A record of `WHOLE` samples is one.
         """
+        if self.n <= WHOLE:
+            return [slice(0, self.n)]
         slow = round(SWINGS * self.n / self.swings) if self.swings else self.n
         wanted = min(max(least, round(SHARE * self.n), slow), MOST)
         parts = max(wanted // PART, 1)
@@ -146,7 +153,7 @@ def moving_samples(positions: Callable[[slice], Array], n: int, slack: float) ->
     """Return the first and the last sample between rest at the beginning and at the end; (n, -1) if nothing moves.
 
     At rest the medians of five positions differ by ``slack`` at most.  A mass that turns round stays as near its place
-    for a while, too, and needs twice as long to leave it four times as far; one that rested hardly longer.
+    for a while, too, and needs up to twice as long to leave it four times as far; one that rested hardly longer.
     """
     starts = list(range(0, max(n - 4, 1), WINDOW))
 
@@ -163,9 +170,10 @@ def moving_samples(positions: Callable[[slice], Array], n: int, slack: float) ->
     if first is None or last is None or first > last:
         return n, -1
     far = leaves(begin, starts[first // WINDOW :], 0, FARTHER * slack)
-    if first <= REST or (far is not None and far > TURNING * first):
+    # The place was left within the sample interval before.
+    if first <= REST or (far is not None and far > TURNING * (first - 1)):
         first = 0
     far = leaves(end, starts[last // WINDOW :: -1], -1, FARTHER * slack)
-    if n - 1 - last <= REST or (far is not None and n - 1 - far > TURNING * (n - 1 - last)):
+    if n - 1 - last <= REST or (far is not None and n - 1 - far > TURNING * (n - 2 - last)):
         last = n - 1
     return first, last

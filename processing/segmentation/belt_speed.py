@@ -5,6 +5,7 @@ belt's, and where the belt's own was measured, that one is reported.
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -53,12 +54,19 @@ def speed_before_creep(velocity: list[Array], window: int, common: float) -> flo
     long = [own for own in velocity if own.size >= 4 * max(2 * window, QUARTER)]
     if len(long) < FEWEST:
         return common
-    quarters = np.array([[median_value(part) for part in np.array_split(own, 4)] for own in long]) / common
+    quarters = np.array([_medians_of_quarters(own) for own in long]) / common
     first, second, _, last = np.median(quarters, axis=0)
     scatter = float(np.median(np.abs(quarters[:, 1] - quarters[:, 3] - (second - last)))) / 0.6745
     if second - last < max(CREEP, 4 * scatter / math.sqrt(len(long))) or abs(first - second) > LEVEL * (second - last):
         return common
     return float(common * (first + second) / 2)
+
+
+def _medians_of_quarters(values: Array) -> list[float]:
+    """Return the median values of four parts as long, but for a value."""
+    least, more = divmod(values.size, 4)
+    edges = [k * least + min(k, more) for k in range(5)]
+    return [median_value(values[i:j]) for i, j in pairwise(edges)]
 
 
 def half_sample_mode(values: Array) -> float:
@@ -79,8 +87,9 @@ def half_sample_mode(values: Array) -> float:
 
 def median_value(values: Array) -> float:
     """Return the middle one of the values; of very many, of some spread over them."""
-    some = values[:: max(values.size // 2**8, 1)]
-    return float(np.partition(some, some.size // 2)[some.size // 2])
+    some = values[:: max(values.size // 2**8, 1)].copy()
+    some.partition(some.size // 2)
+    return float(some[some.size // 2])
 
 
 def reported_speed(stated: float | None, measured: Measured | None, common: float, stuck: bool) -> float:

@@ -217,7 +217,7 @@ def misfits(series: Series, workspace: Workspace, times: SwitchingTimes, levels:
     levels = _read_alike(levels)
     squares = np.zeros(series.time.size)
     for stretch in stretches(series, times):
-        squares[stretch.own] = _squares(series, workspace, times, levels, stretch)
+        squares[stretch.own] = _squares(filter_stretch(series, times, levels, stretch, workspace)[1])
     spans = spans_of(series, times, sticks_of(times))[:-1]
     sizes = np.array([squares[first:end].mean() if end > first else 0.0 for first, end in spans])
     return np.asarray(sizes / max(float(np.median(sizes)), 1.0)) if sizes.size else sizes
@@ -230,7 +230,7 @@ def _misfits_of_landings(
     landings = [k for k in range(stretch.corners.start, stretch.corners.stop) if times.kind[k] == LAND]
     if not landings:
         return {}
-    squares = _squares(series, workspace, times, levels, stretch)
+    _, stored = filter_stretch(series, times, levels, stretch, workspace)
     own = series.time[stretch.own]
     sizes = {}
     for k in landings:
@@ -238,7 +238,7 @@ def _misfits_of_landings(
         if k + 1 < stretch.corners.stop:
             end = min(end, float(times.at[k + 1]))
         i, j = np.searchsorted(own, (times.at[k], end))
-        sizes[k] = float(squares[i:j].mean()) if j - i >= 8 else 0.0
+        sizes[k] = float(_squares(stored[i:j]).mean()) if j - i >= 8 else 0.0
     return sizes
 
 
@@ -247,11 +247,9 @@ def _usual(misfit: list[dict[int, float]]) -> float:
     return max(float(np.median(sizes)), 1.0) if sizes else 1.0
 
 
-def _squares(
-    series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, stretch: FilterStretch
-) -> Array:
+def _squares(stored: Array) -> Array:
     """Return the square of every innovation over its variance, 0 where a reading is missing."""
-    s, scaled = filter_stretch(series, times, levels, stretch, workspace)[1][:, 14:].T
+    s, scaled = stored[:, 14:].T
     return np.asarray(scaled**2 / np.where(s > 0, s, 1.0))
 
 

@@ -86,8 +86,10 @@ def learn_gate(
     levels: NoiseLevels,
     jerk: white_jerk.Noise,
     needed: float,
-) -> tuple[SwitchingTimes, NoiseLevels, Gate] | list[Span]:
+) -> tuple[SwitchingTimes, NoiseLevels, Gate, "Judged"] | list[Span]:
     """Return the sticks accepted, each on an even belt or on an uneven one, the levels they have, and the gate.
+
+    Last are the sticks as they are judged on an even belt.
 
     Parameters
     ----------
@@ -102,7 +104,7 @@ def learn_gate(
 
     Returns
     -------
-    (SwitchingTimes, NoiseLevels, Gate), or list of (float, float)
+    (SwitchingTimes, NoiseLevels, Gate, Judged), or list of (float, float)
         Where the null model is kept, the spans of time, s, of the few sticks that prevent the others from being
         accepted; empty where these are not few.
     """
@@ -112,7 +114,7 @@ def learn_gate(
         return []
     snap = reestimate_noise(series, workspace, times, null_model(levels), 3, null_model=True)
     gate = Gate(jerk, snap, uneven=None, lenient=False)
-    judged = _Judged.of(series, workspace, times, levels, gate, needed)
+    judged = before = Judged.of(series, workspace, times, levels, gate, needed)
     if levels.reading_variance[STICK] > 1.3 * levels.reading_variance[SLIP] or judged.in_doubt.any():
         riding = replace(
             levels, mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
@@ -142,7 +144,7 @@ def learn_gate(
         even = _gains(series, times, levels, workspace, judged.spans)
         even = _better_rounded(series, times, levels, workspace, judged.spans, even)
     # What the sticks that are left gain must not be lost where the others were dropped.
-    return (times, levels, gate) if even[-1] - judged.null[-1] > needed * times.at.size else odd
+    return (times, levels, gate, before) if even[-1] - judged.null[-1] > needed * times.at.size else odd
 
 
 def accept_sticks(
@@ -153,6 +155,7 @@ def accept_sticks(
     levels: NoiseLevels,
     gate: Gate,
     needed: float,
+    judged: "Judged | None" = None,
 ) -> SwitchingTimes | list[Span]:
     """Return the sticks accepted in a block of a record, each by itself, as one of the record.
 
@@ -160,6 +163,8 @@ def accept_sticks(
     ----------
     even, levels : NoiseLevels
         Of sticks on an even belt, and those that `learn_gate` returned.
+    judged : Judged, optional
+        The sticks that `learn_gate` returned, where it did so for these corners of this record.
 
     Returns
     -------
@@ -170,7 +175,7 @@ def accept_sticks(
     sticks = sticks_of(times)
     if not sticks:
         return times
-    judged = _Judged.of(series, workspace, times, even, gate, needed)
+    judged = judged or Judged.of(series, workspace, times, even, gate, needed)
     if gate.uneven is not None:
         other = _as_rides(corners)
         for width in WIDTHS:
@@ -191,7 +196,7 @@ def accept_sticks(
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class Judged:
     """Sticks, and the log likelihoods of the samples of each and, last, of all: with them, and of the null model."""
 
     times: SwitchingTimes
@@ -211,7 +216,7 @@ class _Judged:
         levels: NoiseLevels,
         gate: Gate,
         needed: float,
-    ) -> "_Judged":
+    ) -> "Judged":
         """Return the sticks on an even belt."""
         sticks = sticks_of(times)
         spans = spans_of(series, times, sticks)
@@ -227,7 +232,7 @@ class _Judged:
         better[-1] = even[-1] + (better - even)[:-1].sum()
         return replace(made, even=better)
 
-    def with_rides(self, series: Series, workspace: Workspace, other: SwitchingTimes, levels: NoiseLevels) -> "_Judged":
+    def with_rides(self, series: Series, workspace: Workspace, other: SwitchingTimes, levels: NoiseLevels) -> "Judged":
         """Return the sticks with what each gains on an uneven belt, and with the times it then has."""
         made = replace(self, rides=_gains(series, other, levels, workspace, self.spans))
         ridden = [stick for stick, ride in zip(self.sticks, made.ridden, strict=True) if ride]

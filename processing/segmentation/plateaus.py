@@ -130,8 +130,20 @@ class _Search:
 
 def learn(
     series: Series, motion: Motion, stated: float | None = None, belt: BeltMotion | None = None
-) -> tuple[PlateauRule, float, tuple[Phase, ...]]:
-    """Return the rule of a record, the speed of its belt by its sticks, m/s (NaN without one), and sticks and slips.
+) -> tuple[PlateauRule, float]:
+    """Return the rule of a record, and the speed of its belt by its sticks, m/s, NaN without one.
+
+    The parameters are those of `learn_phases`.
+    """
+    rule, phases, rides = learn_phases(series, motion, stated, belt)
+    held = [rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
+    return rule, speed_before_creep(held, motion.window, rule.speed)
+
+
+def learn_phases(
+    series: Series, motion: Motion, stated: float | None = None, belt: BeltMotion | None = None
+) -> tuple[PlateauRule, tuple[Phase, ...], Motion]:
+    """Return the rule of a record, its sticks and slips, and the motion of the mass that shows its speed in sticks.
 
     Parameters
     ----------
@@ -152,10 +164,8 @@ def learn(
     rule = replace(rule, speed=common, fastest=usual_fastest(series, sticks, apart))
     sticks = without_creep(series, sticks, apart, rule.fastest)
     if sticks and _is_overtaken(search, common, sticks):
-        return replace(rule, speed=math.nan), math.nan, phases_from_sticks(series, moving, [])
-    phases = phases_from_sticks(series, moving, sticks)
-    held = [search.rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
-    return rule, speed_before_creep(held, motion.window, common), phases
+        return replace(rule, speed=math.nan), phases_from_sticks(series, moving, []), search.rides
+    return rule, phases_from_sticks(series, moving, sticks), search.rides
 
 
 def segment(

@@ -46,6 +46,7 @@ from processing.segmentation.landing_snap import with_mean_snap
 from processing.segmentation.missed_corners import misfits, with_ends, with_overtaking
 from processing.segmentation.model_selection import (
     Gate,
+    Judged,
     PlacedCorners,
     Span,
     accept_sticks,
@@ -56,7 +57,6 @@ from processing.segmentation.model_selection import (
 from processing.segmentation.noise_levels import (
     Workspace,
     first_levels,
-    label_stretch,
     reestimate_noise,
     smooth_stretch,
 )
@@ -108,9 +108,34 @@ class StickSlip:
     speed: float
 
 
+@dataclass(frozen=True, eq=False)
+class FirstPass:
+    """The motion and the corners of a record that were found while it was learned from.
+
+    `apply` goes on from there where the record is the very one, ``series``, and finds the same again where it is not.
+    ``parted`` is that record without its longer holes, ``corners`` is None where there is no stick, and ``judged``
+    where every one is accepted.  ``early`` is what `_run` makes with the switching times of the sticks accepted,
+    ``times``, a standard deviation early.
+    """
+
+    series: Series
+    pilot: Motion
+    parted: Series
+    corners: PlacedCorners | None = None
+    judged: Judged | None = None
+    times: SwitchingTimes | None = None
+    early: tuple[Array, Mask] | None = None
+
+    def run_early(self, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> tuple[Array, Mask]:
+        """Smooth the record with these switching times a standard deviation early."""
+        if self.early is not None and self.times is not None and times.is_as(self.times):
+            return self.early[0].copy(), self.early[1]
+        return _run(self.parted, workspace, _shifted(self.parted, times, -1.0), levels)
+
+
 def learn(
     series: Series, noise: white_jerk.Noise, pilot: Motion, stated: float | None, *, gated: bool
-) -> tuple[plateaus.PlateauRule, StickSlip | None]:
+) -> tuple[plateaus.PlateauRule, StickSlip | None, FirstPass]:
     """Learn how a record sticks and slips.
 
     Parameters
@@ -128,19 +153,23 @@ def learn(
         By which sticks are found in the pilot.
     StickSlip or None
         None where there is no stick, or none that model selection accepts.
+    FirstPass
     """
-    rule, _, phases = plateaus.learn(series, pilot, stated)
+    rule, phases, _ = plateaus.learn_phases(series, pilot, stated)
+    plain = FirstPass(series, pilot, _parted(series, rule))
+    if plain.parted is not series:
+        series = plain.parted
+        phases = plateaus.segment(series, pilot, rule, math.nan, stated=stated).phases
     first = initial_switching_times(series, phases)
     if not first.at.size:
-        return rule, None
-    workspace, needed = Workspace(), bic_penalty(series.time.size)
+        return rule, None, plain
+    workspace, needed = Workspace(), bic_penalty(int(np.count_nonzero(~np.isnan(series.position))))
     crude = first_levels(series, noise, pilot, first.unit)
     misfit, early = _looked_for(series, workspace, first, crude, None)
     levels = _estimated(series, workspace, early.times, crude)
-    speed = rule.speed if stated is None else stated
-    found = StickSlip(first.unit, crude, levels, levels, misfit, needed, None, 1.0, speed)
-    corners = _placed(series, workspace, early, found)
-    times, gate = corners.times, None
+    found = StickSlip(first.unit, crude, levels, levels, misfit, needed, None, 1.0, math.nan)
+    corners = _placed(series, workspace, early, found, _aim(rule, stated))
+    times, gate, judged = corners.times, None, None
     if gated:
         kept = learn_gate(series, workspace, corners, levels, noise, needed)
         if isinstance(kept, list):
@@ -149,18 +178,26 @@ def learn(
             odd = kept or odd_spans(series, early.times, sticks_of(early.times), bad)
             others = _outside(series, odd)
             if not odd or not others.any():
-                return rule, None
+                return rule, None, plain
             return learn(series.taken(others), noise, pilot.taken(others), stated, gated=True)
-        times, levels, gate = kept
-    motion, stick = _run(series, workspace, times, levels)
-    _straighten(series, stick, times.unit, levels, motion, 1.0)
+        times, levels, gate, judged = kept
+    run = _run(series, workspace, _shifted(series, times, -1.0), levels)
+    motion, stick = run[0].copy(), run[1]
+    line = _line_factor(_straighten(series, stick, times.unit, levels, motion, 1.0))
     sticks = sticks_at_corners(series, _corners(series, times))
     speed = speed_of_sticks(series, sticks, motion[1], pilot.window)
-    lined = _shifted(series, times, -1.0)  # the lines are those of `_averaged`
-    for stretch in stretches(series, lined):
-        stick[stretch.own] = label_stretch(series, lined, stretch) == STICK
-    line = _line_factor(_straighten(series, stick, times.unit, levels, motion, 1.0))
-    return rule, replace(found, levels=levels, gate=gate, line=line, speed=speed)
+    model = replace(found, levels=levels, gate=gate, line=line, speed=speed)
+    return rule, model, replace(plain, corners=corners, judged=judged, times=times, early=run)
+
+
+def _parted(series: Series, rule: plateaus.PlateauRule) -> Series:
+    """Return the record without holes longer than the shortest stick."""
+    return series.parted(max(HOLE * series.interval, rule.shortest))
+
+
+def _aim(rule: plateaus.PlateauRule, stated: float | None) -> float:
+    """Return the speed that the sticks near the ends of a piece have, m/s."""
+    return rule.speed if stated is None else stated
 
 
 def apply(
@@ -169,22 +206,23 @@ def apply(
     stated: float | None,
     rule: plateaus.PlateauRule,
     model: StickSlip,
+    known: FirstPass | None = None,
 ) -> Motion:
     """Smooth a block of a record by segments; where its sticks do not fit it is the ``pilot``, smoothed without them.
 
-    Sticks found where they do not fit stay sticks, from and to the switching times estimated.
+    Sticks found where they do not fit stay sticks, from and to the switching times estimated.  ``known`` is what was
+    found already of some record.
     """
     if not series.time.size:
         return pilot
-    series = series.parted(max(HOLE * series.interval, rule.shortest))
-    workspace = Workspace()
-    first = initial_switching_times(series, plateaus.segment(series, pilot, rule, model.speed, stated=stated).phases)
-    _, early = _looked_for(series, workspace, replace(first, unit=model.slip), model.first, model.misfit)
-    corners = _placed(series, workspace, early, model)
+    if known is None or known.series is not series:
+        known = FirstPass(series, pilot, _parted(series, rule))
+    series, workspace = known.parted, Workspace()
+    corners = known.corners or _corners_of_block(series, workspace, pilot, stated, rule, model)
     times = corners.times
     if model.gate is not None:
-        known = model.even, model.levels, model.gate, model.corner
-        kept = accept_sticks(series, workspace, corners, *known)
+        levels = model.even, model.levels
+        kept = accept_sticks(series, workspace, corners, *levels, model.gate, model.corner, known.judged)
         if isinstance(kept, list):
             others = _outside(series, kept)
             found = apply(series.taken(others), pilot.taken(others), stated, rule, model)
@@ -194,7 +232,21 @@ def apply(
             both = tuple(sorted((*found.corners, *odd), key=lambda corner: corner.time))
             return replace(found.with_rows(rows), corners=both, method="segment", order=ORDER)
         times = kept
-    return _averaged(series, workspace, times, model, pilot)
+    return _averaged(known, workspace, times, model)
+
+
+def _corners_of_block(
+    series: Series,
+    workspace: Workspace,
+    pilot: Motion,
+    stated: float | None,
+    rule: plateaus.PlateauRule,
+    model: StickSlip,
+) -> PlacedCorners:
+    """Return the corners of a block, as `learn` finds those of a record."""
+    first = initial_switching_times(series, plateaus.segment(series, pilot, rule, model.speed, stated=stated).phases)
+    _, early = _looked_for(series, workspace, replace(first, unit=model.slip), model.first, model.misfit)
+    return _placed(series, workspace, early, model, _aim(rule, stated))
 
 
 def _outside(series: Series, spans: list[Span]) -> Mask:
@@ -217,9 +269,11 @@ def _looked_for(
     return usual, PlacedCorners(_with_overtakes_of(first, times), times)
 
 
-def _placed(series: Series, workspace: Workspace, early: PlacedCorners, model: StickSlip) -> PlacedCorners:
-    """Return the corners where they are most likely, with those near the ends of a piece."""
-    first = with_ends(series, workspace, early.first, early.times, model.even, model.speed, model.corner)
+def _placed(
+    series: Series, workspace: Workspace, early: PlacedCorners, model: StickSlip, speed: float
+) -> PlacedCorners:
+    """Return the corners where they are most likely, with those near the ends of a piece, of sticks of this speed."""
+    first = with_ends(series, workspace, early.first, early.times, model.even, speed, model.corner)
     times = early.times
     if first is not early.first:
         times = refine_switching_times(series, workspace, first, model.first, 1.0)
@@ -245,7 +299,7 @@ def _estimated(series: Series, workspace: Workspace, times: SwitchingTimes, leve
     return reestimate_noise(series, workspace, times, with_mean_snap(series, times, levels), 1)
 
 
-def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model: StickSlip, pilot: Motion) -> Motion:
+def _averaged(known: FirstPass, workspace: Workspace, times: SwitchingTimes, model: StickSlip) -> Motion:
     """Smooth, averaging over the uncertainty of the switching times: each a standard deviation early, and late.
 
     The smoother's variance has a share of the readings and one of the process noise.  A slip is smooth but for its
@@ -253,7 +307,8 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model
     H = 1/(1 + w^8), the two variances are the integrals of w^(2d) H^2 and of w^(2d) H, and their ratio is
     1 - (2 d + 1)/8 in the d-th derivative.
     """
-    early, stick = _run(series, workspace, _shifted(series, times, -1.0), model.levels)
+    series, pilot = known.parted, known.pilot
+    early, stick = known.run_early(workspace, times, model.levels)
     _straighten(series, stick, times.unit, model.levels, early, model.line)
     late, stick_late = _run(series, workspace, _shifted(series, times, 1.0), model.levels)
     line = stick & stick_late

@@ -36,6 +36,12 @@ class SwitchingTimes:
     first: tuple[int, ...]
     unit: float
 
+    def is_as(self, other: "SwitchingTimes") -> bool:
+        """Return whether these are the same numbers."""
+        pairs = (self.at, other.at), (self.sd, other.sd), (self.kind, other.kind)
+        alike = all(np.array_equal(one, two) for one, two in pairs)
+        return alike and self.first == other.first and self.unit == other.unit
+
 
 @dataclass(frozen=True, eq=False)
 class FilterStretch:

@@ -174,10 +174,28 @@ def test_a_stage_made_from_other_raw_data_is_refused(path):
         stage.load(path)
 
 
-@pytest.mark.parametrize("law", [pytest.param(5, id="sticks"), pytest.param(0, id="none")])
-def test_a_stored_model_smooths_the_run_again_without_learning(tmp_path, motion, recorded, imported, law, monkeypatch):
+@pytest.mark.parametrize(
+    ("law", "spikes"),
+    [
+        pytest.param(5, 0, id="sticks"),
+        pytest.param(1, 0, id="few sticks"),
+        pytest.param(6, 0, id="creep"),
+        pytest.param(5, 300, id="spikes"),
+        pytest.param(0, 0, id="none"),
+    ],
+)
+def test_a_stored_model_smooths_the_run_again_without_learning(
+    tmp_path, motion, recorded, imported, law, spikes, monkeypatch
+):
+    """What was found while the model was learned is what the model finds, to the last bit."""
     time = np.arange(20_000) / 1e3
     record = recorded(motion(law, 20.0)) if law else imported(time, np.round(0.1 * np.sin(6 * time), 6))
+    if spikes:
+        rng = np.random.default_rng(3)
+        at = rng.choice(record.count.size, spikes, replace=False)
+        count = record.count.copy()
+        count[at] += rng.choice([-1, 1], spikes) * rng.integers(400, 4000, spikes)
+        record = replace(record, count=count, position=count * record.rig.metres_per_count.value)
     store.write(tmp_path / "model.h5", record)
     run = daq.load(tmp_path / "model.h5")
     made = smooth(run)
@@ -189,6 +207,8 @@ def test_a_stored_model_smooths_the_run_again_without_learning(tmp_path, motion,
     assert np.array_equal(again.velocity, made.velocity)
     assert np.array_equal(again.velocity_errors, made.velocity_errors)
     assert again.phases == made.phases
+    assert again.faults == made.faults
+    assert len(made.faults) >= 0.9 * spikes
 
 
 def test_every_float_of_a_stored_model_has_units(path):

@@ -53,6 +53,20 @@ def test_a_datum_that_moves_in_a_camera_track_is_found_and_kept_out_of_the_veloc
     assert found.lost_counts == 0
 
 
+@pytest.mark.parametrize("law", [5, 6])
+def test_a_step_of_the_datum_does_not_hide_behind_the_readings_it_puts_out_of_line(motion, imported, law):
+    """Around a step of eight standard deviations most readings of the smoother's window stand out."""
+    true = motion(law, 60.0, jitter=0.0, rate=400.0)
+    rng = np.random.default_rng(law)
+    at = np.linspace(500, true.time.size - 500, 40).astype(int)
+    signs = rng.choice([-1, 1], at.size)
+    datum = 2e-4 * 8 * np.cumsum(np.bincount(at, signs, true.time.size))
+    seen = true.x + 2e-4 * rng.standard_normal(true.time.size) + datum
+    found = np.array([step.first for step in processing.smooth(imported(true.time, seen)).losses])
+    assert np.mean([np.abs(found - k).min() <= 5 for k in at]) > 0.94
+    assert found.size <= at.size
+
+
 def test_slips_over_within_a_sample_are_no_steps_of_the_datum(imported):
     time = np.arange(4000) / 200.0
     saw = 0.1 * time % 0.08 + np.random.default_rng(1).normal(0, 1e-4, time.size)
