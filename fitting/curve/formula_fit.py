@@ -9,15 +9,17 @@ measured curve (`fitting.curve.level`).  The shape of one without a constant say
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from daq.base.compute.arrays import Array
+from daq.base.errors import InputError
 from daq.base.measured import Measured
 from fitting.curve.level import rest_prior
-from fitting.curve.metric import measured_target
+from fitting.curve.metric import MeasuredTarget, friction_target, measured_target
 from fitting.curve.spline_fit import SplineFit
 from fitting.driver.driver import best_end, start_beside
 from fitting.driver.fit import TaskFit
@@ -35,7 +37,8 @@ LEAST_SHOWN = 1e-6  # precision over a prior's: a record that adds less shows no
 CONSTANT_LEFT = 1e-6  # share of a constant: what is left of it beside the derivatives of a formula that has one
 # Other minima on the measured curve are starts too: those that are off it by less than its errors, or by less than so
 # many times the nearest one's chi square.  A fall over which the record has few samples has two such minima; at twice a
-# wrong formula is started once or twice more.
+# wrong formula is started once or twice more.  A formula whose nearest is off by more than so many times the curve's
+# errors starts where friction itself is nearest.
 START_MISFIT = 4.0
 
 
@@ -141,15 +144,14 @@ def fit_formula(
         With none of the values tried is the formula a friction curve.
     """
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
-    measured = measured_target(host, host.linearised())
-    curve = FormulaCurve(law, fastest, measured.near)
+    curve, measured, within_errors = _started(law, host, fastest)
     level_held = host.rest is not None and _has_constant(curve)
     problem = _problem(law, host, rest_free=host.rest is not None and not level_held)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
     beside = start_beside(task, host.at)
     starts = []
     for start in curve.starts:
-        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, measured.alone.aim.size):
+        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, within_errors):
             theta = curve.theta(start.values)
             friction = curve.at_speeds(theta, measured.alone.speeds)
             rise = measured.alone.constant_beside(friction, measured.level_sd) / host.u[Global.K]
@@ -161,6 +163,20 @@ def fit_formula(
     if found is None or found.path is None:
         return None
     return _read(found, law if asked_for is None else asked_for, number, tuple(together), level_held=level_held)
+
+
+def _started(law: Law, host: SplineFit, fastest: float) -> tuple[FormulaCurve, MeasuredTarget, float]:
+    """Return the formula with its starts, what these are near, and the misfit of one that is off by the curve's errors.
+
+    A formula that is far off starts where friction itself is nearest, unless it is no friction there.
+    """
+    measured = measured_target(host, host.linearised())
+    curve, within_errors = FormulaCurve(law, fastest, measured.near), float(measured.alone.aim.size)
+    if curve.starts[0].misfit > START_MISFIT * within_errors:
+        nearest = friction_target(host)
+        with suppress(InputError):
+            return FormulaCurve(law, fastest, nearest.near), nearest, 0.0
+    return curve, measured, within_errors
 
 
 def _read(

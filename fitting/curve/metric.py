@@ -37,6 +37,17 @@ class MeasuredTarget(NamedTuple):
         return self.alone.off_by_a_constant(self.level_sd)
 
 
+def friction_target(fit: SplineFit) -> MeasuredTarget:
+    """Return the measured curve as a target, every slip speed of `GRID_SPEEDS` alike.
+
+    For what is far from the curve: the metric of the record holds near it alone, and far off there is least of it where
+    friction is next to none.
+    """
+    speeds = _speeds(fit)
+    friction = fit.spline(speeds)
+    return MeasuredTarget(Target.of(speeds, friction, float(np.median(friction))), _level_sd(fit))
+
+
 def measured_target(fit: SplineFit, linear: LinearisedFit) -> MeasuredTarget:
     """Return the measured curve as a target, in the metric of the record; see `MeasuredTarget`.
 
@@ -73,11 +84,19 @@ def measured_target(fit: SplineFit, linear: LinearisedFit) -> MeasuredTarget:
     aim = np.einsum("ki,i->k", root, fit.spline.coefficients)
     aim -= np.einsum("ik,i->k", axes[:, shown], pull) / deviation
     excess = max(fit.chi, 1.0)
-    level_sd = 0.0 if fit.rest is None else fit.fit.values.K * fit.rest.sd
-    speeds = float(fit.spline.knots[-1]) * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER
+    speeds = _speeds(fit)
     root = np.einsum("mn,nk->mk", root, fit.spline.projection(speeds))
     friction = float(np.median(fit.spline.coefficients))
-    return MeasuredTarget(Target(speeds, root / excess, aim / excess, friction), level_sd)
+    return MeasuredTarget(Target(speeds, root / excess, aim / excess, friction), _level_sd(fit))
+
+
+def _speeds(fit: SplineFit) -> Array:
+    return np.asarray(float(fit.spline.knots[-1]) * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER)
+
+
+def _level_sd(fit: SplineFit) -> float:
+    """Return the standard deviation of a constant by which the whole curve may be off, m/s^2."""
+    return 0.0 if fit.rest is None else fit.fit.values.K * fit.rest.sd
 
 
 def followed(curvature: Array, cross: Array) -> Array:
