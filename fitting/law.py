@@ -26,6 +26,9 @@ from daq.base.errors import InputError, nearest
 from rig_sim.friction.formula import SPEED, Formula
 
 NAME = re.compile(r"[A-Za-z][\w-]*")
+# Part of a derivative beside those by other parameters, over the whole, or singular value over the largest: below,
+# derivatives are dependent; above 1e-6 they are not.
+DEPENDENT_BELOW = 1e-8
 UNIT_DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
 Bound = tuple[float | None, float | None]
 
@@ -145,8 +148,14 @@ class Law:
                 return {}
         table = np.concatenate(rows)
         target = np.stack((np.concatenate(level), np.concatenate(fall)), axis=1)
-        powers = np.linalg.lstsq(table, target, rcond=None)[0]
-        whole = np.rint(powers)
+        # Of parameters that enter only together the first has the unit: halves of it for two would round either way.
+        kept: list[int] = []
+        for k, column in enumerate(table.T):
+            others = table[:, kept]
+            left = column - others @ np.linalg.lstsq(others, column, rcond=None)[0] if kept else column
+            kept += [k] if np.linalg.norm(left) > DEPENDENT_BELOW * np.linalg.norm(column) else []
+        whole = np.zeros((len(names), 2))
+        whole[kept] = np.rint(np.linalg.lstsq(table[:, kept], target, rcond=None)[0])
         if not np.allclose(table @ whole, target, rtol=0.0, atol=1e-6 * float(np.abs(target).max())):
             return {}
         return {name: (int(a), int(b)) for name, (a, b) in zip(names, whole, strict=True)}

@@ -11,11 +11,10 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.errors import InputError
-from fitting.law import Law
+from fitting.law import DEPENDENT_BELOW, Law
 
 DRAWS = 4  # sets of values: at half of them a chance dependence would pass, at twice nothing changes
 SIZES_DRAWN = (0.5, 2.0)  # least and largest size drawn, over the natural one
-DEPENDENT_BELOW = 1e-8  # singular value over the largest: below, columns are dependent; above 1e-6 they are not
 LEAST_PART = 0.1  # part of a direction over its largest: less is rounding
 EQUAL_SIZES = 1e-4  # relative difference of a direction's parts that are equal
 

@@ -170,12 +170,19 @@ def _started(law: Law, host: SplineFit, fastest: float) -> tuple[FormulaCurve, M
 
     A formula that is far off starts where friction itself is nearest, unless it is no friction there.
     """
-    measured = measured_target(host, host.linearised())
-    curve, within_errors = FormulaCurve(law, fastest, measured.near), float(measured.alone.aim.size)
-    if curve.starts[0].misfit > START_MISFIT * within_errors:
-        nearest = friction_target(host)
-        with suppress(InputError):
-            return FormulaCurve(law, fastest, nearest.near), nearest, 0.0
+    measured, curve = measured_target(host, host.linearised()), None
+    within_errors = float(measured.alone.aim.size)
+    try:
+        curve = FormulaCurve(law, fastest, measured.near)
+    except InputError as error:
+        refused = error
+    if curve is not None and curve.starts[0].misfit <= START_MISFIT * within_errors:
+        return curve, measured, within_errors
+    nearest = friction_target(host)
+    with suppress(InputError):
+        return FormulaCurve(law, fastest, nearest.near), nearest, 0.0
+    if curve is None:
+        raise refused
     return curve, measured, within_errors
 
 

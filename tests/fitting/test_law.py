@@ -26,6 +26,12 @@ def test_a_name_is_a_word(name):
         Law(name, "Fs")
 
 
+def test_of_parameters_that_enter_only_together_the_first_has_the_unit():
+    """Half of a unit for each was rounded either way, by the processor, and then no parameter had any."""
+    assert Law("two", "a*b/(1 + s/v_s)").dimensions == {"a": (1, 0), "b": (0, 0), "v_s": (0, 1)}
+    assert Law("two", "F*(1 + b*c*s)/q").dimensions == {"F": (1, 0), "b": (0, -1), "c": (0, 0), "q": (0, 0)}
+
+
 def test_units_follow_from_the_formula():
     law = PUBLISHED["stribeck-viscous"]
     found = {name: (law.unit(name), law.unit(name, newtons=True)) for name in law.curve.parameters}
