@@ -4,8 +4,7 @@
 
     warm      CPU seconds of `fitting.rank` (user and system, all threads) on the scene `rig` at 1 kHz with 5 % scatter,
               for a record of each law, compiled and called once before: of the six laws, and of goodness of fit and
-              measured curve together (`measure` and `assess` of
-              `fitting.adequacy.assess`)
+              measured curve together (`measure` and `assess` of `fitting.adequacy.assess`)
     first     wall and CPU seconds of the command `fit-friction` with an empty folder for machine code
     scipy     one slip window of law 5: the same residuals, priors and unknowns, from the same start to the same
               minimum, by `solve_ivp` with an event at the landing under `least_squares`, compared with this project's

@@ -118,9 +118,8 @@ def _misfit(fit: FittedLaw, motion: MeasuredMotion, trials: Array) -> Array:
     for k, cycle in enumerate(fit.cycles):
         first = int(np.searchsorted(motion.time, trials[k].min() - BEFORE_BREAK_AWAY * motion.slip_s))
         last = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + JUDGED_SLIP * motion.slip_s))
-        row = np.zeros(PER_CYCLE)
-        row[PerCycle.LEVEL] = row[PerCycle.NEXT_LEVEL] = fit.local[k, PerCycle.LEVEL]
-        rows = np.tile(row, (trials.shape[1], 1))
+        rows = np.zeros((trials.shape[1], PER_CYCLE))
+        rows[:, PerCycle.LEVEL] = rows[:, PerCycle.NEXT_LEVEL] = fit.local[k, PerCycle.LEVEL]
         rows[:, PerCycle.X_SLIP] = _in_stick(fit, motion, k, trials[k])
         rows[:, PerCycle.V_SLIP] = _edge_speed(fit, trials[k]) - 1e-9 * fit.u[Global.V_DR]
         after = np.maximum(np.searchsorted(motion.time, trials[k], side="right"), first)

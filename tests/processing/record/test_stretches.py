@@ -1,4 +1,4 @@
-"""Rest at the ends of a record, told from a mass that turns round there."""
+"""Rest at the ends of a record is distinguished from a mass that turns round there."""
 
 import numpy as np
 import pytest
