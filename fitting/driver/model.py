@@ -6,6 +6,7 @@ import numpy as np
 
 from daq.base.compute.arrays import Array, Integers
 from fitting.driver.task import Task
+from fitting.forces.departure import Forcing
 from fitting.forces.fitted_motion import FittedMotion
 from fitting.forces.force import Force
 from fitting.least_squares.problem import Evaluate
@@ -111,15 +112,14 @@ class Model:
         """Return the derivatives of the positions by all unknowns, shape (N, p + n + m + 6)."""
         _, theta, sizes = self.task.split(q)
         parts = [self.task.curve.columns(path, theta, self.task.places)]
-        motion = self._motion(path)
-        for forcing in (one for force, own in self._sizes(sizes) for one in force.derivatives(motion, own)):
+        for forcing in self._forcings(path, sizes):
             width = next(part.shape[1] for part in forcing if part is not None)
             if forcing.acceleration is None and forcing.belt_speed is None and forcing.reading is not None:
                 parts.append(forcing.reading)
                 continue
             acts = np.zeros((path.time.size, width)) if forcing.acceleration is None else forcing.acceleration
             parts.append(tangents(path, acts, belt_speed=forcing.belt_speed, position=forcing.reading))
-        return np.ascontiguousarray(np.hstack([*parts, local_tangents(path)]))
+        return np.asarray(np.hstack([*parts, local_tangents(path)]))
 
     def _curve(self, q: Array, theta: Array) -> Curve | None:
         return self.task.curve.on_path(theta, q[: len(self.task.places)])
@@ -131,6 +131,13 @@ class Model:
 
     def _motion(self, path: Path) -> FittedMotion:
         return FittedMotion.from_path(path, self.task.problem.motions, path.residual)
+
+    def _forcings(self, path: Path, sizes: Array) -> list[Forcing]:
+        """Return what a unit of each of the forces' unknowns changes along a path."""
+        if not self.task.forces:
+            return []
+        motion = self._motion(path)
+        return [one for force, own in self._sizes(sizes) for one in force.derivatives(motion, own)]
 
     def _sizes(self, sizes: Array) -> list[tuple[Force, Array]]:
         """Return each force with its own unknowns."""

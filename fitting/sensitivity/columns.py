@@ -20,7 +20,7 @@ def local_tangents(path: Path) -> Array:
     """Return the derivatives of the positions by each cycle's own unknowns, shape (N, 6); 0 in another cycle."""
     table = path.windows.table
     stick = table[:, 1] == 1
-    acceleration = np.zeros((path.time.size, PER_CYCLE))
+    acceleration = np.zeros((PER_CYCLE, path.time.size)).T  # each column without gaps
     acts = path.mode != STICK
     acceleration[:, PerCycle.LEVEL] = np.where(acts & ~(path.landed & ~stick[path.window]), path.friction, 0.0)
     acceleration[:, PerCycle.NEXT_LEVEL] = np.where(acts & path.landed & ~stick[path.window], path.friction, 0.0)
@@ -42,24 +42,19 @@ def shared_tangents(path: Path, places: Sequence[int]) -> Array:
         p places of `fitting.model.parameters`; with a spline those of F and of the curve's shape act no more.
     """
     runs = path.u.size // PER_RUN
-    slots = sorted({place % PER_RUN for place in places})
+    slots = list(dict.fromkeys(place % PER_RUN for place in places))
     acceleration, edge = parameter_forces(path, slots)
-    columns = np.zeros((path.reached.size, len(slots)))
-    plain = [j for j, slot in enumerate(slots) if slot not in BELT]
-    moving = [j for j, slot in enumerate(slots) if slot in BELT]
-    columns[:, plain] = tangents(path, acceleration[:, plain], edge=edge[:, plain])
-    if moving:
-        belt = belt_columns(path, [slots[j] for j in moving])
-        columns[:, moving] = tangents(path, acceleration[:, moving], belt_speed=belt)
-    table = parameters.columns(places, runs)
-    run = path.run[path.reached]
-    column = {slot: j for j, slot in enumerate(slots)}
+    moving = np.array([j for j, slot in enumerate(slots) if slot in BELT], np.int64)
+    belt = belt_columns(path, [slots[j] for j in moving]) if moving.size else None
+    columns = tangents(path, acceleration, belt_speed=belt, moving=moving, edge=edge)
+    if runs == 1:
+        return columns
     out = np.zeros((path.reached.size, len(places)))
-    for j in range(len(places)):
-        for r in range(runs):
-            if table[r, j] >= 0:
-                of_run = run == r
-                out[of_run, j] = columns[of_run, column[int(table[r, j])]]
+    run = path.run[path.reached]
+    for r, row in enumerate(parameters.columns(places, runs)):
+        of_run = run == r
+        for j in np.flatnonzero(row >= 0):
+            out[of_run, j] = columns[of_run, slots.index(row[j])]
     return out
 
 
@@ -123,34 +118,34 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
             Global.COMPLIANCE: F / K,
         }
     )
-    forces = np.zeros((path.time.size, len(slots)))
+    forces = np.zeros((len(slots), path.time.size))
     edge = np.zeros((path.windows.table.shape[0], len(slots)))
     first = path.first_point[:-1]
     for j, slot in enumerate(slots):
         if slot == Global.K:
-            forces[:, j] = path.unknown(Global.DATUM) - path.position
+            forces[j] = path.unknown(Global.DATUM) - path.position
         elif slot == Global.LOG_F:
-            forces[:, j] = np.where(slips | ramp, friction, 0.0)
+            forces[j] = np.where(slips | ramp, friction, 0.0)
         elif slot == Global.SHAPE and path.curve.spline is None:
             shape = path.unknown(Global.SHAPE)
             rate = shape_slope(path.curve.code, path.slip_speed, path.level * F, shape)  # type: ignore[arg-type]
-            forces[:, j] = np.where(slips, path.side * rate * _yielding(path), 0.0)
+            forces[j] = np.where(slips, path.side * rate * _yielding(path), 0.0)
         elif slot == Global.D:
-            forces[:, j], edge[:, j] = by_d, 1.0
+            forces[j], edge[:, j] = by_d, 1.0
         elif slot == Global.DATUM:
-            forces[:, j] = K
+            forces[j] = K
         elif slot == Global.DAMPING:
-            forces[:, j] = -path.velocity
+            forces[j] = -path.velocity
         elif slot == Global.FADE:
             epoch = path.windows.level_epoch[path.window]
             change = relative_change(path.unknown(Global.FADE), path.time, epoch)
-            forces[:, j] = np.where(slips | ramp, change * friction, 0.0)
+            forces[j] = np.where(slips | ramp, change * friction, 0.0)
         elif slot == Global.STATIC:
-            forces[:, j] = np.where(ramp & (q == 0.0), friction / path.unknown(Global.STATIC), 0.0)
+            forces[j] = np.where(ramp & (q == 0.0), friction / path.unknown(Global.STATIC), 0.0)
         if slot in by_q_of:
-            forces[:, j] += by_q * by_q_of[Global(slot)]
+            forces[j] += by_q * by_q_of[Global(slot)]
             edge[:, j] += np.broadcast_to(at_rest * by_q_of[Global(slot)], path.time.shape)[first]
-    return forces, edge
+    return forces.T, edge
 
 
 def belt_columns(path: Path, slots: Sequence[int]) -> Array:

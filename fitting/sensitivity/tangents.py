@@ -24,6 +24,7 @@ from fitting.sensitivity.rates import CREEP
 from rig_sim.flow.modes import STICK
 
 NO_COLUMNS = np.zeros((0, 0))
+NOTHING_MOVES = np.zeros(0, np.int64)
 
 
 def tangents(
@@ -31,6 +32,7 @@ def tangents(
     acceleration: Array,
     *,
     belt_speed: Array | None = None,
+    moving: Integers | None = None,
     edge: Array | None = None,
     start: tuple[Array, Array] | None = None,
     position: Array | None = None,
@@ -43,8 +45,10 @@ def tangents(
         M points, N samples.
     acceleration : (M, k) f8
         What one unit of each column adds to the acceleration at given position, velocity and belt speed, m/s^2.
-    belt_speed : (M, k) f8, optional
+    belt_speed : (M, n) f8, optional
         What it adds to the belt's speed, m/s.
+    moving : (n,) i8, optional
+        Which columns move the belt; all of them without it.
     edge : (windows, k) f8, optional
         What it adds to the half-width of the ramp, m/s.
     start : pair of (windows, k) f8, optional
@@ -55,6 +59,10 @@ def tangents(
     k = acceleration.shape[1]
     none = np.zeros((path.windows.table.shape[0], k))
     x, v = start if start is not None else (none, none)
+    if belt_speed is None:
+        belt_speed, moving = NO_COLUMNS, NOTHING_MOVES
+    elif moving is None:
+        moving = np.arange(k)
     rows = path.u.reshape(-1, PER_RUN)[path.windows.table[:, 5]]
     out = np.empty((path.reached.size, k))
     compiled(integrate, KERNELS, _nrt=False)(
@@ -67,13 +75,14 @@ def tangents(
         path.time,
         path.damping,
         path.friction_slope,
-        np.ascontiguousarray(acceleration),
-        NO_COLUMNS if belt_speed is None else np.ascontiguousarray(belt_speed),
+        np.ascontiguousarray(acceleration.T),
+        np.ascontiguousarray(belt_speed),
+        moving,
         none if edge is None else np.ascontiguousarray(edge),
         np.ascontiguousarray(x),
         np.ascontiguousarray(v),
         out,
-        np.empty((10, k)),
+        np.empty((6, k)),
     )
     return out if position is None else out + position
 
@@ -90,20 +99,20 @@ def integrate(
     slope: Array,
     acceleration: Array,
     belt: Array,
+    moving: Integers,
     edge: Array,
     start_x: Array,
     start_v: Array,
     out: Array,
     room: Array,
 ) -> None:
-    """Integrate all columns through all windows; fill ``out`` (N, k).  ``room`` (10, k) is scratch space.
+    """Integrate all columns through all windows; fill ``out`` (N, k).  ``room`` (6, k) is scratch space.
 
-    ``own`` (windows,) is K of each window's run, 1/s^2.
+    ``own`` (windows,) is K of each window's run, 1/s^2; ``acceleration`` is (k, M), a column without gaps.
     """
     k = out.shape[1]
-    moves = belt.shape[0] > 0
     x, v = room[0], room[1]
-    g0, gm, g1 = room[2], room[3], room[4]
+    g0, gm, g1, late = room[2], room[3], room[4], room[5]
     for row in range(table.shape[0]):
         K = own[row]
         first = table[row, 2]
@@ -115,20 +124,19 @@ def integrate(
             h = time[a + 2] - time[a]
             if mode[a] == STICK:
                 for j in range(k):
-                    if moves:
-                        x[j] += h / 6.0 * (belt[a, j] + 4.0 * belt[a + 1, j] + belt[a + 2, j])
-                        v[j] = belt[a + 2, j]
-                    else:
-                        v[j] = 0.0
+                    v[j] = 0.0
+                for n in range(moving.size):
+                    x[moving[n]] += h / 6.0 * (belt[a, n] + 4.0 * belt[a + 1, n] + belt[a + 2, n])
+                    v[moving[n]] = belt[a + 2, n]
             else:
                 e0, em, e1 = damping[a] + slope[a], damping[a + 1] + slope[a + 1], damping[a + 2] + slope[a + 2]
                 for j in range(k):
-                    g0[j], gm[j], g1[j] = acceleration[a, j], acceleration[a + 1, j], acceleration[a + 2, j]
-                if moves:
-                    for j in range(k):
-                        g0[j] += slope[a] * belt[a, j]
-                        gm[j] += slope[a + 1] * belt[a + 1, j]
-                        g1[j] += slope[a + 2] * belt[a + 2, j]
+                    g0[j], gm[j], g1[j] = acceleration[j, a], acceleration[j, a + 1], acceleration[j, a + 2]
+                for n in range(moving.size):
+                    j = moving[n]
+                    g0[j] += slope[a] * belt[a, n]
+                    gm[j] += slope[a + 1] * belt[a + 1, n]
+                    g1[j] += slope[a + 2] * belt[a + 2, n]
                 if mode[a] == CREEP:
                     # dx'' is the rate of (a - K dx)/e, with a and e as in the equation above; that of a by a parabola
                     for j in range(k if h > 0.0 else 0):
@@ -159,8 +167,9 @@ def integrate(
                     out[steps[s, 2], j] = x[j]
             if jumps[s, 0] != 0.0 or jumps[s, 1] != 0.0:
                 for j in range(k):
-                    late = -v[j] - jumps[s, 2] * edge[row, j]
-                    if moves:
-                        late += belt[a + 2, j]
-                    x[j] += jumps[s, 0] * late
-                    v[j] += jumps[s, 1] * late
+                    late[j] = -v[j] - jumps[s, 2] * edge[row, j]
+                for n in range(moving.size):
+                    late[moving[n]] += belt[a + 2, n]
+                for j in range(k):
+                    x[j] += jumps[s, 0] * late[j]
+                    v[j] += jumps[s, 1] * late[j]
