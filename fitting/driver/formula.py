@@ -7,7 +7,6 @@ that cannot be followed.
 """
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -60,7 +59,8 @@ class FormulaCurve(FrictionCurve):
         self.start = self.theta(self.starts[0].values)
         self.prior = self.precision = np.zeros(self.size)
         self.lower, self.upper = self.bounds
-        self._through(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
+        self._first = FrictionSpline.over(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
+        self._near = self._first
 
     def on_path(self, theta: Array, beside: Array) -> Curve | None:
         """See `FrictionCurve`."""
@@ -123,27 +123,33 @@ class FormulaCurve(FrictionCurve):
         return np.asarray(found * np.where(self.by_log, [values[name] for name in self.law.free], 1.0))
 
     def spline(self, theta: Array) -> FrictionSpline | None:
-        """Return a spline through the formula; None where it is no friction, or too abrupt to be followed."""
+        """Return a spline through the formula; None where it is no friction, or too abrupt to be followed.
+
+        It begins with the knots of the trial before, or anew where those of other trials are in the way.
+        """
+        for begin in (self._near, self._first):
+            found = self._through(theta, begin)
+            if found is not None:
+                self._near = found
+                return found
+        return None
+
+    def _through(self, theta: Array, spline: FrictionSpline) -> FrictionSpline | None:
+        """Return a spline through the formula, the knots of one set closer where it errs."""
         while True:
+            knots = spline.knots
+            at = np.append(np.linspace(knots[:-1], knots[1:], PER_PIECE, endpoint=False, axis=1), knots[-1])
             try:
-                target = self.at_speeds(theta, self._at)
+                target = self.at_speeds(theta, at)
             except InputError:
                 return None
             if not target[0] > 0:
                 return None
-            found = self._spline.with_coefficients(np.einsum("ij,j->i", self._project, target))
-            away = np.abs(found(self._at) - target) > SPLINE_ERROR * target.max()
+            spline = spline.nearest(at, target)
+            away = np.abs(spline(at) - target) > SPLINE_ERROR * target.max()
             if not away.any():
-                return found
-            knots = self._spline.knots
-            bad = np.unique(np.clip(np.searchsorted(knots, self._at[away], side="right") - 1, 0, knots.size - 2))
+                return spline
+            bad = np.unique(np.clip(np.searchsorted(knots, at[away], side="right") - 1, 0, knots.size - 2))
             if knots.size + bad.size > MOST_PIECES:
                 return None
-            self._through(np.sort(np.concatenate((knots, 0.5 * (knots[bad] + knots[bad + 1])))))
-
-    def _through(self, knots: Array) -> None:
-        """Make splines through the formula with these knots."""
-        parts = [np.linspace(a, b, PER_PIECE, endpoint=False) for a, b in pairwise(knots)]
-        self._at = np.append(np.concatenate(parts), knots[-1])
-        self._spline = FrictionSpline.over(knots)
-        self._project = np.linalg.pinv(self._spline.basis(self._at))
+            spline = FrictionSpline.over(np.sort(np.concatenate((knots, 0.5 * (knots[bad] + knots[bad + 1])))))

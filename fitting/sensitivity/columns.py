@@ -42,7 +42,7 @@ def shared_tangents(path: Path, places: Sequence[int]) -> Array:
         p places of `fitting.model.parameters`; with a spline those of F and of the curve's shape act no more.
     """
     runs = path.u.size // PER_RUN
-    slots = list(dict.fromkeys(place % PER_RUN for place in places))
+    slots = [place % PER_RUN for place in places] if runs == 1 else sorted({place % PER_RUN for place in places})
     acceleration, edge = parameter_forces(path, slots)
     moving = np.array([j for j, slot in enumerate(slots) if slot in BELT], np.int64)
     belt = belt_columns(path, [slots[j] for j in moving]) if moving.size else None

@@ -1,5 +1,6 @@
 """A friction curve as a cubic B-spline of the slip speed: its knots, its pieces as polynomials, its basis."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,16 +35,22 @@ class FrictionSpline:
     @classmethod
     def over(cls, knots: Array, coefficients: Array | None = None) -> "FrictionSpline":
         """Return a spline over knots (n + 1,), its coefficients (n + 3,) 0 unless given."""
-        clamped = np.concatenate(([knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE))
-        count, n = knots.size + DEGREE - 1, knots.size - 1
-        pieces = np.zeros((count, n, DEGREE + 1))
-        for i in range(n):
-            pieces[i : i + DEGREE + 1, i] = _pieces_over(clamped, i + DEGREE)
-        return cls(knots, np.zeros(count) if coefficients is None else coefficients, pieces)
+        found = np.zeros(knots.size + DEGREE - 1) if coefficients is None else coefficients
+        return cls(knots, found, _basis_pieces(knots))
 
     def with_coefficients(self, coefficients: Array) -> "FrictionSpline":
         """Return the spline with the same knots and other coefficients (n + 3,), m/s^2."""
         return FrictionSpline(self.knots, coefficients, self.basis_pieces)
+
+    def nearest(self, s: Array, values: Array) -> "FrictionSpline":
+        """Return the spline with the same knots that is nearest to values (k,) at speeds s (k,), by least squares.
+
+        Every piece holds at least four of the speeds, and none lies outside the knots.
+        """
+        found = np.zeros(self.coefficients.size)
+        fit = compiled(fill_nearest, ("rig_sim.friction.spline", __name__), _nrt=False)
+        fit(self.knots, self.basis_pieces, s, values, np.zeros((found.size, DEGREE + 1)), np.empty(DEGREE + 1), found)
+        return self.with_coefficients(found)
 
     @cached_property
     def pieces(self) -> Array:
@@ -73,23 +80,33 @@ class FrictionSpline:
         return np.asarray(np.einsum("kj,j->k", self.basis(np.asarray(s, float)), self.coefficients))
 
 
-def _pieces_over(t: Array, i: int) -> Array:
-    """Return the polynomials (4, 4) of the basis functions i - 3 to i over [t_i, t_(i+1)], in powers of s - t_i.
+def _basis_pieces(knots: Array) -> Array:
+    """Return the polynomials (n + 3, n, 4) of the basis functions over knots (n + 1,), as `basis_pieces`.
 
-    By the recurrence of C. de Boor, A Practical Guide to Splines (2001), X.
+    By the recurrence of C. de Boor, A Practical Guide to Splines (2001), X, on all pieces at once.
     """
-    found = np.zeros((DEGREE + 2, DEGREE + 1))  # the last one is 0 here
-    found[DEGREE, 0] = 1.0
+    t = np.concatenate(([knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE))
+    n = knots.size - 1
+    piece = np.arange(n)
+    # those of the four functions that act on a piece, in powers of s - t_i with i = piece + 3; the last one is 0 here
+    found = np.zeros((DEGREE + 2, n, DEGREE + 1))
+    found[DEGREE, :, 0] = 1.0
+    below = t[piece + DEGREE]
     for k in range(1, DEGREE + 1):
         for row in range(DEGREE - k, DEGREE + 1):
-            j = i - DEGREE + row
-            rise, fall = np.zeros((2, DEGREE + 1))
+            j = piece + row
+            total = np.zeros((n, DEGREE + 1))
             if row > DEGREE - k:
-                rise = ((t[i] - t[j]) * found[row] + np.roll(found[row], 1)) / (t[j + k] - t[j])
+                rise = (below - t[j])[:, None] * found[row] + np.roll(found[row], 1, axis=1)
+                total += rise / (t[j + k] - t[j])[:, None]
             if row < DEGREE:
-                fall = ((t[j + k + 1] - t[i]) * found[row + 1] - np.roll(found[row + 1], 1)) / (t[j + k + 1] - t[j + 1])
-            found[row] = rise + fall
-    return found[:-1]
+                fall = (t[j + k + 1] - below)[:, None] * found[row + 1] - np.roll(found[row + 1], 1, axis=1)
+                total += fall / (t[j + k + 1] - t[j + 1])[:, None]
+            found[row] = total
+    pieces = np.zeros((n + DEGREE, n, DEGREE + 1))
+    for row in range(DEGREE + 1):
+        pieces[piece + row, piece] = found[row]
+    return pieces
 
 
 def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, out: Array) -> None:
@@ -105,3 +122,40 @@ def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, out: Array)
             c = pieces[j, i]
             rate = c[1] + z * (2.0 * c[2] + z * 3.0 * c[3])
             out[row, j] += factor[row] * (c[0] + z * (c[1] + z * (c[2] + z * c[3])) + beyond * rate)
+
+
+def fill_nearest(
+    knots: Array, pieces: Array, s: Array, values: Array, band: Array, acting: Array, coefficients: Array
+) -> None:
+    """Store the coefficients (n + 3,) of the spline that is nearest to values (k,) at speeds s (k,); a kernel.
+
+    By normal equations, whose matrix has a band of four: where each piece holds several speeds they are as good as an
+    orthogonal factorisation to 1e-13.  ``band`` (n + 3, 4) and ``coefficients`` are 0 at first, ``acting`` (4,) is
+    scratch space.  Source: G. Golub, C. Van Loan, Matrix Computations, 4th ed., 4.3.5 (band Cholesky).
+    """
+    n = coefficients.size
+    for row in range(s.size):
+        i = piece_of(knots, knots.size - 1, s[row])
+        z = s[row] - knots[i]
+        for p in range(DEGREE + 1):
+            c = pieces[i + p, i]
+            acting[p] = c[0] + z * (c[1] + z * (c[2] + z * c[3]))
+            coefficients[i + p] += acting[p] * values[row]
+            for q in range(p + 1):
+                band[i + p, p - q] += acting[p] * acting[q]
+    for j in range(n):
+        for i in range(j, min(j + DEGREE + 1, n)):
+            for m in range(max(0, i - DEGREE), j):
+                band[i, i - j] -= band[i, i - m] * band[j, j - m]
+            if i == j:
+                band[j, 0] = math.sqrt(band[j, 0])
+            else:
+                band[i, i - j] /= band[j, 0]
+    for i in range(n):
+        for m in range(max(0, i - DEGREE), i):
+            coefficients[i] -= band[i, i - m] * coefficients[m]
+        coefficients[i] /= band[i, 0]
+    for i in range(n - 1, -1, -1):
+        for m in range(i + 1, min(i + DEGREE + 1, n)):
+            coefficients[i] -= band[m, m - i] * coefficients[m]
+        coefficients[i] /= band[i, 0]

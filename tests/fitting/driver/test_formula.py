@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from daq.base.errors import InputError
-from fitting.driver.formula import FormulaCurve
+from fitting.driver.formula import SPLINE_ERROR, FormulaCurve
 from fitting.driver.start_search import SCANNED, StartSearch, Target, find_starts
 from fitting.law import PUBLISHED, Law
 
@@ -57,6 +57,17 @@ def test_a_trial_without_friction_at_rest_is_refused():
     values = TRUE[law.name] | {"Fc": 0.0, "Fs": 0.0}
     assert curve.spline(curve.theta(values | {"Fs": 1e-3})) is not None
     assert curve.spline(curve.theta(values)) is None
+
+
+def test_knots_that_other_trials_needed_are_not_in_the_way():
+    """A steep trial used up the knots, and every later one that needed a few more was refused."""
+    law = PUBLISHED["power"]
+    steep, own = (TRUE["power"] | {"p": p} for p in (0.05, 0.4))
+    curve = FormulaCurve(law, FASTEST, of(law, own))
+    assert curve.spline(curve.theta(steep)) is None
+    for values in (own, own | {"p": 0.3}, own):
+        found, s = curve.spline(curve.theta(values)), np.linspace(0.0, FASTEST, 1001)
+        assert found(s) == pytest.approx(law.curve.value(s, dict(law.fix or {}) | values), abs=4 * SPLINE_ERROR * 4.6)
 
 
 def test_derivatives_of_the_friction_are_differences():

@@ -95,10 +95,15 @@ def test_a_ramp_that_one_step_crosses_is_left_on_its_other_side(one_window, long
 
 
 def spline_of(function, fastest=0.9, pieces=13):
-    knots = fastest * np.linspace(0, 1, pieces + 1) ** 1.6
-    first = FrictionSpline.over(knots)
     s = np.linspace(0, fastest, 400)
-    return first.with_coefficients(np.linalg.lstsq(first.basis(s), function(s), rcond=None)[0])
+    return FrictionSpline.over(fastest * np.linspace(0, 1, pieces + 1) ** 1.6).nearest(s, function(s))
+
+
+def test_the_spline_nearest_to_values_is_that_of_numpy():
+    s = np.linspace(0, 0.9, 400)
+    found = spline_of(lambda s: s**0.3)
+    wanted = np.linalg.lstsq(found.basis(s), s**0.3, rcond=None)[0]
+    assert found.coefficients == pytest.approx(wanted, abs=1e-12)
 
 
 @pytest.mark.parametrize("compliance", [0.0, 0.05])
