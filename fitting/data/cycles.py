@@ -17,11 +17,12 @@ and a mass that only grazes the belt (laws 1 and 2), show nothing else, and one 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, runs
+from daq.base.compute.arrays import Array, Mask, runs
 from fitting.data.frame import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, MeasuredMotion
 
 # Times below are in slips (`MeasuredMotion.slip_s`).
@@ -145,10 +146,11 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     strongest = float(np.percentile(np.abs(a[slipping]), 95)) if slipping.any() else 0.0
     still = STILL_ACCELERATION * strongest
 
-    onsets = [_onset(a, i, still) for i, _ in slow]
-    landings = [_landing(a, j, still) for _, j in slow]
+    begins, ends = zip(*slow, strict=True)
+    onsets, landings = _onsets(a, begins, still), _landings(a, ends, still)
     if starts_at_rest and len(slow) > 1:
-        onsets[1] = _onset(a, slow[1][0], still + _creep(motion, landings[0], slow[1][0], still))
+        onsets[1:2] = _onsets(a, begins[1:2], still + _creep(motion, landings[0], begins[1], still))
+    resting = _overlap(onsets, landings, rests)
     sticks = list(zip(landings, [*onsets[1:], n], strict=True))
     middles = [(i + j) // 2 for i, j in sticks]
 
@@ -178,7 +180,7 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
         flag = ""
         if motion.broken[slip[0] + 1 : slip[1]].any():
             flag = "gap"
-        elif any(i < landings[k] and j > onset for i, j in rests):
+        elif resting[k]:
             flag = "rest"
         elif slip[1] - slip[0] < 2 * shortest:
             flag = "short"
@@ -264,13 +266,19 @@ def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> fl
     return slowing if still < slowing < SLIP_DECELERATION * still else 0.0
 
 
-def _onset(a: Array, begin: int, still: float) -> int:
-    """Return the last sample before ``begin`` at which the mass was not yet being slowed down."""
-    before = np.flatnonzero(a[: begin + 1] > -still)
-    return int(before[-1]) if before.size else 0
+def _onsets(a: Array, begins: Sequence[int], still: float) -> list[int]:
+    """Return the last samples before ``begins`` at which the mass was not yet being slowed down, or 0."""
+    steady = np.concatenate(([0], np.flatnonzero(a > -still)))
+    return [int(i) for i in steady[np.searchsorted(steady, begins, side="right") - 1]]
 
 
-def _landing(a: Array, end: int, still: float) -> int:
-    """Return the first sample after ``end`` at which the mass is no longer being sped up, or the record's length."""
-    after = np.flatnonzero(a[end:] < still)
-    return end + int(after[0]) if after.size else a.size
+def _landings(a: Array, ends: Sequence[int], still: float) -> list[int]:
+    """Return the first samples from ``ends`` on at which the mass is not being sped up, or the record's length."""
+    steady = np.append(np.flatnonzero(a < still), a.size)
+    return [int(i) for i in steady[np.searchsorted(steady, ends)]]
+
+
+def _overlap(begins: Sequence[int], ends: Sequence[int], rests: Sequence[tuple[int, int]]) -> Mask:
+    """Return whether each of some stretches shares samples with a rest; rests come one after another."""
+    first, last = np.array(rests, np.int64).reshape(-1, 2).T
+    return np.asarray(np.searchsorted(first, ends) > np.searchsorted(last, begins, side="right"))

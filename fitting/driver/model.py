@@ -48,6 +48,7 @@ class Model:
         fastest = max(float(np.max(np.abs(motion.velocity))) for motion in task.problem.motions)
         self._tables = [force.departure.drag_table(fastest) for force in task.forces]
         self._last: tuple[Array, Array, Array | None] | None = None
+        self._along: tuple[Path, FittedMotion] | None = None
 
     @property
     def along(self) -> bool:
@@ -132,6 +133,14 @@ class Model:
     def _motion(self, path: Path) -> FittedMotion:
         return FittedMotion.from_path(path, self.task.problem.motions, path.residual)
 
+    def _motion_along(self) -> FittedMotion | None:
+        """Return the motion along which forces act; None where none does, or before the first path."""
+        if self.near is None or not self.along:
+            return None
+        if self._along is None or self._along[0] is not self.near:
+            self._along = self.near, self._motion(self.near)
+        return self._along[1]
+
     def _forcings(self, path: Path, sizes: Array) -> list[Forcing]:
         """Return what a unit of each of the forces' unknowns changes along a path."""
         if not self.task.forces:
@@ -148,7 +157,7 @@ class Model:
         """Return what the forces add to a path, as arguments of `follow`, and to the reading, m."""
         more: dict[str, Any] = {}
         reading: Array | float = 0.0
-        motion = None if self.near is None or not self.along else self._motion(self.near)
+        motion = self._motion_along()
         for (force, own), table in zip(self._sizes(sizes), self._tables, strict=True):
             if force.departure.drag is not None:
                 more["drag"] = table._replace(acceleration=float(own[0]) * table.acceleration)
