@@ -64,12 +64,12 @@ def spline_tangents(path: Path, directions: Array) -> Array:
     if spline is None:
         raise ValueError("this path follows a law's curve: there are no coefficients")
     in_slip, in_stick, edge = friction_effect(path)
-    forces = spline.basis(path.slip_speed, in_slip)
-    forces[:, 0] += in_stick
     used = np.flatnonzero(directions.any(axis=0))
     along = np.ascontiguousarray(directions[:, used])
+    forces = spline.basis_along(path.slip_speed, along, in_slip)
+    forces += in_stick * along[0][:, None]
     columns = np.zeros((path.reached.size, directions.shape[1]))
-    columns[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=edge[:, None] * along[0])
+    columns[:, used] = tangents(path, forces.T, edge=edge[:, None] * along[0])
     return columns
 
 

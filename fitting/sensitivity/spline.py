@@ -57,15 +57,20 @@ class FrictionSpline:
         """The spline's polynomials, shape (n, 4), as in `basis_pieces`."""
         return np.ascontiguousarray(np.einsum("j,jik->ik", self.coefficients, self.basis_pieces))
 
-    def basis(self, s: Array, factor: Array | float = 1.0) -> Array:
-        """Return the basis functions at slip speeds s (k,) times ``factor`` (k,), shape (k, n + 3).
+    def basis(self, s: Array) -> Array:
+        """Return the basis functions at slip speeds s (k,), shape (k, n + 3)."""
+        return np.ascontiguousarray(self.basis_along(s, np.eye(self.coefficients.size)).T)
 
-        They are continued as the kernels continue them: with a constant slope beyond the last knot; below 0 the first
-        polynomial goes on.
+    def basis_along(self, s: Array, directions: Array, factor: Array | float = 1.0) -> Array:
+        """Return the basis at slip speeds s (k,) along directions (n + 3, m) times ``factor`` (k,), shape (m, k).
+
+        The functions are continued as the kernels continue them: with a constant slope beyond the last knot; below 0
+        the first polynomial goes on.
         """
-        found = np.zeros((s.size, self.basis_pieces.shape[0]))
+        found = np.zeros((directions.shape[1], s.size))
         fill = compiled(fill_basis, ("rig_sim.friction.spline", __name__), _nrt=False)
-        fill(self.knots, self.basis_pieces, np.ascontiguousarray(s), np.broadcast_to(factor, s.shape).copy(), found)
+        each = np.broadcast_to(factor, s.shape).copy()
+        fill(self.knots, self.basis_pieces, np.ascontiguousarray(s), each, np.ascontiguousarray(directions), found)
         return found
 
     def projection(self, s: Array) -> Array:
@@ -77,7 +82,7 @@ class FrictionSpline:
 
     def __call__(self, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s."""
-        return np.asarray(np.einsum("kj,j->k", self.basis(np.asarray(s, float)), self.coefficients))
+        return np.asarray(self.basis_along(np.asarray(s, float), self.coefficients[:, None])[0])
 
 
 def _basis_pieces(knots: Array) -> Array:
@@ -109,19 +114,21 @@ def _basis_pieces(knots: Array) -> Array:
     return pieces
 
 
-def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, out: Array) -> None:
-    """Add ``factor`` (k,) times the basis functions at s (k,) to ``out`` (k, n + 3); a kernel."""
+def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, directions: Array, out: Array) -> None:
+    """Add ``factor`` (k,) times the basis at s (k,) along directions (n + 3, m) to ``out`` (m, k); a kernel."""
     last = knots[knots.size - 1]
-    for row in range(s.size):
-        if factor[row] == 0.0:
+    for column in range(s.size):
+        if factor[column] == 0.0:
             continue
-        i = piece_of(knots, knots.size - 1, s[row])
-        beyond = max(s[row] - last, 0.0)
-        z = s[row] - beyond - knots[i]
+        i = piece_of(knots, knots.size - 1, s[column])
+        beyond = max(s[column] - last, 0.0)
+        z = s[column] - beyond - knots[i]
         for j in range(i, i + DEGREE + 1):  # the others are 0 on this piece
             c = pieces[j, i]
             rate = c[1] + z * (2.0 * c[2] + z * 3.0 * c[3])
-            out[row, j] += factor[row] * (c[0] + z * (c[1] + z * (c[2] + z * c[3])) + beyond * rate)
+            acting = factor[column] * (c[0] + z * (c[1] + z * (c[2] + z * c[3])) + beyond * rate)
+            for m in range(out.shape[0]):
+                out[m, column] += acting * directions[j, m]
 
 
 def fill_nearest(
