@@ -1,5 +1,5 @@
-# demo: the main job in one go; test: the quick checks; test-slow: the long ones; test-kernels: the fit under every BLAS
-# kernel that this processor runs; reliability: kills, full disks, signals, bad input, into docs/reliability.md; audit:
+# demo: the main job in one go; test: the quick checks; test-slow: the long ones; test-kernels: the fit under every other
+# BLAS kernel that this processor runs; reliability: kills, full disks, signals, bad input, into docs/reliability.md; audit:
 # known vulnerabilities of constraints.txt; bench: the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
 # test begins with static (ruff, imports, mypy) on one core and kernels (what the tests would compile) on the other.
 PYTHON ?= python3
@@ -7,7 +7,8 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 # A test that records waits for its board: with one process more than cores (at most five) none of these stands idle.
 PYTEST = $(BIN)/python -m pytest -n $(shell n=$$(getconf _NPROCESSORS_ONLN); echo $$((n < 4 ? n + 1 : 5))) --dist loadfile --no-loadscope-reorder
-BLAS_KERNELS = Haswell Sandybridge Prescott $(shell grep -qsw avx512f /proc/cpuinfo && echo SkylakeX)
+# The newest, which a processor takes by itself, runs in the other tests.
+BLAS_KERNELS = Prescott Sandybridge $(shell grep -qsw avx512f /proc/cpuinfo && echo Haswell)
 
 # Hundreds of tests start a process: without bytecode each would compile our sources again, 0.2 s of CPU.
 unexport PYTHONDONTWRITEBYTECODE
