@@ -36,6 +36,7 @@ from fitting.sensitivity.rates import (
     Window,
     acceleration,
     advance,
+    at_level,
     belt_acceleration,
     belt_speed,
     bound_velocity,
@@ -64,6 +65,7 @@ STEP_IN_TURN = 0.5
 # 1e-12 m/s over d.
 CREEP_DIFFERENCE = 1e-4
 MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays on an edge
+INLINED = ("margin", "store_point")  # called each step with all of a `Window`: a path took half as long again
 MOST_BISECTIONS = 60  # halvings that find an event: a double has 53 binary digits
 
 # Rows of the table of points.
@@ -162,7 +164,7 @@ def settled(w: Window, held: bool, t: float, x: float, since: float, longest: fl
 
 def turning_step(w: Window, mode: int, t: float, x: float, v: float) -> float:
     """Return the longest step (s) that does not pass over where a drag changes steeply, as the mass turns round."""
-    turn = w.extra.drag.turn
+    turn = w.turn
     if turn == 0.0 or mode == STICK or mode == CREEP:
         return math.inf
     return float(STEP_IN_TURN * (abs(v) + turn) / (abs(acceleration(w, mode, t, x, v)) + 1e-300))
@@ -249,18 +251,18 @@ def mode_at_edge(
         return next_mode(w, before, t, x, v), held, landed, w.level
     if jump:
         return POSITIVE if overtakes else STICK, not overtakes, True, next_level
-    after = Window(w.u, w.contact, next_level, w.epoch, w.low, w.high, w.extra)
+    after = at_level(w, next_level)
     return ramp_mode(after, not overtakes, t, x), not overtakes, True, next_level
 
 
-def contact_of(curve: int, own: Array, ramp: int, knots: Array, pieces: Array) -> Contact:
+def contact_of(curve: int, own: Array, ramp: int, pieces: int, spline: Array) -> Contact:
     """Return the contact of a run with unknowns ``own`` (13,)."""
     F = math.exp(own[LOG_F])
     d = own[D] if ramp == 1 else 0.0
     q = own[COMPLIANCE] * F / own[K]
-    c = Contact(curve, F, own[SHAPE], d, q, 1.0, 1.0, knots, pieces)
+    c = Contact(curve, F, own[SHAPE], d, q, 1.0, 1.0, pieces, spline)
     static = own[STATIC] if ramp == 1 and q == 0.0 else 1.0
-    return Contact(curve, F, own[SHAPE], d, q, static, normal_curve(c, 0.0)[0], knots, pieces)
+    return Contact(curve, F, own[SHAPE], d, q, static, normal_curve(c, 0.0)[0], pieces, spline)
 
 
 def follow_window(
@@ -344,7 +346,7 @@ def follow_window(
             before = mode
             rates_before = rates_at(w, before, t, x, v)
             mode, held, landed, level = mode_at_edge(w, before, held, landed, overtakes, earliest, next_level, t, x, v)
-            w = Window(w.u, w.contact, level, w.epoch, w.low, w.high, w.extra)
+            w = at_level(w, level)
             if mode == STICK or mode == CREEP:
                 v = bound_velocity(w, mode, t, x)
             # Off a ramp that ends at the level of slip, position, velocity and force go on, and so does a tangent.
@@ -390,8 +392,8 @@ def follow_windows(
     epoch: Array,
     earliest: Array,
     time: Array,
-    knots: Array,
-    pieces: Array,
+    pieces: int,
+    spline: Array,
     ramp: int,
     extra: Extra,
     longest: float,
@@ -413,12 +415,13 @@ def follow_windows(
     for row in range(table.shape[0]):
         own, part = u[table[row, 5]], local[table[row, 0]]
         first, n = table[row, 2], table[row, 3]
-        c = contact_of(curve, own, ramp, knots, pieces)
+        c = contact_of(curve, own, ramp, pieces, spline)
         stick = table[row, 1] == 1
         low, high = 0, 0
-        if extra.time.size > 0:
+        if extra.along.size > 0:
             low, high = extra.first[row], extra.first[row + 1]
-        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, extra)
+        acts = extra.along, extra.force, extra.belt, extra.drag, extra.turn
+        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, *acts)
         x, v = (part[X_STICK], part[V_STICK]) if stick else (part[X_SLIP], part[V_SLIP])
         first_point[row], first_step[row] = m, s
         m, s = follow_window(

@@ -24,8 +24,8 @@ MOST_ITERATIONS = 30  # Newton steps on a compliant belt; it needs 3 to 5
 class Contact(NamedTuple):
     """Friction of one run: what `friction` reads.
 
-    ``curve`` is a code, F in m/s^2, ``shape`` in s/m, d and q in m/s; ``knots`` (n + 1,) and ``pieces`` (n, 4), powers
-    from 0 to 3 of the distance to the knot below, are the spline's; ``at_rest`` is n(0).
+    ``curve`` is a code, F in m/s^2, ``shape`` in s/m, d and q in m/s; ``at_rest`` is n(0).  ``table`` is that of
+    a spline of ``pieces`` cubics as in `rig_sim.friction.spline`, without its last two numbers.
     """
 
     curve: int
@@ -35,19 +35,17 @@ class Contact(NamedTuple):
     q: float
     static: float
     at_rest: float
-    knots: Array
-    pieces: Array
+    pieces: int
+    table: Array
 
 
 def normal_curve(c: Contact, s: float) -> tuple[float, float]:
     """Return n(s) and its slope (s/m); a spline goes on with a constant slope beyond its last knot."""
     if c.curve == SPLINE:
-        i = piece_of(c.knots, c.knots.size - 1, s)
-        beyond = max(s - c.knots[c.knots.size - 1], 0.0)
-        z = s - beyond - c.knots[i]
-        rate = c.pieces[i, 1] + z * (2.0 * c.pieces[i, 2] + z * 3.0 * c.pieces[i, 3])
-        n = c.pieces[i, 0] + z * (c.pieces[i, 1] + z * (c.pieces[i, 2] + z * c.pieces[i, 3]))
-        return n + beyond * rate, rate
+        i = piece_of(c.table, c.pieces, s)
+        z, at = s - c.table[i], c.pieces + 4 * i
+        c1, c2, c3 = c.table[at + 1], c.table[at + 2], c.table[at + 3]
+        return c.table[at] + z * (c1 + z * (c2 + z * c3)), c1 + z * (2.0 * c2 + z * 3.0 * c3)
     return magnitude(c.curve, s, 1.0, c.shape, c.shape), slope(c.curve, s, 1.0, c.shape, c.shape)
 
 

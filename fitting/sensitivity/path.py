@@ -32,7 +32,7 @@ STEPS_A_SAMPLE = 1.2, 2.2
 # m: a motion that goes further is not followed.  Trials of a search went to 1e110 m, where a hard spring's force is no
 # number.
 FARTHEST = 1e9
-NO_KNOTS, NO_PIECES, NOTHING = np.zeros(2), np.zeros((1, 4)), np.zeros(0)
+NO_SPLINE, NOTHING, NO_FORCES = np.zeros(1), np.zeros(0), np.zeros((1, 0))
 NO_DRAG = rates.Drag(NOTHING, NOTHING, 0.0)
 
 
@@ -256,13 +256,12 @@ def kernel_arguments(
     unknowns = np.array(u, float).reshape(-1, PER_RUN)
     if spline is not None:
         unknowns[:, rates.LOG_F] = 0.0
-    extra = rates.Extra(
-        np.zeros(1, np.int64) if along is None else along.first_point,
-        NOTHING if along is None else along.time,
-        NOTHING if along is None or acceleration is None else np.ascontiguousarray(acceleration),
-        NOTHING if along is None or belt_speed is None else np.ascontiguousarray(belt_speed),
-        drag,
-    )
+    first, acting, force, belt = np.zeros(1, np.int64), NO_FORCES, 0, 0
+    if along is not None:
+        given = [part for part in (acceleration, belt_speed) if part is not None]
+        first, acting = along.first_point, np.stack((along.time, *given))
+        force, belt = int(acceleration is not None), 0 if belt_speed is None else len(given)
+    extra = rates.Extra(first, acting, force, belt, np.stack((drag.velocity, drag.acceleration)), drag.turn)
     return (
         curve.code,
         unknowns,
@@ -271,8 +270,8 @@ def kernel_arguments(
         windows.level_epoch,
         windows.earliest_landing,
         windows.time,
-        NO_KNOTS if spline is None else spline.knots,
-        NO_PIECES if spline is None else spline.pieces,
+        0 if spline is None else spline.knots.size,
+        NO_SPLINE if spline is None else spline.table,
         int(curve.ramp),
         extra,
     )

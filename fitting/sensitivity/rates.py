@@ -23,6 +23,7 @@ COMPLIANCE, COSINE, SINE, OMEGA = (
     int(Global.OMEGA),
 )
 STATIC = int(Global.STATIC)
+INLINED = ("acceleration",)  # `Window` has 49 numbers: called four times a step, it took half as long again
 
 
 class Drag(NamedTuple):
@@ -40,19 +41,25 @@ class Drag(NamedTuple):
 class Extra(NamedTuple):
     """What acts besides: a force and a change of the belt's speed along an earlier path, and a drag.
 
-    ``first`` (windows + 1,) are the first points of each window, ``time`` (M,) in s, ``acceleration`` (M,) in m/s^2 and
-    ``belt`` (M,) in m/s, these two empty or as long as ``time``.
+    ``first`` (windows + 1,) are the first points of each window in ``along``, whose row 0 is time (s), row ``force``
+    the force (m/s^2) and row ``belt`` the change of the belt's speed (m/s); row 0 stands for none.  ``drag`` (2, G) has
+    the rows of a `Drag`, ``turn`` is its.  Arrays are empty where nothing acts.
     """
 
     first: Integers
-    time: Array
-    acceleration: Array
-    belt: Array
-    drag: Drag
+    along: Array
+    force: int
+    belt: int
+    drag: Array
+    turn: float
 
 
 class Window(NamedTuple):
-    """The numbers of one window: its run's unknowns (13,), friction, level now, when that holds, and what is extra."""
+    """The numbers of one window: its run's unknowns (13,), friction, level now, when that holds, and what is extra.
+
+    The points of ``along`` from ``low`` to before ``high`` are the window's.  Compiled code hands each number, and
+    seven to ten for an array, from function to function: fewer arrays make a step faster.
+    """
 
     u: Array
     contact: Contact
@@ -60,45 +67,54 @@ class Window(NamedTuple):
     epoch: float
     low: int
     high: int
-    extra: Extra
+    along: Array
+    force: int
+    belt: int
+    drag: Array
+    turn: float
 
 
-def piece(times: Array, low: int, high: int, t: float) -> int:
-    """Return the last of times (M,) within [low, high - 1) that is not after t, or ``low``."""
-    last = high - 1
+def at_level(w: Window, level: float) -> Window:
+    """Return the window with another friction level."""
+    return Window(w.u, w.contact, level, w.epoch, w.low, w.high, w.along, w.force, w.belt, w.drag, w.turn)
+
+
+def piece(w: Window, t: float) -> int:
+    """Return the last point of the window before its last one whose time is not after t, or its first."""
+    low, last = w.low, w.high - 1
     while last - low > 1:
         middle = (low + last) // 2
-        if t < times[middle]:
+        if t < w.along[0, middle]:
             last = middle
         else:
             low = middle
     return low
 
 
-def between(times: Array, values: Array, low: int, high: int, t: float) -> float:
-    """Return values (M,) at time t by linear interpolation within [low, high); 0 where there are none."""
-    if values.size == 0:
+def between(w: Window, row: int, t: float) -> float:
+    """Return a row of `Extra.along` at time t by linear interpolation; 0 where it is that of none."""
+    if row == 0:
         return 0.0
-    i = piece(times, low, high, t)
-    j = min(i + 1, high - 1)
-    gap = times[j] - times[i]
-    part = (t - times[i]) / gap if gap > 0.0 else 0.0
+    i = piece(w, t)
+    j = min(i + 1, w.high - 1)
+    gap = w.along[0, j] - w.along[0, i]
+    part = (t - w.along[0, i]) / gap if gap > 0.0 else 0.0
     part = min(max(part, 0.0), 1.0)
-    return float(values[i] + part * (values[j] - values[i]))
+    return float(w.along[row, i] + part * (w.along[row, j] - w.along[row, i]))
 
 
-def slope_between(times: Array, values: Array, low: int, high: int, t: float) -> float:
-    """Return the slope of values (M,) just after time t, interpolated as by `between`."""
-    if values.size == 0 or not times[low] <= t < times[high - 1]:
+def slope_between(w: Window, row: int, t: float) -> float:
+    """Return the slope of a row of `Extra.along` just after time t, interpolated as by `between`."""
+    if row == 0 or not w.along[0, w.low] <= t < w.along[0, w.high - 1]:
         return 0.0
-    i = piece(times, low, high, t)
-    return float((values[i + 1] - values[i]) / (times[i + 1] - times[i]))
+    i = piece(w, t)
+    return float((w.along[row, i + 1] - w.along[row, i]) / (w.along[0, i + 1] - w.along[0, i]))
 
 
 def belt_speed(w: Window, t: float) -> float:
     """Return the speed of the unloaded belt, m/s."""
     u, omega = w.u, w.u[OMEGA]
-    steady = u[V_DR] + between(w.extra.time, w.extra.belt, w.low, w.high, t)
+    steady = u[V_DR] + between(w, w.belt, t)
     if omega == 0.0:
         return float(steady)
     return float(steady + u[COSINE] * math.cos(omega * t) + u[SINE] * math.sin(omega * t))
@@ -107,9 +123,9 @@ def belt_speed(w: Window, t: float) -> float:
 def belt_acceleration(w: Window, t: float) -> float:
     """Return the acceleration of the unloaded belt just after time t, m/s^2."""
     u, omega = w.u, w.u[OMEGA]
-    if omega == 0.0 and w.extra.belt.size == 0:
+    if omega == 0.0 and w.belt == 0:
         return 0.0
-    drift = slope_between(w.extra.time, w.extra.belt, w.low, w.high, t)
+    drift = slope_between(w, w.belt, t)
     return float(drift + omega * (u[SINE] * math.cos(omega * t) - u[COSINE] * math.sin(omega * t)))
 
 
@@ -120,19 +136,17 @@ def level_at(w: Window, t: float) -> float:
 
 def drag(w: Window, v: float) -> tuple[float, float]:
     """Return the force by the mass's own velocity besides damping (m/s^2), and its derivative (1/s)."""
-    table = w.extra.drag
-    if table.velocity.size < 2:
+    if w.drag.shape[1] < 2:
         return 0.0, 0.0
-    low, high = 0, table.velocity.size - 1
+    low, high = 0, w.drag.shape[1] - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if v < table.velocity[middle]:
+        if v < w.drag[0, middle]:
             high = middle
         else:
             low = middle
-    gap = table.velocity[high] - table.velocity[low]
-    slope = (table.acceleration[high] - table.acceleration[low]) / gap
-    return float(table.acceleration[low] + slope * (v - table.velocity[low])), float(slope)
+    slope = (w.drag[1, high] - w.drag[1, low]) / (w.drag[0, high] - w.drag[0, low])
+    return float(w.drag[1, low] + slope * (v - w.drag[0, low])), float(slope)
 
 
 def resistance(w: Window, v: float) -> float:
@@ -142,7 +156,7 @@ def resistance(w: Window, v: float) -> float:
 
 def free_force(w: Window, t: float, x: float) -> float:
     """Return what acts on the mass at rest besides friction, m/s^2."""
-    return float(-w.u[K] * (x - w.u[DATUM]) + between(w.extra.time, w.extra.acceleration, w.low, w.high, t))
+    return float(-w.u[K] * (x - w.u[DATUM]) + between(w, w.force, t))
 
 
 def acceleration(w: Window, mode: int, t: float, x: float, v: float) -> float:
@@ -165,7 +179,7 @@ def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
     rate = rise + w.u[DAMPING] - bend
     slower = (w.u[DAMPING] * belt - dragged - free_force(w, t, x)) / rate  # than the belt; small on a steep ramp
     late = (rise * belt_acceleration(w, t) - w.u[K] * (belt - slower)) / rate**2
-    steady = w.u[V_DR] + between(w.extra.time, w.extra.belt, w.low, w.high, t)
+    steady = w.u[V_DR] + between(w, w.belt, t)
     return float(belt - (slower + late + w.u[OMEGA] ** 2 * (belt - steady) / rate**2))
 
 

@@ -57,6 +57,14 @@ class FrictionSpline:
         """The spline's polynomials, shape (n, 4), as in `basis_pieces`."""
         return np.ascontiguousarray(np.einsum("j,jik->ik", self.coefficients, self.basis_pieces))
 
+    @cached_property
+    def table(self) -> Array:
+        """The spline as kernels read it (`rig_sim.friction.spline`), without its last two numbers, shape (5 n + 5,)."""
+        c0, c1, c2, c3 = self.pieces[-1]
+        z = self.knots[-1] - self.knots[-2]
+        line = c0 + z * (c1 + z * (c2 + z * c3)), c1 + z * (2.0 * c2 + z * 3.0 * c3), 0.0, 0.0
+        return np.concatenate((self.knots, self.pieces.ravel(), line))
+
     def basis(self, s: Array) -> Array:
         """Return the basis functions at slip speeds s (k,), shape (k, n + 3)."""
         return np.ascontiguousarray(self.basis_along(s, np.eye(self.coefficients.size)).T)

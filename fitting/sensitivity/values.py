@@ -40,7 +40,7 @@ from fitting.sensitivity.path import (
     Path,
     kernel_arguments,
 )
-from fitting.sensitivity.rates import CREEP, Extra, Window, advance, bound_velocity
+from fitting.sensitivity.rates import CREEP, Extra, Window, advance, at_level, bound_velocity
 from rig_sim.flow.modes import RAMP, STICK
 
 # Longest step over that of a path.  The cubic between its ends errs by the fourth power: by 1e-9 m in slips of the rig
@@ -125,7 +125,7 @@ def window_values(
             if events > MOST_EVENTS:
                 return -1
             mode, held, landed, level = mode_at_edge(w, mode, held, landed, overtakes, earliest, next_level, t, x, v)
-            w = Window(w.u, w.contact, level, w.epoch, w.low, w.high, w.extra)
+            w = at_level(w, level)
             if mode == STICK or mode == CREEP:
                 v = bound_velocity(w, mode, t, x)
             since = t
@@ -140,8 +140,8 @@ def follow_values(
     epoch: Array,
     earliest: Array,
     time: Array,
-    knots: Array,
-    pieces: Array,
+    pieces: int,
+    spline: Array,
     ramp: int,
     extra: Extra,
     longest: float,
@@ -155,12 +155,13 @@ def follow_values(
     for row in range(table.shape[0]):
         own, part = u[table[row, 5]], local[table[row, 0]]
         first, n = table[row, 2], table[row, 3]
-        c = contact_of(curve, own, ramp, knots, pieces)
+        c = contact_of(curve, own, ramp, pieces, spline)
         stick = table[row, 1] == 1
         low, high = 0, 0
-        if extra.time.size > 0:
+        if extra.along.size > 0:
             low, high = extra.first[row], extra.first[row + 1]
-        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, extra)
+        acts = extra.along, extra.force, extra.belt, extra.drag, extra.turn
+        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, *acts)
         x, v = (part[X_STICK], part[V_STICK]) if stick else (part[X_SLIP], part[V_SLIP])
         steps = window_values(
             w,

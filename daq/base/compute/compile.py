@@ -244,13 +244,18 @@ def _wait_for_lock(path: Path) -> FileLock | None:
 
 @cache
 def register(module: str, **options: Any) -> None:
-    """Make every function of a module callable from compiled code, compiled with numba's ``options``."""
+    """Make every function of a module callable from compiled code, compiled with numba's ``options``.
+
+    Those that the module names in ``INLINED`` are copied into their callers.
+    """
     from numba.extending import register_jitable
 
-    make = register_jitable(no_cfunc_wrapper=True, **options)  # no kernel is handed to C: a wrapper less to compile
-    for function in vars(import_module(module)).values():
+    found = vars(import_module(module))
+    for name, function in found.items():
         if inspect.isfunction(function) and function.__module__ == module:
-            make(function)
+            inlined = {"forceinline": True} if name in found.get("INLINED", ()) else {}
+            # no kernel is handed to C: a wrapper less to compile
+            register_jitable(no_cfunc_wrapper=True, **options, **inlined)(function)
 
 
 def cache_folder(modules: tuple[str, ...], options: str = "") -> Path | None:
