@@ -1,5 +1,6 @@
 """Rankings of synthetic runs and smoothed runs of the simulated rig, made once and shared by the tests of the fit."""
 
+from contextlib import contextmanager
 from functools import cache
 
 import numpy as np
@@ -9,9 +10,12 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
+from fitting.competitors import ALL_LAWS, Competitors
+from fitting.curve.forms import FORMS
 from fitting.model.windows import ShootingWindows
 from fitting.selection import law_fits
 from fitting.selection.ranking import rank
+from fitting.selection.rivals import OF_THE_SIX
 from processing.smoothing import smooth
 
 from .. import rig as own_rig
@@ -24,18 +28,40 @@ def strangers():
     return stranger_records
 
 
+def compete_alone(patch):
+    """Let no published formula compete that was not named, nor be compared with the measured curve."""
+    patch.setattr("fitting.selection.rivals.preferred_forms", lambda forms: [])
+    patch.setattr("fitting.curve.forms.FORMS", [form for form in FORMS if form.name in OF_THE_SIX])
+
+
 @pytest.fixture
 def no_rivals(monkeypatch):
-    """Let no published formula compete that was not named: to reject one may cost several times the fit of a law."""
-    monkeypatch.setattr("fitting.selection.rivals.preferred_forms", lambda forms: [])
+    """Let the six compete alone: to reject one published formula may cost several times the fit of a law."""
+    compete_alone(monkeypatch)
+
+
+@contextmanager
+def no_other_law():
+    """Fit no law beside those asked for, where a test is not about which law is found: that takes most of a rank."""
+    fit = law_fits._fit_laws
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(law_fits, "_fit_laws", lambda laws, runs, among=None, **how: fit(laws, runs, laws, **how))
+        patch.setattr(Competitors, "searched", property(lambda asked: asked.laws or ALL_LAWS))
+        compete_alone(patch)
+        yield
 
 
 @pytest.fixture(scope="module")
 def asked_laws_alone():
-    """Search for no law beside those asked for, in a module that is not about which law is found: that takes half."""
-    fit = law_fits._fit_laws
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(law_fits, "_fit_laws", lambda laws, runs, among=None, **how: fit(laws, runs, laws, **how))
+    """Fit no law in a module beside those asked for."""
+    with no_other_law():
+        yield
+
+
+@pytest.fixture
+def asked_law_alone():
+    """Fit no law in one test beside those asked for."""
+    with no_other_law():
         yield
 
 
@@ -47,11 +73,11 @@ def belt_rig():
 
 @pytest.fixture(scope="session")
 def ranked():
-    """Give a function that ranks a synthetic run and remembers it: ``ranked(law=5, seed=1, ...)``."""
+    """Give a function that ranks a synthetic run, of 12 s unless changed, and remembers it: ``ranked(law=5)``."""
 
     @cache
     def of(**changes):
-        return rank(smooth(own_rig.recording(**changes)))
+        return rank(smooth(own_rig.recording(**{"duration": 12.0} | changes)))
 
     return of
 
