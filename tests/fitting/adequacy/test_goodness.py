@@ -161,7 +161,7 @@ def test_slips_that_a_joint_has_struck_spoil_no_others(belt_rig):
 @pytest.mark.parametrize("every", [3, 12])
 def test_slips_that_no_velocity_step_explains_are_judged(belt_rig, ranked, every):
     """Cycles with 1.5 times the usual mean square used to be left out, however many there were: here every third."""
-    recording = belt_rig.recording(law=5)
+    recording = belt_rig.recording(law=5, duration=12.0)
     cycles = ranked(law=5).cut.cycles
     position = recording.position.copy()
     for cycle in cycles[1::every]:

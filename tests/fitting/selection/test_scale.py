@@ -10,7 +10,7 @@ from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")
-DURATION = 12.0  # s, of the camera's record
+DURATION = 9.0  # s, of the camera's record
 
 
 @pytest.fixture(scope="module")
