@@ -115,11 +115,11 @@ def test_a_recorder_that_is_gone_ends_the_view(writer: journal.Writer, monkeypat
 def test_an_hour_takes_no_more_memory_than_some_minutes_and_can_be_looked_at_again(
     writer: journal.Writer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At a sixtieth of all limits, one minute is to ten seconds what an hour is to ten minutes."""
+    """At a sixtieth of the limits, one minute is to ten seconds what an hour is to ten minutes."""
     monkeypatch.setattr(publisher, "HISTORY_S", 2.0)
     monkeypatch.setattr(publisher, "MOST_PLACES", 8)
     monkeypatch.setattr("daq.live.overview.ROWS", 512)
-    monkeypatch.setattr("daq.live.analysis.MEMORY_S", 0.5)
+    monkeypatch.setattr("daq.live.analysis.MEMORY_S", 1.0)
     monkeypatch.setattr("daq.live.sticks.MOST_OF_SLIP", 1024)
     run = LiveRun(writer.path)
     sizes = {}
