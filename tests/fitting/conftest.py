@@ -1,6 +1,5 @@
 """Rankings of synthetic runs and smoothed runs of the simulated rig, made once and shared by the tests of the fit."""
 
-from contextlib import contextmanager
 from functools import cache
 
 import numpy as np
@@ -10,12 +9,8 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
-from fitting.competitors import ALL_LAWS, Competitors
-from fitting.curve.forms import FORMS
 from fitting.model.windows import ShootingWindows
-from fitting.selection import law_fits
 from fitting.selection.ranking import rank
-from fitting.selection.rivals import OF_THE_SIX
 from processing.smoothing import smooth
 
 from .. import rig as own_rig
@@ -26,43 +21,6 @@ from . import strangers as stranger_records
 def strangers():
     """Give the module of records that are no stick-slip."""
     return stranger_records
-
-
-def compete_alone(patch):
-    """Let no published formula compete that was not named, nor be compared with the measured curve."""
-    patch.setattr("fitting.selection.rivals.preferred_forms", lambda forms: [])
-    patch.setattr("fitting.curve.forms.FORMS", [form for form in FORMS if form.name in OF_THE_SIX])
-
-
-@pytest.fixture
-def no_rivals(monkeypatch):
-    """Let the six compete alone: to reject one published formula may cost several times the fit of a law."""
-    compete_alone(monkeypatch)
-
-
-@contextmanager
-def no_other_law():
-    """Fit no law beside those asked for, where a test is not about which law is found: that takes most of a rank."""
-    fit = law_fits._fit_laws
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(law_fits, "_fit_laws", lambda laws, runs, among=None, **how: fit(laws, runs, laws, **how))
-        patch.setattr(Competitors, "searched", property(lambda asked: asked.laws or ALL_LAWS))
-        compete_alone(patch)
-        yield
-
-
-@pytest.fixture(scope="module")
-def asked_laws_alone():
-    """Fit no law in a module beside those asked for."""
-    with no_other_law():
-        yield
-
-
-@pytest.fixture
-def asked_law_alone():
-    """Fit no law in one test beside those asked for."""
-    with no_other_law():
-        yield
 
 
 @pytest.fixture(scope="session")
