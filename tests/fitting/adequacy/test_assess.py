@@ -37,9 +37,9 @@ def foreign(belt_rig):
     return made
 
 
-def test_a_stribeck_contact_is_none_of_the_six_and_its_curve_is_measured(belt_rig, monkeypatch):
+@pytest.mark.usefixtures("asked_law_alone")
+def test_a_stribeck_contact_is_none_of_the_six_and_its_curve_is_measured(belt_rig):
     # "law 5 alone" was said of it, with an interval of k/m that missed it by dozens of standard errors.
-    monkeypatch.setattr("fitting.selection.rivals.preferred_forms", lambda forms: [])
     contact = belt_rig.Contact(curve="stribeck", scatter=0.03, duration=12.0, seed=11)
     ranking = rank(smooth(belt_rig.by_encoder(contact)), laws=(5,))
     found = ranking.adequacy
