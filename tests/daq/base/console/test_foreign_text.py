@@ -97,7 +97,7 @@ def output(line, folder, encoding):
     return subprocess.run(line, cwd=folder, env=environment, capture_output=True, check=False)
 
 
-@pytest.mark.parametrize("encoding", ["cp850", "ascii"])
+@pytest.mark.parametrize("encoding", ["ascii", pytest.param("cp850", marks=pytest.mark.slow)])
 def test_no_encoding_of_the_terminal_loses_a_result(tmp_path, encoding):
     # "…" ended the fit with a traceback, exit code 1, before its parameters were printed.
     run = tmp_path / "run.h5"
