@@ -133,6 +133,14 @@ def asked_law_alone() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def unmeasured_curve() -> Iterator[None]:
+    """Measure no curve without a law in a module that is not about it: that takes as long as the fit of two laws."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fitting.adequacy.assess.measure_curve", lambda *_: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def captures() -> Path:
     """Return the folder of real logic-analyser captures, which are not part of the project."""

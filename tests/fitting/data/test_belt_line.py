@@ -11,7 +11,7 @@ from fitting.drawing.curves import points
 from fitting.model.parameters import Global
 from fitting.selection.ranking import rank
 
-pytestmark = pytest.mark.usefixtures("asked_laws_alone")
+pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 FS_OVER_K = 1.379353536 / 10.5552
 
 

@@ -8,7 +8,7 @@ import pytest
 from fitting.model import wear
 from fitting.selection.ranking import rank
 
-pytestmark = pytest.mark.usefixtures("asked_laws_alone")
+pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 
 
 def test_the_line_through_the_levels():
