@@ -24,9 +24,10 @@ FUNCTIONS = [name for name in rig_sim.__all__ if inspect.isfunction(getattr(rig_
 
 @pytest.fixture(autouse=True)
 def work_is_little(monkeypatch):
-    """Measure no CPU times again and again, and draw the swing at three amplitudes: nothing here is about them."""
+    """Measure no CPU times again and again, draw the swing at three amplitudes, and coarsely: nothing is about them."""
     monkeypatch.setattr(error_vs_time, "LONG_ENOUGH_S", 0.0)
     monkeypatch.setattr(control, "RATIOS", (0.5, 1.5, 3))
+    monkeypatch.setattr("daq.base.output.plot.SCREEN_DPI", 20)
 
 
 # Each function as a call from Python, and the command line that asks the same.
