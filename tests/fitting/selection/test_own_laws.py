@@ -159,13 +159,13 @@ def test_the_slope_of_law_3_is_fixed_in_newtons(belt_rig):
 
 def test_parameters_that_enter_only_as_a_product_are_said_to_be_undetermined(hyperbolic):
     law = fitting.Law("two", "a*b/(1 + s/v_s)")
-    ranking = rank(hyperbolic, laws=(law,))
+    ranking = rank(hyperbolic, laws=(5, law))
     assert any("a and b enter only as a product" in text for text in ranking.warnings)
-    found = ranking.as_json()["ranking"][0]["parameters"]
+    (found,) = (row["parameters"] for row in ranking.as_json()["ranking"] if row["law"] == "two")
     assert found["a"]["stderr"] is found["b"]["stderr"] is None
     assert found["v_s"]["stderr"] > 0
     assert found["a"]["value"] * found["b"]["value"] == pytest.approx(1.379, rel=0.05)
-    fixed = rank(hyperbolic, laws=(law,), fix={"b": 1.0})
+    fixed = rank(hyperbolic, laws=(5, law), fix={"b": 1.0})
     assert not any("product" in text for text in fixed.warnings)
     assert fixed.row("two").parameters["a"].stderr > 0
     assert ranking.row("two").fit.law_parameters == fixed.row("two").fit.law_parameters
@@ -173,13 +173,13 @@ def test_parameters_that_enter_only_as_a_product_are_said_to_be_undetermined(hyp
 
 def test_a_formula_that_is_no_friction_is_refused_with_the_reason(hyperbolic):
     with pytest.raises(InputError, match="friction is negative"):
-        rank(hyperbolic, laws=(fitting.Law("mine", "-abs(Fs)"),))
+        rank(hyperbolic, laws=(5, fitting.Law("mine", "-abs(Fs)")))
 
 
 def test_a_force_in_newtons_needs_a_mass(hyperbolic):
     stiff = replace(hyperbolic.recording.rig, mass=None, stiffness=Measured(10.5552, 0.01))
     with pytest.raises(InputError, match="depends on k/m"):
-        rank(hyperbolic, stiff, laws=(fitting.Law("mine", MINE),), fix={"mine.Fc": 0.6})
+        rank(hyperbolic, stiff, laws=(5, fitting.Law("mine", MINE)), fix={"mine.Fc": 0.6})
 
 
 def test_a_mass_that_grazes_the_belt_may_have_a_formula(belt_rig):
