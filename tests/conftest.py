@@ -89,6 +89,58 @@ def undrawn_report() -> Iterator[None]:
         yield
 
 
+def compete_alone(patch: pytest.MonkeyPatch) -> None:
+    """Let no published formula compete that was not named, and compare one with the curve: the richest of them."""
+    from fitting.curve.forms import FORMS
+    from fitting.selection.rivals import OF_THE_SIX
+
+    patch.setattr("fitting.selection.rivals.preferred_forms", lambda forms: [])
+    shown = (*OF_THE_SIX, "stribeck-exponential-viscous")
+    patch.setattr("fitting.curve.forms.FORMS", [form for form in FORMS if form.name in shown])
+
+
+@pytest.fixture
+def no_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the six compete alone: to reject one published formula may cost several times the fit of a law."""
+    compete_alone(monkeypatch)
+
+
+@contextmanager
+def no_other_law() -> Iterator[None]:
+    """Fit no law beside those asked for, where a test is not about which law is found: that takes most of a rank."""
+    from fitting.competitors import ALL_LAWS, Competitors
+    from fitting.selection import law_fits
+
+    fit = law_fits._fit_laws
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(law_fits, "_fit_laws", lambda laws, runs, among=None, **how: fit(laws, runs, laws, **how))
+        patch.setattr(Competitors, "searched", property(lambda asked: asked.laws or ALL_LAWS))
+        compete_alone(patch)
+        yield
+
+
+@pytest.fixture(scope="module")
+def asked_laws_alone() -> Iterator[None]:
+    """Fit no law in a module beside those asked for."""
+    with no_other_law():
+        yield
+
+
+@pytest.fixture
+def asked_law_alone() -> Iterator[None]:
+    """Fit no law in one test beside those asked for."""
+    with no_other_law():
+        yield
+
+
+@pytest.fixture(scope="module")
+def unmeasured_curve() -> Iterator[None]:
+    """Measure no curve without a law in a module that is not about it: that takes as long as the fit of two laws."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fitting.adequacy.assess.measure_curve", lambda *_: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def captures() -> Path:
     """Return the folder of real logic-analyser captures, which are not part of the project."""

@@ -367,14 +367,14 @@ def as_recording(time, position, rate, rig, title):
     return Recording(source=Path("rig.h5"), title=title, rate_hz=rate, rig=rig, time=time, position=position, **at)
 
 
-def by_encoder(contact, *, count=50e-6, damping_sd=None):
+def by_encoder(contact, *, rate=1000.0, count=50e-6, damping_sd=None):
     """Return the Recording of a contact by an encoder, at times that jitter; uncalibrated without ``damping_sd``."""
-    time, position = recorded(contact, count=count, jitter=JITTER)
+    time, position = recorded(contact, rate=rate, count=count, jitter=JITTER)
     rig = Rig(name="encoder", metres_per_count=Measured(count))
     if damping_sd is not None:
         mass, damping = Measured(contact.m, 1e-3 * contact.m), Measured(contact.c, damping_sd)
         rig = replace(rig, mass=mass, datum=Measured(0.0, 5e-4), damping=damping)
-    return as_recording(time, position, 1000.0, rig, contact.curve)
+    return as_recording(time, position, rate, rig, contact.curve)
 
 
 @dataclass(frozen=True)

@@ -240,7 +240,7 @@ def test_a_belt_speed_that_no_plateau_has_is_warned_about(folder):
 
 
 def test_counters_that_may_have_rolled_over_are_warned_about(folder):
-    changes = ["--set", "encoder.vibration=1e-3", "--set", "encoder.vibration_hz=1e6"]
+    changes = ["--set", "encoder.vibration=1e-3", "--set", "encoder.vibration_hz=2e5"]
     done = run("daq", "record", "--duration", "0.05", "-o", "fast.h5", "--json", *changes, cwd=folder)
     assert any("rolled over" in warning for warning in json.loads(done.stdout)["warnings"])
 

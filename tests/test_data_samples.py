@@ -1,25 +1,38 @@
 """The sample runs: as the manifest says, and the same when made again from their scenes and seeds."""
 
+import contextlib
 import hashlib
+import importlib
+import importlib.util
+import io
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import daq
+from daq.base.console import application
 
 SAMPLES = Path(__file__).resolve().parent.parent / "data_samples"
 MANIFEST = json.loads((SAMPLES / "manifest.json").read_text())
 RUNS = sorted(name for name in MANIFEST if name.endswith(".h5"))
 
 
+def called(folder, module, *arguments):
+    """Run a command in a folder, within this process, which has loaded what it needs."""
+    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()) as out:
+        assert application.run(importlib.import_module(module).app, list(map(str, arguments))) == 0, out.getvalue()
+
+
 @pytest.fixture(scope="module")
 def made_again(tmp_path_factory):
+    spec = importlib.util.spec_from_file_location("regenerate", SAMPLES / "regenerate.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    script.command = called
     folder = tmp_path_factory.mktemp("samples")
-    subprocess.run([sys.executable, str(SAMPLES / "regenerate.py"), str(folder)], check=True)
+    script.main(folder)
     return folder
 
 

@@ -37,11 +37,11 @@ def called(folder, command, *arguments, codes=(0,)):
 
 @pytest.fixture(scope="module", params=[6, *(pytest.param(law, marks=pytest.mark.slow) for law in (1, 5))])
 def pipe(request, tmp_path_factory, undrawn_reports):
-    """Record, smooth and fit 20 s of the rig with one law, law 6 as typed; give what each command said."""
+    """Record, smooth and fit 12 s of the rig with one law, law 6 as typed; give what each command said."""
     run = typed if request.param == 6 else called
     folder = tmp_path_factory.mktemp(f"law{request.param}")
     changes = ["--set", f"friction.law={request.param}", "--set", "seed=2"]
-    recorded = run(folder, "daq", "record", "--rate", 1000, "-o", "run.h5", *changes)
+    recorded = run(folder, "daq", "record", "--rate", 1000, "--duration", 12, "-o", "run.h5", *changes)
     smoothed = run(folder, "process", "smooth", "run.h5")
     fitted = run(folder, "fit-friction", "run.h5", codes=(0, 5))
     return request.param, folder, recorded, smoothed, fitted
@@ -49,8 +49,8 @@ def pipe(request, tmp_path_factory, undrawn_reports):
 
 def test_every_sample_is_recorded(pipe):
     _, _, recorded, _, _ = pipe
-    assert recorded["samples"] == 20_000
-    assert recorded["duration_s"] == pytest.approx(20.0, abs=1e-3)
+    assert recorded["samples"] == 12_000
+    assert recorded["duration_s"] == pytest.approx(12.0, abs=1e-3)
     for key in ("lost", "crc_errors", "illegal", "phase_errors"):
         assert recorded[key] == 0
     assert recorded["segments"] == 1
@@ -60,7 +60,7 @@ def test_every_sample_is_recorded(pipe):
 def test_sticks_and_slips_are_found(pipe):
     law, _, _, smoothed, _ = pipe
     if law in (3, 4, 5, 6):
-        assert smoothed["sticks"] >= 8
+        assert smoothed["sticks"] >= 5
         assert abs(smoothed["belt_speed"] - 0.22) < (0.001 if law in (3, 5) else 0.03)
     assert smoothed["lost_counts"] == 0
     assert smoothed["window"] % 2 == 1
@@ -99,7 +99,7 @@ def test_the_run_file_opens_on_a_plot_for_nexus_h5py_and_xarray(pipe):
         assert np.all(np.diff(raw["sample"][:].astype(int)) == 1)
     with xarray.open_dataset(folder / "run.h5", engine="h5netcdf", group="entry/smooth/kinematics") as kinematics:
         assert kinematics["velocity"].dims == ("time",)
-        assert kinematics["time"].size == 20_000
+        assert kinematics["time"].size == 12_000
 
 
 def test_the_validator_finds_nothing_to_say(pipe):

@@ -3,12 +3,14 @@
 import re
 import shutil
 import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import matplotlib.image
 import pytest
+
+from daq.base.console import application
+from fitting.cli import app
 
 from ..conftest import need
 
@@ -19,9 +21,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 def report(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     shutil.copy(SAMPLES / "law5.h5", folder / "run.h5")
-    line = [sys.executable, "-m", "fitting.cli", "run.h5", "--json"]
-    done = subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
-    assert done.returncode in (0, 5), done.stdout + done.stderr
+    assert application.run(app, [str(folder / "run.h5"), "--json"]) in (0, 5)
     return folder / "run.report.html"
 
 

@@ -46,6 +46,7 @@ def test_a_recording_is_kept_under_a_name_of_any_bytes(folder, monkeypatch):
     assert found.provenance["command_line"] == r"daq record --duration 1 -o 'r\xfe.h5'"
 
 
+@pytest.mark.usefixtures("asked_law_alone")
 def test_a_run_is_read_drawn_and_fitted_under_a_name_of_any_bytes(folder, monkeypatch, capfd):
     # A picture and a report ended with a traceback, exit code 1, after all was computed; so did an import.
     shutil.copy(SAMPLE, folder / os.fsdecode(b"l\xfe.h5"))

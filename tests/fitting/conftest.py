@@ -10,7 +10,6 @@ from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
 from fitting.model.windows import ShootingWindows
-from fitting.selection import law_fits
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -24,21 +23,6 @@ def strangers():
     return stranger_records
 
 
-@pytest.fixture
-def no_rivals(monkeypatch):
-    """Let no published formula compete that was not named: to reject one may cost several times the fit of a law."""
-    monkeypatch.setattr("fitting.selection.rivals.preferred_forms", lambda forms: [])
-
-
-@pytest.fixture(scope="module")
-def asked_laws_alone():
-    """Search for no law beside those asked for, in a module that is not about which law is found: that takes half."""
-    fit = law_fits._fit_laws
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(law_fits, "_fit_laws", lambda laws, runs, among=None, **how: fit(laws, runs, laws, **how))
-        yield
-
-
 @pytest.fixture(scope="session")
 def belt_rig():
     """Give the module of the tests' own rig."""
@@ -47,11 +31,11 @@ def belt_rig():
 
 @pytest.fixture(scope="session")
 def ranked():
-    """Give a function that ranks a synthetic run and remembers it: ``ranked(law=5, seed=1, ...)``."""
+    """Give a function that ranks a synthetic run, of 12 s unless changed, and remembers it: ``ranked(law=5)``."""
 
     @cache
     def of(**changes):
-        return rank(smooth(own_rig.recording(**changes)))
+        return rank(smooth(own_rig.recording(**{"duration": 12.0} | changes)))
 
     return of
 

@@ -1,4 +1,7 @@
-"""Positions that a law predicts in every window by the exact flow of rig_sim: what the fit's own steps are held to."""
+"""Positions that a law predicts in every window by the exact flow of rig_sim: what the fit's own steps are held to.
+
+Interpreted: to compile it takes longer than all that the tests ask of it.
+"""
 
 import math
 from collections.abc import Callable
@@ -8,16 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array
-from fitting.model import fading, parameters
+from fitting.model import parameters
 from fitting.model.fading import remaining
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle, Values
 from fitting.model.windows import ShootingWindows
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
 from rig_sim.friction.spline import NO_TABLE
-from rig_sim.integrate.compiled import compiled
 from rig_sim.integrate.phases import Samples, State, sample_phase
-from rig_sim.integrate.work import Work, new_work, unboxed
+from rig_sim.integrate.work import Work, new_work
 
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
 STICK_LOCK = 10.0  # break-away level over Fs of a stick inside a window: the break-away itself lies in no window
@@ -26,13 +28,13 @@ STICK_LOCK = 10.0  # break-away level over Fs of a stick inside a window: the br
 # it is four times as much.
 FADE_STEP = 0.3
 WORK_STEPS = 10_000  # phases and Taylor steps one window may take
-# Slots and columns as plain integers, for the kernels.
+# Slots and columns as plain integers.
 V_DR, COMPLIANCE, OMEGA = int(Global.V_DR), int(Global.COMPLIANCE), int(Global.OMEGA)
 X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = (int(column) for column in PerCycle)
 
 
 class WindowArrays(NamedTuple):
-    """What the kernel reads of all windows; shapes and units as in `ShootingWindows`."""
+    """What is read of all windows; shapes and units as in `ShootingWindows`."""
 
     table: NDArray[np.int64]
     level_epoch: Array
@@ -78,16 +80,15 @@ def evaluator(
     known = columns >= 0
     run, place = np.nonzero(known)
     slot = columns[known]
-    predict = compiled(window_positions, __name__, fading.__name__, inline=False)
     room = np.empty((3, n))
-    work = new_work(WORK_STEPS, compiled=True)
+    work = new_work(WORK_STEPS)
 
     def evaluate(u: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
         whole[run, slot] = u[place]
         model = np.empty(n)
         jacobian = np.zeros((n if derivatives else 0, columns.shape[1] + PER_CYCLE))
         own = np.array(local, order="C")
-        status = predict(curve, int(ramp), whole, own, arrays, steps, model, jacobian, room, work)
+        status = window_positions(curve, int(ramp), whole, own, arrays, steps, model, jacobian, room, work)
         return None if status != 0 else (model - windows.position, jacobian)
 
     return evaluate
@@ -107,11 +108,10 @@ def window_positions(
 ) -> int:
     """Fill ``model`` (N,) with the positions of all windows and ``jacobian`` (N, p + 6) with forward differences.
 
-    ``u`` (runs, 13) and ``local`` (cycles, 6) are the unknowns, ``room`` (3, N) is scratch space.  Compiled as it
-    stands, and so without an array of its own: ``u`` and ``local`` are stepped in place and put back.  ``jacobian`` of
-    no rows: positions only.  Returns 0, or the outcome that ended the flow.
+    ``u`` (runs, 13) and ``local`` (cycles, 6) are the unknowns, ``room`` (3, N) is scratch space;
+    ``u`` and ``local`` are stepped in place and put back.  ``jacobian`` of no rows: positions only.  Returns 0, or the
+    outcome that ended the flow.
     """
-    work = unboxed(work)
     p = steps.columns.shape[1]
     for row in range(windows.table.shape[0]):
         stick, first = windows.table[row, 1], windows.table[row, 2]
@@ -150,7 +150,7 @@ def window_positions(
 
 
 def values_of(u: Array) -> Values:
-    """Return the global parameters u (13,) of one run by name, as `parameters.values`; for the kernels."""
+    """Return the global parameters u (13,) of one run by name, as `parameters.values`."""
     return Values(u[0], math.exp(u[1]), u[2], u[3], u[4], u[5], u[6], u[7], u[8], u[9], u[10], u[11], u[12])
 
 

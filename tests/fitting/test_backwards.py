@@ -12,7 +12,7 @@ from fitting import cli
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
-pytestmark = pytest.mark.usefixtures("undrawn_reports")
+pytestmark = pytest.mark.usefixtures("undrawn_reports", "no_rivals")
 DATUM_SD = 5e-4  # m, of the simulated board
 TURNED = ("v_dr",)  # the spring rests where it rests, whichever way the belt runs
 
@@ -26,7 +26,7 @@ def recorded(tmp_path_factory):
         path = folder / f"{law}-{speed}.h5"
         if path.exists():
             return path
-        line = ["record", "--scene", "rig", "--duration", "12", "-o", str(path), "--json"]
+        line = ["record", "--scene", "rig", "--duration", "8", "-o", str(path), "--json"]
         for change in (f"friction.law={law}", "seed=1", f"belt.speed={speed}"):
             line += ["--set", change]
         assert application.run(daq_cli.app, line) == 0

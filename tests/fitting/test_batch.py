@@ -29,8 +29,8 @@ pytestmark = pytest.mark.usefixtures("undrawn_reports")
 def originals(tmp_path_factory, belt_rig):
     """Write a run of law 5, one of law 3, one too short, and a file that is none."""
     folder = tmp_path_factory.mktemp("batch")
-    belt_rig.written(folder / "five.h5", belt_rig.recording(law=5, duration=10.0))
-    belt_rig.written(folder / "three.h5", belt_rig.recording(law=3, duration=10.0))
+    belt_rig.written(folder / "five.h5", belt_rig.recording(law=5, duration=8.0))
+    belt_rig.written(folder / "three.h5", belt_rig.recording(law=3, duration=8.0))
     belt_rig.written(folder / "short.h5", belt_rig.recording(law=5, duration=4.0))
     (folder / "none.h5").write_text("no run")
     return folder

@@ -103,6 +103,7 @@ def test_a_simulated_run_smooths_to_its_true_velocity(files: Path) -> None:
     assert float(np.sqrt(np.mean(error**2))) < 0.2e-3
 
 
+@pytest.mark.usefixtures("asked_law_alone")
 @pytest.mark.parametrize("name", ["simulated", "imported"])
 def test_a_run_fits_with_the_same_parameters(files: Path, name: str) -> None:
     wanted: Any = NUMBERS[name]["fit"]

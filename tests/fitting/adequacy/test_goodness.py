@@ -4,6 +4,7 @@ The motion is made by the generator of the tests, or by one that shares nothing 
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,6 +19,12 @@ from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")
+
+
+@pytest.fixture(scope="module")
+def true_law(belt_rig, asked_laws_alone):
+    """Give a function that ranks the law alone that a record obeys, once."""
+    return cache(lambda law: rank(smooth(belt_rig.recording(law=law, duration=12.0)), laws=(law,)))
 
 
 def test_what_repeats_and_what_is_smooth_is_found_beside_noise():
@@ -106,8 +113,8 @@ def test_slips_of_25_samples_are_judged(belt_rig, tmp_path, curve, adequate):
 
 
 @pytest.mark.parametrize("law", [3, 5])
-def test_a_true_law_is_adequate(ranked, law):
-    ranking = ranked(law=law)
+def test_a_true_law_is_adequate(true_law, law):
+    ranking = true_law(law)
     found = ranking.adequacy
     assert found.adequate
     assert found.goodness.misfit == pytest.approx(1.0, abs=0.05)
@@ -159,10 +166,10 @@ def test_slips_that_a_joint_has_struck_spoil_no_others(belt_rig):
 
 @pytest.mark.usefixtures("no_rivals")
 @pytest.mark.parametrize("every", [3, 12])
-def test_slips_that_no_velocity_step_explains_are_judged(belt_rig, ranked, every):
+def test_slips_that_no_velocity_step_explains_are_judged(belt_rig, true_law, every):
     """Cycles with 1.5 times the usual mean square used to be left out, however many there were: here every third."""
-    recording = belt_rig.recording(law=5)
-    cycles = ranked(law=5).cut.cycles
+    recording = belt_rig.recording(law=5, duration=12.0)
+    cycles = true_law(5).cut.cycles
     position = recording.position.copy()
     for cycle in cycles[1::every]:
         own = (recording.time > cycle.break_away) & (recording.time < cycle.landing)

@@ -29,7 +29,7 @@ def check(result):
 
 def test_a_curve_is_measured_where_the_best_law_is_wrong(measured, contact):
     """The ranking named law 5 alone on such contacts, with k/m off by many of its standard errors."""
-    result = measured(contact(**CONTACTS["exponential, no viscous term"][0], duration=12.0))
+    result = measured(contact(**CONTACTS["exponential, no viscous term"][0], duration=9.0))
     check(result)
     assert band_exit(result.curve, result.fits[0]).half_widths > 2
     assert result.curve.forms[0].name == "stribeck-exponential"

@@ -11,6 +11,7 @@ from fitting.drawing.curves import points
 from fitting.model.parameters import Global
 from fitting.selection.ranking import rank
 
+pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 FS_OVER_K = 1.379353536 / 10.5552
 
 
@@ -39,7 +40,6 @@ def test_without_a_channel_there_is_no_line(simulated):
     assert belt_line.fit_belt_line(simulated("droop.fraction=0.01")) is None
 
 
-@pytest.mark.usefixtures("no_rivals")
 @pytest.mark.parametrize("law", [5, *(pytest.param(law, marks=pytest.mark.slow) for law in (1, 3))])
 def test_a_belt_that_slows_cannot_be_told_from_a_ramp_without_its_counts(simulated, law):
     ranking = rank(simulated("droop.fraction=0.01", f"friction.law={law}"), laws=(law, law + 1))
@@ -97,14 +97,12 @@ def test_counts_that_are_not_there_are_refused(simulated):
         rank(motion, belt_speed="fast")
 
 
-@pytest.mark.usefixtures("no_rivals")
 def test_a_belt_that_swings_is_told(simulated):
     ranking = rank(simulated("belt.channel=true", "belt.ripple=0.0044", "belt.ripple_hz=3", duration=12.0), laws=(5, 6))
     assert any("varies by 2 % at 3 Hz" in warning for warning in ranking.warnings)
     assert 5 in ranking.laws_in_set
 
 
-@pytest.mark.usefixtures("no_rivals")
 def test_measured_points_of_a_stick_lie_at_rest_on_the_compliant_belt(simulated):
     ranking = rank(simulated("belt.channel=true", "droop.fraction=0.02", "friction.law=5"), laws=(5,))
     w, _, stick = points(ranking.best.fit, ranking.motion)

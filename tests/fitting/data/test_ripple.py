@@ -11,6 +11,7 @@ from fitting.selection import law_fits
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
+pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 HERTZ, AMPLITUDE = 2.3, 0.0044
 
 

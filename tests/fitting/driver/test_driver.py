@@ -59,7 +59,7 @@ def test_what_a_law_leaves_does_not_depend_on_which_laws_are_asked_for(runs_of):
 
 def test_noise_is_that_of_levels_that_fade(runs_of):
     """Within one long drag a tenth of the level wears away, and a fit to its noise without that had k/m 4 sd off."""
-    (found,) = fit_laws([2], runs_of(law=2, seed=1, wear=0.15, duration=30.0))
+    (found,) = fit_laws([2], runs_of(law=2, seed=1, wear=0.15, duration=20.0))
     assert found.geometric_mean_rms < 1.15 * found.task.problem.motions[0].resolution
     assert float(found.noise.sigma[0]) < 3 * found.geometric_mean_rms
     assert abs(deviation(found, Global.K, TRUE[Global.K])) < NEAR

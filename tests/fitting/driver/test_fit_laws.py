@@ -69,7 +69,7 @@ def test_a_search_that_is_lost_starts_again(simulated):
     assert found.u[Global.K] == pytest.approx(35.184, rel=1e-4)
 
 
-@pytest.mark.usefixtures("no_rivals")
+@pytest.mark.usefixtures("asked_law_alone")
 def test_cycles_with_a_velocity_step_do_not_pull_at_the_parameters(simulated):
     """Three of 17 cycles meet the belt's joint: gamma was 11 and k/m 4 standard errors off."""
     smoothed = simulated(*KICKED, duration=30.0)
@@ -92,7 +92,7 @@ def overtaken(simulated):
     """Give a record in which the mass once overtakes the belt, and its fits by laws 5 and 6."""
     smoothed = simulated(*(f"{key}={value}" for key, value in OVERTAKEN.items()), duration=30.0)
     run = law_fits.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
-    return run, {law: fit_laws((law,), [run])[0] for law in (5, 6)}
+    return run, {fit.task.curve.law: fit for fit in fit_laws((5, 6), [run])}
 
 
 @pytest.mark.parametrize("law", [5, 6])

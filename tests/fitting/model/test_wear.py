@@ -8,7 +8,7 @@ import pytest
 from fitting.model import wear
 from fitting.selection.ranking import rank
 
-pytestmark = pytest.mark.usefixtures("asked_laws_alone")
+pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 
 
 def test_the_line_through_the_levels():
@@ -44,12 +44,12 @@ def test_wear_of_a_run_lies_in_its_interval(simulated, law):
 
 
 def test_friction_that_never_sticks_again_shows_no_wear(simulated):
-    assert "wear" not in rank(simulated("friction.law=1"), laws=(1,)).best.parameters
+    assert "wear" not in rank(simulated("friction.law=1", duration=12.0), laws=(1,)).best.parameters
 
 
 @pytest.mark.parametrize("scatter", [0.0, pytest.param(0.03, marks=pytest.mark.slow)])
 def test_what_is_known_only_in_combination_is_given_as_such(simulated, scatter):
-    kinematics = simulated("friction.law=1", f"scatter.Fs={scatter}")
+    kinematics = simulated("friction.law=1", f"scatter.Fs={scatter}", duration=12.0)
     rig = kinematics.recording.rig
     known = rank(kinematics, laws=(1,)).best.parameters
     parameters = rank(kinematics, replace(rig, datum=None), laws=(1,)).best.parameters
@@ -61,7 +61,7 @@ def test_what_is_known_only_in_combination_is_given_as_such(simulated, scatter):
 
 
 def test_without_a_damping_calibration_the_linear_law_knows_its_slope_less_the_damping(simulated):
-    kinematics = simulated("friction.law=3", "scatter.Fs=0")
+    kinematics = simulated("friction.law=3", "scatter.Fs=0", duration=12.0)
     rig = replace(kinematics.recording.rig, damping=None)
     parameters = rank(kinematics, rig, laws=(3,)).best.parameters
     assert not {"G_slip/m", "G_slip", "c/m", "c"} & set(parameters)
@@ -72,7 +72,8 @@ def test_without_a_damping_calibration_the_linear_law_knows_its_slope_less_the_d
 
 @pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (11, 16))])
 def test_the_ramp_of_constant_friction_is_known_no_better_than_the_datum(simulated, seed):
-    parameters = rank(simulated("friction.law=2", f"seed={seed}", "scatter.Fs=0"), laws=(2,)).best.parameters
+    motion = simulated("friction.law=2", f"seed={seed}", "scatter.Fs=0", duration=12.0)
+    parameters = rank(motion, laws=(2,)).best.parameters
     for name, truth in {"d": 0.03, "v_dr": 0.22, "Fs/k": 0.13068}.items():
         assert parameters[name].lo <= truth <= parameters[name].hi, name
     assert parameters["x0"].stderr == pytest.approx(5e-4, rel=0.01)

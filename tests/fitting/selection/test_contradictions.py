@@ -8,7 +8,7 @@ from daq.base.measured import Measured
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
-pytestmark = pytest.mark.usefixtures("asked_laws_alone")
+pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 GENERATED = {"mass": Measured(0.3, 3e-4), "stiffness": Measured(0.3 * 35.184, 0.01)}
 
 

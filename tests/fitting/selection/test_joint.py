@@ -20,7 +20,7 @@ from processing.smoothing import smooth
 from .. import command
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports", "asked_laws_alone")
-SPEEDS = (0.1, 0.2, 0.3)
+SPEEDS = (0.15, 0.2, 0.3)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def runs_of(belt_rig):
     def of(law, seed, kick=None):
         key = (law, seed, kick)
         if key not in made:
-            scenes = [belt_rig.nominal(law, seed, belt=speed, duration=16.0) for speed in SPEEDS]
+            scenes = [belt_rig.nominal(law, seed, belt=speed, duration=11.0) for speed in SPEEDS]
             if kick is not None:
                 scenes = [replace(scene, kick=kick) for scene in scenes]
             made[key] = [

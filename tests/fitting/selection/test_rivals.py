@@ -26,7 +26,7 @@ def seen_by_camera(belt_rig, tmp_path_factory):
     """Give a function that ranks law 5 and its rivals on a contact as a camera of 250 Hz shows it."""
 
     def of(noise, seed, rig=None, **changes):
-        contact = belt_rig.Contact(**STRIBECK | {"belt": 0.05, "duration": 12.0, "seed": seed} | changes)
+        contact = belt_rig.Contact(**STRIBECK | {"belt": 0.05, "duration": 9.0, "seed": seed} | changes)
         time = np.arange(0, contact.duration, 1 / 250)
         position = belt_rig.simulate(contact, time) + np.random.default_rng(seed).normal(0, noise, time.size)
         path: Path = tmp_path_factory.mktemp("camera") / "track.csv"

@@ -9,8 +9,8 @@ from fitting.data import frame
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
-pytestmark = pytest.mark.usefixtures("asked_laws_alone")
-DURATION = 12.0  # s, of the camera's record
+pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
+DURATION = 9.0  # s, of the camera's record
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def track(belt_rig, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def expected(track, asked_laws_alone):
+def expected(track, asked_laws_alone, unmeasured_curve):
     """Rank the record at its own speed."""
     return rank(smooth(track(1.0)), laws=(3, 5))
 

@@ -73,7 +73,7 @@ def test_a_mass_that_rests_and_is_then_dragged_slowly_is_no_straight_line(speed)
 def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
     covered, covered_near = [], []
     for seed in (1, 2, 3):
-        true = motion(5, 60.0, seed=seed)
+        true = motion(5, 30.0, seed=seed)
         data = series.from_recording(recorded(true))
         found = registry.estimate("auto", data, Setting())
         error = found.velocity - true.v

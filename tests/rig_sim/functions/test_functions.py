@@ -24,9 +24,10 @@ FUNCTIONS = [name for name in rig_sim.__all__ if inspect.isfunction(getattr(rig_
 
 @pytest.fixture(autouse=True)
 def work_is_little(monkeypatch):
-    """Measure no CPU times again and again, and draw the swing at three amplitudes: nothing here is about them."""
+    """Measure no CPU times again and again, draw the swing at three amplitudes, and coarsely: nothing is about them."""
     monkeypatch.setattr(error_vs_time, "LONG_ENOUGH_S", 0.0)
     monkeypatch.setattr(control, "RATIOS", (0.5, 1.5, 3))
+    monkeypatch.setattr("daq.base.output.plot.SCREEN_DPI", 20)
 
 
 # Each function as a call from Python, and the command line that asks the same.
@@ -267,10 +268,10 @@ class Henon(rig_sim.FormulaMap):
 
 
 def test_a_map_of_ones_own_has_the_exponent_basins_and_orbits_of_the_textbook():
-    found = rig_sim.lyapunov(Logistic(4.0), events=20_000)
+    found = rig_sim.lyapunov(Logistic(4.0), events=5_000)
     assert found.exponent == pytest.approx(math.log(2.0), abs=4.0 * found.stderr)
     assert (found.per, found.name) == ("step", "Logistic")
-    henon = rig_sim.lyapunov(Henon(1.4), events=20_000)  # 0.419 (Sprott)
+    henon = rig_sim.lyapunov(Henon(1.4), events=5_000)  # 0.419 (Sprott)
     assert henon.exponent == pytest.approx(0.4192, abs=4.0 * henon.stderr)
     (attractor,) = rig_sim.basins(Logistic(3.3), cells=200).attractors
     assert attractor.period == 2

@@ -97,7 +97,7 @@ def output(line, folder, encoding):
     return subprocess.run(line, cwd=folder, env=environment, capture_output=True, check=False)
 
 
-@pytest.mark.parametrize("encoding", ["cp850", "ascii"])
+@pytest.mark.parametrize("encoding", ["ascii", pytest.param("cp850", marks=pytest.mark.slow)])
 def test_no_encoding_of_the_terminal_loses_a_result(tmp_path, encoding):
     # "…" ended the fit with a traceback, exit code 1, before its parameters were printed.
     run = tmp_path / "run.h5"
@@ -125,8 +125,8 @@ def test_no_encoding_of_the_terminal_loses_a_help_page(tmp_path):
         ["processing.cli", "inspect", "run.h5", "--plot", "p.png", "--json"],
         pytest.param(["fitting.cli", "run.h5", "--laws", "5", "--no-report"], marks=pytest.mark.slow),
         ["rig_sim.cli.app", "scenes"],
-        ["rig_sim.cli.app", "scenes", "--json"],
-        ["rig_sim.cli.app", "compare", "--help"],
+        pytest.param(["rig_sim.cli.app", "scenes", "--json"], marks=pytest.mark.slow),
+        pytest.param(["rig_sim.cli.app", "compare", "--help"], marks=pytest.mark.slow),
     ],
 )
 def test_a_reader_that_goes_away_is_no_error(tmp_path, line):
