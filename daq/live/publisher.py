@@ -51,6 +51,7 @@ GONE_AFTER_S = 3.0  # a journal that does not grow for so long may have lost its
 LOSS_SHOWN_S = 10.0  # for so long a loss of samples is called out
 LONGEST_MARKER = 200  # characters
 MOST_ROWS = 30_000  # rows of a stretch that is sent sample by sample: six for each pixel of a wide screen
+ON_EDGE = 1e-3  # samples: times closer to an edge than that are at it, but for rounding
 MOST_PLACES = 1024  # in the journal from which its samples can be read again: 2 kB each
 PART_BYTES = 1 << 16  # part of the journal read again at once
 PORTION = 1 << 8  # samples of a finished run that are analysed at once
@@ -123,11 +124,11 @@ class Publisher(ABC):
     def stretch(self, begin: float, end: float) -> str:
         """Return the JSON of a stretch of the record: columns t, x, v, a, and whether they are all samples, ``exact``.
 
-        A stretch of more than `MOST_ROWS` samples is thinned to its extremes.
+        A sample on an edge is one of them.  A stretch of more than `MOST_ROWS` samples is thinned to its extremes.
         """
         motion = self._stretch(begin, end) if (end - begin) * self.rate_hz <= MOST_ROWS else None
         found = columns(motion) if motion is not None else self.analysis.overview.rows()
-        own = (found[0] >= begin) & (found[0] <= end)
+        own = (found[0] >= begin - ON_EDGE / self.rate_hz) & (found[0] <= end + ON_EDGE / self.rate_hz)
         return json.dumps({"exact": motion is not None})[:-1] + _members(_texts(found[:, own])) + "}"
 
     async def events(self, after: int) -> AsyncIterator[PageEvent]:
