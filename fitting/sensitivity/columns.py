@@ -100,24 +100,14 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
     Those that move the belt do it through its speed alone (`belt_columns`): 0 here.
     """
     K, F, compliance = path.unknown(Global.K), np.exp(path.unknown(Global.LOG_F)), path.unknown(Global.COMPLIANCE)
-    d, q, at_rest = _contact(path)
-    slips, friction, slope = path.slips, path.friction, path.friction_slope
-    ramp = ~slips & ~(path.mode == STICK)
-    width = np.maximum(d + q * at_rest, 1e-300)
-    n = np.abs(friction) / np.maximum(path.level * F, 1e-300)  # a search may come to no friction at all
-    # by the ramp's half-width d and by q, the speed lost under the load F, at a given relative speed
-    by_d = np.where(slips, -path.side * slope, 0.0)
-    by_d[ramp] = -friction[ramp] / np.broadcast_to(width, ramp.shape)[ramp]
-    by_q = np.where(slips, by_d * n, by_d * at_rest)
-    by_q_of = (
-        {}
-        if not np.any(compliance) and Global.COMPLIANCE not in slots
-        else {
-            Global.K: -compliance * F / K**2,
-            Global.LOG_F: q,
-            Global.COMPLIANCE: F / K,
-        }
-    )
+    _, q, at_rest = _contact(path)
+    slips, friction, bound = path.slips, path.friction, path.mode == STICK
+    # by q, the speed that the belt loses under the load F, at a given relative speed; and q by the slots that change it
+    by_q_of: dict[int, Array | float] = {}
+    if Global.COMPLIANCE in slots or np.any(compliance):
+        n = np.abs(friction) / np.maximum(path.level * F, 1e-300)  # a search may come to no friction at all
+        by_q = _by_width(path) * np.where(slips, n, at_rest)
+        by_q_of = {Global.K: -compliance * F / K**2, Global.LOG_F: q, Global.COMPLIANCE: F / K}
     forces = np.zeros((len(slots), path.time.size))
     edge = np.zeros((path.windows.table.shape[0], len(slots)))
     first = path.first_point[:-1]
@@ -125,13 +115,13 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
         if slot == Global.K:
             forces[j] = path.unknown(Global.DATUM) - path.position
         elif slot == Global.LOG_F:
-            forces[j] = np.where(slips | ramp, friction, 0.0)
+            forces[j] = np.where(bound, 0.0, friction)
         elif slot == Global.SHAPE and path.curve.spline is None:
             shape = path.unknown(Global.SHAPE)
             rate = shape_slope(path.curve.code, path.slip_speed, path.level * F, shape)  # type: ignore[arg-type]
             forces[j] = np.where(slips, path.side * rate * _yielding(path), 0.0)
         elif slot == Global.D:
-            forces[j], edge[:, j] = by_d, 1.0
+            forces[j], edge[:, j] = _by_width(path), 1.0
         elif slot == Global.DATUM:
             forces[j] = K
         elif slot == Global.DAMPING:
@@ -139,13 +129,23 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
         elif slot == Global.FADE:
             epoch = path.windows.level_epoch[path.window]
             change = relative_change(path.unknown(Global.FADE), path.time, epoch)
-            forces[j] = np.where(slips | ramp, change * friction, 0.0)
+            forces[j] = np.where(bound, 0.0, change * friction)
         elif slot == Global.STATIC:
-            forces[j] = np.where(ramp & (q == 0.0), friction / path.unknown(Global.STATIC), 0.0)
+            forces[j] = np.where(slips | bound | (q != 0.0), 0.0, friction / path.unknown(Global.STATIC))
         if slot in by_q_of:
-            forces[j] += by_q * by_q_of[Global(slot)]
-            edge[:, j] += np.broadcast_to(at_rest * by_q_of[Global(slot)], path.time.shape)[first]
+            forces[j] += by_q * by_q_of[slot]
+            edge[:, j] += np.broadcast_to(at_rest * by_q_of[slot], path.time.shape)[first]
     return forces.T, edge
+
+
+def _by_width(path: Path) -> Array:
+    """Return what a unit of the ramp's half-width d adds to the acceleration at a given relative speed, 1/s, (M,)."""
+    d, q, at_rest = _contact(path)
+    ramp = ~path.slips & (path.mode != STICK)
+    found = np.where(path.slips, -path.side * path.friction_slope, 0.0)
+    width = np.broadcast_to(np.maximum(d + q * at_rest, 1e-300), ramp.shape)
+    found[ramp] = -path.friction[ramp] / width[ramp]
+    return found
 
 
 def belt_columns(path: Path, slots: Sequence[int]) -> Array:
