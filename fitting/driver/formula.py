@@ -127,7 +127,7 @@ class FormulaCurve(FrictionCurve):
 
         It begins with the knots of the trial before, or anew where those of other trials are in the way.
         """
-        for begin in (self._near, self._first):
+        for begin in dict.fromkeys((self._near, self._first)):
             found = self._through(theta, begin)
             if found is not None:
                 self._near = found

@@ -42,8 +42,8 @@ class Extra(NamedTuple):
     """What acts besides: a force and a change of the belt's speed along an earlier path, and a drag.
 
     ``first`` (windows + 1,) are the first points of each window in ``along``, whose row 0 is time (s), row ``force``
-    the force (m/s^2) and row ``belt`` the change of the belt's speed (m/s); row 0 stands for none.  ``drag`` (2, G) has
-    the rows of a `Drag`, ``turn`` is its.  Arrays are empty where nothing acts.
+    the force (m/s^2) and row ``belt`` the change of the belt's speed (m/s); row 0 stands for none.  ``drag`` (2, G) are
+    velocities and accelerations of a `Drag`, ``turn`` is its.  Arrays are empty where nothing acts.
     """
 
     first: Integers
