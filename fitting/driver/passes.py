@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from daq.base.compute.arrays import Array
+from fitting import noise_levels
 from fitting.driver.curves import LawCurve
 from fitting.driver.fit import TaskFit
 from fitting.driver.model import Model
@@ -59,7 +60,7 @@ STATIC_GAIN = 5.0  # least gain in log likelihood of a ramp's break-away level o
 # Starts of the break-away level over that of slip.  What the level's first step would gain does not say whether it is
 # worth a search: with levels of 1.05 and of 1.5 it was nothing at the end without one.  From 1.1 alone a level of 1.5
 # was missed, from 1.5 alone one of 1.3.
-STATIC_STARTS = (1.1, 1.5, 2.0)
+STATIC_STARTS = (1.1, 1.5)
 CYCLE_GAIN = 0.99  # cost over that of a cycle before: another start of its own unknowns led to another minimum
 # Of forces along an earlier path: how often the path is followed before a pass, the passes in which they settle, the
 # most steps of each, and the change of their size at which they have.
@@ -166,24 +167,41 @@ def with_cycles_of(pair: tuple[TaskFit, TaskFit]) -> TaskFit | None:
 def with_own_static(at: TaskFit) -> TaskFit:
     """Return the fit of a ramp with a break-away level of its own where that gains something on the thinned record.
 
-    It is settled again from each of `STATIC_STARTS`, and the best stays.  A level that is free from the first pass on
-    ends in a poor minimum where the ramp has none.
+    It is settled again from several starts until one reaches the noise, and the best stays.  A level that is free from
+    the first pass on ends in a poor minimum where the ramp has none.
     """
     begun, task = clock.process_time(), at.task.with_static
     if task is at.task:
         return at
     best = at
-    for level in STATIC_STARTS:
-        u = at.u.copy()
-        _set_static(task, u, level)
+    reached = noise_levels.DESCRIBES * max(motion.resolution for motion in task.problem.motions)
+    for u in _static_starts(task, at):
         first = first_pass(task, FitStart(_beside(task, u, at), at.local), at.noise)
         if first is None or first.geometric_mean_rms > GIVEN_UP_BEYOND_BEST * at.geometric_mean_rms:
             continue
         found = settle(first)
         if found is not None and found.geometric_mean_rms < best.geometric_mean_rms:
             best = found
+            if best.geometric_mean_rms < reached:
+                break
     gain = at.residual.size * math.log(at.geometric_mean_rms / best.geometric_mean_rms)
     return replace(best if gain >= STATIC_GAIN else at, cpu_s=at.cpu_s + clock.process_time() - begun)
+
+
+def _static_starts(task: Task, at: TaskFit) -> list[Array]:
+    """Return unknowns (13 runs,) with a break-away level, where a fit without one ended.
+
+    A curve without a level rises towards rest to come near the break-aways.  So the first has the curve of the
+    regression in slip, and the fit's friction at rest as the level; the others have the fit's friction in slip.
+    """
+    first = at.u.copy()
+    for own, seen in zip(first.reshape(-1, PER_RUN), task.problem.start.reshape(-1, PER_RUN), strict=True):
+        own[Global.STATIC] = max(math.exp(own[Global.LOG_F] - seen[Global.LOG_F]), STATIC_STARTS[0])
+        own[Global.LOG_F], own[Global.SHAPE] = seen[Global.LOG_F], seen[Global.SHAPE]
+    others = [at.u.copy() for _ in STATIC_STARTS]
+    for u, level in zip(others, STATIC_STARTS, strict=True):
+        _set_static(task, u, level)
+    return [first, *others]
 
 
 def _beside(task: Task, u: Array, at: TaskFit) -> Array:

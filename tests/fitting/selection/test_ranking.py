@@ -105,6 +105,7 @@ def test_static_and_kinetic_levels_are_separate(ranked):
         (4, 1.2),
         pytest.param(2, 1.1, marks=pytest.mark.slow),
         pytest.param(6, 1.3, marks=pytest.mark.slow),
+        pytest.param(6, 1.8, marks=pytest.mark.slow),
     ],
 )
 def test_a_ramp_that_breaks_away_above_the_level_of_slip(belt_rig, law, static):
