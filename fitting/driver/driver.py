@@ -69,7 +69,7 @@ def best_end(
     first pass is settled first; once that pass reaches the noise, the starts after it are not looked at.  ``noise_m``
     (runs,) is the noise of a position, m, where it is known; else the resolution.
     """
-    reached = noise_levels.DESCRIBES * (_resolution(task) if noise_m is None else float(np.max(noise_m)))
+    reached = noise_levels.DESCRIBES * (task.resolution if noise_m is None else float(np.max(noise_m)))
     best: TaskFit | None = None
     tried: list[TaskFit] = []
     for start, noise in starts:
@@ -188,7 +188,7 @@ def _from_regression(tasks: Sequence[Task], each: Map, progress: Callable[[int],
     for one in each(regressed_pass, tasks):
         found.append(one)
         progress(len(found))
-    if any(one is not None and one.geometric_mean_rms < noise_levels.NEAR * _resolution(one.task) for one in found):
+    if any(one is not None and one.geometric_mean_rms < noise_levels.NEAR * one.task.resolution for one in found):
         return found
     others = each(_with_less_noise, tasks)
     return [other if one is None else _better(one, other) for one, other in zip(found, others, strict=True)]
@@ -201,7 +201,7 @@ def _with_less_noise(task: Task) -> TaskFit | None:
 def _from_donors(k: int, tasks: Sequence[Task], first: Sequence[TaskFit | None]) -> TaskFit | None:
     """Return the first pass of task k, or one that starts where another's ended and errs less."""
     task, own = tasks[k], first[k]
-    far = noise_levels.LOST * _resolution(task)
+    far = noise_levels.LOST * task.resolution
     for donor in _donors(task, k, first):
         if own is None or (
             far < own.geometric_mean_rms and donor.geometric_mean_rms < DONOR_ERROR * own.geometric_mean_rms
@@ -222,10 +222,6 @@ def _with_static(at: TaskFit, limit: float) -> TaskFit:
 
 def _finished(at: TaskFit, limit: float) -> TaskFit:
     return at if at.geometric_mean_rms > limit else finish(at) or at
-
-
-def _resolution(task: Task) -> float:
-    return max(motion.resolution for motion in task.problem.motions)
 
 
 def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
@@ -257,7 +253,7 @@ def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit
 def _again(found: list[TaskFit], each: Map) -> list[TaskFit]:
     """Let tasks start again with their windows at the smoothed motion, where even the best of them is lost."""
     lowest = min((one.geometric_mean_rms for one in found), default=0.0)
-    if not found or lowest <= noise_levels.LOST * _resolution(found[0].task):
+    if not found or lowest <= noise_levels.LOST * found[0].task.resolution:
         return found
     near = [one for one in found if one.geometric_mean_rms < RESTART_NEAR_BEST * lowest]
     trials = dict(zip(map(id, near), each(_restarted, near), strict=True))
@@ -271,7 +267,7 @@ def from_left_starts(found: list[TaskFit], left: Sequence[TaskFit | None], each:
     is far off, and a search that starts there is not over when a wrong law's end seems the better start.
     """
     lowest = min((one.geometric_mean_rms for one in found), default=0.0)
-    if not found or lowest <= noise_levels.LOST * _resolution(found[0].task):
+    if not found or lowest <= noise_levels.LOST * found[0].task.resolution:
         return found
     trials = each(_resettled, left)
     return [_better(one, trial) for one, trial in zip(found, trials, strict=True)]
@@ -290,7 +286,7 @@ def _overtaking(found: Sequence[TaskFit], each: Map) -> list[TaskFit]:
 
     A ramp may describe such a cycle by a very low level, where its jump shows that it is spoilt.
     """
-    near = [one for one in found if one.geometric_mean_rms < FAR_BEYOND_BEST * _resolution(one.task)]
+    near = [one for one in found if one.geometric_mean_rms < FAR_BEYOND_BEST * one.task.resolution]
     seen = {id(one): find_overtaking(one) for one in near}
     out, moved = list(found), []
     for k, one in enumerate(found):
@@ -375,7 +371,7 @@ def _kept(
 
 def _is_closed(ramp: TaskFit, jump: TaskFit) -> bool:
     slowest = min(motion.belt_speed for motion in ramp.task.problem.motions)
-    hidden = jump.geometric_mean_rms < noise_levels.NEAR * _resolution(jump.task)
+    hidden = jump.geometric_mean_rms < noise_levels.NEAR * jump.task.resolution
     return hidden or float(ramp.u[Global.D]) < CLOSED_RAMP * slowest
 
 

@@ -174,7 +174,7 @@ def with_own_static(at: TaskFit) -> TaskFit:
     if task is at.task:
         return at
     best = at
-    reached = noise_levels.DESCRIBES * max(motion.resolution for motion in task.problem.motions)
+    reached = noise_levels.DESCRIBES * task.resolution
     for u in _static_starts(task, at):
         first = first_pass(task, FitStart(_beside(task, u, at), at.local), at.noise)
         if first is None or first.geometric_mean_rms > GIVEN_UP_BEYOND_BEST * at.geometric_mean_rms:

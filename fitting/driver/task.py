@@ -71,6 +71,11 @@ class Task:
         return replace(self, places=tuple(place for place in self.places if place % PER_RUN not in slots))
 
     @property
+    def resolution(self) -> float:
+        """The coarsest resolution of a position among the runs, m."""
+        return max(motion.resolution for motion in self.problem.motions)
+
+    @property
     def with_static(self) -> "Task":
         """The same with a break-away level of its own, where it is a ramp that can have one."""
         free = Global.STATIC in self.problem.active and Global.STATIC not in self.places
