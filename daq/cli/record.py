@@ -107,10 +107,13 @@ def record(
         output=target, duration_s=duration, force=force, stated=known.stated(), notes=written, **resolve(board)
     )
     view = viewer(wanted.part, no_browser) if live else contextlib.nullcontext()
-    with view, _stop_on_signal() as stop, application.progress("recording", duration, "s") as show:
-        recorded = take(wanted, progress=show, status=show.status, say=application.note, stop=stop)
-    code = EXIT_DATA if recorded.short or recorded.sparse else EXIT_DONE if recorded.file == target else EXIT_DEVICE
-    return Answer(recorded.as_json(), sentences.recorded("recorded", recorded), code)
+    with contextlib.ExitStack() as signals:
+        stop = signals.enter_context(_stop_on_signal())
+        with view, application.progress("recording", duration, "s") as show:
+            recorded = take(wanted, progress=show, status=show.status, say=application.note, stop=stop)
+        code = EXIT_DATA if recorded.short or recorded.sparse else EXIT_DONE if recorded.file == target else EXIT_DEVICE
+        text = sentences.recorded("recorded", recorded)
+        return Answer(recorded.as_json(), text, code, printed=signals.pop_all())
 
 
 def rig_port(scene: str | None, changes: list[str] | None, realtime: bool) -> str:

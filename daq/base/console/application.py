@@ -24,7 +24,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
@@ -80,11 +80,13 @@ class Answer:
     """Result of a command: its JSON document, its text, its exit code.
 
     ``text`` is a string or a rich renderable (or a sequence of them), printed when ``--json`` was not given.
+    ``printed`` is closed after that: of a command whose answer to a signal holds until its result is shown.
     """
 
     data: Any
     text: Any = ""
     exit_code: int = EXIT_DONE
+    printed: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
 
 def shown_default(value: Any) -> str | None:
@@ -281,7 +283,8 @@ def _without_command(error: cyclopts.CycloptsError, name: str, words: Sequence[s
 def _printed(name: str, answer: object, as_json: bool) -> int:
     """Print what a command returned; return the exit code, also of a stdout that does not take it."""
     try:
-        return _shown(answer, as_json)
+        with answer.printed if isinstance(answer, Answer) else contextlib.nullcontext():
+            return _shown(answer, as_json)
     except OSError as error:
         _discard_stdout()
         if error.errno in (errno.EPIPE, errno.EIO):  # the reader has gone: a pipe, or a terminal that was closed

@@ -662,6 +662,27 @@ def test_the_first_ctrl_c_keeps_the_data_and_exits_0(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_comes_when_the_recording_is_over_takes_no_result(tmp_path, monkeypatch, capsys, number):
+    from daq.base.console import application
+    from daq.cli.app import app
+
+    def signalled(value):
+        signal.raise_signal(number)
+        printed(value)
+
+    printed, before = application.print_json, signal.signal(number, signal.default_int_handler)
+    monkeypatch.setattr(application, "print_json", signalled)
+    try:
+        code = application.run(app, ["record", "--duration", "0.1", "-o", str(tmp_path / "run.h5"), "--json"])
+        after = signal.getsignal(number)
+    finally:
+        signal.signal(number, before)
+    assert (code, after) == (0, signal.default_int_handler)
+    assert json.loads(capsys.readouterr().out)["samples"] == 100
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
