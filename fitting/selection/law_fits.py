@@ -94,7 +94,7 @@ def fit_runs(
     seen = sustained  # as the record itself shows, before any law is fitted
     doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
     if not formulas or doubt == screening.SINE_ALONE:
-        refuse(doubt, records)
+        refuse(doubt, runs, records)
     fit_to = partial(_fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:
         fits = fit_to(laws, runs)
@@ -112,13 +112,13 @@ def fit_runs(
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
     doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
     if not formulas or not fits or doubt == screening.SINE_ALONE:
-        refuse(doubt, records)
+        refuse(doubt, runs, records)
     if not doubt:
         screening.refuse_missing_frames(fits, records)
     if not seen and not any(record.sticks for record in records) and not _is_described(fits, runs):
-        refuse(screening.NOT_DESCRIBED, records)
+        refuse(screening.NOT_DESCRIBED, runs, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
-        refuse(screening.SINE_ALONE, records)
+        refuse(screening.SINE_ALONE, runs, records)
     return FittedSix(fits, list(runs), sustained, doubt)
 
 
@@ -200,7 +200,7 @@ def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematic
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
     for run, kind, record in zip(runs, kinds, records, strict=True):
-        refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
+        refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [run], [record])
     sources = [record.recording.where for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
@@ -210,9 +210,9 @@ def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematic
     count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
-            refuse(screening.swings_alone(count), records)
+            refuse(screening.swings_alone(count), runs, records)
         if count:  # a longer record of another motion would be none either
-            refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
+            refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), runs, records)
         left = sum(len(run.cut.cycles) for run in runs) - count
         out = f", {left} more left out" if left else ""
         raise DataError(
@@ -226,10 +226,10 @@ def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematic
     return sustained
 
 
-def refuse(why: str, records: Sequence[Kinematics]) -> None:
+def refuse(why: str, runs: Sequence[Run], records: Sequence[Kinematics]) -> None:
     """Raise where ``why`` says why the laws cannot be ranked: `NoLawError` for stick-slip, else DataError."""
     if not why:
         return
     if why != screening.SINE_ALONE and all(screening.is_stick_slip(record) for record in records):
         raise NoLawError(why)
-    raise DataError(*screening.refusal(why, records))
+    raise DataError(*screening.refusal(why, runs, records))

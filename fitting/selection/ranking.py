@@ -79,7 +79,7 @@ def rank(
         measured = measure(fits, chosen.members, [run.motion for run in runs], alpha)
         formulas = fit_formulas(competitors, measured.curve, rivals=sustained)
         if doubt and not screening.comes_near(formulas.fits, runs):
-            law_fits.refuse(doubt, records)
+            law_fits.refuse(doubt, runs, records)
     except law_fits.NoLawError as refused:
         return answer.without_law(refused.reason, asked, runs, records, begun)
     competition = _compete(fits, chosen, formulas.fits, asked, runs, sustained=sustained)

@@ -35,6 +35,10 @@ FEWEST_STICKS = 2  # sticks to distinguish one speed from several
 # Samples in the usual slip.  Chosen: with 4, wrong laws are named alone and corners are found at the wrong places; from
 # 16 on nothing is gained.
 FEWEST_SAMPLES = 8
+# Samples in the usual slip with which a record that no law describes is refused for what it shows alone.  Of 230
+# contacts that stick one is refused so, with 9 samples, two of them in a stick: half as many would not tell why, and
+# twice as many would ask for a higher rate where another motion was recorded.
+ENOUGH_SAMPLES = 20
 BEYOND_NOISE = 20.0  # way in standard deviations of a position: a mass that moves by less does not move
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
 LEAST_FILLED = 0.5  # share of a record that sticks, slips and rest fill at least
@@ -69,15 +73,16 @@ LEAST_SHARE = 0.3
 RETURNS = (0.5, 2.0)
 
 
-def refusal(why: str, records: Sequence[Kinematics]) -> tuple[str, str, str]:
+def refusal(why: str, runs: Sequence[Run], records: Sequence[Kinematics]) -> tuple[str, str, str]:
     """Return what a refused record is, where, and what to do.
 
     Parameters
     ----------
     why : str
         Why its laws cannot be ranked.
+    runs : sequence of Run
     records : sequence of Kinematics
-        The records, as they were smoothed.
+        The records of the runs, as they were smoothed.
     """
     where = ", ".join(record.recording.where for record in records)
     if why == SINE_ALONE:
@@ -86,6 +91,12 @@ def refusal(why: str, records: Sequence[Kinematics]) -> tuple[str, str, str]:
     if why in (NONE_NEAR, NOT_DESCRIBED):
         share = 100 * records[0].plateau_fraction
         why += f", and it sticks for {share:.2g} % of the time" if records[0].sticks else ", and it shows no stick"
+        samples, slip_s = min(_slip(run.motion, record) for run, record in zip(runs, records, strict=True))
+        if samples < ENOUGH_SAMPLES:
+            why += f", at {round(samples)} samples a slip"
+            rate = f"{_rounded_up(ENOUGH_SAMPLES / slip_s):g} Hz or more, {ENOUGH_SAMPLES} samples a slip"
+            do = f"look at it with 'process inspect'; if it sticks and slips, record at {rate}"
+            return f"no belt stick-slip in this record: {why}", where, do
     return f"no belt stick-slip in this record: {why}", where, AGAIN
 
 
@@ -102,10 +113,10 @@ def refuse_wrong_times(record: Kinematics) -> None:
 
 def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
     """Raise DataError for a record with fewer than `FEWEST_SAMPLES` in the usual slip; it holds the finding."""
-    samples = round(motion.samples_per_slip)
+    samples_per_slip, slip_s = _slip(motion, record)
+    samples = round(samples_per_slip)
     if samples >= FEWEST_SAMPLES:
         return
-    slip_s = motion.samples_per_slip * float(np.median(np.diff(record.time)))
     what = f"{samples} samples a slip; a verdict needs {FEWEST_SAMPLES}"
     lasts = f"{slip_s:.3g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
     # one sample more than needed: how many a slip has is known to a sample (`fitting.data.slip_duration`)
@@ -114,6 +125,11 @@ def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
     found = Finding("samples-per-slip", f"{what}: {do}", float(samples), float(FEWEST_SAMPLES))
     error.add_result({"findings": [vars(found)]}, [])
     raise error
+
+
+def _slip(motion: MeasuredMotion, record: Kinematics) -> tuple[float, float]:
+    """Return the samples in the usual slip of a record, and how long it lasts, s."""
+    return motion.samples_per_slip, motion.samples_per_slip * float(np.median(np.diff(record.time)))
 
 
 def _rounded_up(rate: float) -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import daq
 from daq.base.console import application
 from daq.base.errors import DataError
 from daq.base.measured import Measured
@@ -21,6 +22,8 @@ from fitting.driver import driver
 from fitting.selection import screening
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+
+from .. import scales
 
 NAMES = (
     "ramp",
@@ -188,6 +191,16 @@ def test_slips_of_too_few_samples_are_refused_with_the_rate_to_take(tmp_path, be
     (found,) = (row for row in document["findings"] if row["code"] == "samples-per-slip")
     assert found["value"] == pytest.approx(7.0)
     assert found["expected"] == 8
+
+
+def test_sticks_of_two_samples_are_not_said_to_be_missing_alone(tmp_path):
+    """A hard spring, 9 samples a slip: "it shows no stick", without a word of the samples."""
+    drawn = scales.draw(99)
+    scales.write_table(drawn, tmp_path / "track.csv")
+    with pytest.raises(DataError, match="it shows no stick, at 9 samples a slip") as refused:
+        rank(smooth(daq.load(tmp_path / "track.csv")))
+    rate = float(refused.value.do.partition("record at ")[2].partition(" Hz")[0])
+    assert 20 / 9.5 < rate / drawn.rate_hz < 20 / 8.5
 
 
 def test_a_belt_that_never_runs_is_named_so(belt_rig):
