@@ -26,6 +26,10 @@ from fitting.data.frame import MeasuredMotion
 
 VARIANCE_LEFT = 0.45  # share of the velocity's variance in stick that a ripple leaves at the most
 SMALLEST_AMPLITUDE = 2e-3  # amplitude over the belt's speed: less is none
+# Amplitude over the step that positions are rounded to, of the strongest harmonic of the rounding error of a uniform
+# motion: a sawtooth (W. R. Bennett, Bell System Technical Journal 27 (1948) 446).  Sampling folds it to any frequency,
+# and cycles that hardly scatter repeat it: a ripple in position that is no larger may be that.
+ROUNDING_WAVE = 1 / math.pi
 # Share of the amplitude that the lines do not take up.  True ripples show 0.28 to 1.0 of theirs; one that ageing sticks
 # of a steady belt seemed to have, slower than a stick is long, 0.17.
 AMPLITUDE_BESIDE_LINES = 0.25
@@ -264,7 +268,7 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
         omega, amplitude = 2 * math.pi * hertz, math.hypot(even, odd)
         seen = (
             after <= min(VARIANCE_LEFT * before, RIVAL_VARIANCE * least)
-            and amplitude >= SMALLEST_AMPLITUDE * motion.belt_speed
+            and amplitude >= max(SMALLEST_AMPLITUDE * motion.belt_speed, omega * ROUNDING_WAVE * motion.step)
             and 2 * (before - after) >= (AMPLITUDE_BESIDE_LINES * amplitude) ** 2
             and _gains(motion, every.own, before, after, slopes)
         )

@@ -246,7 +246,10 @@ def finish(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
     if _static_gain(found) < STATIC_GAIN:
         task, u = found.task.without(Global.STATIC), found.u.copy()
         _set_static(task, u, 1.0)
-        found = _whole(task, FitStart(_beside(task, u, found), found.local), at.noise, at.model.near) or found
+        without = _whole(task, FitStart(_beside(task, u, found), found.local), at.noise, at.model.near)
+        # Its error does not decide: along a bent valley a level may be open, and yet none of them be 1.
+        if without is not None and without.solution.cost - found.solution.cost < STATIC_GAIN:
+            found = without
     found = _started_below_belt(found, at.noise)
     return replace(found, cpu_s=spent + clock.process_time() - begun)
 

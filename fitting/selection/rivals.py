@@ -1,7 +1,8 @@
 """Laws given as formulas beside the six: those that were named, and published ones that the measured curve prefers.
 
 A published form that was not named is fitted where its information criterion on the measured curve is below that of
-every form of the six, or so little above that the set rule would not exclude it.  What is evidence and who is in the
+every form of the six, or so little above that the set rule would not exclude it, and so close to the best form that
+could be fitted.  What is evidence and who is in the
 set is decided as between the six (`fitting.selection.evidence`).
 """
 
@@ -9,6 +10,7 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -87,16 +89,15 @@ class Competition:
         return 0.5 * (self.score[other] - self.score[law])
 
 
-def preferred_forms(forms: Sequence[FormFit]) -> list[Law]:
+def preferred_forms(forms: Sequence[FormFit]) -> list[tuple[Law, float]]:
     """Return the published laws whose forms the measured curve prefers to those of the six, best first.
 
-    Those that it hardly distinguishes from the best of them, or from the best of the six, are among them.
+    Each with its information criterion.  Those that it hardly distinguishes from the best of the six are among them.
     """
     by_name = {form.name: form for form in forms}
     limit = min(by_name[name].bic for name in OF_THE_SIX) + OPEN
-    found = [(PUBLISHED[name], by_name[form]) for name, form in FORM_OF_LAW.items() if by_name[form].bic < limit]
-    least = min((form.bic for _, form in found), default=0.0)
-    return [law for law, form in sorted(found, key=lambda one: one[1].bic) if form.bic < least + OPEN]
+    found = [(PUBLISHED[name], by_name[form].bic) for name, form in FORM_OF_LAW.items() if by_name[form].bic < limit]
+    return sorted(found, key=itemgetter(1))
 
 
 def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rivals: bool) -> Formulas:
@@ -128,12 +129,18 @@ def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rival
             continue
         found.append(one)
         warned += [_said(law, str(group), group.names) for group in one.together]
-    named = [fit.asked_for for fit in found if fit.number is None]
-    for law in preferred_forms(curve.forms) if rivals else ():
-        if law.name in {own.name for own in competitors.formulas}:
-            continue  # it was named, perhaps with parameters given
-        one = _rival(replace(law, ramp=bool(host.path.curve.ramp)), host)
-        found += [] if one is None or any(_draws(own, one, host) for own in named) else [one]
+    named = [fit for fit in found if fit.number is None]
+    least = math.inf  # criterion of the best form that was fitted
+    for law, criterion in preferred_forms(curve.forms) if rivals else ():
+        if criterion >= least + OPEN:
+            break
+        if law.name in {own.name for own in competitors.formulas}:  # perhaps with parameters given
+            fitted = any(fit.law == law.name for fit in named)
+        else:
+            one = _rival(replace(law, ramp=bool(host.path.curve.ramp)), host)
+            fitted = one is not None
+            found += [] if one is None or any(_draws(fit.asked_for, one, host) for fit in named) else [one]
+        least = min(least, criterion) if fitted else least
     for fit in found:
         logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
     return Formulas(tuple(found), tuple(warned))

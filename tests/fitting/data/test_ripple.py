@@ -6,10 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+import daq
 from fitting.data import cycles, frame, ripple
 from fitting.selection import law_fits
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+
+from .. import scales
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 HERTZ, AMPLITUDE = 2.3, 0.0044
@@ -88,6 +91,12 @@ def test_of_frequencies_that_sticks_show_alike_the_one_that_slips_obey_is_fitted
 @pytest.mark.parametrize("law", [4, *(pytest.param(law, marks=pytest.mark.slow) for law in (3, 5, 6))])
 def test_a_steady_belt_shows_none(simulated, law):
     assert found_in(simulated(f"friction.law={law}", "scatter.Fs=0.1")) is None
+
+
+def test_rounding_that_the_cycles_repeat_is_no_ripple(tmp_path):
+    # Counts of 3.1 um in sticks of 14 samples were a ripple of 0.8 um, 3 % of the belt's speed, at 112 Hz.
+    scales.write_table(scales.draw(108), tmp_path / "counts.csv")
+    assert found_in(smooth(daq.load(tmp_path / "counts.csv"))) is None
 
 
 def test_constant_friction_shows_it_in_its_start_up_drag(rippled):

@@ -121,7 +121,16 @@ def with_form_at(curve, name, lead):
 def test_a_form_as_good_as_those_of_the_six_is_a_rival(ranked, lead, tried):
     # Law 5 was named alone for a logarithmic contact, whose form was 1.6 behind the hyperbola and was not fitted.
     curve = with_form_at(ranked(law=5, duration=10.0).adequacy.curve, "logarithmic", lead)
-    assert [law.name for law in preferred_forms(curve.forms)] == ["logarithmic"] * tried
+    assert [law.name for law, _ in preferred_forms(curve.forms)] == ["logarithmic"] * tried
+
+
+def test_a_form_that_cannot_be_fitted_excludes_no_other(ranked, monkeypatch):
+    # A power curve that no motion could follow led the true logarithmic one by 4.3: law 5 was named alone.
+    curve = with_form_at(ranked(law=5, duration=10.0).adequacy.curve, "logarithmic", 19.0 - OPEN)
+    led = [replace(form, bic=form.bic - 120.0) if form.name == "power" else form for form in curve.forms]
+    monkeypatch.setitem(PUBLISHED, "power", Law("power", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}))
+    found = fit_formulas(Competitors.of(ALL_LAWS), replace(curve, forms=tuple(led)), rivals=True).fits
+    assert [fit.law for fit in found] == ["logarithmic"]
 
 
 def test_a_published_curve_that_is_no_friction_is_no_rival(ranked, monkeypatch):
