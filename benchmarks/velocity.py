@@ -390,7 +390,7 @@ def picture(bench: Bench, table: dict[str, tuple[float, float, float]], target: 
         motion = registry.estimate(method, data, setting)
         left.plot(at, 1e3 * motion.velocity[own], label=method, **style)
     left.plot(at, 1e3 * bench.v[own], "k:", lw=1, label="truth")
-    left.set(xlabel="time from the re-stick, ms", ylabel="velocity, mm/s", ylim=(120, 240), title="a re-stick")
+    left.set(xlabel="time from the landing, ms", ylabel="velocity, mm/s", ylim=(120, 240), title="a landing")
     left.legend()
     for k, (name, (cpu, rms, _)) in enumerate(sorted(table.items(), key=lambda item: -item[1][1])):
         mine = name.split()[0].rstrip(",") in registry.METHODS

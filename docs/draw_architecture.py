@@ -126,7 +126,8 @@ def draw(path: Path) -> None:
             facecolor="#dce9f5" if folder else "#fdf3dc", edgecolor="0.3",
         )  # fmt: skip
         axes.add_patch(box)
-        axes.text(x, y + 0.1, node[1], ha="center", va="center", fontsize=8.5, weight="bold", zorder=3)
+        size = 8.5 if len(node[1]) < 12 else 7.5  # a long name keeps within its box
+        axes.text(x, y + 0.1, node[1], ha="center", va="center", fontsize=size, weight="bold", zorder=3)
         note = f"{files} files, {lines}" if folder else f"{lines} lines"
         axes.text(x, y - 0.13, note, ha="center", va="center", fontsize=7, color="0.3", zorder=3)
     axes.set_xlim(-0.3, left - 0.4)

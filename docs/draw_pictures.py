@@ -63,7 +63,7 @@ def laws() -> PngFigure:
         ramp = np.where(np.abs(w) <= d, -w / d, -np.sign(w) * curve(s))
         for law, force in zip(pair, (jump, ramp), strict=True):
             axes.plot(w, force, color=COLOURS[law], ls="-" if law % 2 else "--", label=f"law {law}")
-        axes.set(title=title, xlabel="w (slip on the left)")
+        axes.set(title=title, xlabel="relative velocity w")
         axes.axhline(0, color=INK, lw=0.5)
         axes.axvline(0, color=INK, lw=0.5)
         axes.legend()
@@ -125,7 +125,7 @@ def creep() -> PngFigure:
         xlabel="time (s)",
         ylabel="velocity (m/s)",
         ylim=(0.15, 0.27),
-        title="a ramp lets the mass creep behind the belt",
+        title="a ramp lets the mass creep relative to the belt",
     )
     axes.legend()
     return drawn
@@ -135,7 +135,9 @@ def continuous_slip() -> PngFigure:
     """Draw stable and unstable motions over the friction level: where stick-slip ends as a contact wears."""
     scene = rig_sim.scene("rig", **{"damper.c": 0.4})
     drawn = figure(8.0, 3.4)
-    rig_sim.continue_(scene, over="friction.Fs=0.1:1.4").plot(ax=drawn.subplots())
+    axes = drawn.subplots()
+    rig_sim.continue_(scene, over="friction.Fs=0.1:1.4").plot(ax=axes)
+    axes.set(xlabel="friction.Fs (N)", ylabel="x (m)", title="solid: stable; dashed: unstable")  # the scene is in SI
     return drawn
 
 
@@ -151,7 +153,7 @@ def departures() -> PngFigure:
     residuals(left, ranking)
     found = ranking.adequacy.departures[::-1]
     right.barh([one.name for one in found], [one.sigmas for one in found], color=COLOURS[2])
-    right.set(xlabel="standard deviations", title="departures, the strongest at the top")
+    right.set(xlabel="standard deviations", title="departures, the best explanation at the top")
     return drawn
 
 

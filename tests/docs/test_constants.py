@@ -32,6 +32,6 @@ def test_the_page_has_every_number_with_its_comment(constants_page):
     for row in rows:
         assert f"| `{row.name}` | `" in page
     parts = [row for row in rows if row.module == "processing/defects/frames.py"]
-    assert [row.comment for row in parts if row.name == "CLEAR"] == [
-        "standard deviations of a step that the usual step must have to be compared"
+    assert [row.comment.partition(".")[0] for row in parts if row.name == "CLEAR"] == [
+        "Standard deviations of a step that the usual step must have to be compared"
     ]
