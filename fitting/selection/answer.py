@@ -22,6 +22,8 @@ from fitting.model.problem import Run
 from fitting.selection import rig_intervals, verdict, verdict_warnings
 from fitting.selection.asked import Asked
 from fitting.selection.contradictions import (
+    CONTRADICTED_BY,
+    contradicted_by_all_laws,
     find_contradictions,
     name_contradictions,
     without_those_of_the_law,
@@ -113,24 +115,30 @@ class Rows:
 def ranking(decision: Decision, begun: float) -> RankedLaws:
     """Return the ranking; ``begun`` is the process's CPU time when it began, s."""
     rows = _rows(decision)
-    contradicted = _contradicted(decision, rows)
-    words = _words(decision, rows, contradicted)
+    contradicted, kept_away = _contradicted(decision, rows)
+    words = _words(decision, rows, contradicted, kept_away=kept_away)
     sides = [_side(decision, number, rows, words, contradicted[number]) for number in range(len(decision.runs))]
     return _together(decision, rows, words, sides, clock.process_time() - begun)
 
 
 def without_law(
-    reason: str, asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics], begun: float
+    reason: str,
+    contradicted: Contradictions,
+    asked: Asked,
+    runs: Sequence[Run],
+    records: Sequence[Kinematics],
+    begun: float,
 ) -> RankedLaws:
     """Return the verdict on stick-slip that no law comes near: no rows, and what is known without any law."""
-    words = verdict.refused_sentence(reason, asked.competitors)
+    words = name_contradictions(verdict.refused_sentence(reason, asked.competitors), contradicted)
     outcome = NONE_OF_SIX if asked.competitors.laws == ALL_LAWS else NONE_FITTED
     sides = []
-    for run, record in zip(runs, records, strict=True):
+    for run, record, contradictions in zip(runs, records, contradicted, strict=True):
         adequacy = Adequacy(outcome, run.motion.resolution)
-        warned = tuple(finding.text for finding in record.findings)
+        findings = (*record.findings, *contradictions)
+        warned = tuple(finding.text for finding in findings)
         cpu_s = clock.process_time() - begun
-        side = RankedLaws(words, (), (), (), warned, run.motion, run.cut, adequacy, cpu_s, findings=record.findings)
+        side = RankedLaws(words, (), (), (), warned, run.motion, run.cut, adequacy, cpu_s, findings=findings)
         sides.append(replace(side, records=(record,), alpha=asked.alpha))
     if len(sides) == 1:
         return sides[0]
@@ -217,9 +225,12 @@ def _outside_band(fit: Fit | FormulaFit, decision: Decision) -> BandExit | None:
     return furthest_exit(adequacy.curve, np.abs(fit.force(-adequacy.curve.speed, mass or 1.0)))
 
 
-def _contradicted(decision: Decision, rows: Rows) -> Contradictions:
-    """Return what of each run's calibration its record contradicts, by the best of the laws that were asked for."""
-    best = [next(row for row in own if row.law == decision.best.law) for own in rows.runs]
+def _contradicted(decision: Decision, rows: Rows) -> tuple[Contradictions, bool]:
+    """Return what of each run's calibration its record contradicts, and whether that keeps all laws away from it.
+
+    It is what the best of the laws that were asked for shows; where a law holds without the calibration, what it shows.
+    """
+    best = [next(row.parameters for row in own if row.law == decision.best.law) for own in rows.runs]
     motions = [run.motion for run in decision.runs]
     found = find_contradictions(decision.best, motions, best, decision.records)
     others = [
@@ -227,15 +238,22 @@ def _contradicted(decision: Decision, rows: Rows) -> Contradictions:
         for fit in decision.fits
         if isinstance(fit, FormulaFit) and fit is not decision.best and fit.law in decision.competition.members
     ]
-    return without_those_of_the_law(found, [fit for fit in others if fit.law in decision.described])
+    found = without_those_of_the_law(found, [fit for fit in others if fit.law in decision.described])
+    if decision.rejected and (any(found) or np.any(np.abs(decision.best.calibration_deviations) > CONTRADICTED_BY)):
+        effect = "no law describes the record with the stated one"
+        own = contradicted_by_all_laws(decision.asked, decision.runs, decision.records, effect, described=True)
+        if any(own):
+            return own, True
+    return found, False
 
 
-def _words(decision: Decision, rows: Rows, contradicted: Contradictions) -> str:
+def _words(decision: Decision, rows: Rows, contradicted: Contradictions, *, kept_away: bool) -> str:
     """Return the verdict."""
     if decision.beaten:
         return verdict.rival_sentence(rows.together, decision.competition)
     if decision.rejected:
-        return verdict.no_law_sentence(rows.together, decision.assessed.together)
+        words = verdict.no_law_sentence(rows.together, decision.assessed.together)
+        return name_contradictions(words, contradicted) if kept_away else words
     measured = all(run.motion.belt_measured for run in decision.runs)
     words = verdict.verdict_sentence(
         rows.together,

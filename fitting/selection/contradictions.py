@@ -3,20 +3,26 @@
 A calibration is a prior of the fit, so the fitted value lies between the two and hides the contradiction.  Each is
 therefore compared with what the record alone shows, by the best law (`fitting.estimation.covariance.without_prior`).
 This is one Newton step, exact for a linear problem only; where no law holds, a correct damping may be contradicted.
+There the laws are fitted again without what was stated.
 """
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
+from daq.base.errors import DataError
 from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.curve.formula_fit import FormulaFit
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import without_prior
+from fitting.estimation.derived import derived_parameters
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import PER_RUN, Global
-from fitting.selection.result import LawResult
+from fitting.model.problem import Run
+from fitting.selection import law_fits
+from fitting.selection.asked import Asked
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from processing.record.setting import with_error
@@ -32,8 +38,9 @@ UNITS = {"belt-speed": "m/s", "datum": "m", "x0": "m", "damping": "N s/m", "stif
 def find_contradictions(
     fit: Fit | FormulaFit,
     motions: Sequence[MeasuredMotion],
-    rows: Sequence[LawResult],
+    parameters: Sequence[Mapping[str, Parameter]],
     records: Sequence[Kinematics],
+    effect: str = "",
 ) -> list[list[Finding]]:
     """Return what of each run's calibration its record contradicts by more than `CONTRADICTED_BY` standard deviations.
 
@@ -43,10 +50,12 @@ def find_contradictions(
         Of the best law, all runs together.
     motions : sequence of MeasuredMotion
         Of each run.
-    rows : sequence of LawResult
+    parameters : sequence of mapping
         The best law's of each run.
     records : sequence of Kinematics
         Of each run, with the calibration that its positions were made with.
+    effect : str
+        What a contradicted value does; by default, which of both the fit used.
 
     Returns
     -------
@@ -54,13 +63,18 @@ def find_contradictions(
         Of each run, in the record's own signs, SI units.
     """
     return [
-        _of_run(fit, motion, row.parameters, record.recording.rig, run)
-        for run, (motion, row, record) in enumerate(zip(motions, rows, records, strict=False))
+        _of_run(fit, motion, own, record.recording.rig, run, effect)
+        for run, (motion, own, record) in enumerate(zip(motions, parameters, records, strict=False))
     ]
 
 
 def _of_run(
-    fit: Fit | FormulaFit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
+    fit: Fit | FormulaFit,
+    motion: MeasuredMotion,
+    parameters: Mapping[str, Parameter],
+    recorded: Rig,
+    run: int,
+    effect: str,
 ) -> list[Finding]:
     found = []
     for code, value, expected, used in _compared(fit, motion, parameters, recorded, run):
@@ -70,10 +84,43 @@ def _of_run(
         if sigmas > CONTRADICTED_BY:
             text = (
                 f"{code.replace('-', ' ')}: {expected.value:.4g} {unit} was stated, the record shows {value.value:.4g} "
-                f"+- {value.sd:.2g} {unit} ({sigmas:.3g} standard deviations apart); the fit used {used}"
+                f"+- {value.sd:.2g} {unit} ({sigmas:.3g} standard deviations apart); {effect or f'the fit used {used}'}"
             )
             found.append(Finding(code, text, value.value, expected.value, sigmas))
     return found
+
+
+def contradicted_by_all_laws(
+    asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics], effect: str, *, described: bool = False
+) -> list[list[Finding]]:
+    """Return what of each run's rest position and damping keeps every law away from the runs; [] where nothing does.
+
+    The laws are fitted without both.  Where the best of them then comes near, or where ``described`` leaves no more
+    than noise, it shows what the stated values should be.
+
+    Parameters
+    ----------
+    asked : Asked
+    runs : sequence of Run
+    records : sequence of Kinematics
+    effect : str
+        What a contradicted value does.
+    """
+    if all(run.motion.datum_prior is None and run.motion.damping_prior is None for run in runs):
+        return []
+    free = [replace(run, motion=replace(run.motion, datum_prior=None, damping_prior=None)) for run in runs]
+    try:
+        found = law_fits.fit_runs(asked.competitors.searched, free, records, asked.jobs, None, asked.scheduler)
+    except (law_fits.NoLawError, DataError):
+        return []
+    if not found.fits or (described and not law_fits.is_described(found.fits, found.runs)):
+        return []
+    best = min(found.fits, key=lambda fit: fit.geometric_mean_rms)
+    parameters = [
+        derived_parameters(best, run.motion, asked.alpha, number, sustained=found.sustained)
+        for number, run in enumerate(free)
+    ]
+    return find_contradictions(best, [run.motion for run in runs], parameters, records, effect)
 
 
 def without_those_of_the_law(

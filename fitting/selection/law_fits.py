@@ -27,11 +27,12 @@ MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each cos
 
 
 class NoLawError(Exception):
-    """The record is stick-slip, but no law comes near it: caught by `rank`, which returns it as a result."""
+    """No law comes near the record: caught by `rank`, which returns it as a result where that is stick-slip."""
 
-    def __init__(self, reason: str) -> None:
+    def __init__(self, reason: str, *, stick_slip: bool) -> None:
         super().__init__(reason)
         self.reason = reason
+        self.stick_slip = stick_slip
 
 
 class FittedSix(NamedTuple):
@@ -94,11 +95,11 @@ def fit_runs(
     seen = sustained  # as the record itself shows, before any law is fitted
     doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
     if not formulas or doubt == screening.SINE_ALONE:
-        refuse(doubt, runs, records)
+        refuse(doubt, records)
     fit_to = partial(_fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:
         fits = fit_to(laws, runs)
-        if len(runs) == 1 and runs[0].ripple is not None and fits and not _is_described(fits, runs):
+        if len(runs) == 1 and runs[0].ripple is not None and fits and not is_described(fits, runs):
             fits, runs = _fit_other_ripples(laws, runs[0], fits, fit_to)
     else:
         fits, runs, sustained = _fit_grazing(laws, runs, fit_to)
@@ -112,13 +113,13 @@ def fit_runs(
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
     doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
     if not formulas or not fits or doubt == screening.SINE_ALONE:
-        refuse(doubt, runs, records)
+        refuse(doubt, records)
     if not doubt:
         screening.refuse_missing_frames(fits, records)
-    if not seen and not any(record.sticks for record in records) and not _is_described(fits, runs):
-        refuse(screening.NOT_DESCRIBED, runs, records)
+    if not seen and not any(record.sticks for record in records) and not is_described(fits, runs):
+        refuse(screening.NOT_DESCRIBED, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
-        refuse(screening.SINE_ALONE, runs, records)
+        refuse(screening.SINE_ALONE, records)
     return FittedSix(fits, list(runs), sustained, doubt)
 
 
@@ -138,12 +139,12 @@ def _fit_other_ripples(
         error = min((fit.geometric_mean_rms for fit in fits), default=math.inf)
         if error < least:
             best, least = (fits, trial), error
-            if _is_described(fits, [trial]):
+            if is_described(fits, [trial]):
                 break
     return best[0], [best[1]]
 
 
-def _is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
     """Return whether the law that comes nearest leaves no more than noise."""
     return describes([min(fits, key=lambda fit: fit.geometric_mean_rms)], [run.motion for run in runs])
 
@@ -179,7 +180,7 @@ def _fit_grazing(
     found = []
     for choice in choices:
         fits = fit_to(laws, choice)
-        if fits and _is_described(fits, choice):
+        if fits and is_described(fits, choice):
             return fits, choice, True
         found.append((min((fit.geometric_mean_rms for fit in fits), default=math.inf), fits, choice))
     _, fits, runs = min(found, key=lambda one: one[0])
@@ -200,7 +201,7 @@ def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematic
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
     for run, kind, record in zip(runs, kinds, records, strict=True):
-        refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [run], [record])
+        refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
     sources = [record.recording.where for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
@@ -210,9 +211,9 @@ def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematic
     count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
-            refuse(screening.swings_alone(count), runs, records)
+            refuse(screening.swings_alone(count), records)
         if count:  # a longer record of another motion would be none either
-            refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), runs, records)
+            refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
         left = sum(len(run.cut.cycles) for run in runs) - count
         out = f", {left} more left out" if left else ""
         raise DataError(
@@ -226,10 +227,8 @@ def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematic
     return sustained
 
 
-def refuse(why: str, runs: Sequence[Run], records: Sequence[Kinematics]) -> None:
-    """Raise where ``why`` says why the laws cannot be ranked: `NoLawError` for stick-slip, else DataError."""
-    if not why:
-        return
-    if why != screening.SINE_ALONE and all(screening.is_stick_slip(record) for record in records):
-        raise NoLawError(why)
-    raise DataError(*screening.refusal(why, runs, records))
+def refuse(why: str, records: Sequence[Kinematics]) -> None:
+    """Raise NoLawError where ``why`` says why the laws cannot be ranked."""
+    if why:
+        stick_slip = why != screening.SINE_ALONE and all(screening.is_stick_slip(record) for record in records)
+        raise NoLawError(why, stick_slip=stick_slip)

@@ -20,6 +20,7 @@ from fitting.model.problem import Run
 from fitting.selection import answer, law_fits, screening
 from fitting.selection.answer import Decision
 from fitting.selection.asked import Asked
+from fitting.selection.contradictions import contradicted_by_all_laws
 from fitting.selection.evidence import ModelSet
 from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import judge
@@ -79,9 +80,13 @@ def rank(
         measured = measure(fits, chosen.members, [run.motion for run in runs], alpha)
         formulas = fit_formulas(competitors, measured.curve, rivals=sustained)
         if doubt and not screening.comes_near(formulas.fits, runs):
-            law_fits.refuse(doubt, runs, records)
+            law_fits.refuse(doubt, records)
     except law_fits.NoLawError as refused:
-        return answer.without_law(refused.reason, asked, runs, records, begun)
+        effect = "no law comes near the record with the stated one"
+        contradicted = contradicted_by_all_laws(asked, runs, records, effect) or [[] for _ in runs]
+        if refused.stick_slip:
+            return answer.without_law(refused.reason, contradicted, asked, runs, records, begun)
+        raise screening.refusal(refused.reason, contradicted, runs, records) from None
     competition = _compete(fits, chosen, formulas.fits, asked, runs, sustained=sustained)
     decision = _decided(asked, records, runs, fits, formulas, measured, competition, sustained=sustained)
     _log(decision)

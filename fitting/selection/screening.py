@@ -73,17 +73,32 @@ LEAST_SHARE = 0.3
 RETURNS = (0.5, 2.0)
 
 
-def refusal(why: str, runs: Sequence[Run], records: Sequence[Kinematics]) -> tuple[str, str, str]:
-    """Return what a refused record is, where, and what to do.
+def refusal(
+    why: str, contradicted: Sequence[Sequence[Finding]], runs: Sequence[Run], records: Sequence[Kinematics]
+) -> DataError:
+    """Return the error of a record whose laws cannot be ranked.
 
     Parameters
     ----------
     why : str
-        Why its laws cannot be ranked.
+        Why they cannot.
+    contradicted : sequence of sequence of Finding
+        What was stated of each run's rig without which a law comes near.
     runs : sequence of Run
     records : sequence of Kinematics
         The records of the runs, as they were smoothed.
     """
+    findings = [finding for own in contradicted for finding in own]
+    if findings:
+        do = "check its value and its sign, or leave it out"
+        error = DataError(findings[0].text, ", ".join(record.recording.where for record in records), do)
+        error.add_result({"findings": [vars(finding) for finding in findings]}, [])
+        return error
+    return DataError(*_no_stick_slip(why, runs, records))
+
+
+def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics]) -> tuple[str, str, str]:
+    """Return what a refused record is, where, and what to do."""
     where = ", ".join(record.recording.where for record in records)
     if why == SINE_ALONE:
         do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"

@@ -1,9 +1,11 @@
 """What was stated of the rig and contradicts the record is reported with both numbers, and the record is used."""
 
+import re
 from dataclasses import replace
 
 import pytest
 
+from daq.base.errors import DataError
 from daq.base.measured import Measured
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
@@ -75,6 +77,38 @@ def test_a_wrong_calibration_is_named_with_both_numbers(ranked_with, code, chang
     assert finding.sigmas > 4
     assert f"{finding.value:.4g}" in finding.text
     # A warning alone said so; the verdict named the law as if every calibration held.
-    if ranking.adequacy.adequate:
-        assert f"contradicts the stated {code}" in ranking.verdict
+    assert f"contradicts the stated {code}" in ranking.verdict
     assert ranking.adequacy.adequate or code == "datum"
+
+
+@pytest.fixture
+def ranked_at_rest(belt_rig):
+    """Give a function that ranks law 5 with a rest position stated, m; it is 0."""
+
+    def of(rest, duration):
+        recording = belt_rig.recording(law=5, duration=duration)
+        rig = replace(recording.rig, mass=Measured(0.3, 3e-4)).resting_at(Measured(rest, 1e-4))
+        return rank(smooth(recording), rig, laws=(5,))
+
+    return of
+
+
+@pytest.mark.parametrize("rest", [0.02, 0.06, 0.15])
+def test_a_rest_position_that_keeps_every_law_away_is_named_with_what_holds(ranked_at_rest, rest):
+    # 60 mm made it "none of the six" without a word of x0; of 20 mm the record was said to show -122 mm.
+    ranking = ranked_at_rest(rest, 14.0)
+    assert not ranking.adequacy.adequate
+    assert codes(ranking) == ["x0"]
+    finding = ranking.findings[0]
+    assert finding.value == pytest.approx(0.0, abs=1e-3)
+    assert finding.expected == rest
+    assert finding.text in ranking.warnings
+    assert re.search("; no law (describes|comes near) the record with the stated one$", finding.text)
+    assert "it contradicts the stated x0" in ranking.verdict
+
+
+def test_a_short_record_is_not_refused_for_a_rest_position_that_keeps_every_law_away(ranked_at_rest):
+    # It was "no belt stick-slip in this record".
+    with pytest.raises(DataError, match=r"^.*x0: 0\.06 m was stated, the record shows .*no law comes near") as refused:
+        ranked_at_rest(0.06, 10.0)
+    assert refused.value.data["findings"][0]["value"] == pytest.approx(0.0, abs=1e-3)
