@@ -6,6 +6,7 @@ are cut into pieces, each less a cubic and what it has in common with the same p
 away what a wrong law, a ripple or wear leaves.  The squares of what a piece holds of the modes of a random walk are
 regressed on the variances that noise and the walk give to each mode.
 Noise may be correlated over three samples, as after a filter in the tracker: its autocovariances are unknowns, too.
+What rounding leaves of a slow motion is correlated for longer: where it makes up the noise, nothing is looked for.
 
 `processing.defects.frames` counts the frames where single ones are clear of the noise.
 """
@@ -19,6 +20,7 @@ import numpy as np
 from daq.base.compute.arrays import Array, Integers
 from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
+from processing.defects.frames import DITHERED
 from processing.record.kinematics import Kinematics
 
 # Samples of a piece: the shortest that shows the share to `SHARE_ERROR` is taken, or the last.  In 16 a law's misfit
@@ -81,7 +83,8 @@ def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None
     run : int
         Number of the run.
     """
-    if record.recording.raw is not None or not record.even_times:
+    motion = fit.problem.motions[run]
+    if record.recording.raw is not None or not record.even_times or motion.resolution < DITHERED * motion.step:
         return None
     own = fit.for_run(run)
     interval = float(np.median(np.diff(record.time)))
