@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from daq.base.compute.arrays import Array
 from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
 from fitting.drawing import curves
@@ -48,24 +49,33 @@ def measured_curve(ranking: RankedLaws) -> str:
     for place, reach in enumerate((float(curve.speed[-1]), ZOOM * float(curve.speed[-1]))):
         seen = curve.speed <= 1.02 * reach
         shown = seen if seen.sum() > 2 else np.ones_like(seen)
-        low, high = float(lo[shown].min()), float(hi[shown].max())
+        grid = np.linspace(0.0, 1.02 * reach, 400)
+        forces = {row.law: _force(ranking, row, grid) for row in by_law(ranking)}
+        members = [forces[row.law] for row in ranking.rows if row.in_set]
+        low = float(min([lo[shown].min(), *(force.min() for force in members)]))
+        high = float(max([hi[shown].max(), *(force.max() for force in members)]))
         tall = AxisScale(low - 0.25 * (high - low), high + 0.35 * (high - low))
         axes = Axes(place * WIDE / 2, 0, WIDE / 2, height, AxisScale(0.0, 1.02 * reach), tall, rows=rows)
         axes.title = "low speeds" if place else "all speeds"
         axes.xlabel, axes.ylabel = "relative speed (m/s)", f"friction ({ranking.adequacy.unit})"
-        grid = np.linspace(0.0, 1.02 * reach, 400)
         for row in by_law(ranking):
-            force = np.abs(curves.curve(row.fit, ranking.motion, -grid))
-            if not curve.level_known:
-                at = np.abs(curves.curve(row.fit, ranking.motion, -curve.speed))
-                force = force + np.mean(curve.friction - at)
             width = 1.8 if row.in_set else 1.0
-            axes.line(grid, force, colours[row.law], width=width, dash=dashes[row.law], label=row.label)
+            axes.line(grid, forces[row.law], colours[row.law], width=width, dash=dashes[row.law], label=row.label)
         axes.band(curve.speed, lo, hi, INK, opacity=0.22, label=band)
         axes.line(curve.speed, curve.friction, INK, width=1.8, label=label)
         drawn.append(axes)
     about = "Friction against relative speed: measured without a law, with its band, and the curves of the fitted laws."
     return picture("measured-curve", WIDE, height, drawn, about)
+
+
+def _force(ranking: RankedLaws, row: LawResult, speed: Array) -> Array:
+    """Return a law's friction at relative speeds, at the level of the measured curve where that is not determined."""
+    force = np.abs(curves.curve(row.fit, ranking.motion, -speed))
+    curve = ranking.adequacy.curve
+    if curve is None or curve.level_known:
+        return force
+    at = np.abs(curves.curve(row.fit, ranking.motion, -curve.speed))
+    return force + float(np.mean(curve.friction - at))
 
 
 def orbits(ranking: RankedLaws) -> str:

@@ -65,8 +65,8 @@ NONE_NEAR = "no law comes near it"
 NOT_DESCRIBED = "no law describes it"  # though one comes near
 SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
-# Share of the record in sticks.  At half of it the plateaus of a random walk (0.12) would be asked for their speeds too;
-# at twice, records of 132 and of 38 sticks of one speed (0.19, and 0.21 of paper on paper) are no stick-slip.
+# Share of the record in sticks.  At half of it the plateaus of a random walk (0.12) are asked for their speeds too; at
+# twice, records of 132 and of 38 sticks of one speed (0.19, and 0.21 of paper on paper) are no stick-slip.
 LEAST_SHARE = 0.15
 # Median way back in a slip, over the median way of a stick: in the long run both are equal.  Records of paper on paper
 # have 0.83 and 1.01, steps 0.04.
