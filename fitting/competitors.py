@@ -29,7 +29,7 @@ from daq.base.errors import InputError, check_known, nearest
 from fitting.law import Bound, Law, check_values, read_law
 from rig_sim.friction.law import LAWS
 
-ALL_LAWS = (1, 2, 3, 4, 5, 6)  # numbers of the six laws (`rig_sim.friction.law`)
+ALL_LAWS = tuple(LAWS)  # numbers of the six laws
 # Least value of each parameter of rig and contact, and whether it may be that.
 LEAST_VALUES: dict[str, tuple[float, bool]] = {
     "k/m": (0.0, False),

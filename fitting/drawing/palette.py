@@ -48,7 +48,7 @@ def _by_law(laws: Iterable[int | str], six: Mapping[int, str], formulas: Sequenc
     by_law: dict[int | str, str] = {}
     names = 0
     for law in laws:
-        if isinstance(law, int):
+        if isinstance(law, int) and law in six:
             by_law[law] = six[law]
         else:
             by_law[law] = formulas[names % len(formulas)]

@@ -17,9 +17,7 @@ from fitting.sensitivity.columns import shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, Path, law_curve, spline_curve
 from fitting.sensitivity.spline import FrictionSpline
 from rig_sim.friction.curve import magnitude
-from rig_sim.friction.law import LAWS
-
-NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
+from rig_sim.friction.law import LAWS, NESTED
 
 
 class FrictionCurve(ABC):

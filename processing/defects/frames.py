@@ -17,23 +17,20 @@ from daq.base.compute.arrays import Array, runs
 from daq.base.compute.compile import compiled
 from processing.defects import frame_kernel
 from processing.polynomial.even_grid import is_even
+from processing.record.noise import DITHERED
 from processing.record.series import Series
 
 KERNELS = ("processing.defects.frame_kernel",)
 
 # Standard deviations of a step that the usual step must have to be compared.  At 5 noise makes 1 in 1,000 usual steps
 # none, and 4 of those compared, because a short step makes the mean of those beside it longer: every sound record of
-# 70,000 even steps of 7 standard deviations of a position is "doubled", at 5.5 some are, at 6 none.  At 10 steps have to
+# 70,000 even steps of 7 standard deviations of a position is "doubled", at 5.5 some are, at 6 none.  At 10 steps must
 # be twice as long as at 5.
 CLEAR = 6.0
 NEAR = 0.35  # of the usual step: how near a multiple a step must lie
 SHARE = 1e-3  # of the steps compared, at least
 FEWEST = 5  # steps, at least, in a short record
 SUMS, OF_KERNEL, UNCLEAR = 16, 11, 5  # numbers; those of the kernel; the first of its steps that are not clear
-# Printed steps of noise, at least: with less, rounding skews the steps of a slow motion, which are mostly 0 or 1 count.
-# What is left of that falls as exp(-2 pi^2 n^2) with n steps of noise (B. Widrow, I. Kollar, Quantization Noise, 2008,
-# ch. 5): at 0.25 it is 0.3, at 0.5 it is 0.007, and at 1 less than the scatter of any record.
-DITHERED = 0.5
 REPEATED = 2.0  # printed steps of noise, at least: at 1 the readings one to three steps apart mislead by 2 % of all
 # Readings one step apart over those two apart, at least: noise of 2 steps gives 1.2.  Where a few readings were
 # set half way between their neighbours, as spikes are, half of the printed step passes for it: odd steps are then rare.

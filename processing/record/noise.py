@@ -20,6 +20,11 @@ MOST = 2**12  # differences looked at, spread over the record: their median is k
 NEIGHBOURS = 1, 1  # samples: the gaps inside a difference, least and widest
 APART = 8, 16  # the same where readings are mostly rounding: up to 1.2 times what it adds; with 1, 3 up to 1.6 times
 ROUNDED = 1.0  # steps: a smaller scatter is mostly rounding, which neighbours of a steady motion share in a pattern
+# Steps of noise, at least, for a rounding error that has nothing to do with the motion: with less, it skews the steps
+# of a slow motion, which are mostly 0 or 1 count, and repeats itself.  What is left of that falls as exp(-2 pi^2 n^2)
+# with n steps of noise (B. Widrow, I. Kollar, Quantization Noise, 2008, ch. 5): at 0.25 it is 0.3, at 0.5 it is 0.007,
+# and at 1 less than the scatter of any record.
+DITHERED = 0.5
 # Steps: how near whole multiples of a step the changes of rounded readings are, in the median; 0.25 where there is no
 # step.  Counts times a pitch that were printed again, to a twentieth of the pitch or finer, are within 0.015.
 NEAR_WHOLE = 0.02

@@ -64,6 +64,19 @@ LAWS = {
     )
 }
 
+
+def _limits(law: Law) -> tuple[int, ...]:
+    """Return the laws that this one becomes in a limit: without its fall, with a ramp of no width, or both."""
+    others = [
+        other
+        for other in LAWS.values()
+        if other is not law and other.curve in (law.curve, "constant") and other.contact in (law.contact, "jump")
+    ]
+    return tuple(sorted((other.number for other in others), reverse=True))
+
+
+NESTED = {law.number: _limits(law) for law in LAWS.values()}  # the laws that are a limit of each
+
 MEASURED_CURVE = Law(0, "measured curve", "measured", "jump", ("curve",))  # no law: what a scene's points say
 
 

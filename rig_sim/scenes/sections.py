@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError
 from rig_sim.friction.curve import CONSTANT, LINEAR
 from rig_sim.friction.formula import Formula
 from rig_sim.friction.formula_curve import formula_curve
-from rig_sim.friction.law import Law, law_or_curve
+from rig_sim.friction.law import LAWS, Law, law_or_curve
 from rig_sim.friction.spline import spline_table
 
 if TYPE_CHECKING:
@@ -20,14 +20,15 @@ NotNegative = Annotated[float, Field(ge=0)]
 Negative = Annotated[float, Field(lt=0)]
 
 
-def _no_flag(value: object) -> object:
-    """Refuse true and false where a number belongs: Python takes them for 1 and 0."""
-    if isinstance(value, bool):
-        raise PydanticCustomError("a_flag", "input should be 0, 1, 2, 3, 4, 5 or 6")
-    return value
+def _known_law(value: object) -> int:
+    """Return the number of a law; refuse others, also true and false, which Python takes for 1 and 0."""
+    known = next((number for number in (0, *LAWS) if number == value and not isinstance(value, bool)), None)
+    if known is None:
+        raise PydanticCustomError("law", f"input should be {', '.join(map(str, (0, *LAWS)[:-1]))} or {max(LAWS)}")
+    return known
 
 
-LawNumber = Annotated[Literal[0, 1, 2, 3, 4, 5, 6], BeforeValidator(_no_flag)]
+LawNumber = Annotated[int, BeforeValidator(_known_law)]
 PLACES_TO_BELT = 129  # at which the largest friction is sought: it sets how far the curve must reach, with a margin
 EventRate = Annotated[float, Field(gt=0, le=1000)]  # per second: an effect that happens now and then
 
