@@ -148,7 +148,10 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
 
 def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | None:
     """Fit a spline with the rest position that is assumed, or with that which the record shows."""
-    task, law_end = _beside_law(fit, rest)
+    beside = _beside_law(fit, rest)
+    if beside is None:
+        return None
+    task, law_end = beside
     starts = [(law_end, fit.at.noise.without_fade), *((start, None) for start in _regressed(task))]
     settled = best_end(task, starts, noise)
     found = None if settled is None else finish(settled, noise) or settled
@@ -157,11 +160,16 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
     return SplineFit(fit, found, found.path, noise, rest)
 
 
-def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart]:
-    """Return the task of the free curve on a law's contact, and the law's own end as a start."""
+def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None:
+    """Return the task of the free curve on a law's contact, and the law's own end as a start.
+
+    None where all slips lie on the law's ramp, or where its friction vanishes in the middle of their speeds.
+    """
     ramp = bool(LAWS[fit.law].ramp)
     problem, local = _problem(fit, rest), fit.local.copy()
     knots = curve_knots(problem.runs, float(fit.u[Global.D]) if ramp else 0.0)
+    if knots[-1] <= 0:
+        return None
     spline = FrictionSpline.over(knots)
     s = np.linspace(0.0, knots[-1], 20 * knots.size)
     friction = fit.at.task.friction(fit.at.q, s)
@@ -169,6 +177,8 @@ def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart]:
     if rest is not None:
         u, coefficients = moved_to(u, coefficients, rest, ramp=ramp)
         local[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 0.0
+    if not np.median(coefficients) > 0:
+        return None
     task = free_curve_task(problem, knots, u, coefficients)
     index = list(task.places)
     return task, FitStart(np.concatenate([u[index], task.curve.start]), _started_below(fit, local))

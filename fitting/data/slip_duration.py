@@ -43,6 +43,8 @@ def slip_duration(time: Array, position: Array, noise: float) -> float:
         return float(time[-1] - time[0])
     slow = _middle_mean(np.array([time[j] - time[i] for i, j in falls]))
     height = float(np.median([np.ptp(position[i : j + 1]) for i, j in falls]))
+    if height == 0:
+        return float(time[-1] - time[0])
     share = harmonic_share(belt * slow / height)
     return slow * (math.pi + 2 * math.asin(share)) / (math.pi + 2 * math.asin(0.5 * share))
 

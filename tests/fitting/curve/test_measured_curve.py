@@ -1,9 +1,13 @@
 """The measured curve against contacts of known friction, made by a generator that shares nothing with the fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fitting.curve.measure import band_exit, in_newtons
+from fitting.curve.spline_fit import fit_spline
+from fitting.model.parameters import Global
 
 STRIBECK = {"curve": "stribeck", "Fc": 0.5, "v_s": 0.08, "Fv": 0.1}
 CONTACTS = {
@@ -39,6 +43,14 @@ def test_a_curve_is_measured_where_the_best_law_is_wrong(measured, contact):
     assert (force.friction == 0.3 * result.curve.friction).all()
     assert (Fs.unit, Fs.value) == ("N", pytest.approx(result.contact.Fs, rel=0.03))
     assert force.forms[0].parameters["vs"].value == pytest.approx(0.1, rel=0.03)
+
+
+def test_no_curve_is_measured_where_every_slip_lies_on_the_laws_ramp(ranked):
+    # A ramp as wide as the slips are fast left it no speeds: "middle coefficient is 0.0; friction must not vanish".
+    fit = ranked(law=6, duration=10.0).row(6).fit
+    wide = fit.u.copy()
+    wide[Global.D] = 2 * float(np.max(np.abs(fit.problem.motions[0].velocity)))
+    assert fit_spline(replace(fit, u=wide), np.array([1e-5])) is None
 
 
 @pytest.mark.parametrize(("scatter", "assumed"), [(0.0, True), pytest.param(0.03, False, marks=pytest.mark.slow)])

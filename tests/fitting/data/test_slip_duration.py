@@ -48,6 +48,13 @@ def test_a_record_without_a_turn_has_no_slip_shorter_than_itself():
     assert slip_duration(time, 2 * time, 1e-3) == 9.0
 
 
+def test_rests_between_moves_with_the_belt_are_no_slips():
+    # Seen from half the belt's speed a mass at rest falls, by nothing: "float division by zero".
+    time = np.arange(0, 40, 0.1)
+    steps = np.floor(time / 4) + np.clip(time % 4 / 2, 0, 1)
+    assert slip_duration(time, steps, 1e-4) == time[-1]
+
+
 def test_the_harmonic_share_is_that_of_a_harmonic_motion():
     for share in (0.1, 0.5, 1.0):
         slow = np.pi + 2 * np.arcsin(share / 2)  # of amplitude 1 and frequency 1, slower than half the belt
