@@ -27,7 +27,9 @@ from rig_sim.friction.law import LAWS
 
 WIDEST_BELT_LOSS = 0.03  # speed that a belt may lose under the load Fs, over its own
 WIDEST_BY_RIPPLE = 0.08  # width over the belt's speed of a ramp that a belt with 3 % ripple can imitate
-UNSTEADY_DRAG = 1.3  # rms of the drag over that of the whole record; the drag on a steady belt stays below.  Not swept
+# Rms of the drag over that of the whole record; on a steady belt it stays below.  Half and twice decide the same on 26
+# records.
+UNSTEADY_DRAG = 1.3
 # Width over the belt's speed: a ramp that may be wider is not excluded.  At 1 mm of noise the interval reaches 0.1 to
 # 0.3; on an encoder's records 0.001 to 0.02, so that half or twice the limit changes none.
 OPEN_RAMP = 0.05
@@ -36,9 +38,10 @@ OPEN_RAMP = 0.05
 # 0.0012.
 CLOSED = 2e-3
 # Score beyond what the ramp's parameters cost: a ramp law that errs plainly more than its jump law stays out.
-# Chosen by trial; not swept.
+# Chosen; half and twice decide the same on 26 records.
 RAMP_SCORE_MARGIN = 4.0
-SAME = 0.05  # difference in log error: a hyperbola on a compliant belt and a ramp differ by less.  Not swept
+# Difference in log error: a hyperbola on a compliant belt and a ramp differ by less.  As above.
+SAME = 0.05
 
 
 def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit | None:

@@ -53,7 +53,8 @@ LEAST_COUNTS = 4.0  # a smaller step may be an encoder's error between two lines
 SPREAD = 5  # samples that a step takes at most
 RETURNS = (3, 4, 5, 6, 7, 8, 10, 12)  # samples after which a kick is over
 SHARPEST = 1.5  # times the largest accelerations of the record (99th percentile): those by which kicks are over
-LEARNED, PART = 2**14, 2**12  # samples that a model is learned from, and of a part of them; chosen, not swept
+# Samples that a model is learned from, and of a part of them.  Half and twice of the first smooth 26 records alike.
+LEARNED, PART = 2**14, 2**12
 ZONE, GROWING = 14, 10.0  # samples around a place that belong to it: more by so many for each power of e of its t
 LOOKED_AT = 24.0  # of the square of t: places below are no candidates, and no corner of theirs forbids a fault nearby
 LOCAL, LOUD = 64, 2.0  # samples of a block; times the usual median square beyond which its t are scaled down

@@ -67,7 +67,9 @@ from processing.segmentation.switching_times import SwitchingTimes, initial_swit
 KERNELS = ("processing.segmentation.line_fit",)
 WHAT = {LAND: "land", MEET: "land", LEAVE: "leave", KICK: "kick", START: "start", STOP: "stop", OVERTAKE: "overtake"}
 ORDER = 7  # of the equivalent spline
-BAD = 16.0  # times the median mean square innovation: a stick that may raise the noise of all; not swept
+# Times the median mean square innovation: a stick that may raise the noise of all.  Half and twice smooth 26 records
+# alike.
+BAD = 16.0
 LINE = 1 / 3  # of a slip: the longest straight line through a stick (`line_fit` describes the effect of longer ones)
 
 

