@@ -56,8 +56,8 @@ CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the o
 # Error over the best after the first pass, from which a fit is not settled.  True laws reach 20 there in harsh records;
 # twice costs time alone.
 GIVEN_UP_BEYOND_BEST = 30.0
-# Least gain in log likelihood of a ramp's break-away level of its own.  Half and twice decide the same on 26 records, of
-# which two have one.
+# Least gain in log likelihood of a ramp's break-away level of its own.  Half and twice decide the same on 26 records,
+# of which two have one.
 STATIC_GAIN = 5.0
 # Starts of the break-away level over that of slip.  What the level's first step would gain does not say whether it is
 # worth a search: with levels of 1.05 and of 1.5 it was nothing at the end without one.  From 1.1 alone a level of 1.5
