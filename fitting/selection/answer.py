@@ -233,15 +233,17 @@ def _contradicted(decision: Decision, rows: Rows) -> tuple[Contradictions, bool]
     best = [next(row.parameters for row in own if row.law == decision.best.law) for own in rows.runs]
     motions = [run.motion for run in decision.runs]
     found = find_contradictions(decision.best, motions, best, decision.records)
-    others = [
+    rivals = [
         fit
         for fit in decision.fits
         if isinstance(fit, FormulaFit) and fit is not decision.best and fit.law in decision.competition.members
     ]
-    found = without_those_of_the_law(found, [fit for fit in others if fit.law in decision.described])
-    if decision.rejected and (any(found) or np.any(np.abs(decision.best.calibration_deviations) > CONTRADICTED_BY)):
+    holding = [fit for fit in rivals if fit.law in decision.described]
+    found = without_those_of_the_law(found, holding)
+    far = np.any(np.abs(decision.best.calibration_deviations) > CONTRADICTED_BY)
+    if decision.rejected and not holding and (far or any(found)):
         effect = "no law describes the record with the stated one"
-        own = contradicted_by_all_laws(decision.asked, decision.runs, decision.records, effect, described=True)
+        own = contradicted_by_all_laws(decision.asked, decision.runs, decision.records, effect)
         if any(own):
             return own, True
     return found, False

@@ -91,12 +91,12 @@ def _of_run(
 
 
 def contradicted_by_all_laws(
-    asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics], effect: str, *, described: bool = False
+    asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics], effect: str
 ) -> list[list[Finding]]:
     """Return what of each run's rest position and damping keeps every law away from the runs; [] where nothing does.
 
-    The laws are fitted without both.  Where the best of them then comes near, or where ``described`` leaves no more
-    than noise, it shows what the stated values should be.
+    The laws are fitted without both.  Where the best of them then leaves no more than noise, it shows what the stated
+    values should be.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def contradicted_by_all_laws(
         found = law_fits.fit_runs(asked.competitors.searched, free, records, asked.jobs, None, asked.scheduler)
     except (law_fits.NoLawError, DataError):
         return []
-    if not found.fits or (described and not law_fits.is_described(found.fits, found.runs)):
+    if not found.fits or not law_fits.is_described(found.fits, found.runs):
         return []
     best = min(found.fits, key=lambda fit: fit.geometric_mean_rms)
     parameters = [
