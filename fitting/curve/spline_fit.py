@@ -163,7 +163,7 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
 def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None:
     """Return the task of the free curve on a law's contact, and the law's own end as a start.
 
-    None where all slips lie on the law's ramp, or where its friction vanishes in the middle of their speeds.
+    None where the law's ramp is as wide as the slips are fast, and leaves the curve no speeds.
     """
     ramp = bool(LAWS[fit.law].ramp)
     problem, local = _problem(fit, rest), fit.local.copy()
@@ -177,8 +177,6 @@ def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None
     if rest is not None:
         u, coefficients = moved_to(u, coefficients, rest, ramp=ramp)
         local[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 0.0
-    if not np.median(coefficients) > 0:
-        return None
     task = free_curve_task(problem, knots, u, coefficients)
     index = list(task.places)
     return task, FitStart(np.concatenate([u[index], task.curve.start]), _started_below(fit, local))

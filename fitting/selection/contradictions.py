@@ -93,7 +93,7 @@ def _of_run(
 def contradicted_by_all_laws(
     asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics], effect: str
 ) -> list[list[Finding]]:
-    """Return what of each run's rest position and damping keeps every law away from the runs; [] where nothing does.
+    """Return what of each run's rest position and damping keeps every law away from the runs.
 
     The laws are fitted without both.  Where the best of them then leaves no more than noise, it shows what the stated
     values should be.
@@ -105,16 +105,22 @@ def contradicted_by_all_laws(
     records : sequence of Kinematics
     effect : str
         What a contradicted value does.
+
+    Returns
+    -------
+    list of list of Finding
+        Of each run; none where no law holds without them either.
     """
+    nothing: list[list[Finding]] = [[] for _ in runs]
     if all(run.motion.datum_prior is None and run.motion.damping_prior is None for run in runs):
-        return []
+        return nothing
     free = [replace(run, motion=replace(run.motion, datum_prior=None, damping_prior=None)) for run in runs]
     try:
         found = law_fits.fit_runs(asked.competitors.searched, free, records, asked.jobs, None, asked.scheduler)
     except (law_fits.NoLawError, DataError):
-        return []
+        return nothing
     if not found.fits or not law_fits.is_described(found.fits, found.runs):
-        return []
+        return nothing
     best = min(found.fits, key=lambda fit: fit.geometric_mean_rms)
     parameters = [
         derived_parameters(best, run.motion, asked.alpha, number, sustained=found.sustained)

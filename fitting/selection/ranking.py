@@ -83,7 +83,7 @@ def rank(
             law_fits.refuse(doubt, records)
     except law_fits.NoLawError as refused:
         effect = "no law comes near the record with the stated one"
-        contradicted = contradicted_by_all_laws(asked, runs, records, effect) or [[] for _ in runs]
+        contradicted = contradicted_by_all_laws(asked, runs, records, effect)
         if refused.stick_slip:
             return answer.without_law(refused.reason, contradicted, asked, runs, records, begun)
         raise screening.refusal(refused.reason, contradicted, runs, records) from None

@@ -2,8 +2,7 @@
 
 A published form that was not named is fitted where its information criterion on the measured curve is below that of
 every form of the six, or so little above that the set rule would not exclude it, and so close to the best form that
-could be fitted.  What is evidence and who is in the
-set is decided as between the six (`fitting.selection.evidence`).
+could be fitted.  What is evidence and who is in the set is decided as between the six (`fitting.selection.evidence`).
 """
 
 import logging
@@ -131,7 +130,7 @@ def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rival
         warned += [_said(law, str(group), group.names) for group in one.together]
     named = [fit for fit in found if fit.number is None]
     least = math.inf  # criterion of the best form that was fitted
-    for law, criterion in preferred_forms(curve.forms) if rivals else ():
+    for law, criterion in preferred_forms(curve.forms) if rivals else ():  # best first
         if criterion >= least + OPEN:
             break
         if law.name in {own.name for own in competitors.formulas}:  # perhaps with parameters given

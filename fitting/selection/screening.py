@@ -65,8 +65,8 @@ NONE_NEAR = "no law comes near it"
 NOT_DESCRIBED = "no law describes it"  # though one comes near
 SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
-# Share of the record in sticks.  At half of it the plateaus of a random walk (0.12) are asked for their speeds too; at
-# twice, records of 132 and of 38 sticks of one speed (0.19, and 0.21 of paper on paper) are no stick-slip.
+# Share of the record in sticks.  At half of it none of 240 records of other motion is taken for stick-slip either; at
+# twice, records of 132 and of 38 sticks of one speed (0.19, and 0.21 of paper on paper) are none.
 LEAST_SHARE = 0.15
 # Median way back in a slip, over the median way of a stick: in the long run both are equal.  Records of paper on paper
 # have 0.83 and 1.01, steps 0.04.
@@ -88,18 +88,17 @@ def refusal(
     records : sequence of Kinematics
         The records of the runs, as they were smoothed.
     """
+    where = ", ".join(record.recording.where for record in records)
     findings = [finding for own in contradicted for finding in own]
     if findings:
-        do = "check its value and its sign, or leave it out"
-        error = DataError(findings[0].text, ", ".join(record.recording.where for record in records), do)
+        error = DataError(findings[0].text, where, "check its value and its sign, or leave it out")
         error.add_result({"findings": [vars(finding) for finding in findings]}, [])
         return error
-    return DataError(*_no_stick_slip(why, runs, records))
+    return DataError(*_no_stick_slip(why, runs, records, where))
 
 
-def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics]) -> tuple[str, str, str]:
+def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics], where: str) -> tuple[str, str, str]:
     """Return what a refused record is, where, and what to do."""
-    where = ", ".join(record.recording.where for record in records)
     if why == SINE_ALONE:
         do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
         return f"no belt stick-slip in this record: {why}", where, do

@@ -32,6 +32,9 @@ def test_the_page_has_every_number_with_its_comment(constants_page):
     for row in rows:
         assert f"| `{row.name}` | `" in page
     parts = [row for row in rows if row.module == "processing/defects/frames.py"]
-    assert [row.comment.partition(".")[0] for row in parts if row.name == "CLEAR"] == [
-        "Standard deviations of a step that the usual step must have to be compared"
+    assert [row.comment for row in parts if row.name == "NEAR"] == [
+        "of the usual step: how near a multiple a step must lie"
     ]
+    clear = next(row.comment for row in parts if row.name == "CLEAR")
+    assert clear.startswith("Standard deviations of a step that the usual step must have to be compared.  At 5 noise ")
+    assert clear.endswith("At 10 steps must be twice as long as at 5.")
