@@ -62,7 +62,6 @@ class BeltNoise:
 
 
 def learn_noise(record: BeltRecord) -> BeltNoise:
-    """Return the noise of a record."""
     return BeltNoise(position_noise(record.belt), position_noise(record.relative))
 
 
@@ -73,16 +72,10 @@ def smooth_belt(record: BeltRecord, noise: BeltNoise, motion: Motion, model: Met
     `processing.kalman.white_jerk` with the mass's own jerk, as a belt knows no corners, or softer ones.  The mass seen
     from the belt goes through a Savitzky-Golay filter as wide: sharper at the landings, which are looked for there.
 
-    Parameters
-    ----------
-    record, noise : BeltRecord, BeltNoise
-        The belt of a record or of a block of it, and the noise of the record.
-    motion : Motion
-        What a method made of the positions of the mass.
-    model : MethodModel
-        What that method learned.
-    pitch : float
-        Of the positions of the mass, m; 0 for a record without counts.
+    record, noise: The belt of a record or of a block of it, and the noise of the record.
+    motion: What a method made of the positions of the mass.
+    model: What that method learned.
+    pitch: Of the positions of the mass, m; 0 for a record without counts.
     """
     order = motion.order if motion.method == "sg" else 4
     how = model

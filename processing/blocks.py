@@ -68,39 +68,19 @@ class Stretches:
 
 @dataclass(frozen=True, eq=False)
 class MotionModel:
-    """What is learned from a record: all that smoothing a block of it needs.
+    """What is learned from a record: all that smoothing a block of it needs."""
 
-    Attributes
-    ----------
-    units : Units
-        Of the record: those of all that follows.
-    interval : float
-        Median sample interval.
-    moving : (int, int)
-        Samples of the first motion of the record and of the last one.
-    faults : FaultModel
-        What faults of the record are judged by.
-    method : MethodModel
-        The method that runs, and what it learned.
-    rule : PlateauRule or None
-        How sticks show in the motion that the method makes; None where the method finds them itself.
-    belt_speed : float
-        Of the belt by its sticks, signed; NaN where there are none.
-    belt_noise : BeltNoise or None
-        Of a belt with an encoder.
-    checked : CheckedRecord or None
-        The record and its faults where all of it was learned from, which is not stored: in one block it is smoothed
-        from there.
-    """
-
-    units: Units
-    interval: float
-    moving: tuple[int, int]
-    faults: faults.FaultModel
-    method: MethodModel
+    units: Units  # of the record: those of all that follows
+    interval: float  # median sample interval
+    moving: tuple[int, int]  # (int, int) samples of the first motion of the record and of the last one
+    faults: faults.FaultModel  # what faults of the record are judged by
+    method: MethodModel  # the method that runs, and what it learned
+    # how sticks show in the motion that the method makes; None where the method finds them itself
     rule: plateaus.PlateauRule | None
-    belt_speed: float
-    belt_noise: BeltNoise | None
+    belt_speed: float  # of the belt by its sticks, signed; NaN where there are none
+    belt_noise: BeltNoise | None  # of a belt with an encoder
+    # the record and its faults where all of it was learned from, which is not stored: in one block it is smoothed from
+    # there
     checked: CheckedRecord | None = field(default=None, metadata={"stored": False})
 
     @property
@@ -121,38 +101,21 @@ class MotionModel:
 
 @dataclass(frozen=True, eq=False)
 class BlockFindings:
-    """What was found in a block, by the samples' numbers in the record.
+    """What was found in a block, by the samples' numbers in the record."""
 
-    Attributes
-    ----------
-    phases : tuple of Phase
-        Cut off at the ends of the block.
-    continues : bool
-        Whether the first phase goes on from the block before.
-    step_segments : tuple of int
-        Segment of every step of the position.
-    step_sums : array
-        `processing.defects.frames.step_sums`; zeros where a board's sample numbers show missing samples.
-    means : list of (float, float)
-        Time, s, and position, m, of parts of the block.
-    samples, window, order : int
-    belt_speed : float
-        m/s.
-    """
-
-    phases: tuple[Phase, ...]
-    continues: bool
+    phases: tuple[Phase, ...]  # cut off at the ends of the block
+    continues: bool  # whether the first phase goes on from the block before
     faults: tuple[Fault, ...]
     steps: tuple[PositionStep, ...]
-    step_segments: tuple[int, ...]
+    step_segments: tuple[int, ...]  # segment of every step of the position
     kicks: tuple[VelocityStep, ...]
     corners: tuple[Corner, ...]
-    step_sums: Array
-    means: list[tuple[float, float]]
+    step_sums: Array  # `processing.defects.frames.step_sums`; zeros where a board's sample numbers show missing samples
+    means: list[tuple[float, float]]  # Time, s, and position, m, of parts of the block
     samples: int
     window: int
     order: int
-    belt_speed: float
+    belt_speed: float  # m/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,16 +133,10 @@ class BlockMotion:
 def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -> MotionModel:
     """Learn the model of a record.
 
-    Parameters
-    ----------
-    stretches : Stretches
-        Those that represent the record.
-    method : str
-        Name in `processing.methods.registry`.
-    setting : Setting
-        Window, order and stated belt speed.
-    steps : bool
-        Whether to look for steps of the position.
+    stretches: Those that represent the record.
+    method: Name in `processing.methods.registry`.
+    setting: Window, order and stated belt speed.
+    steps: Whether to look for steps of the position.
     """
     recording, units, record = stretches.recording, stretches.units, stretches.seen
     data, length = stretches.data.in_units(units), units.length_unit
@@ -210,20 +167,12 @@ def apply(
 ) -> BlockMotion:
     """Smooth one block of a record.
 
-    Parameters
-    ----------
-    recording, data : Recording, Series
-        The block with its neighbouring samples, m in all.
-    own : slice
-        The k samples of the block among them.
-    low : int
-        Number of the first of the m samples in the record.
-    model : MotionModel
-        Of the record.
-    repair : {"off", "flag", "fix"}
-        Whether the position is without its steps ("fix") or as it was read.
-    before : float
-        Sum of the steps of the position before the first of the m samples, in its segment, m.
+    recording, data: The block with its neighbouring samples, m in all.
+    own: The k samples of the block among them.
+    low: Number of the first of the m samples in the record.
+    model: Of the record.
+    repair: Whether the position is without its steps ("fix") or as it was read.
+    before: Sum of the steps of the position before the first of the m samples, in its segment, m.
     """
     units, recorded = model.units, data.time[own]
     data = data.in_units(units)
@@ -292,18 +241,11 @@ def join(
 ) -> dict[str, Any]:
     """Return what `SmoothingHeader` states of a record, from what was found in its blocks, in order.
 
-    Parameters
-    ----------
-    model : MotionModel
-        Of the record.
-    blocks : sequence of BlockFindings
-        In order.
-    unit : {"m", "count"}
-        Of the positions.
-    stated : Measured or None
-        The rig's belt speed, m/s.
-    fixed : bool
-        Whether steps of the position were taken out of it.
+    model: Of the record.
+    blocks: In order.
+    unit: Of the positions.
+    stated: The rig's belt speed, m/s.
+    fixed: Whether steps of the position were taken out of it.
     """
     phases: list[Phase] = []
     for block in blocks:

@@ -25,25 +25,13 @@ ORDER = 4  # of the polynomials in that table
 
 @dataclass(frozen=True)
 class MethodError:
-    """The errors of one method in one setting.
+    """The errors of one method in one setting."""
 
-    Attributes
-    ----------
-    method, setting : str
-        What was run.
-    cpu_s : float
-        CPU time of one run, s.
-    sigma_v : float
-        Root mean square of the velocity's own standard errors, m/s.
-    rms_error, max_error : float or None
-        Velocity against truth, m/s; None without truth.
-    """
-
-    method: str
+    method: str  # what was run
     setting: str
-    cpu_s: float
-    sigma_v: float
-    rms_error: float | None
+    cpu_s: float  # CPU time of one run, s
+    sigma_v: float  # root mean square of the velocity's own standard errors, m/s
+    rms_error: float | None  # velocity against truth, m/s; None without truth
     max_error: float | None
 
 
@@ -52,19 +40,10 @@ def rows(
 ) -> list[MethodError]:
     """Run every method on the recording.
 
-    Parameters
-    ----------
-    recording : Recording
-        The run.
-    truth : Truth or None
-        Its exact motion, where it is known.
-    progress : callable
-        Called after each row with the percentage of rows done.
-
-    Returns
-    -------
-    list of MethodError
-        Finite differences, Savitzky-Golay, both smoothers and auto, on nominal and on recorded times.
+    recording: The run.
+    truth: Its exact motion, where it is known.
+    progress: Called after each row with the percentage of rows done.
+    Returns: Finite differences, Savitzky-Golay, both smoothers and auto, on nominal and on recorded times.
     """
     for times in series.TIMES:
         for method in ("sg", "segment"):  # compiles what it needs now, an even grid needs other kernels

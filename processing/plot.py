@@ -23,15 +23,8 @@ BINS = (4, 30)  # of the distribution: fewest and most; between them the square 
 def inspection(kinematics: Kinematics) -> Figure:
     """Return the figure of `process inspect`.
 
-    Parameters
-    ----------
-    kinematics : Kinematics
-        The run.
-
-    Returns
-    -------
-    Figure
-        The motion as `processing.record.plot` draws it.  Below, where there are at least `FEWEST_SLIPS` slips: the
+    kinematics: The run.
+    Returns: The motion as `processing.record.plot` draws it. Below, where there are at least `FEWEST_SLIPS` slips: the
         panels of `_break_aways`.
     """
     counted = from_kinematics(kinematics)

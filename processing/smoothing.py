@@ -56,17 +56,9 @@ def smooth(
 ) -> Kinematics:
     """Rebuild position, velocity and acceleration from a recording.
 
-    Parameters
-    ----------
-    recording : Recording
-        Positions in metres (or counts) at times in seconds.
-    method, window, order, times, belt_speed, repair_counts, model
-        As of `processing.smooth`, which also says what is raised.  Steps of the position are looked for as
-        `processing.defects.faults` says.
-
-    Returns
-    -------
-    Kinematics
+    recording: Positions in metres (or counts) at times in seconds.
+    method, window, order, times, belt_speed, repair_counts, model: As of `processing.smooth`, which also says what is
+        raised.  Steps of the position are looked for as `processing.defects.faults` says.
     """
     begun = clock.process_time()
     _check(method, repair_counts)
@@ -106,21 +98,10 @@ def smooth_file(
 
     The phases are those that `smooth` finds, whatever the size of the blocks.
 
-    Parameters
-    ----------
-    path : Path
-        The run file.
-    progress : callable
-        Called with the number of samples done.
-    own : slice
-        Samples to smooth; by default all.
-
-    The others are those of `smooth`.
-
-    Raises
-    ------
-    InputError
-        As `smooth`.
+    path: The run file.
+    progress: Called with the number of samples done.
+    own: Samples to smooth; by default all.
+    Raises InputError: as `smooth`.
     """
     begun = clock.process_time()
     _check(method, repair_counts)

@@ -243,10 +243,7 @@ def digest(entry: h5py.Group) -> str:
 def load(path: Path) -> Kinematics | None:
     """Read the stage back; None when the run holds none.
 
-    Raises
-    ------
-    InputError
-        For a file that is no run, or a stage that is damaged or was made from other raw data.
+    Raises InputError: for a file that is no run, or a stage that is damaged or was made from other raw data.
     """
     with store.opened(path) as file, trust.damage(path):
         entry = file["entry"]
@@ -316,10 +313,7 @@ def _with_own_events(recording: Recording, part: slice) -> Recording:
 def load_statistics(path: Path) -> StickSlipStatistics:
     """Read the statistics of stick-slip back; of a stage written before they were stored, computed again.
 
-    Raises
-    ------
-    InputError
-        As `load` does, and for a run that is not smoothed.
+    Raises InputError: as `load` does, and for a run that is not smoothed.
     """
     with store.opened(path) as file, trust.damage(path):
         entry = file["entry"]

@@ -22,52 +22,30 @@ TITLES = {"stick_s": "stick", "slip_s": "slip", "drop_m": "drop", "break_away_m"
 
 @dataclass(frozen=True)
 class SlipEvent:
-    """One break-away and the slip after it; NaN for what the record does not show whole.
+    """One break-away and the slip after it; NaN for what the record does not show whole."""
 
-    Attributes
-    ----------
-    t : float
-        Time of the break-away, s.
-    stick_s, slip_s : float
-        Durations of the stick before and of the slip, s.
-    drop_m : float
-        How far the mass slips back, m (or counts): from its farthest position around the break-away to the nearest one
-        around the landing, each up to the middle of the stick there.
-    break_away_m : float
-        Stretch of the spring at the break-away, m (or counts): the position from the spring's rest, positive in the
-        direction of the belt.
-    """
-
-    t: float
-    stick_s: float
+    t: float  # time of the break-away, s
+    stick_s: float  # durations of the stick before and of the slip, s
     slip_s: float
+    # how far the mass slips back, m (or counts): from its farthest position around the break-away to the nearest one
+    # around the landing, each up to the middle of the stick there
     drop_m: float
+    # stretch of the spring at the break-away, m (or counts): the position from the spring's rest, positive in the
+    # direction of the belt
     break_away_m: float
 
 
 @dataclass(frozen=True, eq=False)
 class StickSlipStatistics:
-    """The statistics of one record, or of several together.
+    """The statistics of one record, or of several together."""
 
-    Attributes
-    ----------
-    sticks, slips : int
-        How many there are, cut ones included.
-    spikes, frozen, dropped_frames : int
-        Samples left out as spikes or while the sensor held its value; frames lost.
-    events : tuple of SlipEvent
-        In order of time; of several records one after the other.
-    records : int
-        How many records there are; only one has a trend.
-    """
-
-    sticks: int
+    sticks: int  # how many there are, cut ones included
     slips: int
-    spikes: int
+    spikes: int  # samples left out as spikes or while the sensor held its value; frames lost
     frozen: int
     dropped_frames: int
-    events: tuple[SlipEvent, ...]
-    records: int = 1
+    events: tuple[SlipEvent, ...]  # in order of time; of several records one after the other
+    records: int = 1  # how many records there are; only one has a trend
 
     def summary(self, name: str) -> dict[str, float | None] | None:
         """Return mean, sd, min, max and trend of a quantity of `SlipEvent`; None with fewer than `FEWEST_SLIPS` slips.
@@ -138,12 +116,8 @@ class StickSlipStatistics:
 def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSlipStatistics:
     """Return the statistics of a smoothed record.
 
-    Parameters
-    ----------
-    motion : SmoothingHeader
-        Its sticks and slips.
-    position, time : array of shape (n,)
-        Smoothed and without steps, m from the spring's rest, and s.
+    motion: Its sticks and slips.
+    position, time: Smoothed and without steps, m from the spring's rest, and s.
     """
     sign = math.copysign(1.0, motion.belt_speed) if math.isfinite(motion.belt_speed) else 1.0
     phases = motion.phases

@@ -115,7 +115,6 @@ def sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) ->
 
 
 def run_sentences(motion: Kinematics, file: Path) -> list[str]:
-    """Return what a run holds and what its motion is."""
     data = run_as_json(motion)
     unit = data["unit"]
     events = ", ".join(f"{count} × {kind}" for kind, count in data["events"].items()) or "none"

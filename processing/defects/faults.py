@@ -77,27 +77,13 @@ SLACK = 0.5  # of the sum of steps: by how much a record may be wider without th
 
 @dataclass(frozen=True)
 class FaultModel:
-    """What the faults of a record are judged by.
+    """What the faults of a record are judged by."""
 
-    Attributes
-    ----------
-    step : float
-        That readings are rounded to, m; 0 where there is none.
-    noise : float
-        Standard deviation of a position that is no fault, m.
-    process : white_jerk.Noise
-        Of the smoother by which faults are found: without the corners of the motion.
-    sharpest : float
-        About the largest acceleration, m/s^2.
-    steps : bool
-        Whether steps of the position are looked for, and are of the datum.
-    """
-
-    step: float
-    noise: float
-    process: white_jerk.Noise
-    sharpest: float
-    steps: bool
+    step: float  # that readings are rounded to, m; 0 where there is none
+    noise: float  # standard deviation of a position that is no fault, m
+    process: white_jerk.Noise  # of the smoother by which faults are found: without the corners of the motion
+    sharpest: float  # about the largest acceleration, m/s^2
+    steps: bool  # whether steps of the position are looked for, and are of the datum
 
 
 @dataclass(frozen=True, eq=False)
@@ -514,14 +500,9 @@ def _undo(sizes: list[float]) -> bool:
 def learn(series: Series, segment: Segments, *, steps: bool) -> tuple[FaultModel, CheckedRecord]:
     """Return what the faults of a record are judged by, and the record without them.
 
-    Parameters
-    ----------
-    series : Series
-        The record, n samples.
-    segment : array of int, shape (n,)
-        Number of the segment of each sample: a step of the position lasts to the end of its own.
-    steps : bool
-        Whether to look for steps of the position.
+    series: The record, n samples.
+    segment: Number of the segment of each sample: a step of the position lasts to the end of its own.
+    steps: Whether to look for steps of the position.
     """
     step, noise = reading_step(series), position_noise(series)
     some = _spread(series)

@@ -68,12 +68,8 @@ def step_findings(steps: list[PositionStep], frames: FrameCount, unit: str, *, r
 def drift_finding(time: Array, position: Array, unit: str) -> Finding | None:
     """Return the drift of a record that is one straight line, or None where it is none or not significant.
 
-    Parameters
-    ----------
-    time, position : array of shape (k,), k >= 4
-        Means over parts of the record, s and m.
-    unit : str
-        Of the position.
+    time, position: Means over parts of the record, s and m.
+    unit: Of the position.
     """
     t = time - time.mean()
     slope = float(t @ position / (t @ t))
@@ -92,14 +88,9 @@ def drift_finding(time: Array, position: Array, unit: str) -> Finding | None:
 def belt_findings(stated: Measured | None, seen: float, unit: str) -> list[Finding]:
     """Return the finding of a stated belt speed that is not the sticks', or that cannot be compared with them.
 
-    Parameters
-    ----------
-    stated : Measured or None
-        The rig's, m/s.
-    seen : float
-        Speed of the sticks, NaN without one.
-    unit : {"m", "count"}
-        Of the positions.
+    stated: The rig's, m/s.
+    seen: Speed of the sticks, NaN without one.
+    unit: Of the positions.
     """
     if stated is None:
         return []

@@ -27,16 +27,10 @@ def count_steps(x: Array, noise: float, least: float, near: float, sums: Array) 
     where these steps differ among themselves, or one of them turns back or is longer than two lost frames make it: at a
     corner of the motion, or in a slip of few samples, a long step is no sign of a lost frame.
 
-    Parameters
-    ----------
-    x : array of shape (n,)
-        Positions, m.
-    noise, least : float
-        Standard deviation of one position, and the usual step above which a single step is clear of noise, m.
-    near : float
-        How near a multiple of the usual step a step must lie, in usual steps.
-    sums : array of shape (11,)
-        Added to: number of clear steps; of those twice and three times the usual one, of those of none and of minus
+    x: Positions, m.
+    noise, least: Standard deviation of one position, and the usual step above which a single step is clear of noise, m.
+    near: How near a multiple of the usual step a step must lie, in usual steps.
+    sums: Added to: number of clear steps; of those twice and three times the usual one, of those of none and of minus
         one; and of the steps that are not clear the sum of cubes of what they exceed the usual one by, the sum of its
         own cubes, their number, and the sums of the excess and of its squares; and of the square by which the near
         steps differ from the far ones, times the usual one, without what noise makes of it.

@@ -66,10 +66,7 @@ def step_sums(series: Series, own: slice, noise: float, step: float) -> Array:
     They are 0 for a piece whose times are not even: there the times show where frames are missing.  Where readings are
     missing (NaN) a line stands for them.
 
-    Parameters
-    ----------
-    noise, step : float
-        Standard deviation of one position, and the step that readings are rounded to (0: none), m.
+    noise, step: Standard deviation of one position, and the step that readings are rounded to (0: none), m.
     """
     sums = np.zeros(SUMS)
     known = ~np.isnan(series.position)

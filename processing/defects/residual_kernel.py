@@ -30,22 +30,14 @@ def find_statistics(
     The score of a step of the position that takes some samples is the mean of the scores of these; that of a kick after
     which the mass moves with the belt again is a weighted sum, for the position moves by a parabola.
 
-    Parameters
-    ----------
-    scores : array of shape (n, SCORES)
-        Of `processing.kalman.white_jerk.smooth_piece`.
-    steps : array of shape (s,)
-        Variance of the score of a step at once over that of the sum of 1, 2, ... of them.
-    kicks, variance, durations : array of shape (k, longest), (k,), (k,)
-        Weights of the scores of kicks that are over after so many samples, and likewise their variance.
-    sharpest : float
-        The acceleration by which a kick may be over.
-    interval : float
-        Of the samples.
-    squares : array of shape (4, n)
-        Of outlier, step, kick and corner.
-    sizes, widths : array of shape (3, n), (n,)
-        Of the best outlier, step and kick; samples that the step takes.
+    scores: Of `processing.kalman.white_jerk.smooth_piece`.
+    steps: Variance of the score of a step at once over that of the sum of 1, 2, ... of them.
+    kicks, variance, durations: Weights of the scores of kicks that are over after so many samples, and likewise their
+        variance.
+    sharpest: The acceleration by which a kick may be over.
+    interval: Of the samples.
+    squares: Of outlier, step, kick and corner.
+    sizes, widths: Of the best outlier, step and kick; samples that the step takes.
     """
     n = scores.shape[0]
     for i in range(own[0], own[1]):

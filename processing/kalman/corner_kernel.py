@@ -93,24 +93,15 @@ def refine_switching_times(
 ) -> None:
     """Move corners of one kind to where they are most likely.
 
-    Parameters
-    ----------
-    time, position : array of shape (n,)
-        s and m, NaN where a reading is missing.
-    stored : array of shape (n, STORED)
-        What the filter expected of each sample.
-    what : int
-        Kind of the corners.
-    at, bounds, spans : array of shape (c,), (c, 2), (c, 2)
-        Their times, s; how early and late each may lie, s; the samples each is judged by, first and end.
-    steps : (float, float)
-        First step of the grid of times, s, and the step below which it is not refined any more.
-    edges, parts, corner : array of shape (k,), (k + 1,), int
-        Labels around the corner, cut at ``edges`` (s from it), of which number ``corner`` is the corner itself (0).
-    process : Process
-        By label.
-    found : array of shape (c, 2)
-        Gets mean and standard deviation of each time, s.
+    time, position: s and m, NaN where a reading is missing.
+    stored: What the filter expected of each sample.
+    what: Kind of the corners.
+    at, bounds, spans: Their times, s; how early and late each may lie, s; the samples each is judged by, first and end.
+    steps: (float, float) First step of the grid of times, s, and the step below which it is not refined any more.
+    edges, parts, corner: Labels around the corner, cut at ``edges`` (s from it), of which number ``corner`` is the
+        corner itself (0).
+    process: By label.
+    found: Gets mean and standard deviation of each time, s.
 
     Notes
     -----

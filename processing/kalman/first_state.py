@@ -13,19 +13,10 @@ FIRST = 8  # samples behind the first one
 def first_state(time: Array, position: Array, variance: float, derivatives: int) -> Array:
     """Return the state of a filter of the first ``derivatives`` derivatives before its first sample.
 
-    Parameters
-    ----------
-    time, position : array of shape (n,)
-        s and m, NaN where a reading is missing; at least two are not.
-    variance : float
-        Of a reading, m^2.
-    derivatives : int
-        2 for x, v, a (`white_jerk`), 3 for x, v, a, j (`stick_slip`), 1 for x, v and zeros as in `stick_slip`.
-
-    Returns
-    -------
-    array
-        The state, the upper triangle of its covariance row by row, and the time it holds for, s.
+    time, position: s and m, NaN where a reading is missing; at least two are not.
+    variance: Of a reading, m^2.
+    derivatives: 2 for x, v, a (`white_jerk`), 3 for x, v, a, j (`stick_slip`), 1 for x, v and zeros as in `stick_slip`.
+    Returns: The state, the upper triangle of its covariance row by row, and the time it holds for, s.
     """
     t, x = time[: FIRST + 1].tolist(), position[: FIRST + 1].tolist()  # so few are faster as plain numbers
     if math.isnan(sum(x)):

@@ -30,24 +30,14 @@ def accumulate_normal_equations(
 ) -> None:
     """Add a landing to the normal equations ``gram @ means = rhs`` of the mean snap of the parts before it.
 
-    Parameters
-    ----------
-    time, position : array of shape (n,)
-        Samples around the landing, no other corner among them; NaN where a reading is missing.
-    state : array of shape (STATE,)
-        Of the filter before the first of them.
-    landing : float
-        When, s.
-    edges : array of shape (k + 1,)
-        Where parts begin, s from the landing; the last is 0.
-    parts : array of shape (k + 2,)
-        Labels: far before, the k parts asked for, the stick.
-    process : Process
-        By label; the mean snap is taken as 0.
-    loose : array of shape (4,)
-        Variances gained at the landing, whose time is not known: of the velocity's step, m^2/s^2, and zeros.
-    gram, rhs : array of shape (k, k), (k,)
-        Added to, the lower triangle alone of ``gram``.
+    time, position: Samples around the landing, no other corner among them; NaN where a reading is missing.
+    state: Of the filter before the first of them.
+    landing: When, s.
+    edges: Where parts begin, s from the landing; the last is 0.
+    parts: Labels: far before, the k parts asked for, the stick.
+    process: By label; the mean snap is taken as 0.
+    loose: Variances gained at the landing, whose time is not known: of the velocity's step, m^2/s^2, and zeros.
+    gram, rhs: Added to, the lower triangle alone of ``gram``.
     """
     q, r = process.density, process.reading_variance
     y, p = stack(order), stack_square(order)

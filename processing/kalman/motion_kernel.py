@@ -49,25 +49,13 @@ OVER_FACTORIAL = tuple(1 / math.factorial(k) for k in range(10))
 
 
 class Process(NamedTuple):
-    """The noise of a motion of order n: arrays of shape (labels,), and of its corners, one row a kind.
+    """The noise of a motion of order n: arrays of shape (labels,), and of its corners, one row a kind."""
 
-    Attributes
-    ----------
-    density, mean : array of shape (labels,)
-        Of the n-th derivative.
-    reading_variance : array of shape (labels,)
-        m^2.
-    alive : array of int, shape (labels,)
-        Derivatives that go on, x included: 2 or n.
-    keep, jump : array of int, shape (kinds,), array of shape (kinds, n)
-        At a corner: how many derivatives go on, and the variance that each gains.
-    """
-
-    density: Array
+    density: Array  # of the n-th derivative
     mean: Array
-    reading_variance: Array
-    alive: Integers
-    keep: Integers
+    reading_variance: Array  # m^2
+    alive: Integers  # derivatives that go on, x included: 2 or n
+    keep: Integers  # at a corner: how many derivatives go on, and the variance that each gains
     jump: Array
 
 

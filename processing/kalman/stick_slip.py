@@ -41,25 +41,14 @@ JUMP_DERIVATIVE = np.array([2, 3, 2, 3, 1, 2, 3, 2, 3])  # of x: which derivativ
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevels:
-    """Noise of each part of the motion, by its label, and of the resets at corners.
+    """Noise of each part of the motion, by its label, and of the resets at corners."""
 
-    Attributes
-    ----------
-    process_density, mean_snap : array of shape (LABELS,)
-        Density, m^2/s^7, and mean, m/s^4, of the snap.
-    reading_variance : array of shape (LABELS,)
-        m^2.
-    reset_variance : array of shape (JUMPS,)
-        Of the steps at corners: LEAVE a j, MEET a j, KICK v a j, START a j, in (m/s)^2, (m/s^2)^2, (m/s^3)^2.
-    peak : float
-        About the largest acceleration, m/s^2.
-    """
-
-    process_density: Array
+    process_density: Array  # Density, m^2/s^7, and mean, m/s^4, of the snap
     mean_snap: Array
-    reading_variance: Array
+    reading_variance: Array  # m^2
+    # of the steps at corners: LEAVE a j, MEET a j, KICK v a j, START a j, in (m/s)^2, (m/s^2)^2, (m/s^3)^2
     reset_variance: Array
-    peak: float
+    peak: float  # about the largest acceleration, m/s^2
 
     @cached_property
     def process(self) -> Process:

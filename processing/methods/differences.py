@@ -18,10 +18,7 @@ WINDOW = 2  # samples
 def learn(method: str, series: Series, setting: Setting, noise: float) -> MethodModel:
     """Return the model: there is nothing to learn but the noise of a position, m.
 
-    Raises
-    ------
-    InputError
-        When a window or an order was asked for: two points and a straight line are the method.
+    Raises InputError: when a window or an order was asked for: two points and a straight line are the method.
     """
     refuse_window(setting, method, "finite differences have no window")
     jerk = white_jerk.fit(series)
@@ -31,12 +28,9 @@ def learn(method: str, series: Series, setting: Setting, noise: float) -> Method
 def apply(series: Series, model: MethodModel) -> Motion:
     """Differentiate by differences of neighbouring samples.
 
-    Returns
-    -------
-    Motion
-        Position as recorded, velocity by the forward difference, acceleration by the second difference on the three
-        samples around.  Errors are those of independent reading errors; they do not cover the truncation error
-        a dt/2 of a one-sided difference.
+    Returns: Position as recorded, velocity by the forward difference, acceleration by the second difference on the
+        three samples around. Errors are those of independent reading errors; they do not cover the truncation error a
+        dt/2 of a one-sided difference.
     """
     n = series.time.size
     velocity, acceleration = np.zeros(n), np.zeros(n)

@@ -9,34 +9,18 @@ from processing.segmentation.smoother import FirstPass, StickSlip
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MethodModel:
-    """The method that runs, and what it learned.
+    """The method that runs, and what it learned."""
 
-    Attributes
-    ----------
-    method : str
-        Never "auto".
-    noise : float
-        Standard deviation of a position, m.
-    window, order : int
-        Of Savitzky-Golay; 0 for the others.
-    jerk : white_jerk.Noise
-        Of the record as a motion of white jerk: of the smoothers, and of the motion where readings are missing.
-    rule : PlateauRule or None
-        How sticks show in the motion that ``jerk`` gives; None for a method without sticks.
-    sticks : StickSlip or None
-        How the record sticks and slips; None where it does not, or the method does not ask.
-    stated : float or None
-        Belt speed that a person stated, m/s, signed.
-    known : FirstPass or None
-        What was found on the way, which is not stored: the method goes on from there with the same series.
-    """
-
-    method: str
-    noise: float
+    method: str  # never "auto"
+    noise: float  # standard deviation of a position, m
+    # of the record as a motion of white jerk: of the smoothers, and of the motion where readings are missing
     jerk: white_jerk.Noise
-    window: int = 0
+    window: int = 0  # of Savitzky-Golay; 0 for the others
     order: int = 0
+    # how sticks show in the motion that ``jerk`` gives; None for a method without sticks
     rule: PlateauRule | None = None
+    # how the record sticks and slips; None where it does not, or the method does not ask
     sticks: StickSlip | None = None
-    stated: float | None = None
+    stated: float | None = None  # belt speed that a person stated, m/s, signed
+    # what was found on the way, which is not stored: the method goes on from there with the same series
     known: FirstPass | None = field(default=None, metadata={"stored": False})

@@ -14,21 +14,11 @@ from processing.record.setting import DEFAULT_ORDER, Setting, check_window
 def learn(method: str, series: Series, setting: Setting, noise: float) -> MethodModel:
     """Return the model: window and order, chosen from the record where they are not given.
 
-    Parameters
-    ----------
-    method : str
-        "sg".
-    series : Series
-        The record.
-    setting : Setting
-        Window and order; what is None is chosen from the record (`processing.methods.window_choice.choose`).
-    noise : float
-        Standard deviation of a position, m.
-
-    Raises
-    ------
-    InputError
-        For an even window, or one that does not exceed the order.
+    method: "sg".
+    series: The record.
+    setting: Window and order; what is None is chosen from the record (`processing.methods.window_choice.choose`).
+    noise: Standard deviation of a position, m.
+    Raises InputError: for an even window, or one that does not exceed the order.
     """
     if setting.window is None:
         chosen = window_choice.choose(series, setting.order)

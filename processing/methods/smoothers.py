@@ -17,20 +17,10 @@ from processing.segmentation import smoother
 def learn(method: str, series: Series, setting: Setting, noise: float) -> MethodModel:
     """Find the noise levels of greatest likelihood, and whether and how the record sticks and slips.
 
-    Parameters
-    ----------
-    method : {"auto", "segment", "rts"}
-    series : Series
-        The record.
-    setting : Setting
-        Must name no window and no order: the record decides.  Its belt speed, if any, is the one that sticks have.
-    noise : float
-        Standard deviation of a position, m.
-
-    Raises
-    ------
-    InputError
-        When a window or an order was asked for.
+    series: The record.
+    setting: Must name no window and no order: the record decides.  Its belt speed, if any, is the one that sticks have.
+    noise: Standard deviation of a position, m.
+    Raises InputError: when a window or an order was asked for.
     """
     refuse_window(setting, method, f"{method} has no window: the record decides how much is smoothed")
     jerk, stated = white_jerk.fit(series), setting.belt_speed
@@ -45,11 +35,8 @@ def learn(method: str, series: Series, setting: Setting, noise: float) -> Method
 def apply(series: Series, model: MethodModel) -> Motion:
     """Smooth the record, or a block of it.
 
-    Returns
-    -------
-    Motion
-        ``window`` is that of the equivalent Savitzky-Golay filter of order 4, ``order`` the spline's.  With its corners
-        where sticks and slips are smoothed apart.
+    Returns: ``window`` is that of the equivalent Savitzky-Golay filter of order 4, ``order`` the spline's. With its
+        corners where sticks and slips are smoothed apart.
     """
     known = model.known
     pilot = known.pilot if known is not None and known.series is series else white_jerk.smooth(series, model.jerk)

@@ -43,17 +43,9 @@ class WindowChoice:
 def choose(series: Series, order: int | None = None) -> WindowChoice:
     """Choose the window (and the order, unless one is given) from the record.
 
-    Parameters
-    ----------
-    series : Series
-        The record.
-    order : int, optional
-        Look at this order only.
-
-    Returns
-    -------
-    WindowChoice
-        Never longer than the longest piece.  A record without information on the noise (at rest, or a few samples)
+    series: The record.
+    order: Look at this order only.
+    Returns: Never longer than the longest piece. A record without information on the noise (at rest, or a few samples)
         gets window 41 and order 4.
     """
     limit = min(longest_piece(series), LONGEST)

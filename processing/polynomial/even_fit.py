@@ -25,25 +25,12 @@ CACHED = 2**14  # samples of the blocks transformed in one go: they stay in the 
 def coefficients(window: int, order: int, at: int = 0) -> Array:
     """Return the weights of the samples in x, dx/dj and d2x/dj2 of the local fit.
 
-    Parameters
-    ----------
-    window : int
-        Odd number of samples, j = -M..M.
-    order : int
-        Degree of the polynomial, below the window.
-    at : int
-        The sample j at which the fit is evaluated: 0 is the centre, -M and M the ends.
-
-    Returns
-    -------
-    array of shape (3, window)
-        Rows are derivatives 0, 1, 2 per sample interval: divide row d by interval**d.  A derivative above the order
+    window: Odd number of samples, j = -M..M.
+    order: Degree of the polynomial, below the window.
+    at: The sample j at which the fit is evaluated: 0 is the centre, -M and M the ends.
+    Returns: Rows are derivatives 0, 1, 2 per sample interval: divide row d by interval**d. A derivative above the order
         is zero, as that of its polynomial is.
-
-    Raises
-    ------
-    ValueError
-        For an even window, or an order that is negative or not below the window.
+    Raises ValueError: for an even window, or an order that is negative or not below the window.
     """
     if window < 1 or window % 2 == 0:
         raise ValueError(f"window is {window}; need an odd number above order {order}")
@@ -117,17 +104,9 @@ def convolved(position: Array, weights: Array, out: Array | None = None) -> Arra
 def fit(position: Array, window: int, order: int, interval: float) -> tuple[Array, Array]:
     """Fit a polynomial around every sample; one-sided near the ends.
 
-    Parameters
-    ----------
-    position : array of shape (n,), n >= window
-        m, every ``interval`` seconds.
-    window, order : int
-        As of `coefficients`.
-
-    Returns
-    -------
-    values, norms : array of shape (3, n)
-        As `processing.polynomial.uneven.fit`.
+    position: m, every ``interval`` seconds.
+    window, order: As of `coefficients`.
+    Returns: As `processing.polynomial.uneven.fit`.
     """
     n, half = position.size, window // 2
     values, norms = np.empty((3, n)), np.empty((3, n))

@@ -15,15 +15,8 @@ ROUGH = 31, 4  # window and order of the rough velocity
 def even_grid(time: Array, position: Array) -> Array:
     """Return the positions on the even grid from the first to the last sample.
 
-    Parameters
-    ----------
-    time, position : array of shape (n,), n >= 2
-        s, increasing and without gaps; m.
-
-    Returns
-    -------
-    array of shape (n,)
-        ``position`` itself when the times are even already.
+    time, position: s, increasing and without gaps; m.
+    Returns: ``position`` itself when the times are even already.
     """
     n = time.size
     step = (time[-1] - time[0]) / (n - 1)

@@ -45,16 +45,10 @@ def standard_errors(
 ) -> Array:
     """Return one standard error of x, v and a at every sample of a piece, shape (3, n).
 
-    Parameters
-    ----------
-    position : array of shape (n,)
-        The readings, m.
-    long, short : (values, norms), each (3, n)
-        The fit itself and its probe of half the window.
-    window : int
-        Samples of the long fit.
-    floor : float
-        The least reading error, m.
+    position: The readings, m.
+    long, short: (values, norms) The fit itself and its probe of half the window.
+    window: Samples of the long fit.
+    floor: The least reading error, m.
     """
     n = position.size
     window = min(window, n)

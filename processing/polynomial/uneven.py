@@ -29,21 +29,11 @@ def starts(n: int, window: int) -> Integers:
 def fit(time: Array, position: Array, window: int, order: int) -> tuple[Array, Array]:
     """Fit a polynomial around every sample of one piece.
 
-    Parameters
-    ----------
-    time, position : array of shape (n,)
-        s, increasing, and m.
-    window : int
-        Samples per fit, at most n; even is allowed here, since the abscissae are explicit.
-    order : int
-        Degree, below the window.
-
-    Returns
-    -------
-    values : array of shape (3, n)
-        Position, velocity, acceleration at the samples; a derivative above the order is zero.
-    norms : array of shape (3, n)
-        Root sum of squares of the weights: times the reading error it is the standard error.
+    time, position: s, increasing, and m.
+    window: Samples per fit, at most n; even is allowed here, since the abscissae are explicit.
+    order: Degree, below the window.
+    Returns: Position, velocity, acceleration at the samples; a derivative above the order is zero.
+    Returns: Root sum of squares of the weights: times the reading error it is the standard error.
     """
     n = time.size
     first = starts(n, window)

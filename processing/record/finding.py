@@ -6,22 +6,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding.
+    """One finding."""
 
-    Attributes
-    ----------
-    code : str
-        Name for programs, in words joined by hyphens: "belt-speed", "spikes".
-    text : str
-        A sentence for a person, with both numbers and their unit.
-    value, expected : float
-        What the record shows, and what was stated or would be sound, in SI units; NaN where there is no such number.
-    sigmas : float
-        Standard deviations between both; NaN where the finding is no matter of scatter.
-    """
-
-    code: str
-    text: str
+    code: str  # name for programs, in words joined by hyphens: "belt-speed", "spikes"
+    text: str  # a sentence for a person, with both numbers and their unit
+    # what the record shows, and what was stated or would be sound, in SI units; NaN where there is no such number
     value: float = math.nan
     expected: float = math.nan
-    sigmas: float = math.nan
+    sigmas: float = math.nan  # standard deviations between both; NaN where the finding is no matter of scatter

@@ -125,27 +125,13 @@ class SmoothingHeader:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SmoothingSummary(SmoothingHeader):
-    """A motion that was written block by block into its run file.
+    """A motion that was written block by block into its run file."""
 
-    Attributes
-    ----------
-    samples : int
-        How many samples there are.
-    span : float
-        From the first sample to the last, s.
-    unit : str
-        Unit of the position: "m", or "count".
-    plateau_fraction : float
-        Share of the samples in sticks, 0 to 1.
-    belt_counted : bool
-        Whether the belt has an encoder of its own.
-    """
-
-    samples: int
-    span: float
-    unit: str
-    plateau_fraction: float
-    belt_counted: bool = False
+    samples: int  # how many samples there are
+    span: float  # from the first sample to the last, s
+    unit: str  # unit of the position: "m", or "count"
+    plateau_fraction: float  # share of the samples in sticks, 0 to 1
+    belt_counted: bool = False  # whether the belt has an encoder of its own
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

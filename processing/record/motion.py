@@ -29,17 +29,7 @@ class Corner:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a method returns: x, v, a (m, m/s, m/s^2) with one standard error each, all of shape (n,).
-
-    Attributes
-    ----------
-    window, order : int
-        Samples in the smoothing window, or in that of the equivalent Savitzky-Golay filter, and polynomial degree.
-    method : str
-        The method that was run, never "auto".
-    corners : tuple of Corner
-        Those that the method fitted, in order of time; empty for methods that model no corners.
-    """
+    """What a method returns: x, v, a (m, m/s, m/s^2) with one standard error each, all of shape (n,)."""
 
     position: Array
     velocity: Array
@@ -47,9 +37,11 @@ class Motion:
     position_errors: Array
     velocity_errors: Array
     acceleration_errors: Array
+    # samples in the smoothing window, or in that of the equivalent Savitzky-Golay filter, and polynomial degree
     window: int
     order: int
-    method: str
+    method: str  # the method that was run, never "auto"
+    # those that the method fitted, in order of time; empty for methods that model no corners
     corners: tuple[Corner, ...] = ()
 
     @classmethod
@@ -96,25 +88,15 @@ class Motion:
 
 @dataclass(frozen=True)
 class Phase:
-    """One stick or slip.
-
-    Attributes
-    ----------
-    kind : "stick" or "slip"
-    start, end : float
-        Times, s, on the recording's axis; they lie between samples.
-    first, last : int
-        First and last sample inside (both included).
-    start_sd, end_sd : float
-        Standard deviations of the times, s; infinite where they were not fitted, or where a gap or an end of the
-        record cuts the phase off.
-    """
+    """One stick or slip."""
 
     kind: Literal["stick", "slip"]
-    start: float
+    start: float  # Times, s, on the recording's axis; they lie between samples
     end: float
-    first: int
+    first: int  # first and last sample inside (both included)
     last: int
+    # standard deviations of the times, s; infinite where they were not fitted, or where a gap or an end of the record
+    # cuts the phase off
     start_sd: float = math.inf
     end_sd: float = math.inf
 
@@ -163,38 +145,21 @@ def mask_of(ranges: Iterable[SampleRange], n: int) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class PhaseSegmentation:
-    """The record divided into sticks and slips.
+    """The record divided into sticks and slips."""
 
-    Attributes
-    ----------
-    belt_speed : float
-        m/s, signed; NaN when unknown.
-    phases : tuple of Phase
-        In order of time.
-    plateau_speed : float
-        Common speed of the plateaus, m/s, whatever the belt's nominal speed is; NaN without plateaus.
-    """
-
-    belt_speed: float
-    phases: tuple[Phase, ...]
+    belt_speed: float  # m/s, signed; NaN when unknown
+    phases: tuple[Phase, ...]  # in order of time
+    # common speed of the plateaus, m/s, whatever the belt's nominal speed is; NaN without plateaus
     plateau_speed: float
 
 
 @dataclass(frozen=True, eq=False)
 class BeltMotion:
-    """The motion of a belt with an encoder, arrays of shape (n,).
+    """The motion of a belt with an encoder, arrays of shape (n,)."""
 
-    Attributes
-    ----------
-    velocity, velocity_errors : array
-        Of the belt, m/s, signed, and one standard error.
-    series, motion : Series, Motion
-        The mass relative to the belt: x less the belt's travel, and its motion.
-    """
-
-    velocity: Array
+    velocity: Array  # of the belt, m/s, signed, and one standard error
     velocity_errors: Array
-    series: Series
+    series: Series  # the mass relative to the belt: x less the belt's travel, and its motion
     motion: Motion
 
     def speed(self, moving: Mask) -> float:

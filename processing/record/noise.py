@@ -43,15 +43,8 @@ NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal
 def position_noise(series: Series) -> float:
     """Return the standard deviation of one position, m (or counts, as the positions are).
 
-    Parameters
-    ----------
-    series : Series
-        The record.  Rest at its beginning and end, where no digit changes, is not looked at.
-
-    Returns
-    -------
-    float
-        0 for a record without a pitch in which nothing changes.
+    series: The record.  Rest at its beginning and end, where no digit changes, is not looked at.
+    Returns: 0 for a record without a pitch in which nothing changes.
 
     Notes
     -----

@@ -24,34 +24,18 @@ SHADE, MOTION, STICK, BELT = "#f3e6c8", "#0072B2", "#E69F00", "#D55E00"
 
 @dataclass(frozen=True, eq=False)
 class DrawnMotion:
-    """What the picture shows of a motion.
-
-    Attributes
-    ----------
-    caption : str
-    time, position, velocity, segment : (n,) arrays
-        s; in ``unit``, and that per second; the number of each sample's segment.
-    unit : str
-        "m" or "count".
-    sticks : tuple of Phase
-    cycles : int
-        Complete cycles.
-    belt_speed : float
-        In ``unit``/s; NaN where it is not known.
-    markers : tuple of (float, str)
-        Time, s, and words.
-    """
+    """What the picture shows of a motion."""
 
     caption: str
-    time: Array
+    time: Array  # (n,) s; in ``unit``, and that per second; the number of each sample's segment
     position: Array
     velocity: Array
     segment: NDArray[np.uint16] | NDArray[np.uint32]
-    unit: str
+    unit: str  # "m" or "count"
     sticks: tuple[Phase, ...]
-    cycles: int
-    belt_speed: float
-    markers: tuple[tuple[float, str], ...] = ()
+    cycles: int  # complete cycles
+    belt_speed: float  # in ``unit``/s; NaN where it is not known
+    markers: tuple[tuple[float, str], ...] = ()  # Time, s, and words
 
 
 def figure_of(motion: DrawnMotion, axes: "Axes | None" = None) -> "Figure":

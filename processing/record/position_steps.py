@@ -11,38 +11,20 @@ from processing.record.series import Series
 
 @dataclass(frozen=True)
 class PositionStep:
-    """From sample ``first`` to ``last`` the reading moved by ``size`` more than the mass did, and stays so.
+    """From sample ``first`` to ``last`` the reading moved by ``size`` more than the mass did, and stays so."""
 
-    Attributes
-    ----------
-    first, last : int
-        Samples.
-    counts : int
-        Counts that went missing, signed, towards +x; 0 in a record without counts.
-    size : float
-        The same in the unit of the position, m (or counts).
-    """
-
-    first: int
+    first: int  # Samples
     last: int
-    counts: int
-    size: float
+    counts: int  # counts that went missing, signed, towards +x; 0 in a record without counts
+    size: float  # the same in the unit of the position, m (or counts)
 
 
 def step_offsets(segment: NDArray[np.integer], steps: tuple[PositionStep, ...]) -> Array:
     """Return by how much each sample is off because of the steps before it.
 
-    Parameters
-    ----------
-    segment : array of int, shape (n,)
-        Segment number of each sample; a step lasts to the end of its segment.
-    steps : tuple of PositionStep
-        In order of time.
-
-    Returns
-    -------
-    array of shape (n,)
-        In the unit of the position, m (or counts).
+    segment: Segment number of each sample; a step lasts to the end of its segment.
+    steps: In order of time.
+    Returns: In the unit of the position, m (or counts).
     """
     offset = np.zeros(segment.size)
     edges = np.append(np.flatnonzero(np.diff(segment.astype(np.int64)) != 0) + 1, segment.size) if steps else ()

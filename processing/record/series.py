@@ -31,35 +31,17 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Positions against time, every array of shape (n,).
+    """Positions against time, every array of shape (n,)."""
 
-    Attributes
-    ----------
-    time : array
-        s, increasing.
-    position : array
-        m, seen from `origin`, so that the first of the record is 0.
-    origin : float
-        m; add it to get the recording's positions.
-    pitch : float
-        Metres per count (positive); 0 for a record without counts.
-    interval : float
-        Median sample interval, s.
-    pieces : tuple of slice
-        Stretches without a gap, in order; together they are the record.
-    source : str
-        The file, for messages.
-    moving : (float, float) or None
-        When the first motion of the record begins and the last one ends, s, where that is known from all of it.
-    """
-
-    time: Array
-    position: Array
-    origin: float
-    pitch: float
-    interval: float
-    pieces: tuple[slice, ...]
-    source: str = ""
+    time: Array  # s, increasing
+    position: Array  # m, seen from `origin`, so that the first of the record is 0
+    origin: float  # m; add it to get the recording's positions
+    pitch: float  # metres per count (positive); 0 for a record without counts
+    interval: float  # median sample interval, s
+    pieces: tuple[slice, ...]  # stretches without a gap, in order; together they are the record
+    source: str = ""  # the file, for messages
+    # (float, float) when the first motion of the record begins and the last one ends, s, where that is known from all
+    # of it
     moving: tuple[float, float] | None = None
 
     def in_units(self, units: Units) -> "Series":
@@ -128,24 +110,14 @@ def from_recording(
 ) -> Series:
     """Return the series of a recording.
 
-    Parameters
-    ----------
-    recording : Recording
-        The run.
-    times : {"recorded", "nominal"}
-        The board's sample times, or an even grid at the nominal rate that starts with each segment.
-    anchor : (float, int), optional
-        Time and number of the sample at which the first segment's even grid starts; by default the first.
-    grid : array of shape (n,), optional
-        The even grid itself, where it follows from more than this recording.
-    start : Recording, optional
-        Begins with the record's first sample, from which positions are seen; by default ``recording``.
-
-    Raises
-    ------
-    InputError
-        For an unknown time axis, fewer than 5 samples, a position or time that is not finite, or times that are
-        repeated or decrease; the message names the sample.
+    recording: The run.
+    times: The board's sample times, or an even grid at the nominal rate that starts with each segment.
+    anchor: (float, int) Time and number of the sample at which the first segment's even grid starts; by default the
+        first.
+    grid: The even grid itself, where it follows from more than this recording.
+    start: Begins with the record's first sample, from which positions are seen; by default ``recording``.
+    Raises InputError: for an unknown time axis, fewer than 5 samples, a position or time that is not finite, or times
+        that are repeated or decrease; the message names the sample.
     """
     where = recording.where
     if times not in TIMES:

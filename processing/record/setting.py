@@ -28,21 +28,12 @@ class Setting:
 def parse_window(window: int | str, order: int | None, series: Series) -> Setting:
     """Read a window as a person gives it.
 
-    Parameters
-    ----------
-    window : int or str
-        Odd number of samples; "auto"; or a duration with its unit ("20ms", "0.02 s", "500us"), rounded to the odd
+    window: Odd number of samples; "auto"; or a duration with its unit ("20ms", "0.02 s", "500us"), rounded to the odd
         number of samples that spans it.
-    order : int or None
-        Degree of the polynomial.
-    series : Series
-        For the sample interval and the longest stretch.
-
-    Raises
-    ------
-    InputError
-        For text that is none of these, an even window, one that does not exceed the order or that is longer than
-        the record's longest stretch, or an order outside 1 to 20.
+    order: Degree of the polynomial.
+    series: For the sample interval and the longest stretch.
+    Raises InputError: for text that is none of these, an even window, one that does not exceed the order or that is
+        longer than the record's longest stretch, or an order outside 1 to 20.
     """
     if order is not None and not 1 <= order <= HIGHEST_ORDER:
         raise InputError(f"order is {order}", "--order", f"give 1 to {HIGHEST_ORDER}")

@@ -37,19 +37,10 @@ def representative_stretches(series: Series, most: int, parts: int = 8) -> list[
     A record of more than ``most`` samples is represented by ``parts`` windows of ``most // parts`` samples, spread
     evenly; a hole inside a window divides it.
 
-    Parameters
-    ----------
-    series : Series
-        The record.
-    most : int
-        Samples returned at most.
-    parts : int
-        Windows of a longer record.
-
-    Returns
-    -------
-    list of slice
-        In order of time within each run without holes; each of at least `SHORTEST` samples.
+    series: The record.
+    most: Samples returned at most.
+    parts: Windows of a longer record.
+    Returns: In order of time within each run without holes; each of at least `SHORTEST` samples.
     """
     # At rest the count does not move, so those samples carry no information about the noise.
     moving = np.flatnonzero(np.abs(series.position) > 1.5 * series.pitch)

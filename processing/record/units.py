@@ -14,21 +14,11 @@ from daq.base.measured import Measured
 
 @dataclass(frozen=True)
 class Units:
-    """The units of a record.
+    """The units of a record."""
 
-    Attributes
-    ----------
-    length_unit : float
-        m (or counts), signed: about the travel of the record.
-    time_unit : float
-        s: about its sample interval.
-    start : float
-        s: the time at which that of the record is 0.
-    """
-
-    length_unit: float = 1.0
-    time_unit: float = 1.0
-    start: float = 0.0
+    length_unit: float = 1.0  # m (or counts), signed: about the travel of the record
+    time_unit: float = 1.0  # s: about its sample interval
+    start: float = 0.0  # s: the time at which that of the record is 0
 
     def of(self, length: int, time: int) -> float:
         """Return the unit of a quantity of these powers of length and time, in SI units, signed."""

@@ -42,14 +42,10 @@ def speed_before_creep(velocity: list[Array], window: int, common: float) -> flo
     last quarter is slower than the second, and the first two differ by far less.  (Under friction with a ramp the
     speed falls evenly through all of a stick.)
 
-    Parameters
-    ----------
-    velocity : list of array of shape (n_i,)
-        Velocities in each stick, m/s.
-    window : int
-        Samples that the velocity is smoothed over: a quarter of less than two shows what lies beside the stick, too.
-    common : float
-        Their common speed, m/s.
+    velocity: Velocities in each stick, m/s.
+    window: Samples that the velocity is smoothed over: a quarter of less than two shows what lies beside the stick,
+        too.
+    common: Their common speed, m/s.
     """
     long = [own for own in velocity if own.size >= 4 * max(2 * window, QUARTER)]
     if len(long) < FEWEST:
@@ -95,14 +91,9 @@ def median_value(values: Array) -> float:
 def reported_speed(stated: float | None, measured: Measured | None, common: float, stuck: bool) -> float:
     """Return the belt speed to report, m/s; NaN when unknown.
 
-    Parameters
-    ----------
-    stated, measured : float or Measured, optional
-        What a person stated, and what the rig's calibration holds.
-    common : float
-        Common speed of the plateaus.
-    stuck : bool
-        Whether the record shows a stick.
+    stated, measured: What a person stated, and what the rig's calibration holds.
+    common: Common speed of the plateaus.
+    stuck: Whether the record shows a stick.
 
     Notes
     -----

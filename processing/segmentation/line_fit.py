@@ -18,25 +18,14 @@ FEWEST = 3  # readings of a line
 def fit_lines(time: Array, position: Array, begin: int, end: int, window: int, variance: float, motion: Array) -> float:
     """Fit a line around every sample of a stick, centred, or up against an end of the stick.
 
-    Parameters
-    ----------
-    time, position : array of shape (n,)
-        Of the record, s and m, NaN where a reading is missing.
-    begin, end : int
-        The stick's samples: begin..end-1.
-    window : int
-        Samples of each line, at most.
-    variance : float
-        Of a reading, m^2.
-    motion : array of shape (6, n)
-        Gets x, v, a and their variances of the stick's samples, but for those around which fewer than three readings
-        are there.  The acceleration is 0; its error is the slope's over the length of the window.
-
-    Returns
-    -------
-    float
-        Mean square by which the slopes of neighbouring windows without a common sample differ, over what ``variance``
-        makes them differ: 1 for a straight line; 0 where there is one window only.
+    time, position: Of the record, s and m, NaN where a reading is missing.
+    begin, end: The stick's samples: begin..end-1.
+    window: Samples of each line, at most.
+    variance: Of a reading, m^2.
+    motion: Gets x, v, a and their variances of the stick's samples, but for those around which fewer than three
+        readings are there.  The acceleration is 0; its error is the slope's over the length of the window.
+    Returns: Mean square by which the slopes of neighbouring windows without a common sample differ, over what
+        ``variance`` makes them differ: 1 for a straight line; 0 where there is one window only.
     """
     n = end - begin
     size = min(window, n)

@@ -54,16 +54,10 @@ def with_ends(
 ) -> SwitchingTimes:
     """Return ``first`` with a landing or a break-away near each end of a piece that needs one, or ``first`` itself.
 
-    Parameters
-    ----------
-    first, times : SwitchingTimes
-        Corners before and after their refinement.
-    levels : NoiseLevels
-        By label.
-    speed : float
-        Of the sticks, m/s, NaN where there is none: a part that is cut off as stick must have it.
-    needed : float
-        Log likelihood that a corner must gain.
+    first, times: Corners before and after their refinement.
+    levels: By label.
+    speed: Of the sticks, m/s, NaN where there is none: a part that is cut off as stick must have it.
+    needed: Log likelihood that a corner must gain.
     """
     levels = _read_alike(levels)
     begins = list(first.first)
@@ -176,16 +170,8 @@ def with_overtaking(
 ) -> tuple[float, SwitchingTimes]:
     """Return the switching times with an overtaking corner before each landing that needs one.
 
-    Parameters
-    ----------
-    usual : float or None
-        Mean square innovation that the usual stick of the record begins with; None: that of these.
-
-    Returns
-    -------
-    float
-        ``usual``.
-    SwitchingTimes
+    usual: Mean square innovation that the usual stick of the record begins with; None: that of these.
+    Returns: ``usual``.
     """
     levels = _read_alike(levels)
     at, kind, sd = list(times.at), list(times.kind), list(times.sd)

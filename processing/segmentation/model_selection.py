@@ -46,24 +46,13 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """What a stick must be more likely than.
+    """What a stick must be more likely than."""
 
-    Attributes
-    ----------
-    jerk : white_jerk.Noise
-        Of a motion of white jerk throughout.
-    snap : NoiseLevels
-        Of a motion of white snap throughout.
-    uneven : NoiseLevels or None
-        Of sticks on an uneven belt, as each stick is tried; None where every one is on an even belt.
-    lenient : bool
-        Whether most sticks are beyond doubt, so that the others need only help.
-    """
-
-    jerk: white_jerk.Noise
-    snap: NoiseLevels
+    jerk: white_jerk.Noise  # of a motion of white jerk throughout
+    snap: NoiseLevels  # of a motion of white snap throughout
+    # of sticks on an uneven belt, as each stick is tried; None where every one is on an even belt
     uneven: NoiseLevels | None
-    lenient: bool
+    lenient: bool  # whether most sticks are beyond doubt, so that the others need only help
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,22 +80,12 @@ def learn_gate(
 
     Last are the sticks as they are judged on an even belt.
 
-    Parameters
-    ----------
-    corners : PlacedCorners
-        Of all sticks.
-    levels : NoiseLevels
-        Of sticks on an even belt.
-    jerk : white_jerk.Noise
-        Of the null model of white jerk.
-    needed : float
-        Log likelihood that a corner must gain.
-
-    Returns
-    -------
-    (SwitchingTimes, NoiseLevels, Gate, Judged), or list of (float, float)
-        Where the null model is kept, the spans of time, s, of the few sticks that prevent the others from being
-        accepted; empty where these are not few.
+    corners: Of all sticks.
+    levels: Of sticks on an even belt.
+    jerk: Of the null model of white jerk.
+    needed: Log likelihood that a corner must gain.
+    Returns: (SwitchingTimes, NoiseLevels, Gate, Judged) Where the null model is kept, the spans of time, s, of the few
+        sticks that prevent the others from being accepted; empty where these are not few.
     """
     times = corners.times
     sticks = sticks_of(times)
@@ -159,17 +138,9 @@ def accept_sticks(
 ) -> SwitchingTimes | list[Span]:
     """Return the sticks accepted in a block of a record, each by itself, as one of the record.
 
-    Parameters
-    ----------
-    even, levels : NoiseLevels
-        Of sticks on an even belt, and those that `learn_gate` returned.
-    judged : Judged, optional
-        The sticks that `learn_gate` returned, where it did so for these corners of this record.
-
-    Returns
-    -------
-    SwitchingTimes, or list of (float, float)
-        Where sticks do not fit, the spans of time, s, around them.
+    even, levels: Of sticks on an even belt, and those that `learn_gate` returned.
+    judged: The sticks that `learn_gate` returned, where it did so for these corners of this record.
+    Returns: Where sticks do not fit, the spans of time, s, around them.
     """
     times = corners.times
     sticks = sticks_of(times)

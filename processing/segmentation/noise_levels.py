@@ -125,16 +125,8 @@ def smooth_stretch(
 ) -> tuple[Labels, Array, Array]:
     """Filter a stretch of n samples and smooth it.
 
-    Parameters
-    ----------
-    motion : array of shape (6, samples of the record), optional
-        Gets x, v, a and their variances of the stretch.
-
-    Returns
-    -------
-    label : array of shape (n,)
-    noise, steps : array of shape (LABELS, 4), (JUMPS, 2)
-        Sums that tell how well each noise level fits (`processing.kalman.motion_kernel.backward`).
+    motion: Gets x, v, a and their variances of the stretch.
+    Returns: Sums that tell how well each noise level fits (`processing.kalman.motion_kernel.backward`).
     """
     label, stored = filter_stretch(series, times, levels, stretch, workspace)
     at, kind = times.at[stretch.corners], times.kind[stretch.corners]
@@ -159,12 +151,8 @@ def reestimate_noise(
 ) -> NoiseLevels:
     """Return noise levels under which the record is more likely.
 
-    Parameters
-    ----------
-    iterations : int
-        Of the fixed point: filter, smooth, and multiply each level by its `_ratio`.
-    null_model : bool
-        As if the record had no corners.
+    iterations: Of the fixed point: filter, smooth, and multiply each level by its `_ratio`.
+    null_model: As if the record had no corners.
     """
     used = fit_stretches(series, times)
     if null_model:

@@ -122,14 +122,9 @@ def without_creep(series: Series, sticks: list[Stick], apart: Array, usual: floa
     quarters of its time, and is left as it is.  Where the fastest is below `SLOW` of that of the usual slip the mass
     creeps throughout, and both sticks are one.
 
-    Parameters
-    ----------
-    sticks : list of Stick
-        In order of time.
-    apart : array of shape (n,)
-        Velocity relative to the belt, m/s.
-    usual : float
-        What `usual_fastest` returned for the record, m/s.
+    sticks: In order of time.
+    apart: Velocity relative to the belt, m/s.
+    usual: What `usual_fastest` returned for the record, m/s.
     """
     found: list[Stick] = sticks[:1]
     time = series.time

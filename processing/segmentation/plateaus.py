@@ -66,27 +66,14 @@ PLATEAU = 0.5  # share of the wider stretch that must be flat already: 1/4 for a
 
 @dataclass(frozen=True)
 class PlateauRule:
-    """How the sticks of a record show in a motion made from it.
+    """How the sticks of a record show in a motion made from it."""
 
-    Attributes
-    ----------
-    noise : white_jerk.Noise or None
-        Of the smoother motion in which plateaus are looked for; None: in the motion itself.
-    tolerance : float
-        What counts as no acceleration, m/s^2.
-    shortest : float
-        Plateau that is a stick, s.
-    speed : float
-        Common speed of the plateaus, m/s; NaN where none is a stick.
-    fastest : float
-        Speed relative to the belt that the usual slip reaches, m/s; 0: there is no usual one.
-    """
-
+    # of the smoother motion in which plateaus are looked for; None: in the motion itself
     noise: white_jerk.Noise | None
-    tolerance: float
-    shortest: float
-    speed: float
-    fastest: float
+    tolerance: float  # what counts as no acceleration, m/s^2
+    shortest: float  # plateau that is a stick, s
+    speed: float  # common speed of the plateaus, m/s; NaN where none is a stick
+    fastest: float  # speed relative to the belt that the usual slip reaches, m/s; 0: there is no usual one
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,14 +136,9 @@ def learn_phases(
 ) -> tuple[PlateauRule, tuple[Phase, ...], Motion]:
     """Return the rule of a record, its sticks and slips, and the motion of the mass that shows its speed in sticks.
 
-    Parameters
-    ----------
-    series, motion
-        The record and the motion made from it.
-    stated : float, optional
-        Belt speed that a person stated, m/s, signed: sticks are looked for at that speed alone.
-    belt : BeltMotion, optional
-        The belt's own motion, where it has an encoder; ``stated`` takes precedence over it.
+    series, motion: The record and the motion made from it.
+    stated: Belt speed that a person stated, m/s, signed: sticks are looked for at that speed alone.
+    belt: The belt's own motion, where it has an encoder; ``stated`` takes precedence over it.
     """
     belt = None if stated is not None else belt
     moving = in_motion(series)
@@ -183,14 +165,9 @@ def segment(
 ) -> PhaseSegmentation:
     """Find sticks, slips and belt speed in a record or a block of it.
 
-    Parameters
-    ----------
-    series, motion, stated, belt
-        As `learn` takes them.
-    rule, level : PlateauRule, float
-        What `learn` returned.
-    measured : Measured, optional
-        The belt speed as the rig's calibration has it.
+    series, motion, stated, belt: As `learn` takes them.
+    rule, level: What `learn` returned.
+    measured: The belt speed as the rig's calibration has it.
     """
     belt = None if stated is not None else belt
     moving = in_motion(series)

@@ -75,39 +75,17 @@ LINE = 1 / 3  # of a slip: the longest straight line through a stick (`line_fit`
 
 @dataclass(frozen=True, eq=False)
 class StickSlip:
-    """How a record sticks and slips.
+    """How a record sticks and slips."""
 
-    Attributes
-    ----------
-    slip : float
-        Usual length of a slip, s.
-    first : NoiseLevels
-        A rough guess, by which corners are looked for.
-    even : NoiseLevels
-        Of slips, and of sticks on an even belt: corners are placed by them, and such sticks accepted.
-    levels : NoiseLevels
-        Those of the sticks accepted, on an even belt and on an uneven one, and of slips.
-    misfit : float
-        Mean square innovation that the usual stick begins with (`with_overtaking`).
-    corner : float
-        Log likelihood that a corner must gain.
-    gate : Gate or None
-        What a stick is accepted by; None: every one is.
-    line : float
-        What the variances of straight lines through sticks are multiplied by.
-    speed : float
-        Of the sticks, m/s.
-    """
-
-    slip: float
-    first: NoiseLevels
-    even: NoiseLevels
-    levels: NoiseLevels
-    misfit: float
-    corner: float
-    gate: Gate | None
-    line: float
-    speed: float
+    slip: float  # usual length of a slip, s
+    first: NoiseLevels  # a rough guess, by which corners are looked for
+    even: NoiseLevels  # of slips, and of sticks on an even belt: corners are placed by them, and such sticks accepted
+    levels: NoiseLevels  # those of the sticks accepted, on an even belt and on an uneven one, and of slips
+    misfit: float  # mean square innovation that the usual stick begins with (`with_overtaking`)
+    corner: float  # log likelihood that a corner must gain
+    gate: Gate | None  # what a stick is accepted by; None: every one is
+    line: float  # what the variances of straight lines through sticks are multiplied by
+    speed: float  # of the sticks, m/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,22 +118,11 @@ def learn(
 ) -> tuple[plateaus.PlateauRule, StickSlip | None, FirstPass]:
     """Learn how a record sticks and slips.
 
-    Parameters
-    ----------
-    series, noise, pilot : Series, white_jerk.Noise, Motion
-        The record, its noise as one of white jerk, and the motion smoothed with that.
-    stated : float, optional
-        Belt speed that a person stated, m/s, signed.
-    gated : bool
-        Whether model selection decides on the sticks.
-
-    Returns
-    -------
-    PlateauRule
-        By which sticks are found in the pilot.
-    StickSlip or None
-        None where there is no stick, or none that model selection accepts.
-    FirstPass
+    series, noise, pilot: The record, its noise as one of white jerk, and the motion smoothed with that.
+    stated: Belt speed that a person stated, m/s, signed.
+    gated: Whether model selection decides on the sticks.
+    Returns: By which sticks are found in the pilot.
+    Returns: None where there is no stick, or none that model selection accepts.
     """
     rule, phases, _ = plateaus.learn_phases(series, pilot, stated)
     plain = FirstPass(series, pilot, _parted(series, rule))
@@ -354,11 +321,7 @@ def _shifted(series: Series, times: SwitchingTimes, shift: float) -> SwitchingTi
 def _run(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> tuple[Array, Mask]:
     """Smooth with the switching times as they are.
 
-    Returns
-    -------
-    motion : array of shape (6, n)
-        x, v, a and their variances.
-    stick : array of bool, shape (n,)
+    Returns: x, v, a and their variances.
     """
     motion, stick = np.zeros((6, series.time.size)), np.zeros(series.time.size, bool)
     for piece in series.pieces:
