@@ -48,6 +48,7 @@ from daq.runfile.journal_records import (
     Place,
     Record,
 )
+from daq.runfile.regular import regular_file
 
 __all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIVED", "REOPENED", "Content", "Record"]
 
@@ -282,7 +283,7 @@ def _has_no_record(content: bytes | Content) -> bool:
 
 def beginning(path: Path) -> dict[str, Any]:
     """Return the header of a journal that is being written; InputError as for `read`."""
-    with path.open("rb") as file:
+    with regular_file(path, "give a journal") as file:
         content = Content(file.read(2 * HEADER_EVERY))
     found = journal_records.header(content, journal_records.scan(content))
     if journal_records.wrong_in_magic(content) is None or found is None:
@@ -298,13 +299,11 @@ def read(path: Path) -> Journal:
     InputError
         When the file is missing, is no journal, has no header that can be read, or one that cannot be true.
     """
-    try:
-        file = path.open("rb", buffering=0)
-    except FileNotFoundError as error:
-        raise missing(path) from error
-    except IsADirectoryError as error:
-        raise is_a_folder(path) from error
-    with file:
+    if not path.exists():
+        raise missing(path)
+    if path.is_dir():
+        raise is_a_folder(path)
+    with regular_file(path, "give a journal") as file:
         return _read(path, Content(file))
 
 

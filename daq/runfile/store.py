@@ -23,6 +23,7 @@ from daq.base.errors import InputError
 from daq.base.output import atomic, disk
 from daq.runfile import nexus, schema, tree, trust
 from daq.runfile.recording import Raw, Recording, SentAs, Truth, impossible_motion
+from daq.runfile.regular import regular_file
 from daq.runfile.rig import Rig
 from daq.runfile.write import write
 
@@ -317,12 +318,7 @@ def _marked(run: Recording, sample: int, text: str) -> Recording:
 def opened(path: Path) -> Iterator[h5py.File]:
     """Open a run file for reading, or raise an InputError that names what the file is instead."""
     where = str(path)
-    if not path.exists():
-        raise InputError("no such file", where, "check the path")
-    if path.is_dir():
-        raise InputError("is a folder", where, "give the run file in it")
-    if not path.is_file():
-        raise InputError("is a device, not a file", where, "give a run file")
+    regular_file(path, "give the run file in it").close()
     with _open(path) as file:
         found = trust.mark(file)
         if found is None and trust.is_joint(file):
