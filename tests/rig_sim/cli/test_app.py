@@ -128,6 +128,7 @@ def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], t
         (["cycle", "base", "--set", "friction.Gama=1"], "scene base"),
         (["cycle", "base", "--set", "friction"], "--set"),
         (["cycle"], "command line"),
+        (["basins", "two-mass", "--cells", "1000.5"], "command line"),  # was read as 1000
         (["maps", "base"], "command line"),
         # Each of these used to be accepted and to give nonsense, or to run for ever.
         (
