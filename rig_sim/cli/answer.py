@@ -1,17 +1,13 @@
 """What all commands of ``rig-sim`` share: the scene as typed, and a result as text, JSON and picture."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from daq.base.console.application import Answer
 
 if TYPE_CHECKING:
     from rig_sim.functions.result import Result
     from rig_sim.scenes.model import Scene
-
-SceneName = Annotated[str, Parameter(help="A built-in name (see rig-sim scenes) or a TOML file.")]
 
 
 def changed(name: str, changes: list[str] | None) -> "Scene":

@@ -2,12 +2,11 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any, NoReturn
+from typing import Any, NoReturn
 
-from daq.base.console import application, flags
-from daq.base.console.application import Answer, Json, SetChanges
+from daq.base.console import application
+from daq.base.console.application import Answer, Json
 from daq.base.errors import InputError
-from rig_sim.cli.answer import SceneName, changed
 from rig_sim.cli.atlas import atlas
 from rig_sim.cli.derived import derive
 
@@ -29,32 +28,6 @@ def scenes(*, json: Json = False) -> Answer:
     rows = [{"name": name, "title": (built := scene(name)).title, "terms": built.terms()} for name in builtin_names()]
     text = "\n".join(f"{row['name']:8} {row['title']}\n         {', '.join(row['terms'])}" for row in rows)
     return Answer(rows, text)
-
-
-def compare(
-    scene: SceneName,
-    /,
-    *,
-    until: Annotated[float, flags.quantity("--until", "time", "End of the run, in the scene's unit of time.")],
-    set_: SetChanges = None,
-    json: Json = False,
-) -> Answer:
-    """Compare the integration methods: largest error of an event time, CPU time, and CPU time per cycle.
-
-    Example: rig-sim compare base --until 100 --set friction.law=6
-
-    The exact method steps through every cycle, interpreted and compiled; compilation time is reported separately.
-    """
-    import rig_sim
-
-    with application.progress("measuring", 100, "%") as show:
-        result = rig_sim.compare(changed(scene, set_), until, progress=show.stage)
-    table = application.table("", ["method", "setting", "error", "CPU s", "us/cycle"], left=2)
-    for row in result.results:
-        error = row.note if row.error is None else f"{row.error:.1e}"
-        per_cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
-        table.add_row(row.method, row.setting, error, f"{row.cpu_s:.2g}", per_cycle)
-    return Answer(result.as_json(), [table, *result.remarks()])
 
 
 @contextmanager
@@ -95,7 +68,7 @@ for command in (
     derive("floquet", "rig-sim floquet damped --orbit unstable"),
     derive("events", "rig-sim events base --until 60 --set drive.u0=0.2 --set drive.omega=0.3"),
     derive("run", "rig-sim run rig --until 20 --rate 1000 -o motion.h5", required="output"),
-    compare,
+    derive("compare", "rig-sim compare base --until 100 --set friction.law=6"),
     derive(
         "continue_",
         "rig-sim continue damped --over damper.c=0.3:0.6",

@@ -224,16 +224,14 @@ class Comparison(Result):
 
     def lines(self) -> list[str]:
         """Return a line for each method and setting, and what the errors are against."""
-        lines = []
-        for row in self.results:
-            error = row.note if row.error is None else f"{row.error:.1e}"
-            cycle = "" if row.us_per_cycle is None else f", {row.us_per_cycle:.3g} us a cycle"
-            lines.append(f"{row.method} {row.setting}: {error}; {row.cpu_s:.2g} s of CPU{cycle}")
-        return [*lines, *self.remarks()]
-
-    def remarks(self) -> list[str]:
-        """Return what the errors are against, and what was not counted."""
+        errors = [row.note if row.error is None else f"{row.error:.1e}" for row in self.results]
+        width = max(map(len, errors))
+        lines = [f"{'method':11} {'setting':13} {'error':>{width}} {'CPU s':>9} {'us/cycle':>10}"]
+        for row, error in zip(self.results, errors, strict=True):
+            cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
+            lines.append(f"{row.method:11} {row.setting:13} {error:>{width}} {row.cpu_s:9.2g} {cycle:>10}")
         return [
+            *lines,
             f"error: largest error of an event time, against {self.reference}; {self.cycles} cycles",
             f"compiling or loading compiled code: {self.compile_s:.1f} s of CPU, not counted",
         ]
@@ -379,7 +377,7 @@ def run(
 def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) -> Comparison:
     """Compare the methods of integration: largest error of an event time, and CPU time: ``rig-sim compare``.
 
-    The exact method steps through every cycle, interpreted and compiled.
+    The exact method steps through every cycle, interpreted and compiled; compilation time is reported separately.
 
     Parameters
     ----------

@@ -255,5 +255,5 @@ def test_the_table_of_methods_shows_their_names_whole(scene, capsys, monkeypatch
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setattr(error_vs_time, "LONG_ENOUGH_S", 0.0)  # nothing here is about CPU times
     assert application.run(app, ["compare", scene, "--until", "10"]) == 0
-    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith(" rk4-henon")]
+    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("rk4-henon ")]
     assert len(table) == 4
