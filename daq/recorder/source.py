@@ -22,7 +22,6 @@ from daq.runfile.rig import Rig
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
 
-DURATION_S = 20.0  # recording time where none is stated, as in the command
 APPEARS_S = "30 s"  # how long the live view waits for a recording that begins
 
 
@@ -143,7 +142,7 @@ def record(
                 request,
                 port=source,
                 rate_hz=_whole(rate_hz),
-                duration_s=DURATION_S if seconds is None else seconds,
+                duration_s=RecordRequest.duration_s if seconds is None else seconds,
                 protocol=protocol,
                 columns=columns,
                 baud=baud,
