@@ -22,6 +22,7 @@ from daq.runfile.rig import Rig
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
 
+DURATION_S = RecordRequest.duration_s  # where none is stated
 APPEARS_S = "30 s"  # how long the live view waits for a recording that begins
 
 
@@ -142,7 +143,7 @@ def record(
                 request,
                 port=source,
                 rate_hz=_whole(rate_hz),
-                duration_s=RecordRequest.duration_s if seconds is None else seconds,
+                duration_s=DURATION_S if seconds is None else seconds,
                 protocol=protocol,
                 columns=columns,
                 baud=baud,
