@@ -13,6 +13,7 @@ from cyclopts import Parameter
 from daq.base.console import application, flags
 from daq.base.console.application import Answer, Json
 from daq.base.console.flags import Force
+from daq.base.console.rig_flags import Mass
 from daq.base.console.settings import NO_FLAGS, BoardFlags, board_toml, resolve
 from daq.base.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
 from daq.base.measured import QUANTITIES, Measured
@@ -113,9 +114,7 @@ def calibrate(
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")] = Path("rig.toml"),
     distance: Annotated[Measured | None, flags.measured("--distance", "length", DISTANCE)] = None,
     ring_down: Annotated[bool, Parameter(name="--ring-down", help="Record and fit a ring-down.")] = True,
-    mass: Annotated[
-        Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
-    ] = None,
+    mass: Mass = None,
     duration: Annotated[
         float, flags.quantity("--duration", "time", "Time of the ring-down, s or with a unit.")
     ] = RING_DOWN_S,

@@ -20,6 +20,7 @@ from daq.base.console.settings import NO_FLAGS, BoardFlags, resolve
 from daq.base.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, InputError
 from daq.cli import sentences
 from daq.cli.live import NoBrowser, viewer
+from daq.protocols.request import RecordRequest
 
 if TYPE_CHECKING:
     from daq.recorder.record import StopRequest
@@ -55,8 +56,8 @@ def register(app: cyclopts.App) -> None:
 
 def record(
     *,
-    duration: Duration = 20.0,
-    output: Output = Path("run.h5"),
+    duration: Duration = RecordRequest.duration_s,
+    output: Output = RecordRequest.output,
     scene: Scene = None,
     set_: SetChanges = None,
     realtime: Realtime = False,
@@ -87,7 +88,6 @@ def record(
     Example: daq record -o 'run-{n:03}.h5' --sample "brass on steel" --operator Ada --tag humidity=45
     """
     from daq.base.output import names
-    from daq.protocols.request import RecordRequest
     from daq.recorder.record import record as take
 
     if live:

@@ -22,7 +22,7 @@ from daq.runfile.rig import Rig
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
 
-DURATION_S = 20.0  # recording time where none is stated, as in the command
+DURATION_S = RecordRequest.duration_s  # where none is stated
 APPEARS_S = "30 s"  # how long the live view waits for a recording that begins
 
 
