@@ -332,7 +332,11 @@ def _run(
         lines.append(f"recorded = {quoted(cells.recorded)}")
     if skipped:
         lines.append(f"skipped_lines = {[one.line for one in skipped]}")
-    end = start + timedelta(seconds=float(run.time[-1]))
+    try:
+        end = start + timedelta(seconds=float(run.time[-1]))
+        end.timestamp()
+    except (OverflowError, ValueError) as error:  # beyond the years that a calendar has
+        raise InputError(f"a run of {run.time[-1]:g} s cannot start at {start}", "--start", "correct it") from error
     origin = OF_FILE if options.started is None else "--start"
     return replace(
         run,
