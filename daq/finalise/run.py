@@ -53,7 +53,7 @@ def finalise(
     Raises
     ------
     InputError
-        The journal is missing, not a journal, or still being written; or ``output`` exists.
+        The journal is missing, not a journal, or still being written; ``output`` exists, or cannot be read back.
     DataError
         The journal holds no samples.  It is kept, as after every other error.
     """
@@ -70,6 +70,7 @@ def finalise(
     # A command that was killed after it had put the file in place left the journal: what is missing is its removal.
     if not (exists and not recorded.damaged and store.holds(output, run)):
         store.write(output, run, force=force)
+        store.read_back(output)
     if not recorded.damaged:
         try:
             markers.unlink(missing_ok=True)

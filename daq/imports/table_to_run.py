@@ -430,8 +430,9 @@ def _run(
         lines.append(f"skipped_lines = {[one.line for one in skipped]}")
     try:
         end = start + timedelta(seconds=float(run.time[-1]))
-    except OverflowError:
-        raise InputError(f"{options.started!r} is too late: the record ends after the year 9999", "--start") from None
+        end.timestamp()
+    except (OverflowError, ValueError) as error:  # beyond the years that a calendar has
+        raise InputError(f"a run of {run.time[-1]:g} s cannot start at {start}", "--start", "correct it") from error
     origin = OF_FILE if options.started is None else "--start"
     return replace(
         run,

@@ -63,7 +63,8 @@ HEADER_EVERY = 1 << 16
 
 # What ended a recording, in its last record; another word there is the name of a signal.
 COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
-SOURCE_ENDED, SOURCE_FAILED = "source ended", "source failed"  # how blocks that a program hands over can end
+# How blocks that a program hands over can end.
+SOURCE_ENDED, SOURCE_FAILED, SOURCE_SILENT = "source ended", "source failed", "source silent"
 
 
 class Records:

@@ -35,6 +35,7 @@ __all__ = [
     "holds",
     "load",
     "opened",
+    "read_back",
     "reading",
     "samples",
     "times",
@@ -42,6 +43,7 @@ __all__ = [
     "write",
 ]
 
+STRETCH = 1 << 18  # samples that are read back at a time: some 20 MB
 # A stage rests on those before it: writing one drops the ones after it, which were made from what it replaces.
 STAGES = ("data", "smooth", "fit")
 SAMPLE_STAGE = (  # with which `extend` is rehearsed
@@ -79,6 +81,13 @@ def load(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> Recording:
     """
     with reading(path) as run:
         return run.load(own)
+
+
+def read_back(path: str | os.PathLike[str]) -> None:
+    """Raise InputError, as `load` does, for a run that cannot be loaded; a stretch at a time, which needs no memory."""
+    with reading(path) as run:
+        for first in range(0, run.samples, STRETCH):
+            run.load(slice(first, first + STRETCH + 1))  # with the first sample of the next stretch, for the order
 
 
 def times(path: str | os.PathLike[str]) -> Array:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from daq.base.errors import DataError
-from daq.base.measured import Measured
+from daq.base.measured import Measured, with_error
 from daq.runfile.rig import Rig
 from fitting.curve.formula_fit import FormulaFit
 from fitting.data.frame import MeasuredMotion
@@ -25,7 +25,6 @@ from fitting.selection import law_fits
 from fitting.selection.asked import Asked
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from processing.record.setting import with_error
 from rig_sim.friction.law import LAWS
 
 # Distance of a calibration from the fit, in standard deviations, that contradicts it.  At 3 one true calibration in 400

@@ -5,12 +5,12 @@ import math
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from daq.base.measured import Measured
+from daq.base.measured import Measured, with_error
 from processing.defects.frames import FrameCount
 from processing.record.finding import Finding
 from processing.record.motion import Fault
 from processing.record.position_steps import PositionStep
-from processing.record.setting import is_possible_speed, with_error
+from processing.record.setting import is_possible_speed
 
 
 def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int) -> list[Finding]:
