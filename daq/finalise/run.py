@@ -230,7 +230,7 @@ def _of_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spi
     belt_count, belt_velocity = columns.belt(rate_hz)
     if columns.has("belt_count") and belt_velocity is None:
         warnings.append("no metres per belt count are known, so the belt's counts give no speed")
-    if (roll_over := survey_roll_over(columns["count"])) is not None:
+    if (roll_over := survey_roll_over(columns["count"], columns["segment"])) is not None:
         warnings.append(
             f"the count jumps {roll_over}, as a counter does that rolls over or restarts, and the motion holds these "
             "jumps; for a counter of 16 bits declare its width, as in --columns t_us,count:16, and record again"

@@ -104,11 +104,7 @@ class JournalTail:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            header = journal.beginning(path)
-        except OSError as error:
-            do = "give the RUN.h5.part of a recording that is running"
-            raise InputError(f"no such journal ({error.strerror})", str(path), do) from error
+        header = journal.beginning(path)
         self.header: dict[str, Any] = journal_header.complete(header, path)
         self.rig = Rig()
         self.counts = JournalTotals()

@@ -28,7 +28,7 @@ from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
 from daq.base.errors import InputError
 from daq.base.output import disk
@@ -284,7 +284,7 @@ def _has_no_record(content: bytes | Content) -> bool:
 
 def beginning(path: Path) -> dict[str, Any]:
     """Return the header of a journal that is being written; InputError as for `read`."""
-    with regular_file(path, "give a journal") as file:
+    with _open(path) as file:
         content = Content(file.read(2 * HEADER_EVERY))
     found = journal_records.header(content, journal_records.scan(content))
     if journal_records.wrong_in_magic(content) is None or found is None:
@@ -300,12 +300,16 @@ def read(path: Path) -> Journal:
     InputError
         When the file is missing, is no journal, has no header that can be read, or one that cannot be true.
     """
+    with _open(path) as file:
+        return _read(path, Content(file))
+
+
+def _open(path: Path) -> BinaryIO:
     if not path.exists():
         raise missing(path)
     if path.is_dir():
         raise is_a_folder(path)
-    with regular_file(path, "give a journal") as file:
-        return _read(path, Content(file))
+    return regular_file(path, "give a journal")
 
 
 def _read(path: Path, content: Content) -> Journal:

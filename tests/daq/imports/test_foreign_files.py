@@ -287,7 +287,9 @@ def test_a_counter_that_rolls_over_is_undone_exactly(tmp_path, motion, readings,
     assert roll_over is not None
     assert roll_over.counts == counts
     np.testing.assert_array_equal(np.diff(unroll(readings, roll_over)), np.diff(motion))
-    assert survey_roll_over(readings) == roll_over
+    assert survey_roll_over(readings, np.zeros(readings.size, np.uint16)) == roll_over
+    connected = np.abs(np.diff(readings, prepend=readings[0])) <= counts / 2  # else another segment begins
+    assert survey_roll_over(readings, np.cumsum(~connected).astype(np.uint16)) is None
     rows = [f"{k / 1000},{value}" for k, value in enumerate(readings)]
     path = _text(tmp_path / "a.csv", rows, head="t (s),counts\n")
     with pytest.warns(UserWarning, match="rolled over or restarted"):
