@@ -3,11 +3,11 @@
 import re
 from pathlib import Path
 
-from daq.base.console.log import FLAGS
 from daq.cli.app import app as daq
 from fitting.cli import app as fit_friction
 from processing.cli import app as process
 from rig_sim.cli.app import app as rig_sim
+from stickslip.console.log import FLAGS
 
 FOLDER = Path(__file__).parent / "reference" / "commands"
 APPLICATIONS = {"daq": daq, "process": process, "fit-friction": fit_friction, "rig-sim": rig_sim}

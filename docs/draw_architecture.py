@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("daq", "rig_sim", "processing", "fitting")
+PACKAGES = ("stickslip", "daq", "rig_sim", "processing", "fitting")
 Node = tuple[str, str]  # package, folder or module
 
 

@@ -17,7 +17,7 @@ _HOME = {"Law": "fitting.law", "Ranking": "fitting.ranked", "rank": "fitting.ent
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is first asked for: ``import fitting`` alone loads nothing."""
     if name == "__version__":
-        from daq.base.version import VERSION
+        from stickslip.version import VERSION
 
         return VERSION
     if name in _HOME:

@@ -9,14 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from daq.base import errors
-from daq.base.compute.workers import workers
-from daq.base.console import application
-from daq.base.errors import DeviceError, InputError, StickslipError
 from fitting import job
 from fitting.job import FitOptions, FitOutput, LoadedRun
 from fitting.report import comparison, page
 from fitting.report.comparison import ComparedRun
+from stickslip import errors
+from stickslip.compute.workers import workers
+from stickslip.console import application
+from stickslip.errors import DeviceError, InputError, StickslipError
 
 FAILURES = (errors.EXIT_DATA, errors.EXIT_INPUT, errors.EXIT_DEVICE, errors.EXIT_BUG)
 SEVERITY = (errors.EXIT_DONE, errors.EXIT_UNDECIDED, errors.EXIT_NO_LAW, *FAILURES)  # least first

@@ -7,10 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import daq
-from daq.base import units
-from daq.base.errors import InputError
-from daq.base.output import suffix
-from daq.base.units import Stated
 from daq.runfile import schema
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
@@ -20,6 +16,10 @@ from fitting.job import FitOptions, LoadedRun
 from fitting.law import Bound, Law
 from fitting.ranked import Ranking
 from processing.record.kinematics import Kinematics
+from stickslip import units
+from stickslip.errors import InputError
+from stickslip.output import suffix
+from stickslip.units import Stated
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -6,9 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import DataError, InputError
-from daq.base.output import suffix
 from fitting import rig_scene
 from fitting.adequacy.result import Adequacy
 from fitting.curve.result import MeasuredCurve
@@ -16,6 +13,9 @@ from fitting.estimation.result import Correlations, in_columns
 from fitting.report import page
 from fitting.selection import resampling, result
 from processing.statistics import from_kinematics
+from stickslip.compute.arrays import Array
+from stickslip.errors import DataError, InputError
+from stickslip.output import suffix
 
 if TYPE_CHECKING:
     import os

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import daq
-from daq.base.errors import InputError
 from processing import smoothing
 from processing.record.kinematics import Kinematics
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

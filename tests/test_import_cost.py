@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.base.version import VERSION
+from stickslip.version import VERSION
 
 ROOT = str(Path(__file__).resolve().parent.parent)
 MODULES = {
@@ -16,6 +16,7 @@ MODULES = {
     "fit-friction": "fitting.cli",
     "rig-sim": "rig_sim.cli.app",
 }
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 HELP = {
     "daq": "record recover check calibrate replay decode import export ports doctor demo",
     "process": "smooth compare inspect export",
@@ -73,7 +74,7 @@ def test_smoothing_loads_no_linear_algebra_of_scipy(tmp_path):
     assert not names & {"scipy.linalg", "pandas", "matplotlib"}
 
 
-@pytest.mark.parametrize("package", ["daq", "processing", "fitting", "rig_sim"])
+@pytest.mark.parametrize("package", PACKAGES[1:])
 def test_importing_a_package_or_asking_its_version_loads_nothing_else(package):
     seen = "json.dumps(sorted(sys.modules))"
     here = f"import sys; sys.path.insert(0, {ROOT!r})"
@@ -82,9 +83,6 @@ def test_importing_a_package_or_asking_its_version_loads_nothing_else(package):
     first, version, last = done.stdout.splitlines()
     assert version == VERSION
     names = set(json.loads(last))
-    ours = [
-        {name for name in json.loads(loaded) if name.split(".")[0] in ("daq", "processing", "fitting", "rig_sim")}
-        for loaded in (first, last)
-    ]
-    assert ours == [{package}, {package, "daq", "daq.base", "daq.base.version"}]
+    ours = [{name for name in json.loads(loaded) if name.split(".")[0] in PACKAGES} for loaded in (first, last)]
+    assert ours == [{package}, {package, "stickslip", "stickslip.version"}]
     assert not names & {"numpy", "h5py", "scipy", "numba", "pydantic", "serial", "cyclopts"}

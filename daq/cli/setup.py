@@ -10,10 +10,10 @@ from typing import Self, TextIO
 
 import cyclopts
 
-from daq.base.console.application import Answer, Json
-from daq.base.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
+from stickslip.console.application import Answer, Json
+from stickslip.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
 
-PACKAGES = ("daq", "processing", "fitting", "rig_sim")
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 DEMO_FOLDER = "stickslip-demo"
 
 

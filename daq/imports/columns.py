@@ -3,10 +3,10 @@
 import re
 from dataclasses import replace
 
-from daq.base import units
-from daq.base.errors import InputError, in_python, nearest
 from daq.imports import layout
 from daq.imports.table import Table, short
+from stickslip import units
+from stickslip.errors import InputError, in_python, nearest
 
 TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")
 FRAME_NAMES = ("frame", "frames", "frame number", "frame no", "frameno", "image", "slice", "bild")

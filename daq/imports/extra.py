@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 from pathlib import Path
 
-from daq.base.errors import InputError
+from stickslip.errors import InputError
 
 
 def needed(library: str, path: Path) -> None:

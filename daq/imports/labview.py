@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from daq.base.errors import InputError
 from daq.imports import layout
 from daq.imports.table import Table, short
+from stickslip.errors import InputError
 
 BEGINS = "LabVIEW Measurement"
 _END, _SPECIAL, _SPECIAL_END = "***End_of_Header***", "***Start_Special***", "***End_Special***"

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.isolation import BrokenOffError, isolated
-from daq.base.errors import InputError
 from daq.imports.table import HDF5, Table
+from daq.runfile.isolation import BrokenOffError, isolated
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 SAVE = "save it again in MATLAB: save('FILE.mat', '-v7')"
 # CPU time of the child and, beyond that of Python itself, its memory: 4 million numbers take 0.2 s and 70 MB.

@@ -5,9 +5,9 @@ Asked only of columns whose unit nobody stated, and only of tables long enough t
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.imports.table import Table
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 # No mass on a spring in a laboratory is as fast, or moves as far.  The thesis's rig reaches 0.6 m/s and 0.3 m, so that
 # its track in cm (60 m/s, 30 m) and in mm is asked about.  Halved, a fast rig of 5 m/s would be asked; doubled, a slow

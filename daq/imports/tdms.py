@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.isolation import BrokenOffError, isolated
-from daq.base.errors import InputError
 from daq.imports.extra import needed
 from daq.imports.matfile import MEMORY, MOST_NUMBERS, SECONDS, packed, received
 from daq.imports.table import Table
+from daq.runfile.isolation import BrokenOffError, isolated
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 SAVE = "export it as CSV"
 

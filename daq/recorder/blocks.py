@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.errors import DataError, DeviceError, InputError
 from daq.protocols import blocks
 from daq.protocols.request import RecordRequest
 from daq.recorder.journal_place import JournalPlace
@@ -33,6 +31,8 @@ from daq.recorder.record import (
 )
 from daq.runfile import journal
 from daq.runfile.recording import FARTHEST, LONGEST_S
+from stickslip.compute.arrays import Array, Integers
+from stickslip.errors import DataError, DeviceError, InputError
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality

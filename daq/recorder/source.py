@@ -10,14 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.console.notes import NoteFlags
-from daq.base.errors import InputError
-from daq.base.output import names
-from daq.base.units import Stated, stated
 from daq.protocols.request import RecordRequest
+from daq.recorder import names
 from daq.recorder.blocks import record_blocks
+from daq.recorder.notes import NoteFlags
 from daq.recorder.record import record as record_board
 from daq.runfile.rig import Rig
+from stickslip.errors import InputError
+from stickslip.units import Stated, stated
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
@@ -190,8 +190,8 @@ def recover(
     >>> import daq
     >>> found = daq.recover("run.h5.part")  # doctest: +SKIP
     """
-    from daq.base.output import suffix
     from daq.finalise.run import finalise
+    from stickslip.output import suffix
 
     part = Path(journal)
     if part.suffix != ".part":

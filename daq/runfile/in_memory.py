@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.errors import InputError
-from daq.base.measured import Measured
-from daq.base.units import Stated, stated
 from daq.runfile import belt_counter
 from daq.runfile.rig import Rig
 from daq.runfile.run_data import FARTHEST, RunData, impossible_motion, positions
+from stickslip.compute.arrays import Array, Integers
+from stickslip.errors import InputError
+from stickslip.measured import Measured
+from stickslip.units import Stated, stated
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -42,7 +42,7 @@ def from_arrays(
     title: str = "",
 ) -> Made:
     """Return a run made of arrays by ``make``, its class; see `daq.runfile.recording.Recording.from_arrays`."""
-    from daq.base.output import provenance
+    from daq.runfile import provenance
 
     times, values = _column(time, "time"), _column(position, "position")
     if len(times) != len(values):

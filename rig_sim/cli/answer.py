@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from daq.base.console.application import Answer
+from stickslip.console.application import Answer
 
 if TYPE_CHECKING:
     from rig_sim.functions.result import Result
@@ -27,7 +27,7 @@ def answered(result: "Result", plot: Path | None = None, force: bool = False, *m
     data: dict[str, Any] = result.as_json()
     lines = [*result.lines(), *more]
     if plot is not None:
-        from daq.base.output.plot import save
+        from stickslip.output.plot import save
 
         save(result.plot(), plot, force=force)
         data["file"] = plot

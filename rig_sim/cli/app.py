@@ -5,11 +5,11 @@ from typing import Annotated, Literal, NoReturn
 
 from cyclopts import Parameter
 
-from daq.base.console import application, flags
-from daq.base.console.application import Answer, Json, SetChanges
 from rig_sim.cli import control, maps, over
 from rig_sim.cli.answer import SceneName, answered, changed
 from rig_sim.cli.atlas import atlas
+from stickslip.console import application, flags
+from stickslip.console.application import Answer, Json, SetChanges
 
 Until = Annotated[
     float,

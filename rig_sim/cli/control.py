@@ -4,11 +4,11 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from daq.base.console import application, flags
-from daq.base.console.application import Answer, Json, SetChanges
-from daq.base.console.flags import Force, Plot, check_plot
-from daq.base.errors import InputError
 from rig_sim.cli.answer import DrivenName, answered, changed
+from stickslip.console import application, flags
+from stickslip.console.application import Answer, Json, SetChanges
+from stickslip.console.flags import Force, Plot, check_plot
+from stickslip.errors import InputError
 
 
 def quench(

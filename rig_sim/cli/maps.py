@@ -4,11 +4,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from daq.base.console import application
-from daq.base.console.application import Answer, Json, SetChanges
-from daq.base.console.flags import Force, Plot, check_plot
-from daq.base.errors import InputError
 from rig_sim.cli.answer import SceneName, answered, changed
+from stickslip.console import application
+from stickslip.console.application import Answer, Json, SetChanges
+from stickslip.console.flags import Force, Plot, check_plot
+from stickslip.errors import InputError
 
 
 def map_(

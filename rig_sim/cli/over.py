@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from daq.base.console import application
-from daq.base.console.application import Answer, Json, SetChanges
-from daq.base.console.flags import Force, Plot, check_plot
 from rig_sim.cli.answer import SceneName, answered, changed
+from stickslip.console import application
+from stickslip.console.application import Answer, Json, SetChanges
+from stickslip.console.flags import Force, Plot, check_plot
 
 Over = Annotated[str, Parameter(help="section.key=START:STOP, or START:STOP:N for N values (default 41).")]
 

@@ -18,11 +18,11 @@ from pathlib import Path
 
 import pytest
 
-from daq.base.console import application
 from daq.cli.app import app as daq
 from fitting.cli import app as fit_friction
 from processing.cli import app as process
 from rig_sim.cli.app import app as rig_sim
+from stickslip.console import application
 
 APPLICATIONS = {"daq": daq, "process": process, "fit-friction": fit_friction, "rig-sim": rig_sim}
 ROOT = Path(__file__).resolve().parents[2]

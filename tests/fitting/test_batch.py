@@ -13,12 +13,12 @@ from pathlib import Path
 import h5py
 import pytest
 
-from daq.base.compute import cluster, workers
-from daq.base.console import application
-from daq.base.errors import DeviceError, InputError
 from fitting import batch, cli, job
 from fitting.batch import BatchRow, Failure
 from processing.smoothing import smooth
+from stickslip.compute import cluster, workers
+from stickslip.console import application
+from stickslip.errors import DeviceError, InputError
 
 from . import command
 
@@ -155,7 +155,7 @@ def is_running(process):
 def test_whatever_ends_the_command_ends_its_processes(folder, sent, code):
     """A killed command used to leave its processes behind, for ever."""
     script = (
-        "import sys\nfrom daq.base.compute import workers\nfrom time import sleep\n"
+        "import sys\nfrom stickslip.compute import workers\nfrom time import sleep\n"
         "from multiprocessing import active_children\n"
         "if __name__ == '__main__':\n"
         "    try:\n"
