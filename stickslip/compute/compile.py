@@ -103,7 +103,6 @@ def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> 
     import numba
     from numba import config
 
-    _load_array_functions()
     _announce_compilation(folder is not None)
     settings = vars(config)  # numba reads the folder when a cache is enabled
     before = settings["CACHE_DIR"]
@@ -115,22 +114,6 @@ def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> 
     if folder is not None:
         _compile_in_one_process(entry, folder)
     return entry  # type: ignore[no-any-return]
-
-
-@cache
-def _load_array_functions() -> None:
-    """Import numba's array functions without BLAS, which no kernel calls: to look for it numba imports scipy.linalg.
-
-    That takes 0.2 s of CPU, a tenth of a short command.  Kernels that call BLAS would not compile.
-    """
-    name = "scipy.linalg"
-    if name in sys.modules:
-        return
-    sys.modules[name] = None  # type: ignore[assignment]  # importing it fails
-    try:
-        import_module("numba.np.arraymath")
-    finally:
-        del sys.modules[name]
 
 
 @cache

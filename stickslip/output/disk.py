@@ -9,7 +9,6 @@ Changes can be tried without a disk: `rehearsed`.
 
 import errno
 import io
-import mmap
 import os
 import signal
 import threading
@@ -92,80 +91,11 @@ def rehearsed(path: Path) -> "Iterator[h5py.File]":
     """Open an HDF5 file for changes that stay in memory."""
     import h5py
 
-    with (
-        path.open("rb") as file,
-        mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY) as content,
-        h5py.File(_Draft(content), "r+") as made,
-    ):
+    with h5py.File(io.BytesIO(path.read_bytes()), "r+") as made:
         yield made
 
 
-class _Stream(io.RawIOBase):
-    """A stream for reading, writing and seeking."""
-
-    def readable(self) -> bool:
-        """Return True."""
-        return True
-
-    def writable(self) -> bool:
-        """Return True."""
-        return True
-
-    def seekable(self) -> bool:
-        """Return True."""
-        return True
-
-
-class _Draft(_Stream):
-    """The content of a file with changes to it and additions behind it, of which the file knows nothing."""
-
-    def __init__(self, content: mmap.mmap) -> None:
-        self._content, self._added = content, bytearray()
-        self._at = 0
-
-    def readinto(self, buffer: Any) -> int:
-        """Read; past the end there is nothing."""
-        wanted = memoryview(buffer).cast("B")
-        size = len(self._content)
-        found = self._content[self._at : self._at + len(wanted)]
-        begin = max(self._at - size, 0)
-        found += self._added[begin : begin + len(wanted) - len(found)]
-        wanted[: len(found)] = found
-        self._at += len(found)
-        return len(found)
-
-    def write(self, data: Any) -> int:
-        """Write all of it."""
-        rest = memoryview(data).cast("B")
-        size = len(self._content)
-        within = max(0, min(len(rest), size - self._at))
-        self._content[self._at : self._at + within] = rest[:within]
-        if within < len(rest):
-            begin = self._at + within - size
-            self._added += bytes(max(0, begin - len(self._added)))
-            self._added[begin : begin + len(rest) - within] = rest[within:]
-        self._at += len(rest)
-        return len(rest)
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place."""
-        end = len(self._content) + len(self._added)
-        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: end}[whence]
-        return self._at
-
-    def tell(self) -> int:
-        """Return the place."""
-        return self._at
-
-    def truncate(self, size: int | None = None) -> int:
-        """Cut or lengthen what was added; the content itself keeps its length, which HDF5 never minds."""
-        wanted = self._at if size is None else size
-        added = max(0, wanted - len(self._content))
-        self._added = self._added[:added] + bytes(max(0, added - len(self._added)))
-        return wanted
-
-
-class Sink(_Stream):
+class Sink(io.RawIOBase):
     """A file, until the disk refuses; then its content in memory, so that whoever writes need not know.
 
     Attributes
@@ -177,6 +107,12 @@ class Sink(_Stream):
     def __init__(self, file: io.FileIO) -> None:
         self._file: io.FileIO | io.BytesIO = file
         self.error: OSError | None = None
+
+    def readable(self) -> bool:
+        """Return True, as of `writable` and `seekable`."""
+        return True
+
+    writable = seekable = readable
 
     def readinto(self, buffer: Any) -> int:
         """Read; past the end there is nothing."""

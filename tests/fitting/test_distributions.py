@@ -1,8 +1,5 @@
 """Quantiles and tails against scipy.stats, which is too slow to import in a command."""
 
-import subprocess
-import sys
-
 import pytest
 
 from fitting import distributions
@@ -29,16 +26,3 @@ def test_tails_are_those_of_scipy_stats(stats):
     assert distributions.gamma_tail(0.8, 0.3, 0.1) == pytest.approx(stats.gamma.sf(0.8, 9, scale=1 / 30), rel=1e-12)
     assert distributions.gamma_tail(-0.2, 0.3, 0.1) == 1  # below the gamma's beginning
     assert distributions.fisher_log_tail(31.0, 2, 17) == pytest.approx(stats.f.logsf(31.0, 2, 17), rel=1e-12)
-
-
-def test_scipy_is_not_imported_as_a_whole():
-    """To import scipy.special used to take 0.2 s of CPU in every fit; a later import of it finds all of it."""
-    source = """
-import sys
-from fitting.distributions import _special, normal_quantile
-assert normal_quantile(0.5) == 0 and not {"scipy.special", "numpy.f2py"} & set(sys.modules)
-import scipy.special, scipy.stats
-assert scipy.special.ndtri is _special("ndtri") and scipy.special.comb(4, 2) == 6
-assert scipy.stats.norm.ppf(0.5) == 0
-"""
-    subprocess.run([sys.executable, "-c", source], check=True)

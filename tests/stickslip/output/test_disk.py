@@ -1,9 +1,7 @@
 """A disk that is full: the file's name, exit code 3, nothing half-written, no crash, in whatever is written."""
 
 import io
-import mmap
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -359,22 +357,3 @@ def test_a_command_that_goes_on_writing_is_named_instead_of_waited_for_without_e
         pass
     assert temporary.exists() is False
     assert target.exists()
-
-
-def test_a_rehearsal_sees_its_changes_and_the_file_does_not(tmp_path):
-    draw = random.Random(1)
-    path = tmp_path / "file"
-    before = draw.randbytes(5000)
-    path.write_bytes(before)
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY) as content:
-        draft, memory = disk._Draft(content), io.BytesIO(before)
-        for _ in range(2000):
-            at, data = draw.randrange(9000), draw.randbytes(draw.randrange(1, 900))
-            draft.seek(at)
-            memory.seek(at)
-            if draw.random() < 0.5:
-                assert draft.write(data) == memory.write(data)
-            else:
-                assert draft.read(len(data)) == memory.read(len(data))
-            assert draft.seek(0, os.SEEK_END) == memory.seek(0, os.SEEK_END)
-    assert path.read_bytes() == before
