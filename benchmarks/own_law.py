@@ -20,7 +20,7 @@ from daq.runfile.rig import Rig
 from fitting.competitors import restated
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"

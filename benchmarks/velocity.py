@@ -43,7 +43,7 @@ from processing.record import series
 from processing.record.setting import Setting
 from rig_sim.motion.play import ScenePlayer
 from stickslip.compute.arrays import pieces
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 RESULTS = Path(__file__).resolve().parent / "results"
 WINDOWS = (5, 21, 41, 101, 301, 1001, 1501, 3001)  # of Savitzky-Golay, order 4: their speed

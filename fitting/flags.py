@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from stickslip.console import flags
 from stickslip.console.rig_flags import Mass, RestPosition, Stiffness
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 
 def _repeated(text: str) -> Parameter:

@@ -24,7 +24,7 @@ from processing.smoothing import smooth
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 from stickslip.compute.arrays import Array
 from stickslip.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 # Share of a run that may be missing at either end of the whole: samples left out there as spikes are fewer.
 MISSING_AT_ENDS = 0.01

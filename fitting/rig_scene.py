@@ -38,8 +38,8 @@ from processing.statistics import StickSlipStatistics
 from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError
-from stickslip.measured import Measured
 from stickslip.output import atomic
+from stickslip.units import Measured
 
 DERIVATIVE_STEP = 1e-6  # step over an unknown or, where that is larger, over its error: derivatives err by 1e-9
 # A break-away level above that of slip is written where it exceeds it by this many standard errors, and by this share.

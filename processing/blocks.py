@@ -41,7 +41,7 @@ from processing.record.units import Units, measured_in, speed_in
 from processing.segmentation import plateaus
 from processing.segmentation.phase_layout import segment_at_corners
 from stickslip.compute.arrays import Array, Integers
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording

@@ -7,11 +7,20 @@ comma is refused, since ``1,000 g`` has two readings.
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
 from stickslip.errors import InputError, nearest
-from stickslip.measured import Measured, checked
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measured quantity and its standard deviation (0 when it is exact or was not stated)."""
+
+    value: float
+    sd: float = 0.0
+
 
 # A quantity of a rig as Python code states it: a number in SI, value and standard deviation, or text with a unit.
 Stated = float | Sequence[float] | str | Measured
@@ -45,6 +54,19 @@ EXAMPLES = {"length": "12 cm", "time": "20 ms", "mass": "300 g", "rate": "400 fp
 OF_QUANTITY = {"mass": "mass", "stiffness": "stiffness", "damping": "damping", "belt_speed": "speed"} | dict.fromkeys(
     ("metres_per_count", "belt_metres_per_count", "datum", "x0"), "length"
 )
+
+# The rule that each value must obey; None where every finite number will do.
+QUANTITIES: dict[str, str | None] = {
+    "mass": "positive",
+    "stiffness": "positive",
+    "damping": "not negative",
+    "belt_speed": None,
+    "metres_per_count": "not zero",
+    "datum": None,
+    "belt_metres_per_count": "not zero",
+    "x0": None,
+}
+_RULES = {"positive": lambda x: x > 0, "not negative": lambda x: x >= 0, "not zero": lambda x: x != 0}
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
@@ -93,6 +115,16 @@ def measured(text: str, dimension: str, where: str) -> Measured:
     return Measured(value * (_size(value_unit, text, dimension, where) if value_unit else size), sd * size)
 
 
+def checked(key: str, value: float, sd: float, where: str) -> Measured:
+    """Return the measured quantity ``key``, or raise InputError when its value or error is impossible."""
+    rule = QUANTITIES[key]
+    if not math.isfinite(value) or (rule is not None and not _RULES[rule](value)):
+        raise InputError(f"{key} is {value:g}", where, f"it must be {rule or 'a finite number'}")
+    if not (math.isfinite(sd) and sd >= 0):
+        raise InputError(f"{key}_sd is {sd:g}", where, "a standard deviation is a finite number, not negative")
+    return Measured(value, sd)
+
+
 def stated(value: Stated | None, key: str) -> Measured | None:
     """Return a quantity of a rig as Python code states it; None where it states none.
 
@@ -101,7 +133,7 @@ def stated(value: Stated | None, key: str) -> Measured | None:
     value : float, (float, float), str, Measured or None
         A number in SI; value and standard deviation in SI; or text with a unit, such as ``"500 g +- 1 g"``.
     key : str
-        Which quantity, one of `stickslip.measured.QUANTITIES`.
+        Which quantity, one of `stickslip.units.QUANTITIES`.
 
     Raises
     ------

@@ -24,7 +24,7 @@ from daq.imports.options import ImportOptions
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 STEP = 0.012  # of 1/omega: longest time between two looks for an event; the rig's 2 ms
 FIRST = 6e-6  # of 1/omega: the step by which a slip leaves the belt, so that it does not land where it begins

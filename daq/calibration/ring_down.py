@@ -29,7 +29,7 @@ from daq.calibration import swing_kernel
 from stickslip.compute.arrays import autocorrelation_time
 from stickslip.compute.compile import compiled
 from stickslip.errors import DataError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 KERNELS = ("daq.calibration.swing_kernel",)
 FEWEST_SWINGS = 3  # half-swings; with fewer, friction and damping cannot be separated

@@ -18,7 +18,7 @@ from stickslip.console import application, flags
 from stickslip.console.application import Answer, Json
 from stickslip.console.flags import Force
 from stickslip.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
-from stickslip.measured import QUANTITIES, Measured
+from stickslip.units import QUANTITIES, Measured
 
 if TYPE_CHECKING:
     from daq.calibration.ring_down import RingDown

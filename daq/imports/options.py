@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from stickslip.console import flags
 from stickslip.console.rig_flags import RigFlags
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 
 @Parameter(name="*")

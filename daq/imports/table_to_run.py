@@ -26,8 +26,8 @@ from daq.runfile.rest_position import question
 from daq.runfile.rig import Rig
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError
-from stickslip.measured import Measured
 from stickslip.toml import quoted
+from stickslip.units import Measured
 
 # Ratio of the times' rate to --frame-rate beyond which the times are corrected.  An error of 1 % in time
 # is 1 % in velocity: double leaves 2 % uncorrected, half corrects what rounded times cause.  Not swept.

@@ -33,8 +33,8 @@ from daq.runfile.journal_header import MOST_SAMPLES
 from daq.runfile.rig import Rig
 from daq.wire import frames
 from stickslip.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
-from stickslip.measured import Measured
 from stickslip.output import disk
+from stickslip.units import Measured
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality

@@ -12,8 +12,7 @@ from daq.runfile.rig import Rig
 from daq.runfile.run_data import FARTHEST, RunData, impossible_motion, positions
 from stickslip.compute.arrays import Array, Integers
 from stickslip.errors import InputError
-from stickslip.measured import Measured
-from stickslip.units import Stated, stated
+from stickslip.units import Measured, Stated, stated
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -23,8 +23,8 @@ from typing import Any
 
 from stickslip import toml
 from stickslip.errors import InputError, nearest
-from stickslip.measured import QUANTITIES, Measured, checked
 from stickslip.toml import check_keys, quoted
+from stickslip.units import QUANTITIES, Measured, checked
 
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")
 COUNTER_BITS = (8, 16, 24, 32)

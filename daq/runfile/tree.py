@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from daq.runfile import nexus
 from daq.runfile.spill import Column
-from stickslip.measured import Measured
+from stickslip.units import Measured
 from stickslip.version import VERSION
 
 LENGTH = "m or count"  # in the unit of a field: the run's own unit of position

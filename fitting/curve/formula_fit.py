@@ -31,7 +31,7 @@ from fitting.model.problem import EstimationProblem
 from fitting.undetermined import Undetermined
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 LEAST_SHOWN = 1e-6  # precision over a prior's: a record that adds less shows nothing of the unknown
 CONSTANT_LEFT = 1e-6  # share of a constant: what is left of it beside the derivatives of a formula that has one

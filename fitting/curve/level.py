@@ -25,7 +25,7 @@ from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array, Mask
 from stickslip.compute.compile import compiled
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 # Standard deviation of an assumed rest position, over the record's travel.  Friction that falls by a fifth stretches
 # the spring to 2.5 travels, where the start-up is not recorded.  Only the band and the intervals depend on it.

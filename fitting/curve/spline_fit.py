@@ -27,7 +27,7 @@ from fitting.sensitivity.path import Path
 from fitting.sensitivity.spline import FrictionSpline
 from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array, Mask
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True, eq=False)

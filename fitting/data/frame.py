@@ -22,7 +22,7 @@ from processing.record.noise import smallest_step
 from processing.record.setting import is_possible_speed
 from stickslip.compute.arrays import HOLE, Array, runs
 from stickslip.errors import DataError, InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
 REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest

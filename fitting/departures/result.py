@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from fitting.departures.scores import LEAST_KEPT, RIDGE, Score, score, sigmas
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
 from stickslip.compute.arrays import Array
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 # Least standard deviations and least fall of the cost of a departure that is reported.  On six records that one of
 # the six laws describes, the best of all departures reached a gain of 6.

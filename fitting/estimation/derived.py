@@ -20,7 +20,7 @@ from fitting.model.problem import datum_calibration
 from fitting.model.wear import Wear
 from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 # Share of a default's variance left after the fit: with more the default still decides, and what depends on it is
 # not given.  Chosen; half and twice give the same parameters on 26 records.

@@ -16,7 +16,7 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
 from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 # Samples a slip of a thinned record, on which searches and scans run, as residuals are correlated over many samples: at
 # half as many the shortest wavelengths blur, twice as many take twice the time.  A stick, where the mass moves as the

@@ -19,7 +19,7 @@ from fitting.model.parameters import PER_RUN, Global, PerCycle, Values
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, magnitude
 from stickslip.compute.arrays import Array
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 LOOSE_REST = 0.05  # error of a rest position over the travel: with a larger one it is also fitted
 STEEPEST_LINE = 0.8  # fall over the level: a linear curve starts with friction left at the fastest slip

@@ -12,7 +12,7 @@ import numpy as np
 from fitting.model.parameters import PerCycle
 from fitting.model.windows import ShootingWindows
 from stickslip.compute.arrays import Array, Mask
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
 

@@ -7,7 +7,7 @@ from numbers import Real
 from fitting.competitors import Competitors, Given
 from processing.record.kinematics import Kinematics
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 LEAST_ALPHA = 1e-9  # surer is no interval
 

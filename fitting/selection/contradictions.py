@@ -26,7 +26,7 @@ from processing.record.kinematics import Kinematics
 from processing.record.setting import with_error
 from rig_sim.friction.law import LAWS
 from stickslip.errors import DataError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 # Distance of a calibration from the fit, in standard deviations, that contradicts it.  At 3 one true calibration in 400
 # would be reported, and as many again because an interval from 16 cycles is itself uncertain; at 5 a belt speed wrong

@@ -23,7 +23,7 @@ from fitting.model.problem import Run
 from fitting.selection.evidence import ModelSet
 from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 WIDEST_BELT_LOSS = 0.03  # speed that a belt may lose under the load Fs, over its own
 WIDEST_BY_RIPPLE = 0.08  # width over the belt's speed of a ramp that a belt with 3 % ripple can imitate

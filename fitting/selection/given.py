@@ -15,7 +15,7 @@ from fitting.law import Law
 from fitting.model.parameters import Global
 from fitting.model.problem import GivenUnknown, Run
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 UNKNOWNS = {
     "k/m": Global.K,

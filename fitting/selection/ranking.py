@@ -26,7 +26,7 @@ from fitting.selection.result import RankedLaws
 from fitting.selection.rivals import Competition, Formulas, compete, fit_formulas
 from processing.record.kinematics import Kinematics
 from stickslip.errors import DataError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 logger = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from processing.record.motion import Fault
 from processing.record.position_steps import PositionStep
 from processing.record.setting import is_possible_speed, with_error
 from stickslip.compute.arrays import Array
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 
 def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int) -> list[Finding]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from processing.record.series import Series
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 HIGHEST_ORDER = 20  # of a window given by a person; coefficients are tested to this degree (`polynomial.even_fit`)
 STATED_SD = 0.01  # of a value that was stated without an error: people read a speed, a mass or a spring to about 1 %

@@ -9,7 +9,7 @@ The unit of length is negative where slips run towards +x: a mirrored record giv
 import math
 from dataclasses import dataclass
 
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ from processing.segmentation.phase_layout import (
     without_creep,
 )
 from stickslip.compute.arrays import Array, Mask, runs
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 # Of the largest accelerations (95th percentile): what counts as none.  With half of it 26 records are smoothed alike;
 # with twice, parameters move by up to 0.7 standard errors.

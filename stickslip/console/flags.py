@@ -8,7 +8,7 @@ import cyclopts
 from cyclopts import Parameter
 
 from stickslip.errors import InputError
-from stickslip.measured import checked
+from stickslip.units import checked
 
 Force = Annotated[bool, Parameter(name="--force", negative=(), help="Replace an existing output file.")]
 Plot = Annotated[Path | None, Parameter(name="--plot", help="Draw the result into this file (.png, .svg, .pdf).")]
@@ -23,7 +23,7 @@ def check_plot(plot: Path | None, force: bool) -> None:
 
 
 def measured(name: str, dimension: str, text: str, key: str = "", word: str = "") -> Parameter:
-    """Return the flag ``name`` for a `stickslip.measured.Measured`: '300 g', '300 g +- 1 g', '-60 mm +- 0.1 mm'.
+    """Return the flag ``name`` for a `stickslip.units.Measured`: '300 g', '300 g +- 1 g', '-60 mm +- 0.1 mm'.
 
     ``key`` is the rig's quantity whose range the value must lie in; without it any value is accepted.  ``word`` is one
     that may stand in place of a value, and is then the flag's.

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from stickslip.console import flags
 from stickslip.console.application import Whole
 from stickslip.errors import InputError
-from stickslip.measured import Measured, checked
+from stickslip.units import Measured, checked
 
 Mass = Annotated[
     Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")

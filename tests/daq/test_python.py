@@ -12,7 +12,7 @@ import processing
 from daq.cli.settings import KEYS
 from daq.runfile.rig import SECTIONS
 from fitting import Law, Ranking, rank
-from stickslip.measured import QUANTITIES
+from stickslip.units import QUANTITIES
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -22,7 +22,7 @@ from processing import stage
 from processing.smoothing import smooth
 from stickslip.console import application
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 from . import command
 

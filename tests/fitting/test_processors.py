@@ -14,7 +14,7 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile.rig import Rig
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 KERNELS = {  # of OpenBLAS, and what a processor must have for them
     "Prescott": {"pni"},

@@ -13,7 +13,7 @@ from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.console import application
 from stickslip.errors import DataError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 X0 = 0.6  # m: the reading at the rest; the mass moves between 0.46 and 0.74

@@ -10,7 +10,7 @@ from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.scenes.draws import drawn_changes
 from rig_sim.scenes.scene import scene
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 from . import command
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.runfile.recording import Recording, Truth
 from daq.runfile.rig import Rig
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 from ..rig import Contact, follow
 

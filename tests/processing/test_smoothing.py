@@ -18,7 +18,7 @@ from daq.runfile import store
 from daq.runfile.recording import Recording
 from processing import smoothing, stage
 from processing.smoothing import smooth
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 
 @pytest.fixture

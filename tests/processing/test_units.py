@@ -14,7 +14,7 @@ from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from processing import statistics
 from processing.smoothing import smooth
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 from ..fitting import scales
 from ..rig import follow

@@ -17,7 +17,7 @@ from daq.recorder import record
 from daq.runfile.rig import Rig
 from stickslip.console import application
 from stickslip.errors import DataError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 REST = ["belt.speed=0.0", "scatter.Fs=0"]
 OMEGA0 = math.sqrt(35.184)

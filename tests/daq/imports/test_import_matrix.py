@@ -12,7 +12,7 @@ from daq.cli.app import app
 from daq.imports import extra, tdms, workbook
 from stickslip.console import application
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 from tests.daq.imports import programs
 
 RATE = 250.0

@@ -12,7 +12,7 @@ import daq
 from daq.cli.app import app
 from stickslip.console import application
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 SAMPLES = Path(__file__).resolve().parents[3] / "data_samples"
 TIME = np.arange(1000) / 250

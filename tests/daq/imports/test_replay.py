@@ -21,7 +21,7 @@ from daq.wire import frames
 from daq.wire.quadrature import GRAY, PHASE
 from stickslip.console import application
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 PAIR = {0: "A", 1: "B"}
 WIRED = capture.Wiring((0, 1), "x4")

@@ -20,7 +20,7 @@ from daq.runfile import store
 from stickslip import units
 from stickslip.console import application
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 MASS, STIFFNESS = 0.3, 10.5552  # pi sqrt(m/k) = 0.52963 s
 

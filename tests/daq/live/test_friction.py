@@ -9,7 +9,7 @@ import pytest
 
 import daq
 from daq.runfile.rig import Rig
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 from .motions import BELT, K_OVER_M, KINETIC, LEVER, analysed, stick_slip
 

@@ -15,7 +15,7 @@ from daq.runfile.rig import Rig
 from fitting.selection import evidence, screening
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 from .motions import BELT, K_OVER_M, KINETIC, LEVER, analysed, pieces, stick_slip
 

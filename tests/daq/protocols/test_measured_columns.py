@@ -16,7 +16,7 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports, record
 from daq.runfile import store
 from stickslip.errors import DeviceError, InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 from tests.daq.protocols.test_lines import OneByOne, Sketch, xor_of
 
 

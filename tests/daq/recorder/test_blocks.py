@@ -19,7 +19,7 @@ from daq.protocols import blocks as packing
 from daq.recorder.record import RecordingInterruptedError
 from daq.runfile import journal
 from stickslip.errors import DataError, DeviceError, InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 RATE = 1000
 TIME = np.arange(2000) / RATE

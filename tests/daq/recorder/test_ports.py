@@ -15,7 +15,7 @@ from daq.recorder import ports
 from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Ident
 from stickslip.errors import DeviceError, InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 BOARD = Ident((1, 0, 0), "x4", Capability.BLOCKS | Capability.LEVELS, 16, 1000, 8, 5000, 125_000, "uno")
 RIG = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(0.22))

@@ -22,7 +22,7 @@ from daq.runfile.rig import Rig
 from daq.wire import counters
 from daq.wire.frames import Capability, Ident
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 DELTA = 0.12566 / 4096 / 4
 

@@ -10,7 +10,7 @@ import daq
 import processing
 from daq.runfile.in_memory import last_decimal
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 TIME = np.arange(1500) / 500
 X = 0.01 * np.sin(6 * TIME)

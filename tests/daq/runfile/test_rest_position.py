@@ -3,7 +3,7 @@
 import pytest
 
 from daq.runfile.rest_position import FAR, impossible, question
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 LOW, HIGH = 0.02, 0.06
 

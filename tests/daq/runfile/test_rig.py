@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from daq.runfile.rig import DECODERS, Rig
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=1e-300, max_value=1e300)

@@ -20,8 +20,8 @@ from daq.runfile import nexus, schema, store, tree
 from daq.runfile.recording import EVENTS, Raw, Recording, Truth, positions
 from daq.runfile.rig import Rig
 from stickslip.errors import InputError
-from stickslip.measured import Measured
 from stickslip.output.lock import FileLock
+from stickslip.units import Measured
 
 from ...conftest import need
 

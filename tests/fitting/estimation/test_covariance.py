@@ -15,7 +15,7 @@ from fitting.estimation.fit import Fit
 from fitting.least_squares.normal_equations import NormalEquations
 from fitting.model.problem import Run
 from processing.smoothing import smooth
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 
 def fit_with(slopes, guess):

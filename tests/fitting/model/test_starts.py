@@ -10,7 +10,7 @@ from fitting.model import starts
 from fitting.model.parameters import PerCycle, Values, to_array
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.curve import magnitude
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 KNOWN = Measured(0.0, 5e-4)
 

@@ -8,7 +8,7 @@ import pytest
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.errors import DataError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 GENERATED = {"mass": Measured(0.3, 3e-4), "stiffness": Measured(0.3 * 35.184, 0.01)}

@@ -23,7 +23,7 @@ from rig_sim.motion.play import events
 from rig_sim.scenes.scene import scene
 from stickslip.console import application
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 from .. import command
 

@@ -16,7 +16,7 @@ from fitting.selection.ranking import rank
 from fitting.selection.rivals import OF_THE_SIX, fit_formulas, preferred_forms
 from processing.smoothing import smooth
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 STRIBECK = {"curve": "stribeck", "Fs": 2.0, "Fc": 1.2, "v_s": 0.05, "Fv": 0.0, "m": 0.5, "k": 80.0, "c": 0.02}
 

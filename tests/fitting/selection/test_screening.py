@@ -21,7 +21,7 @@ from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.console import application
 from stickslip.errors import DataError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 from .. import scales
 

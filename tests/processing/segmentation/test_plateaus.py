@@ -12,7 +12,7 @@ from processing.record import series
 from processing.segmentation import plateaus
 from processing.segmentation.belt_speed import half_sample_mode
 from stickslip.errors import InputError
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 START = 0.5  # s: the belt starts after the record
 

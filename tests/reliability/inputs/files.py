@@ -21,7 +21,7 @@ from daq.runfile.recording import Raw, Recording
 from daq.runfile.rig import Rig
 from processing import smoothing, stage
 from rig_sim.scenes.scene import BUILTIN_FOLDER, parse_changes, scene
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 from .mutation import NUMBERS, bytewise, textual
 

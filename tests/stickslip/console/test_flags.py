@@ -7,7 +7,7 @@ import pytest
 
 from stickslip.console import application, flags
 from stickslip.console.application import Answer
-from stickslip.measured import Measured
+from stickslip.units import Measured
 
 
 @pytest.fixture

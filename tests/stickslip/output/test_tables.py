@@ -12,8 +12,8 @@ from daq.runfile import store
 from daq.runfile.recording import Raw, Recording, positions
 from daq.runfile.rig import Rig
 from stickslip.console import application
-from stickslip.measured import Measured
 from stickslip.output import tables
+from stickslip.units import Measured
 
 N = 101
 
