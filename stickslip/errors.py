@@ -1,4 +1,4 @@
-"""The errors of all four commands and the exit codes they end in.
+"""The errors of all commands and the exit codes they end in.
 
 ::
 

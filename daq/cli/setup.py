@@ -103,7 +103,7 @@ def _needs() -> Check:
 def _commands() -> Check:
     scripts = Path(sys.executable).parent
     elsewhere = []
-    for command in ("daq", "process", "fit-friction", "rig-sim"):
+    for command in ("stickslip", "daq", "process", "fit-friction", "rig-sim"):
         path = shutil.which(command)
         if path is not None and Path(path).parent.resolve() != scripts.resolve():
             elsewhere.append(f"{command} is {path}")

@@ -1,1 +1,1 @@
-"""The command line of all four packages: arguments, settings, units, errors, progress."""
+"""The command line: how commands start and end, flags, errors, progress; and the command `stickslip`."""

@@ -95,7 +95,7 @@ def shown_default(value: Any) -> str | None:
 
 
 def application(name: str, summary: str = "", example: str = "", usage: str | None = None) -> cyclopts.App:
-    """Return a cyclopts application with the settings common to all four commands; `main` runs it.
+    """Return a cyclopts application with the settings common to all commands; `main` runs it.
 
     Without a summary its help is that of its default command.
     """
@@ -229,7 +229,7 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     try:
         rest, flags = log.taken_off(arguments)
         if any(flag in rest for flag in app.help_flags):
-            _reflow_help(app)
+            _reflow_help(app, rest)
         if any(flag in rest for flag in (*app.help_flags, *app.version_flags)):
             app.console = _console(markup=True)
         with log.logging_to(flags, name, arguments):
@@ -312,13 +312,16 @@ def _shown(answer: object, as_json: bool) -> int:
     return answer.exit_code
 
 
-def _reflow_help(app: cyclopts.App) -> None:
-    """Join the lines of each paragraph of the help pages: cyclopts breaks them anew, at the width of the terminal."""
-    app.help = reflowed(app.help)
-    for name in app:
-        command = app[name]
-        if command is not app and command.default_command is not None:
-            command.help = reflowed(command.help)
+def _reflow_help(app: cyclopts.App, words: Sequence[str]) -> None:
+    """Join the lines of each paragraph of the help page asked for: cyclopts breaks them anew, at the terminal's width.
+
+    A command that is imported on use has a summary until then, and its docstring on its own page.
+    """
+    for asked in app.parse_commands(words)[1]:
+        loaded = [command for command in asked._commands.values() if isinstance(command, cyclopts.App)]  # noqa: SLF001
+        for page in (asked, *loaded):
+            own = None if page.default_command is None else page.default_command.__doc__
+            page.help = reflowed(own or page.help)
 
 
 def reflowed(text: str) -> str:

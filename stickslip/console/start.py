@@ -1,4 +1,4 @@
-"""Where the four commands begin: a Ctrl-C while their modules are imported ends them without a traceback.
+"""Where the commands begin: a Ctrl-C while their modules are imported ends them without a traceback.
 
 Nothing is imported here before that is guarded.
 """
@@ -9,6 +9,11 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
 AGAIN_S = 0.01  # until a lost Ctrl-C comes again: a hundred times what the callbacks take in which one was lost
+
+
+def stickslip() -> "NoReturn":
+    """Run ``stickslip``."""
+    _run("stickslip", "stickslip.console.commands")
 
 
 def daq() -> "NoReturn":

@@ -13,7 +13,7 @@ from daq.recorder.record import StopRequest
 from stickslip.console import start
 
 
-@pytest.mark.parametrize("entry", ["daq", "process", "fit_friction", "rig_sim"])
+@pytest.mark.parametrize("entry", ["stickslip", "daq", "process", "fit_friction", "rig_sim"])
 def test_every_entry_point_begins_its_command(entry):
     line = [sys.executable, "-c", f"from stickslip.console.start import {entry} as run; run()", "--version"]
     done = subprocess.run(line, capture_output=True, text=True, check=False)
@@ -38,7 +38,12 @@ def test_an_entry_point_imports_nothing_before_it_is_guarded():
     # Ctrl-C 25 ms after the start met the import of `typing`, and ended in a traceback.
     line = "import sys; before = set(sys.modules); import stickslip.console.start; print(*{*sys.modules} - before)"
     done = subprocess.run([sys.executable, "-c", line], capture_output=True, text=True, check=True)
-    assert sorted(done.stdout.split()) == ["stickslip", "stickslip.console", "stickslip.console.start"]
+    assert sorted(done.stdout.split()) == [
+        "stickslip",
+        "stickslip.console",
+        "stickslip.console.start",
+        "stickslip.lazy",
+    ]
 
 
 def test_an_interrupt_that_a_callback_loses_comes_again(monkeypatch, capfd):

@@ -13,8 +13,9 @@ from fitting.cli import app as fit_friction
 from processing.cli import app as process
 from rig_sim.cli.app import app as rig_sim
 from stickslip.console import application
+from stickslip.console.commands import app as stickslip
 
-APPS = [daq, process, fit_friction, rig_sim]
+APPS = [daq, process, fit_friction, rig_sim, stickslip]
 
 
 class Terminal(io.StringIO):
