@@ -10,18 +10,7 @@ from pathlib import Path
 from daq.runfile import joint
 from fitting import rig_scene
 from fitting.competitors import Competitors, numbers
-from fitting.flags import (
-    DEFAULT_LAWS,
-    DEFAULT_OUTPUTS,
-    DEFAULT_PART,
-    DEFAULT_RIG,
-    DEFAULT_WORK,
-    CalibrationFlags,
-    LawFlags,
-    OutputFlags,
-    PartFlags,
-    WorkFlags,
-)
+from fitting.flags import CalibrationFlags, LawFlags, OutputFlags, PartFlags, WorkFlags
 from fitting.job import FitOptions
 from fitting.report import comparison, table
 from fitting.report import page as pages
@@ -64,11 +53,11 @@ class FitRequest:
     def of(
         cls,
         files: Sequence[Path],
-        laws: LawFlags = DEFAULT_LAWS,
-        rig: CalibrationFlags = DEFAULT_RIG,
-        part: PartFlags = DEFAULT_PART,
-        outputs: OutputFlags = DEFAULT_OUTPUTS,
-        work: WorkFlags = DEFAULT_WORK,
+        laws: LawFlags,
+        rig: CalibrationFlags,
+        part: PartFlags,
+        outputs: OutputFlags,
+        work: WorkFlags,
     ) -> "FitRequest":
         """Return the request that a command line makes.
 

@@ -147,6 +147,12 @@ def _line(what: str, where: str, do: str) -> str:
     return f"{line}; {do}" if do else line
 
 
+def check_type(value: object, kind: "type | tuple[type, ...]", name: str, where: str, form: str) -> None:
+    """Raise InputError when an argument from Python is not of a type, None aside; ``form`` is what to give."""
+    if value is not None and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
+        raise InputError(f"{name} is a {type(value).__name__}", where, f"give {form}")
+
+
 def check_known(name: str, known: "list[str] | tuple[str, ...]", what: str, where: str) -> None:
     """Raise InputError, which names the nearest known word, when ``name`` is unknown; ``what`` is its kind."""
     if name not in known:

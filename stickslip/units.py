@@ -125,6 +125,14 @@ def checked(key: str, value: float, sd: float, where: str) -> Measured:
     return Measured(value, sd)
 
 
+STATED_SD = 0.01  # of a value that was stated without an error: people read a speed, a mass or a spring to about 1 %
+
+
+def with_error(stated: Measured) -> Measured:
+    """Return a stated value with an error: `STATED_SD` of it where none was given."""
+    return stated if stated.sd > 0 else Measured(stated.value, STATED_SD * abs(stated.value))
+
+
 def stated(value: Stated | None, key: str) -> Measured | None:
     """Return a quantity of a rig as Python code states it; None where it states none.
 

@@ -17,6 +17,7 @@ from daq.runfile.rig import Rig
 from stickslip.console import application, flags
 from stickslip.console.application import Answer, Json
 from stickslip.console.flags import Force
+from stickslip.console.rig_flags import Mass
 from stickslip.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
 from stickslip.units import QUANTITIES, Measured
 
@@ -113,9 +114,7 @@ def calibrate(
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")] = Path("rig.toml"),
     distance: Annotated[Measured | None, flags.measured("--distance", "length", DISTANCE)] = None,
     ring_down: Annotated[bool, Parameter(name="--ring-down", help="Record and fit a ring-down.")] = True,
-    mass: Annotated[
-        Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
-    ] = None,
+    mass: Mass = None,
     duration: Annotated[
         float, flags.quantity("--duration", "time", "Time of the ring-down, s or with a unit.")
     ] = RING_DOWN_S,

@@ -104,7 +104,7 @@ def replay(
     """
     from daq.imports import replay as again
     from daq.runfile import store
-    from daq.runfile.rig import Rig
+    from daq.runfile.rig import Rig, replaced
     from stickslip.output import atomic, suffix
 
     kind = again.kind_of(source)
@@ -129,7 +129,9 @@ def replay(
         run = again.from_run(source)
         extra = again.findings(run) | {"warnings": [], "clock_ppm": run.clock_ppm}
     if calibration is not None or stated:
-        run = again.recalibrated(run, (calibration or run.rig).stating(stated))
+        used = (calibration or run.rig).stating(stated)
+        extra["warnings"] = [*extra["warnings"], *(row.text for row in replaced(run.rig, used))]
+        run = again.recalibrated(run, used)
     store.write(target, run, force=force)
     data = sentences.run_data(run, target, extra["warnings"]) | extra | {"file": target}
     return Answer(data, sentences.run_text(f"replayed the {kind} {source}:", run, data))

@@ -14,6 +14,7 @@ import cyclopts
 from daq.cli import sentences
 from daq.cli.live import NoBrowser, viewer
 from daq.cli.settings import NO_FLAGS, BoardFlags, resolve
+from daq.protocols.request import RecordRequest
 from daq.recorder.notes import NO_NOTES, NoteFlags
 from stickslip.console import application, flags
 from stickslip.console.application import Answer, Json, SetChanges
@@ -55,8 +56,8 @@ def register(app: cyclopts.App) -> None:
 
 def record(
     *,
-    duration: Duration = 20.0,
-    output: Output = Path("run.h5"),
+    duration: Duration = RecordRequest.duration_s,
+    output: Output = RecordRequest.output,
     scene: Scene = None,
     set_: SetChanges = None,
     realtime: Realtime = False,
@@ -86,7 +87,6 @@ def record(
 
     Example: daq record -o 'run-{n:03}.h5' --sample "brass on steel" --operator Ada --tag humidity=45
     """
-    from daq.protocols.request import RecordRequest
     from daq.recorder import names
     from daq.recorder.record import record as take
 

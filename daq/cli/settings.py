@@ -1,17 +1,6 @@
 """Settings: flag, else environment, else rig.toml, else user config, else default.
 
-===============  =====================  ==================  ===========================================================
-flag             environment            [board] key         what
-===============  =====================  ==================  ===========================================================
---port           STICKSLIP_PORT         port                a device or URL
---protocol       STICKSLIP_PROTOCOL     protocol            frames, qsb or text
---columns        STICKSLIP_COLUMNS      columns             columns of text lines
---baud           STICKSLIP_BAUD         baud                bits per second of a serial line
---rate           STICKSLIP_RATE         rate                samples per second
---decoder        STICKSLIP_DECODER      decoder             the board's decoder
---rig            STICKSLIP_RIG          (not there)         the rig.toml itself
-===============  =====================  ==================  ===========================================================
-
+The keys are the flags of `BoardFlags`: --port is STICKSLIP_PORT in the environment, and ``port`` in a section [board].
 A rig.toml is `daq.runfile.rig`'s calibration and, beside it, a section [board] with these keys.  The user config is
 ``$XDG_CONFIG_HOME/stickslip/config.toml`` (``~/.config`` where that is no absolute path): the section [board] alone,
 and ``rig``.

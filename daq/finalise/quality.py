@@ -273,6 +273,7 @@ def _incomplete(quality: RecordingQuality, totals: DataTotals) -> list[str]:
             journal.BOARD_STOPPED: "the board stopped",
             journal.SOURCE_FAILED: "the source failed",
             journal.SOURCE_ENDED: "the source ended",
+            journal.SOURCE_SILENT: "the source gave no more samples",
         }
         held_s = quality.samples / quality.rate_hz
         because = why.get(quality.ended, f"ended by {quality.ended}")

@@ -26,6 +26,7 @@ from daq.runfile.recording import EVENT_NAMES, Recording, positions
 from daq.runfile.rig import Rig
 from daq.runfile.spill import Column, Spill
 from daq.wire import decode, frames
+from daq.wire.roll_over import survey_roll_over
 from stickslip import toml
 from stickslip.errors import DataError, InputError
 from stickslip.output import atomic
@@ -52,7 +53,7 @@ def finalise(
     Raises
     ------
     InputError
-        The journal is missing, not a journal, or still being written; or ``output`` exists.
+        The journal is missing, not a journal, or still being written; ``output`` exists, or cannot be read back.
     DataError
         The journal holds no samples.  It is kept, as after every other error.
     """
@@ -69,6 +70,7 @@ def finalise(
     # A command that was killed after it had put the file in place left the journal: what is missing is its removal.
     if not (exists and not recorded.damaged and store.holds(output, run)):
         store.write(output, run, force=force)
+        store.read_back(output)
     if not recorded.damaged:
         try:
             markers.unlink(missing_ok=True)
@@ -228,6 +230,11 @@ def _of_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spi
     belt_count, belt_velocity = columns.belt(rate_hz)
     if columns.has("belt_count") and belt_velocity is None:
         warnings.append("no metres per belt count are known, so the belt's counts give no speed")
+    if (roll_over := survey_roll_over(columns["count"])) is not None:
+        warnings.append(
+            f"the count jumps {roll_over}, as a counter does that rolls over or restarts, and the motion holds these "
+            "jumps; for a counter of 16 bits declare its width, as in --columns t_us,count:16, and record again"
+        )
     whole = {
         "time": columns["time"],
         "position": columns["position"],

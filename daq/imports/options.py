@@ -45,6 +45,10 @@ class ImportOptions(RigFlags):
     ] = None
     clock: Annotated[bool, Parameter(negative=(), help="Times are times of day, 12:00:00.000.")] = False
     sheet: Annotated[str | None, Parameter(help="Sheet of a workbook (.xlsx), if several hold a table.")] = None
+    segment: Annotated[
+        int | None,
+        Parameter(help="Which measurement of a file that holds several, from 1; 0 reads all of them as one record."),
+    ] = None
     preamble: Annotated[int, Parameter(help="Lines to skip above the header.")] = 0
     skip_bad: Annotated[bool, Parameter(negative=(), help="Leave out lines that cannot be read, and count them.")] = (
         False

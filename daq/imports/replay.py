@@ -18,6 +18,7 @@ from daq.imports import capture as decode
 from daq.imports import sigrok
 from daq.runfile import belt_counter, provenance, store
 from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, SentAs, lost_samples, positions
+from daq.runfile.regular import regular_file
 from daq.runfile.rig import Rig
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
@@ -41,11 +42,7 @@ def kind_of(source: Path) -> str:
         When it is none of them, or missing.
     """
     where = str(source)
-    if not source.exists():
-        raise InputError("no such file", where, "check the path")
-    if source.is_dir():
-        raise InputError("is a folder", where, "give a journal, a run file or a .sr capture")
-    with source.open("rb") as stream:
+    with regular_file(source, "give a journal, a run file or a .sr capture") as stream:
         head = stream.read(32)
     kinds = {b"stickslip journal": "journal", b"\x89HDF\r\n\x1a\n": "run", b"PK": "capture"}
     for magic, kind in kinds.items():

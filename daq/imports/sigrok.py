@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.runfile.regular import regular_file
 from stickslip.errors import InputError, nearest
 
 MOST_METADATA = 1 << 20  # bytes; a capture of 16 channels has 500
@@ -145,12 +146,8 @@ def read(path: Path) -> Capture:
 @contextmanager
 def _zip(path: Path) -> Iterator[zipfile.ZipFile]:
     where = str(path)
-    if not path.exists():
-        raise InputError("no such file", where, "check the path")
-    if path.is_dir():
-        raise InputError("is a folder", where, "give the .sr file in it")
     try:
-        with zipfile.ZipFile(path) as archive:
+        with regular_file(path, "give the .sr file in it") as file, zipfile.ZipFile(file) as archive:
             yield archive
     except DAMAGE as error:
         if isinstance(error, OSError) and error.errno != errno.EINVAL:

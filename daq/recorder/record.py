@@ -30,7 +30,7 @@ from daq.recorder.journal_place import JournalPlace
 from daq.recorder.reader import Reader
 from daq.runfile import journal, provenance
 from daq.runfile.journal_header import MOST_SAMPLES
-from daq.runfile.rig import Rig
+from daq.runfile.rig import Rig, replaced
 from daq.wire import frames
 from stickslip.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
 from stickslip.output import disk
@@ -272,7 +272,9 @@ def _connect(request: RecordRequest) -> _Connected:
         baud = ports.line_baud(request.port, port)
         calibration = _calibration(request, identity)
         known = _known(calibration or identity.config or "", identity)
+        stored = _known(request.calibration or identity.config or "", identity)
         warnings = [*plan.notes, *link_budget.check(identity.ident, known, plan, baud)]
+        warnings += [row.text for row in replaced(stored, stored.stating(request.stated))]
         identity = board.prepare(plan)
     except OSError as error:
         port.close()

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
+from stickslip.compute.interpreter import start_python
 from stickslip.errors import InputError
 
 Work = Callable[[Path], bytes]
@@ -158,18 +159,18 @@ def _received(reading: int, until: float) -> bytes | None:
 
 def _spawn(work: Work, path: Path, seconds: float, memory: int) -> bytes:
     """Return what `_fork` returns, of a new interpreter."""
-    line = [sys.executable, "-P", "-m", __name__, work.__module__, work.__qualname__]
-    line += [str(path), repr(seconds), str(memory)]
+    words = (work.__module__, work.__qualname__, str(path), repr(seconds), str(memory))
     nowhere = subprocess.DEVNULL
-    try:
-        done = subprocess.run(
-            line, stdin=nowhere, stdout=subprocess.PIPE, stderr=nowhere, timeout=PATIENCE * seconds, check=False
-        )
-    except subprocess.TimeoutExpired:
+    with start_python(__name__, *words, stdin=nowhere, stdout=subprocess.PIPE, stderr=nowhere) as child:
+        try:
+            sent: bytes = child.communicate(timeout=PATIENCE * seconds)[0]
+        except subprocess.TimeoutExpired:
+            return TOO_LONG
+        finally:
+            child.kill()  # it is too late, or this process is interrupted
+    if child.returncode < 0 and child.returncode == -getattr(signal, "SIGXCPU", 0):
         return TOO_LONG
-    if done.returncode < 0 and done.returncode == -getattr(signal, "SIGXCPU", 0):
-        return TOO_LONG
-    return done.stdout
+    return sent
 
 
 def _main(module: str, name: str, path: str, seconds: str, memory: str) -> None:

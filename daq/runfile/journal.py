@@ -44,6 +44,7 @@ from daq.runfile.journal_records import (
     Place,
     Record,
 )
+from daq.runfile.regular import regular_file
 from stickslip.errors import InputError
 from stickslip.output import disk
 from stickslip.output.lock import FileLock
@@ -62,7 +63,8 @@ HEADER_EVERY = 1 << 16
 
 # What ended a recording, in its last record; another word there is the name of a signal.
 COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
-SOURCE_ENDED, SOURCE_FAILED = "source ended", "source failed"  # how blocks that a program hands over can end
+# How blocks that a program hands over can end.
+SOURCE_ENDED, SOURCE_FAILED, SOURCE_SILENT = "source ended", "source failed", "source silent"
 
 
 class Records:
@@ -282,7 +284,7 @@ def _has_no_record(content: bytes | Content) -> bool:
 
 def beginning(path: Path) -> dict[str, Any]:
     """Return the header of a journal that is being written; InputError as for `read`."""
-    with path.open("rb") as file:
+    with regular_file(path, "give a journal") as file:
         content = Content(file.read(2 * HEADER_EVERY))
     found = journal_records.header(content, journal_records.scan(content))
     if journal_records.wrong_in_magic(content) is None or found is None:
@@ -298,13 +300,11 @@ def read(path: Path) -> Journal:
     InputError
         When the file is missing, is no journal, has no header that can be read, or one that cannot be true.
     """
-    try:
-        file = path.open("rb", buffering=0)
-    except FileNotFoundError as error:
-        raise missing(path) from error
-    except IsADirectoryError as error:
-        raise is_a_folder(path) from error
-    with file:
+    if not path.exists():
+        raise missing(path)
+    if path.is_dir():
+        raise is_a_folder(path)
+    with regular_file(path, "give a journal") as file:
         return _read(path, Content(file))
 
 

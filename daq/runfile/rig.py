@@ -17,14 +17,15 @@ The text form is TOML, the same in a board's CONFIG frame and in a lab's ``rig.t
 A quantity that nobody measured is absent, never zero.  SI throughout; ``*_sd`` is one standard deviation.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from stickslip import toml
 from stickslip.errors import InputError, nearest
 from stickslip.toml import check_keys, quoted
-from stickslip.units import QUANTITIES, Measured, checked
+from stickslip.units import OF_QUANTITY, QUANTITIES, Measured, checked, si_unit, with_error
 
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")
 COUNTER_BITS = (8, 16, 24, 32)
@@ -139,6 +140,37 @@ class Rig:
                 elif value is not None:
                     lines.append(f"{key} = {value}")
         return "\n".join(lines) + "\n"
+
+
+class Replaced(NamedTuple):
+    """A stored value that another one replaces: words, both values in SI, and the standard deviations between them."""
+
+    text: str
+    value: float
+    expected: float
+    sigmas: float
+
+
+def replaced(stored: Rig, used: Rig) -> list[Replaced]:
+    """Return the stored quantities that others replace which lie outside both errors (`with_error`)."""
+    found = []
+    for name in QUANTITIES:
+        if name == "datum":
+            continue  # is -x0
+        before, now = (_x0(rig) if name == "x0" else getattr(rig, name) for rig in (stored, used))
+        if before is None or now is None:
+            continue
+        apart, errors = abs(now.value - before.value), (with_error(before).sd, with_error(now).sd)
+        if apart > sum(errors):
+            unit = si_unit(OF_QUANTITY[name])
+            text = f"{name}: {now.value:g} {unit} replaces the stored {before.value:g} {unit}, beyond their errors"
+            sigmas = apart / math.hypot(*errors) if any(errors) else math.nan
+            found.append(Replaced(text, now.value, before.value, sigmas))
+    return found
+
+
+def _x0(rig: Rig) -> Measured | None:
+    return Measured(-rig.datum.value, rig.datum.sd) if rig.datum is not None else rig.x0
 
 
 SECTIONS: dict[str, tuple[str, ...]] = {

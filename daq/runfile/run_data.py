@@ -31,6 +31,12 @@ OF_FILE = "file's time of modification"
 # What no run reaches, and numbers whose products stay in the range of a float64: 30 years, and a count that a float64
 # holds exactly.
 LONGEST_S, FASTEST_HZ, FARTHEST = 1e9, 1e9, 1e16
+# No mass on a spring in a laboratory is as fast, or moves as far.  The thesis's rig reaches 0.6 m/s and 0.3 m, so that
+# its track in cm (60 m/s, 30 m) and in mm is asked about.  Halved, a fast rig of 5 m/s would be asked; doubled, a slow
+# one in cm (0.15 m/s, 0.2 m) is not.
+FASTEST_M_PER_S, LONGEST_M = 10.0, 10.0
+FEWEST_ROWS = 100  # samples; nothing is asked of a shorter table, which is too short to be fitted
+SPANS = 200  # pieces that the record is cut into to measure its speed: noise between neighbours is none
 
 
 @dataclass(frozen=True)
@@ -181,6 +187,19 @@ def impossible_motion(time: NDArray[np.float64], position: NDArray[np.float64]) 
     if (time[-1] - time[0]) * FASTEST_HZ < time.size - 1:
         return f"{time.size} samples in {time[-1] - time[0]:.3g} s are too many"
     return None
+
+
+def implausible_motion(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:
+    """Return how far and fast times, s, and positions, m, move, where no mass on a spring does; None where one may."""
+    if time.size < FEWEST_ROWS:
+        return None
+    low, high = np.percentile(position, [1, 99])  # a single wild sample is a fault, not a unit
+    lag = max(1, time.size // SPANS)
+    speed = float(np.percentile(np.abs(position[lag:] - position[:-lag]) / (time[lag:] - time[:-lag]), 90))
+    travel = float(high - low)
+    if speed <= FASTEST_M_PER_S and travel <= LONGEST_M:
+        return None
+    return f"the mass would move {travel:.3g} m, at {speed:.3g} m/s"
 
 
 def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:

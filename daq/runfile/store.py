@@ -20,6 +20,7 @@ import numpy as np
 
 from daq.runfile import nexus, schema, tree, trust
 from daq.runfile.recording import Raw, Recording, SentAs, Truth, impossible_motion
+from daq.runfile.regular import regular_file
 from daq.runfile.rig import Rig
 from daq.runfile.write import write
 from stickslip.compute.arrays import Array
@@ -34,6 +35,7 @@ __all__ = [
     "holds",
     "load",
     "opened",
+    "read_back",
     "reading",
     "samples",
     "times",
@@ -41,6 +43,7 @@ __all__ = [
     "write",
 ]
 
+STRETCH = 1 << 18  # samples that are read back at a time: some 20 MB
 # A stage rests on those before it: writing one drops the ones after it, which were made from what it replaces.
 STAGES = ("data", "smooth", "fit")
 SAMPLE_STAGE = (  # with which `extend` is rehearsed
@@ -78,6 +81,13 @@ def load(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> Recording:
     """
     with reading(path) as run:
         return run.load(own)
+
+
+def read_back(path: str | os.PathLike[str]) -> None:
+    """Raise InputError, as `load` does, for a run that cannot be loaded; a stretch at a time, which needs no memory."""
+    with reading(path) as run:
+        for first in range(0, run.samples, STRETCH):
+            run.load(slice(first, first + STRETCH + 1))  # with the first sample of the next stretch, for the order
 
 
 def times(path: str | os.PathLike[str]) -> Array:
@@ -317,12 +327,7 @@ def _marked(run: Recording, sample: int, text: str) -> Recording:
 def opened(path: Path) -> Iterator[h5py.File]:
     """Open a run file for reading, or raise an InputError that names what the file is instead."""
     where = str(path)
-    if not path.exists():
-        raise InputError("no such file", where, "check the path")
-    if path.is_dir():
-        raise InputError("is a folder", where, "give the run file in it")
-    if not path.is_file():
-        raise InputError("is a device, not a file", where, "give a run file")
+    regular_file(path, "give the run file in it").close()
     with _open(path) as file:
         found = trust.mark(file)
         if found is None and trust.is_joint(file):

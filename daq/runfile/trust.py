@@ -102,9 +102,11 @@ def _visit(path: Path) -> bytes:
     with suppress(OSError):  # whoever opens it finds out what it is
         file = _read_only(path)
         with file, damage(path):
+            visit = _Visit(file, path)
+            visit.check_links()
             if is_marked(file):
                 file["entry"].attrs.get("default")
-                _Visit(file, path).everything()
+                visit.everything()
     return b""
 
 
@@ -137,7 +139,6 @@ class _Visit:
 
     def everything(self) -> None:
         """Read it all; InputError as `check`."""
-        self._check_links()
         names: list[bytes] = []
         h5py.h5o.visit(self._file, names.append)
         for name in names:
@@ -147,7 +148,7 @@ class _Visit:
                 if isinstance(found, h5py.h5d.DatasetID):
                     self._read(found, f"/{name.decode(errors='replace')}")
 
-    def _check_links(self) -> None:
+    def check_links(self) -> None:
         """Refuse a file that leads to others, or holds more objects than any run."""
         external: list[bytes] = []
         seen: list[bytes] = []
@@ -167,8 +168,7 @@ class _Visit:
     def _read(self, dataset: h5py.h5d.DatasetID, place: str) -> None:
         made, kind = dataset.get_create_plist(), dataset.dtype
         layout = made.get_layout()
-        if layout == h5py.h5d.VIRTUAL or made.get_external_count():
-            raise self._refusal(f"{place} reads its data from another file")
+        refuse_stored_elsewhere(dataset, place, self._path)
         chunk = math.prod(made.get_chunk()) * kind.itemsize if layout == h5py.h5d.CHUNKED else 0
         held = max(math.prod(dataset.shape) * kind.itemsize, chunk)
         self._declared += held
@@ -201,3 +201,16 @@ class _Visit:
 
     def _refusal(self, what: str) -> InputError:
         return InputError(what, str(self._path), DO)
+
+
+def refuse_stored_elsewhere(dataset: h5py.h5d.DatasetID, place: str, path: Path) -> None:
+    """Raise InputError for a dataset whose data lie in another file."""
+    made = dataset.get_create_plist()
+    if made.get_layout() == h5py.h5d.VIRTUAL or made.get_external_count():
+        raise InputError(f"{place} reads its data from another file", str(path), DO)
+
+
+def refuse_external_link(group: h5py.Group, name: str, path: Path) -> None:
+    """Raise InputError for a name in a group that leads to another file."""
+    if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+        raise InputError(f"{name} is a link to another file", str(path), DO)

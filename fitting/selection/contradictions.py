@@ -23,10 +23,9 @@ from fitting.selection import law_fits
 from fitting.selection.asked import Asked
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from processing.record.setting import with_error
 from rig_sim.friction.law import LAWS
 from stickslip.errors import DataError
-from stickslip.units import Measured
+from stickslip.units import Measured, with_error
 
 # Distance of a calibration from the fit, in standard deviations, that contradicts it.  At 3 one true calibration in 400
 # would be reported, and as many again because an interval from 16 cycles is itself uncertain; at 5 a belt speed wrong

@@ -122,7 +122,8 @@ def cycle(scene: SceneLike) -> Cycle:
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns.
+        A built-in name (see ``rig-sim scenes``) or a TOML file.
+        In Python also what `rig_sim.scene` returns.
 
     Returns
     -------
@@ -151,8 +152,8 @@ def fixed_point(scene: SceneLike) -> FixedPoint | TwoMassFixedPoint:
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass or two.  Its start is
-        ignored.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  Its start is ignored.
+        In Python also what `rig_sim.scene` returns.
 
     Returns
     -------
@@ -185,9 +186,10 @@ def floquet(scene: SceneLike, orbit: Literal["stable", "unstable"] = "stable") -
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns.  Its start is ignored.
+        A built-in name (see ``rig-sim scenes``) or a TOML file.  Its start is ignored.  In Python also
+        what `rig_sim.scene` returns.
     orbit : str
-        'stable': the one reached from the slip point; 'unstable': the one that separates it from the fixed point.
+        The orbit reached from the slip point ('stable'), or the one that separates it from the fixed point.
 
     Returns
     -------

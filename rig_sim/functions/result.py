@@ -71,6 +71,10 @@ class Result:
         drawn = ax.figure
         return drawn.figure if hasattr(drawn, "figure") and drawn.figure is not None else drawn  # type: ignore[return-value]
 
+    def undrawn(self) -> str:
+        """Return why there is nothing to draw; "" where there is something."""
+        return ""
+
     def draw(self, ax: "Axes") -> None:
         """Draw the result into axes."""
         raise NotImplementedError

@@ -130,10 +130,11 @@ def sweep(
     Parameters
     ----------
     scene : str, Path, Scene or callable
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of two masses or a driven one.  Or a
-        function that returns, for a value of the parameter, a `rig_sim.FormulaMap`.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses or a driven one.  In Python also what
+        `rig_sim.scene` returns, or a function that returns, for a value of the parameter, a `rig_sim.FormulaMap`.
     over : str or (str, sequence of float)
-        'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41); or a key and its values.
+        'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41).  In Python also a key and
+        its values.
     section : str
         Points of two masses: x1 where the first turns forwards ('poincare'), or d = x2 - x1 while both stick ('map').
         Of a driven mass: x at phase 0 of the drive ('poincare'), or at break-away ('slip').

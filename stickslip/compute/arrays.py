@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stickslip.errors import InputError
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -40,6 +42,47 @@ def end_to_end(parts: Sequence[slice]) -> tuple[slice, ...]:
     """Return slices of the lengths of ``parts``, the first from 0 and each from where the one before ends."""
     edges = np.cumsum([0, *(part.stop - part.start for part in parts)]).tolist()
     return tuple(slice(first, last) for first, last in pairwise(edges))
+
+
+def numbers(values: Any, name: str, where: str, do: str, *, single: bool = False) -> "NDArray[Any]":
+    """Return what a caller gives as integers or floats of shape (n,), the door of all arrays from Python.
+
+    A ``single`` number becomes an array.  Nothing is dropped silently: masked samples are refused.
+    """
+    if np.ma.is_masked(values):
+        masked = np.flatnonzero(np.ma.getmaskarray(values))
+        what = f"{name} is masked at sample {masked[0]}" + (f" and {masked.size - 1} more" if masked.size > 1 else "")
+        raise InputError(what, where, f"remove those samples: keep = ~np.ma.getmaskarray({name})")
+    try:
+        column = np.asarray(values)
+    except (TypeError, ValueError) as error:  # rows of unequal length
+        raise InputError(f"{name} is no column of numbers", where, do) from error
+    if column.dtype == object and column.ndim == 1:  # a column of a table with a number as text or None in it
+        try:
+            column = column.astype(np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{name} holds {_not_a_number(column)!r:.40}, not numbers", where, do) from error
+    if column.dtype.kind in "mM":
+        do = "give seconds: (t - t[0]) / np.timedelta64(1, 's')"
+        raise InputError(f"{name} holds dates or durations", where, do)
+    if column.dtype.kind not in "iuf":
+        raise InputError(f"{name} holds {column.dtype} values, not numbers", where, do)
+    if single and column.ndim == 0:
+        return column.reshape(1)
+    if column.ndim != 1:
+        raise InputError(
+            f"{name} has shape {column.shape}", where, f"give one dimension, as in {name}[:, 0] or .ravel()"
+        )
+    return column
+
+
+def _not_a_number(column: "NDArray[Any]") -> Any:
+    for value in column:
+        try:
+            float(value)
+        except (TypeError, ValueError, OverflowError):
+            return value
+    return None
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:

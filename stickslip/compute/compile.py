@@ -47,6 +47,10 @@ def compiled(function: Callable[..., Any], modules: tuple[str, ...], **options: 
         Passed to numba, for the entry and for every function of the modules.  Division by zero gives an infinity or
         NaN, as numpy's: to check every divisor takes about a tenth more time to compile.
     """
+    from numba import config
+
+    if vars(config)["DISABLE_JIT"]:  # by a program that imports this package; commands read no such setting
+        return function
     options = {"error_model": "numpy", **options}
     _give_stacks()
     for name in modules:

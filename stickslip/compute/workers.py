@@ -19,6 +19,7 @@ from multiprocessing import active_children, get_context, parent_process
 from typing import Any
 
 from stickslip.compute.cluster import cluster
+from stickslip.compute.interpreter import ignore_settings, safe_path, settings_are_ignored
 from stickslip.compute.ordered import AHEAD, Map, ordered
 from stickslip.errors import DeviceError
 
@@ -63,11 +64,14 @@ def _processes(number: int, join: bool) -> Iterator[Map]:
     """Give ``map`` in fresh processes, which are ended, whatever they do, when the block is left by an exception."""
     others = set(active_children())
     fresh = number - 1 if join else number
-    pool = ProcessPoolExecutor(fresh, mp_context=get_context("spawn"), initializer=_follow_parent)
+    with _starting_processes():
+        pool = ProcessPoolExecutor(
+            fresh, get_context("spawn"), initializer=_follow_parent, initargs=(settings_are_ignored(),)
+        )
 
     def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
         def submit(work: Callable[[Any], Any], item: Any) -> Future[Any]:
-            with _without_interrupts():  # it may start a process
+            with _starting_processes():
                 return pool.submit(work, item)
 
         if join:
@@ -88,21 +92,24 @@ def _processes(number: int, join: bool) -> Iterator[Map]:
 
 
 @contextmanager
-def _without_interrupts() -> Iterator[None]:
+def _starting_processes() -> Iterator[None]:
     """Hold Ctrl-C back: a process that is started here never gets one, and prints no traceback of its imports."""
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with safe_path():
+        if sys.platform == "win32":
+            yield
+            return
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _follow_parent() -> None:
+def _follow_parent(ignoring_settings: bool) -> None:
     """Leave Ctrl-C to the process that started this one, and end when it ends, however it does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if ignoring_settings:
+        ignore_settings()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

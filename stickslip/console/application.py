@@ -31,7 +31,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import cyclopts
 
+from stickslip.compute.interpreter import ignore_settings
 from stickslip.console import log
+from stickslip.console.termination import end_by_signal, heed_signals
 from stickslip.errors import EXIT_BUG, EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, EXIT_INTERRUPTED, StickslipError
 from stickslip.text import SPELLED, printable
 
@@ -242,7 +244,7 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
         command = " ".join([name, *(error.command_chain or ())])
         usage = forgotten or StickslipError(what, "command line", f"see '{command} --help'")
         return _fail(name, usage, EXIT_INPUT, as_json)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # also of SIGTERM and SIGHUP
         return _fail(name, StickslipError("interrupted"), EXIT_INTERRUPTED, as_json)
     except BrokenPipeError:  # the reader of a help page has gone, as `| head` does
         _discard_stdout()
@@ -336,9 +338,12 @@ def main(app: cyclopts.App) -> NoReturn:
     """Run the process's own command line and exit; a bug shows its traceback and exits 1."""
     _open_standard_streams()
     sys.excepthook = _show_bug
+    ignore_settings()
+    heed_signals()
     gc.set_threshold(GARBAGE)
     code = run(app, sys.argv[1:])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is done, and a traceback of the way out would say otherwise
+    end_by_signal()
     gc.freeze()  # the interpreter does not search what is left on its way out
     sys.exit(code)
 

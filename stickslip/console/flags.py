@@ -79,6 +79,11 @@ def rate(name: str, text: str) -> Parameter:
     return _valued(name, convert, text)
 
 
+def word(name: str, text: str) -> Parameter:
+    """Return the flag ``name`` whose value is the word that was typed."""
+    return _valued(name, str, text)
+
+
 def _valued(name: str, convert: Callable[[str], Any], text: str) -> Parameter:
     """Return a flag whose value is one word of the command line, converted by ``convert``.
 

@@ -57,10 +57,12 @@ def _end(name: str) -> "NoReturn":
     import contextlib
     import os
 
+    from stickslip.console.termination import end_by_signal
     from stickslip.errors import EXIT_INTERRUPTED
 
     with contextlib.suppress(OSError):
         os.write(2, f"{name}: interrupted\n".encode())
+    end_by_signal()
     raise SystemExit(EXIT_INTERRUPTED) from None
 
 
@@ -75,12 +77,13 @@ def interrupt_again(lost: "UnraisableHookArgs") -> None:
     import sys
     import threading
 
-    if lost.exc_type is not KeyboardInterrupt:
+    if not issubclass(lost.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
         return
+    number = getattr(lost.exc_value, "number", signal.SIGINT)  # of a `TerminatedError`
     if sys.platform == "win32":  # has no signals to threads
         timer = threading.Timer(AGAIN_S, _thread.interrupt_main)
     else:
-        timer = threading.Timer(AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+        timer = threading.Timer(AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, number))
     timer.daemon = True
     timer.start()

@@ -88,32 +88,42 @@ def replacing(target: Path, force: bool) -> Iterator[Path]:
     """
     with disk.writing(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target
-        temporary, lock = _temporary(target)
+        made: list[tuple[Path, FileLock | None]] = []
         try:
+            _make_temporary(target, made)
+            temporary, lock = made[0]
             yield temporary
             _take_its_place(temporary, lock, target, force)
         finally:
-            if lock is None:
-                temporary.unlink(missing_ok=True)
-            elif lock.held:  # else its name may be another command's by now
-                lock.remove(temporary)
+            for temporary, lock in made:
+                if lock is None:
+                    temporary.unlink(missing_ok=True)
+                elif lock.held:  # else its name may be another command's by now
+                    lock.remove(temporary)
 
 
-def _temporary(target: Path) -> tuple[Path, FileLock | None]:
-    """Create a file beside ``target`` and lock it, as soon as no other command writes one."""
+def _make_temporary(target: Path, made: list[tuple[Path, FileLock | None]]) -> None:
+    """Create a file beside ``target`` and lock it, as soon as no other command writes one; ``made`` gets both.
+
+    A signal that comes between finds it in ``made``.
+    """
     own = target.with_name(f".{target.name}.partial")  # relative as the target is: a folder may be renamed meanwhile
     until = time.monotonic() + WAIT_S
     while True:
         if not _is_being_written(target, own):
             try:
-                return own, FileLock(own, new=True)
+                with disk.interrupts_later():
+                    made.append((own, FileLock(own, new=True)))
+                return
             except BlockingIOError:
                 pass
             except FileExistsError:
                 if not _can_be_locked(own):
-                    return _unlocked(target), None
+                    made.append((_unlocked(target), None))
+                    return
             except OSError:  # no locks here, or no file can be made
-                return _unlocked(target), None
+                made.append((_unlocked(target), None))
+                return
         if time.monotonic() > until:
             raise InputError("another command is writing this file", str(target), "wait until that one has ended")
         time.sleep(LOOK_EVERY_S)

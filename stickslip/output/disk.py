@@ -57,20 +57,23 @@ def writing(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_later() -> Iterator[None]:
-    """Hold Ctrl-C back until the block has ended: within HDF5 its exception would be lost, and the file unsound."""
-    handler = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+def interrupts_later() -> Iterator[None]:
+    """Hold Ctrl-C and its like back until the block has ended: within HDF5 their exception would be lost."""
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    handlers = {number: handler for number in numbers if callable(handler := signal.getsignal(number))}
     came: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
     try:
+        for number in handlers:
+            signal.signal(number, lambda number, frame: came.append((number, frame)))
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
-    for each in came:
-        handler(*each)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    for number, frame in came:
+        handlers[number](number, frame)
 
 
 @contextmanager
@@ -80,7 +83,7 @@ def hdf5(path: Path, mode: str) -> "Iterator[h5py.File]":
 
     with path.open("w+b" if mode == "w" else "r+b", buffering=0) as file:
         sink = Sink(file)
-        with _interrupts_later(), h5py.File(sink, mode) as made:
+        with interrupts_later(), h5py.File(sink, mode) as made:
             yield made
         if sink.error is not None:
             raise sink.error

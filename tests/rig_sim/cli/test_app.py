@@ -128,6 +128,7 @@ def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], t
         (["cycle", "base", "--set", "friction.Gama=1"], "scene base"),
         (["cycle", "base", "--set", "friction"], "--set"),
         (["cycle"], "command line"),
+        (["basins", "two-mass", "--cells", "1000.5"], "command line"),  # was read as 1000
         (["maps", "base"], "command line"),
         # Each of these used to be accepted and to give nonsense, or to run for ever.
         (
@@ -254,5 +255,5 @@ def test_the_table_of_methods_shows_their_names_whole(scene, capsys, monkeypatch
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setattr(error_vs_time, "LONG_ENOUGH_S", 0.0)  # nothing here is about CPU times
     assert application.run(app, ["compare", scene, "--until", "10"]) == 0
-    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith(" rk4-henon")]
+    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("rk4-henon ")]
     assert len(table) == 4
