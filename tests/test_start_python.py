@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("daq", "processing", "fitting", "rig_sim")
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 HELPER, WORKERS = "stickslip/compute/interpreter.py", "stickslip/compute/workers.py"
 SAFE_NAMES = {"Future", "CancelledError", "BrokenProcessPool"}  # of the modules that start processes
 
