@@ -53,7 +53,7 @@ __all__ = [
     "sweep",
 ]
 
-_HOMES = {
+_NAMES = {
     "rig_sim.dynamics.system.formula": ("FormulaMap",),
     "rig_sim.functions.branches": ("continue_",),
     "rig_sim.functions.control": ("lock", "quench", "shaker"),
@@ -63,4 +63,5 @@ _HOMES = {
     "rig_sim.functions.sweeps": ("sweep",),
     "rig_sim.scenes.scene": ("scene",),
 }
-__getattr__, __dir__ = lazy_names(__name__, {name: module for module, names in _HOMES.items() for name in names})
+HOMES = {name: module for module, names in _NAMES.items() for name in names}
+__getattr__, __dir__ = lazy_names(__name__, HOMES)

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter, Token
 
-from rig_sim import _HOME as HOME
+from rig_sim import HOMES
 from rig_sim.cli.answer import answered, changed
 from stickslip.console import application, flags
 from stickslip.console.application import Answer, Json, SetChanges
@@ -69,7 +69,7 @@ def derive(
 
 def read_definition(name: str) -> ast.FunctionDef:
     """Return the signature and the docstring of a function of `rig_sim`, with the choices that its module names."""
-    path = Path(__file__).parents[2].joinpath(*HOME[name].split(".")).with_suffix(".py")
+    path = Path(__file__).parents[2].joinpath(*HOMES[name].split(".")).with_suffix(".py")
     source = path.read_text(encoding="utf-8")
     head = re.findall(rf'^def {name}\(.*?^    """$', source, re.MULTILINE | re.DOTALL)[0]
     for alias, choices in CHOICES.findall(source):
