@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from daq.base.errors import InputError, nearest
-from daq.base.output import disk
+from stickslip.errors import InputError, nearest
+from stickslip.output import disk
 
 VERSION = "1.0.0"
 FIRST_BAUD = 115_200  # what the board listens at first; it finds the other rates by itself
@@ -208,7 +208,7 @@ def _copied(files: Mapping[Path, Path], target: Path, force: bool) -> list[Path]
         if place.exists() and not force and place.read_bytes() != file.read_bytes():
             do = "give another -o, or --force"
             raise InputError("exists with different content", str(place), do)
-    from daq.base.output import atomic
+    from stickslip.output import atomic
 
     if target.exists() and not target.is_dir():
         raise InputError("is not a folder", str(target), "give a folder, with -o")

@@ -6,9 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
-from daq.base.measured import Measured, with_error
 from daq.runfile import joint
 from daq.runfile import store as runfile
 from daq.runfile.joint import FittedRun
@@ -26,6 +23,9 @@ from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from processing.smoothing import smooth
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
+from stickslip.compute.arrays import Array
+from stickslip.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
+from stickslip.units import Measured, with_error
 
 # Share of a run that may be missing at either end of the whole: samples left out there as spikes are fewer.
 MISSING_AT_ENDS = 0.01

@@ -7,9 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.output import atomic, suffix
 from daq.runfile import joint
 from fitting import rig_scene
 from fitting.competitors import Competitors, numbers
@@ -17,6 +14,9 @@ from fitting.flags import CalibrationFlags, LawFlags, OutputFlags, PartFlags, Wo
 from fitting.job import FitOptions
 from fitting.report import comparison, table
 from fitting.report import page as pages
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.output import atomic, suffix
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 import daq
-from daq.base import units
-from daq.base.errors import InputError, check_type
 from processing import smoothing
 from processing.record.kinematics import Kinematics
+from stickslip import units
+from stickslip.errors import InputError, check_type
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("daq", "processing", "fitting", "rig_sim")
-HELPER, WORKERS = "daq/base/compute/interpreter.py", "daq/base/compute/workers.py"
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
+HELPER, WORKERS = "stickslip/compute/interpreter.py", "stickslip/compute/workers.py"
 SAFE_NAMES = {"Future", "CancelledError", "BrokenProcessPool"}  # of the modules that start processes
 
 
@@ -68,14 +68,14 @@ def test_another_place_would_be_seen(code):
 
 
 CALLS = {
-    "any module": "from daq.base.compute.interpreter import start_python\nstart_python('webbrowser', '--help').wait()",
+    "any module": "from stickslip.compute.interpreter import start_python\nstart_python('webbrowser', '--help').wait()",
     "a browser": "import time\nfrom daq.cli.live import open_browser\nopen_browser('file:///no'); time.sleep(0.5)",
     "a child that reads a file": (
-        "from daq.base.compute import isolation\nfrom daq.runfile import trust\nfrom pathlib import Path\n"
+        "from stickslip.compute import isolation\nfrom daq.runfile import trust\nfrom pathlib import Path\n"
         "try: isolation._spawn(Path.read_bytes, Path('none'), 20.0, 1 << 30)\nexcept Exception: pass"
     ),
     "processes": (
-        "if __name__ == '__main__':\n    from daq.base.compute.workers import workers\n"
+        "if __name__ == '__main__':\n    from stickslip.compute.workers import workers\n"
         "    with workers(2) as each: assert list(each(abs, [-1, -2])) == [1, 2]"
     ),
 }

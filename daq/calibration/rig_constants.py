@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.calibration.ring_down import RingDown
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 STILL_S = 0.5  # at either end of a known distance the mass must stand for so long
 STILL_COUNTS = 4

@@ -25,11 +25,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import autocorrelation_time
-from daq.base.compute.compile import compiled
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.calibration import swing_kernel
+from stickslip.compute.arrays import autocorrelation_time
+from stickslip.compute.compile import compiled
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 KERNELS = ("daq.calibration.swing_kernel",)
 FEWEST_SWINGS = 3  # half-swings; with fewer, friction and damping cannot be separated

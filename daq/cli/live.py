@@ -13,10 +13,10 @@ from typing import Annotated
 
 import cyclopts
 
-from daq.base.compute.interpreter import start_python
-from daq.base.console import application, flags
-from daq.base.console.application import Answer, Json
-from daq.base.errors import InputError
+from stickslip.compute.interpreter import start_python
+from stickslip.console import application, flags
+from stickslip.console.application import Answer, Json
+from stickslip.errors import InputError
 
 NICE = 5  # the viewer gives way to the recorder on a busy computer
 APPEARS_S = 30.0  # how long the viewer of `daq record --live` waits for the journal: a board may take 5 s to answer

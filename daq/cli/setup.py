@@ -10,11 +10,11 @@ from typing import Self, TextIO
 
 import cyclopts
 
-from daq.base.compute.interpreter import start_python
-from daq.base.console.application import Answer, Json
-from daq.base.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
+from stickslip.compute.interpreter import start_python
+from stickslip.console.application import Answer, Json
+from stickslip.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
 
-PACKAGES = ("daq", "processing", "fitting", "rig_sim")
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 DEMO_FOLDER = "stickslip-demo"
 
 
@@ -104,7 +104,7 @@ def _needs() -> Check:
 def _commands() -> Check:
     scripts = Path(sys.executable).parent
     elsewhere = []
-    for command in ("daq", "process", "fit-friction", "rig-sim"):
+    for command in ("stickslip", "daq", "process", "fit-friction", "rig-sim"):
         path = shutil.which(command)
         if path is not None and Path(path).parent.resolve() != scripts.resolve():
             elsewhere.append(f"{command} is {path}")

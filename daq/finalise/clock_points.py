@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import joined, rows
-from daq.base.output.spill import Spill
 from daq.finalise.clock_sync import ClockPoints, ClockSync, Points
 from daq.finalise.timeline import Piece, parts_of
 from daq.protocols.link_budget import BITS_PER_BYTE
+from daq.runfile.spill import Spill
+from stickslip.compute.arrays import joined, rows
 
 
 class PartClock:

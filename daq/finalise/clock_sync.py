@@ -32,8 +32,8 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import joined, rows
-from daq.base.output.spill import Shelf, Spill
+from daq.runfile.spill import Shelf, Spill
+from stickslip.compute.arrays import joined, rows
 
 MOST_POINTS = 600  # the pairwise slopes of so many take 180,000 values; longer runs get wider bins
 FEWEST_POINTS = 3

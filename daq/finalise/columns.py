@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.output.spill import Column, Shelf, Spill
 from daq.finalise.connections import TICK_NS
 from daq.finalise.integrity import CheckedCounts
 from daq.finalise.timeline import Samples, TruthRows, parts_of, sample_keys
@@ -14,6 +13,7 @@ from daq.runfile import belt_counter
 from daq.runfile.belt_counter import BeltCount
 from daq.runfile.recording import Raw, Truth
 from daq.runfile.rig import Rig
+from daq.runfile.spill import Column, Shelf, Spill
 from daq.wire import frames
 
 

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import protocols
-from daq.base.errors import InputError
-from daq.base.measured import Measured
-from daq.base.output.spill import Shelf, Spill
 from daq.runfile import journal
 from daq.runfile.recording import SentAs
 from daq.runfile.rig import Rig
+from daq.runfile.spill import Shelf, Spill
 from daq.wire import counters, decode
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 # Two calibrations contradict each other that differ by more standard errors.  With half, 13 % of sound pairs do; double
 # passes a change that is certain.

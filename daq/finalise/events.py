@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import runs
 from daq.finalise.integrity import CheckedCounts
 from daq.finalise.timeline import Piece
 from daq.runfile.recording import EVENTS
 from daq.wire import counters
 from daq.wire import frames as wire
+from stickslip.compute.arrays import runs
 
 RunEvent = tuple[int, int, str]
 FLAGS = {

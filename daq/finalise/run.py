@@ -13,11 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.base import toml
-from daq.base.errors import DataError, InputError
-from daq.base.output import atomic
-from daq.base.output.spill import Column, Spill
-from daq.base.text import storable
 from daq.finalise import blocks, claim, connections, quality
 from daq.finalise.clock_points import PartClock
 from daq.finalise.columns import RunColumns
@@ -29,8 +24,13 @@ from daq.protocols import blocks as block_records
 from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import EVENT_NAMES, Recording, positions
 from daq.runfile.rig import Rig
+from daq.runfile.spill import Column, Spill
 from daq.wire import decode, frames
 from daq.wire.roll_over import survey_roll_over
+from stickslip import toml
+from stickslip.errors import DataError, InputError
+from stickslip.output import atomic
+from stickslip.text import storable
 
 logger = logging.getLogger(__name__)
 WITHOUT_PITCH = "no metres per count are known, so positions are counts"
@@ -92,7 +92,7 @@ def run_data(
     """Return the run in a journal, and its quality.
 
     The samples are worked on piece by piece, in memory that does not grow with their number; where they are many, the
-    columns of the run are in a file (`daq.base.output.spill.Column`) beside ``output``.
+    columns of the run are in a file (`daq.runfile.spill.Column`) beside ``output``.
 
     Raises
     ------

@@ -19,9 +19,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute import arrays
-from daq.base.output.spill import Shelf, Spill
+from daq.runfile.spill import Shelf, Spill
 from daq.wire import counters, decode, frames
+from stickslip.compute import arrays
 
 # Seconds on either side of a gap in which the least delay is searched.  Half finds fewer undelayed reads; double lets
 # the drift of the clocks (100 ppm) add 0.2 ms more to the placement.  Not swept.

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import InputError, check_known
 from daq.imports.options import ProbeOptions
 from daq.imports.sigrok import Capture
 from daq.wire.quadrature import DECODERS, Decoder, PulseDecoder, Steps
+from stickslip.errors import InputError, check_known
 
 TWO_COUNTER = "two-counter"
 

@@ -3,11 +3,11 @@
 import re
 from dataclasses import replace
 
-from daq.base import units
-from daq.base.errors import InputError, in_python, nearest
 from daq.imports import layout, source
 from daq.imports.layout import POSITION_NAMES, TIME_NAMES
 from daq.imports.table import Table, short
+from stickslip import units
+from stickslip.errors import InputError, in_python, nearest
 
 FRAME_NAMES = ("frame", "frames", "frame number", "frame no", "frameno", "image", "slice", "bild")
 FORCE_NAMES = (

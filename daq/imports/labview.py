@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from daq.base.errors import InputError
 from daq.imports import layout, source
 from daq.imports.table import Table
+from stickslip.errors import InputError
 
 BEGINS = "LabVIEW Measurement"
 _END, _SPECIAL, _SPECIAL_END = "***End_of_Header***", "***Start_Special***", "***End_Special***"

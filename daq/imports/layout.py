@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 
-from daq.base import units
+from stickslip import units
 
 TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")
 POSITION_NAMES = ("x", "position", "pos", "displacement", "distance", "weg", "ort", "auslenkung")

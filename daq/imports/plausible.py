@@ -5,10 +5,10 @@ Asked only of columns whose unit nobody stated, and only of tables long enough t
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.imports.table import Table
 from daq.runfile.run_data import FEWEST_ROWS, implausible_motion
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 SLOWEST_S = (
     0.5  # between samples: 400 frames/s in ms are 2.5, 1 kHz in ms is 1; a record with fewer than 2 samples/s is rare

@@ -14,18 +14,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import runs
-from daq.base.errors import InputError
-from daq.base.output import provenance
-from daq.base.toml import quoted
 from daq.imports import capture as decode
 from daq.imports import sigrok
-from daq.runfile import belt_counter, store
+from daq.runfile import belt_counter, provenance, store
 from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, SentAs, lost_samples, positions
 from daq.runfile.regular import regular_file
 from daq.runfile.rig import Rig
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
+from stickslip.compute.arrays import runs
+from stickslip.errors import InputError
+from stickslip.toml import quoted
 
 HOST_FLAGS = {
     "illegal": counters.FLAG_ILLEGAL,

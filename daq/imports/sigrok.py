@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import InputError, nearest
 from daq.runfile.regular import regular_file
+from stickslip.errors import InputError, nearest
 
 MOST_METADATA = 1 << 20  # bytes; a capture of 16 channels has 500
 PIECE = 1 << 18  # bytes read at a time; what is made of larger pieces is given back to the system each time

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.isolation import BrokenOffError, Work, isolated
-from daq.base.errors import InputError
+from daq.runfile.isolation import BrokenOffError, Work, isolated
 from daq.runfile.regular import regular_file
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 MOST_BYTES = 1 << 28  # of a table; an hour at 1 kHz as text has 80 MB, and takes ten times as much memory
 MOST_COLUMNS = 4096

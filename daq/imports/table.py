@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError, in_python
 from daq.imports import layout, source
 from daq.imports.source import Parsed, Source
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError, in_python
 
 DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar"}
 COMMENTS = ("#", "%", "//", "=~=~")  # the last begins the log of a terminal program

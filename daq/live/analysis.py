@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, joined, rows
 from daq.live.friction import QuickFriction
 from daq.live.motion import SHORTEST_PARABOLA, LiveFilter, LiveMotion, noise_density
 from daq.live.overview import Overview
 from daq.live.sticks import FEWEST_RECENT, NOISE, SLIP_SHARE, Slip, Spread, StickSlip, usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
+from stickslip.compute.arrays import Array, joined, rows
 
 FEWEST_CYCLES = 4  # cycles that a fit takes: `fitting.selection.evidence`
 FEW_CYCLES = 8  # cycles so few that every one must agree: `fitting.selection.screening`

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from daq.live.sticks import Slip
+from stickslip.compute.arrays import Array
 
 SLIPS = 24  # the last ones, of which the curve is made: half as many err by 1.4 times as much, twice as many lag behind
 PER_SLIP = 400  # samples kept of a slip: with half of them noise counts 1.4 times as much

@@ -11,8 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import HOLE, Array, Mask, joined
 from daq.live.tail import NewSamples
+from stickslip.compute.arrays import HOLE, Array, Mask, joined
 
 # Length of the window before a slip has been seen.  Half leaves so much noise in the velocity of a camera that no
 # stick is seen, double rounds the landings of a cycle of 0.5 s over a tenth of it.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 ROWS = 1 << 14  # kept at most: eight for each pixel of a wide screen, 0.5 MB
 PICKED = 4  # rows kept of a stretch: where position and velocity are least and largest

@@ -32,14 +32,14 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, joined, rows
-from daq.base.errors import InputError
 from daq.finalise import claim
 from daq.live.analysis import LiveAnalysis, columns, number
 from daq.live.finished import RunSamples
 from daq.live.motion import LONGEST_PARABOLA, LiveFilter, LiveMotion
 from daq.live.tail import JournalTail, JournalTotals
 from daq.runfile import journal
+from stickslip.compute.arrays import Array, joined, rows
+from stickslip.errors import InputError
 
 # From one look at the journal to the next: the page draws what came in two halves, 20 frames/s.  A look takes 2 to 3 ms
 # of CPU time, nearly the same for 50 samples as for 100: half of it takes almost twice the share of a core.

@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, joined, rows
 from daq.live.motion import LiveMotion, MotionErrors
+from stickslip.compute.arrays import Array, Mask, joined, rows
 
 # Share of the belt's speed: farther from it the mass slips.  In every cycle of stick-slip it comes back, at more than
 # 1.  Half takes noise, and the creep of a wide ramp, for slips; double misses the first slips of a record.

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 
 from daq import protocols
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.finalise import connections, timeline
 from daq.finalise.integrity import CheckedCounts, check
 from daq.finalise.run import calibration
@@ -24,6 +22,8 @@ from daq.runfile.journal import Record
 from daq.runfile.recording import positions
 from daq.runfile.rig import Rig
 from daq.wire import counters, decode, frames
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 # Lines decoded again with the next chunk.  A text line needs neighbours on both sides for its time to be judged; half
 # leaves few where several are damaged in a row, double costs 0.1 ms more a chunk.

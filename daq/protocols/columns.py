@@ -10,10 +10,10 @@ from decimal import Decimal
 from functools import lru_cache, reduce
 from operator import xor
 
-from daq.base.errors import InputError, check_known
 from daq.protocols.lines import Other, Row
 from daq.wire import frames
 from daq.wire.splitter import Splitter
+from stickslip.errors import InputError, check_known
 
 TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
 _COUNTS = ("up", "down", "count", "ticks")

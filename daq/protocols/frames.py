@@ -5,14 +5,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import DeviceError, InputError, check_known
-from daq.base.text import printable, storable
 from daq.protocols import link_budget
 from daq.protocols import session as sessions
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session, Tally
 from daq.wire import frames
 from daq.wire.counters import fits, is_late, signed
+from stickslip.errors import DeviceError, InputError, check_known
+from stickslip.text import printable, storable
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute import arrays
-from daq.base.compute.arrays import Array
 from daq.protocols.neighbours import LOOK_AHEAD, leaps, off_course, periods_between, running, spread, time_ahead
 from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, moves
+from stickslip.compute import arrays
+from stickslip.compute.arrays import Array
 
 # Lines before and behind one that stages 2 to 4 keep.  They look 6, 19 (`SPIKE_AMONG` lines, and three about each) and
 # 16 lines far; `off_course` judges no fewer than 32 lines at once.  Half is too few, double gives the same result.

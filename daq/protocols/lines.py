@@ -21,7 +21,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute import arrays
 from daq.protocols.judge import Between, Judge, Lines
 from daq.protocols.neighbours import LOOK_AHEAD, time_ahead
 from daq.protocols.session import Tally
@@ -30,6 +29,7 @@ from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
+from stickslip.compute import arrays
 
 BLOCK_BYTES = 1 << 16  # size of reads that are parsed at once; half costs 10 % more CPU time, double 5 % less
 # Lines that are read together.  Half costs a tenth more CPU time in short reads where every tenth line is damaged, and

@@ -3,12 +3,12 @@
 Line: 8N1, so 10 bits a byte.  A frame of n samples is 15 + 7 n bytes on the line, 2 n more for each optional column.
 """
 
-from daq.base.errors import InputError
 from daq.protocols.session import Plan
 from daq.runfile.rig import Rig
 from daq.wire import frames
 from daq.wire.counters import longest_gap_s
 from daq.wire.quadrature import EDGES_PER_COUNT
+from stickslip.errors import InputError
 
 BITS_PER_BYTE = 10
 TIGHT = 0.95  # load of the line or the decoder, over what it can carry: beyond this it warns

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import DeviceError, InputError
 from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineReader, LineTally, Other, Row
@@ -33,6 +32,7 @@ from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
 from daq.wire.splitter import Splitter
+from stickslip.errors import DeviceError, InputError
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream

@@ -41,7 +41,6 @@ from itertools import pairwise
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import DeviceError, InputError, check_known
 from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, columns, lacking, with_decimals
@@ -50,6 +49,7 @@ from daq.protocols.lines import LineReader, LineTally
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
+from stickslip.errors import DeviceError, InputError, check_known
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream

@@ -17,9 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, numbers
-from daq.base.errors import DataError, DeviceError, InputError
-from daq.base.text import storable
 from daq.protocols import blocks
 from daq.protocols.request import RecordRequest
 from daq.recorder.journal_place import JournalPlace
@@ -38,6 +35,9 @@ from daq.recorder.record import (
 )
 from daq.runfile import journal
 from daq.runfile.recording import FARTHEST, LONGEST_S
+from stickslip.compute.arrays import Array, Integers, numbers
+from stickslip.errors import DataError, DeviceError, InputError
+from stickslip.text import storable
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality

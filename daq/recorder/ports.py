@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import cast
 from urllib.parse import quote, unquote
 
-from daq.base.errors import DeviceError, InputError
 from daq.protocols.session import Port
+from stickslip.errors import DeviceError, InputError
 
 SIMULATED_RIG = "rig://rig"
 LONGEST_SHOWN = 100  # characters of a port in a message

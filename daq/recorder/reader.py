@@ -15,10 +15,10 @@ import threading
 import time
 from collections.abc import Callable
 
-from daq.base.errors import StickslipError
 from daq.protocols.session import Session
 from daq.recorder import ports
 from daq.runfile import journal
+from stickslip.errors import StickslipError
 
 QUEUE_READS = 20_000  # half a minute of a 5 kHz stream
 QUEUE_READS_WAITING = 8

@@ -20,9 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from daq import protocols
-from daq.base.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
-from daq.base.measured import Measured
-from daq.base.output import disk, provenance
 from daq.finalise import claim
 from daq.protocols import link_budget
 from daq.protocols.columns import FORCE
@@ -31,10 +28,13 @@ from daq.protocols.session import Identity, Plan, Session
 from daq.recorder import ports
 from daq.recorder.journal_place import JournalPlace
 from daq.recorder.reader import Reader
-from daq.runfile import journal
+from daq.runfile import journal, provenance
 from daq.runfile.journal_header import MOST_SAMPLES
 from daq.runfile.rig import Rig, replaced
 from daq.wire import frames
+from stickslip.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from stickslip.output import disk
+from stickslip.units import Measured
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
@@ -90,8 +90,8 @@ def check_request(request: RecordRequest) -> None:
 
 def check_output(request: RecordRequest) -> None:
     """Raise InputError for a run file that may not be written, or whose journal is in use or was left."""
-    from daq.base.output.atomic import refuse_existing
-    from daq.base.output.suffix import check_run
+    from stickslip.output.atomic import refuse_existing
+    from stickslip.output.suffix import check_run
 
     check_run(request.output)
     refuse_existing(request.output, request.force)

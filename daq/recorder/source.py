@@ -9,16 +9,16 @@ from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.compute.interpreter import start_python
-from daq.base.console.notes import NoteFlags
-from daq.base.errors import InputError, check_type
-from daq.base.output import names
-from daq.base.units import Stated, in_si, stated
 from daq.protocols.request import RecordRequest
+from daq.recorder import names
 from daq.recorder.blocks import WHERE, record_blocks
+from daq.recorder.notes import NoteFlags
 from daq.recorder.record import record as record_board
 from daq.runfile.journal_header import FASTEST_HZ, SLOWEST_HZ
 from daq.runfile.rig import Rig, replaced
+from stickslip.compute.interpreter import start_python
+from stickslip.errors import InputError, check_type
+from stickslip.units import Stated, in_si, stated
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
@@ -204,8 +204,8 @@ def recover(
     >>> import daq
     >>> found = daq.recover("run.h5.part")  # doctest: +SKIP
     """
-    from daq.base.output import suffix
     from daq.finalise.run import finalise
+    from stickslip.output import suffix
 
     part = Path(journal)
     if part.suffix != ".part":

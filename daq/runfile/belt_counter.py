@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.output.spill import BLOCK
 from daq.runfile.rig import Rig
+from daq.runfile.spill import BLOCK
 from daq.wire import counters
 
 # Time over which counts are subtracted: a 7.7 um count then reads to 0.3 mm/s, and a corner is blurred by 10 ms.
@@ -105,7 +105,7 @@ def velocity_pieces(
     rate_hz: float,
     metres_per_count: float,
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield the same piece by piece; count and time may be columns (`daq.base.output.spill.Column`)."""
+    """Yield the same piece by piece; count and time may be columns (`daq.runfile.spill.Column`)."""
     half = max(1, round(SPAN_S * rate_hz / 2))
     for first, last in pairwise([*starts.tolist(), len(count)]):
         if last - first < 2:

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, numbers
-from daq.base.errors import InputError, check_type
-from daq.base.measured import Measured
-from daq.base.units import Stated, stated
 from daq.runfile import belt_counter
 from daq.runfile.rig import Rig
 from daq.runfile.run_data import FARTHEST, RunData, implausible_motion, impossible_motion, positions
+from stickslip.compute.arrays import Array, Integers, numbers
+from stickslip.errors import InputError, check_type
+from stickslip.units import Measured, Stated, stated
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -44,7 +43,7 @@ def from_arrays(
     title: str = "",
 ) -> Made:
     """Return a run made of arrays by ``make``, its class; see `daq.runfile.recording.Recording.from_arrays`."""
-    from daq.base.output import provenance
+    from daq.runfile import provenance
 
     check_type(title, str, "title", "from_arrays", "text")
     times, values = numbers(time, "time", "from_arrays", DO), numbers(position, "position", "from_arrays", DO)

@@ -12,10 +12,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq.base.errors import InputError
-from daq.base.output import atomic, disk
-from daq.base.version import VERSION
 from daq.runfile import nexus, trust
+from stickslip.errors import InputError
+from stickslip.output import atomic, disk
+from stickslip.version import VERSION
 
 SUFFIX = ".fit.h5"
 KEPT = "move it away, or --force to replace it"

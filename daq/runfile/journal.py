@@ -13,7 +13,7 @@ that is cut short is a crash's mark.
     C  configuration TOML text that replaces the board's CONFIG
     E  end           JSON: how the recording ended
 
-While a recording runs it holds the journal's lock (`daq.base.output.lock`): whoever wants to finish the journal asks
+While a recording runs it holds the journal's lock (`stickslip.output.lock`): whoever wants to finish the journal asks
 for it first, whoever only reads does not.  A marker comes from another process: one line ``<monotonic ns> <text>``
 appended to ``RUN.h5.markers``; and so does the wish to stop: a file ``RUN.h5.stop``.
 """
@@ -30,10 +30,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
-from daq.base.errors import InputError
-from daq.base.output import disk
-from daq.base.output.lock import FileLock
-from daq.base.text import storable
 from daq.runfile import journal_header, journal_records
 from daq.runfile.journal_records import (
     CONFIGURATION,
@@ -49,6 +45,10 @@ from daq.runfile.journal_records import (
     Record,
 )
 from daq.runfile.regular import regular_file
+from stickslip.errors import InputError
+from stickslip.output import disk
+from stickslip.output.lock import FileLock
+from stickslip.text import storable
 
 __all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIVED", "REOPENED", "Content", "Record"]
 

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from daq.base.errors import InputError
-from daq.base.text import storable
+from stickslip.errors import InputError
+from stickslip.text import storable
 
 # Rates that a board, a sketch or a QSB may have, Hz, with room on both sides.
 SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e7
@@ -80,7 +80,7 @@ _DEFAULTS: dict[str, Any] = {
 
 
 def parse(text: bytes, path: Path) -> dict[str, Any]:
-    """Return a header; its texts are `daq.base.text.storable`.
+    """Return a header; its texts are `stickslip.text.storable`.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def parse(text: bytes, path: Path) -> dict[str, Any]:
 
 
 def _storable(value: Any) -> Any:
-    """Return a field with its texts as a run file can hold them (`daq.base.text.storable`)."""
+    """Return a field with its texts as a run file can hold them (`stickslip.text.storable`)."""
     if isinstance(value, str):
         return storable(value)
     if isinstance(value, list):

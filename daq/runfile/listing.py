@@ -7,9 +7,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq.base.errors import InputError
 from daq.runfile import joint, nexus, schema, store, tree, trust
 from daq.runfile.recording import OF_FILE, lost_samples
+from stickslip.errors import InputError
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
 UNFINISHED = "a journal: still recording, or left by one that was killed (daq recover)"

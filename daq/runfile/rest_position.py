@@ -9,8 +9,8 @@ much friction falls.  In a slip the mass swings about x0 + Fk/k, from x0 + Fs/k 
 without damping and with one kinetic friction Fk.  This is a question to the user, not a limit.
 """
 
-from daq.base.measured import Measured
-from daq.base.output.lengths import format_length, shown_range
+from stickslip.output.lengths import format_length, shown_range
+from stickslip.units import Measured
 
 # Travels between the travel and a rest position that is asked about: friction would fall by less than 10 % of Fs in a
 # slip.  Chosen: at 2 those who measure a fall of 15 % are asked each time; at 8 a sign that is wrong by five travels

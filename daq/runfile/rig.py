@@ -22,11 +22,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from daq.base import toml
-from daq.base.errors import InputError, nearest
-from daq.base.measured import QUANTITIES, Measured, checked, with_error
-from daq.base.toml import check_keys, quoted
-from daq.base.units import OF_QUANTITY, si_unit
+from stickslip import toml
+from stickslip.errors import InputError, nearest
+from stickslip.toml import check_keys, quoted
+from stickslip.units import OF_QUANTITY, QUANTITIES, Measured, checked, si_unit, with_error
 
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")
 COUNTER_BITS = (8, 16, 24, 32)
@@ -117,7 +116,7 @@ class Rig:
         values: dict[str, Any] = {}
         for section, content in toml.parsed(text, where).items():
             if section == "board":
-                continue  # how to reach the board: `daq.base.console.settings`
+                continue  # how to reach the board: `daq.cli.settings`
             if section not in SECTIONS:
                 raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
             values |= _section(section, content, where)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.output.spill import BLOCK, blocks
 from daq.runfile.rig import Rig
+from daq.runfile.spill import BLOCK, blocks
 
 # What can happen to a run, with the code its event is stored under.
 EVENTS = {

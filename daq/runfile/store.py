@@ -18,14 +18,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
-from daq.base.output import atomic, disk
 from daq.runfile import nexus, schema, tree, trust
 from daq.runfile.recording import Raw, Recording, SentAs, Truth, impossible_motion
 from daq.runfile.regular import regular_file
 from daq.runfile.rig import Rig
 from daq.runfile.write import write
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
+from stickslip.output import atomic, disk
 
 __all__ = [
     "RunReader",

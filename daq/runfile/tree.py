@@ -17,10 +17,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.measured import Measured
-from daq.base.output.spill import Column
-from daq.base.version import VERSION
 from daq.runfile import nexus
+from daq.runfile.spill import Column
+from stickslip.units import Measured
+from stickslip.version import VERSION
 
 LENGTH = "m or count"  # in the unit of a field: the run's own unit of position
 

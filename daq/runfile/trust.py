@@ -16,8 +16,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.base.compute.isolation import BrokenOffError, isolated
-from daq.base.errors import InputError
+from daq.runfile.isolation import BrokenOffError, isolated
+from stickslip.errors import InputError
 
 DO = "do not trust this file; ask who made it"
 AGAIN = "copy it again from its source, or daq recover its journal"

@@ -4,9 +4,9 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from daq.base.output import atomic, disk
 from daq.runfile import schema, trust
 from daq.runfile.run_data import RunData
+from stickslip.output import atomic, disk
 
 
 def write(path: str | os.PathLike[str], run: RunData, *, force: bool = False) -> None:

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.text import printable, storable
 from daq.wire import frames as wire
 from daq.wire.splitter import Splitter
+from stickslip.text import printable, storable
 
 
 def _nothing() -> NDArray[np.int64]:

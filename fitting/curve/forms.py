@@ -24,16 +24,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.distributions import chi_square_quantile, normal_quantile
 from fitting.curve.metric import measured_target
 from fitting.curve.result import FormFit
 from fitting.curve.spline_fit import SplineFit
+from fitting.distributions import chi_square_quantile, normal_quantile
 from fitting.driver.start_search import StartSearch
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import Parameter
 from fitting.law import PUBLISHED, Law
 from fitting.undetermined import natural_size
+from stickslip.compute.arrays import Array
 
 CONFIDENCE = 0.95  # confidence of the intervals, and of a form inside the band
 LEAST_SEEN = 1e-10  # singular value over that of the best known combination of a form's parameters: less is rounding

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting import noise_levels
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
@@ -20,6 +19,7 @@ from fitting.departures.strongest import LEAST_SIGMAS, Tested, describe, misfit_
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
+from stickslip.compute.arrays import Array
 
 # Gain of a refit of the free curve over that of the linear step: one that gains less has not come to its end.  A curve
 # often is near the noise without the departure, so its error alone does not tell.

@@ -10,8 +10,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from daq.base.errors import DataError
-from daq.base.measured import Measured, with_error
 from daq.runfile.rig import Rig
 from fitting.curve.formula_fit import FormulaFit
 from fitting.data.frame import MeasuredMotion
@@ -26,6 +24,8 @@ from fitting.selection.asked import Asked
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
+from stickslip.errors import DataError
+from stickslip.units import Measured, with_error
 
 # Distance of a calibration from the fit, in standard deviations, that contradicts it.  At 3 one true calibration in 400
 # would be reported, and as many again because an interval from 16 cycles is itself uncertain; at 5 a belt speed wrong

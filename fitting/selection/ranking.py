@@ -7,8 +7,6 @@ import logging
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.adequacy.assess import Measurement, assess, describes_all, measure
 from fitting.competitors import ALL_LAWS, Competitors
@@ -27,6 +25,8 @@ from fitting.selection.judgement import judge
 from fitting.selection.result import RankedLaws
 from fitting.selection.rivals import Competition, Formulas, compete, fit_formulas
 from processing.record.kinematics import Kinematics
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 logger = logging.getLogger(__name__)
 

@@ -13,7 +13,6 @@ from operator import itemgetter
 
 import numpy as np
 
-from daq.base.errors import InputError
 from fitting.competitors import Competitors
 from fitting.curve.band import seen_speeds
 from fitting.curve.forms import FORM_OF_LAW
@@ -28,6 +27,7 @@ from fitting.selection import evidence
 from fitting.selection.evidence import OPEN, Candidate, Evidence, ModelSet
 from fitting.selection.given import formula_given
 from fitting.undetermined import natural_size, undetermined
+from stickslip.errors import InputError
 
 logger = logging.getLogger(__name__)
 # Difference over the friction: curves that differ by less are one.  Half or twice decides the same for formulas written

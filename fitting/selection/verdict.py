@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 
-from daq.base.output.lengths import format_length
 from fitting import noise_levels
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
@@ -14,6 +13,7 @@ from fitting.estimation.fit import Fit
 from fitting.model.parameters import Global
 from fitting.selection.result import LawResult
 from fitting.selection.rivals import Competition
+from stickslip.output.lengths import format_length
 
 OTHER_SPEEDS = " or runs at other belt speeds"
 # Chi of a published form.  The true one is outside the 95 % band in one record of twenty, at 1.3 to 2.0, other forms at

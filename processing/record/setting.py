@@ -4,9 +4,9 @@ import math
 import re
 from dataclasses import dataclass
 
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from processing.record.series import Series
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 HIGHEST_ORDER = 20  # of a window given by a person; coefficients are tested to this degree (`polynomial.even_fit`)
 # Of a stated belt speed, sticks that may be its own: on a ramp they creep, by up to its half-width.  Sticks outside

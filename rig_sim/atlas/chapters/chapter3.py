@@ -14,14 +14,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.interpreter import start_python
-from daq.base.errors import StickslipError
 from daq.wire.quadrature import Decoder, levels_of
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import entries
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
+from stickslip.compute.arrays import Array
+from stickslip.compute.interpreter import start_python
+from stickslip.errors import StickslipError
 
 SCENE, DECODER = "rig", "jk"
 SECONDS, RATE = 20.0, 1000

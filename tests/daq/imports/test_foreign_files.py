@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.errors import InputError
 from daq.imports import source
 from daq.wire.roll_over import find_roll_over, survey_roll_over, unroll
+from stickslip.errors import InputError
 
 N = 600
 TIME = np.arange(N) / 400

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.errors import DataError, DeviceError, InputError
-from daq.base.measured import Measured
 from daq.live.tail import JournalTail
 from daq.protocols import blocks as packing
 from daq.recorder.record import RecordingInterruptedError
 from daq.runfile import journal
+from stickslip.errors import DataError, DeviceError, InputError
+from stickslip.units import Measured
 
 RATE = 1000
 TIME = np.arange(2000) / RATE

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.runfile.rig import DECODERS, Rig, replaced
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=1e-300, max_value=1e300)

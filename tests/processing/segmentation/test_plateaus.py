@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import processing
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from processing.kalman import white_jerk
 from processing.record import series
 from processing.segmentation import plateaus
 from processing.segmentation.belt_speed import half_sample_mode
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 START = 0.5  # s: the belt starts after the record
 
