@@ -26,12 +26,8 @@ def storable(text: str) -> str:
 def printable(text: str, encoding: str | None = None) -> str:
     """Return a text that does nothing to a terminal but stand there.
 
-    Parameters
-    ----------
-    text : str
-        Line feeds and tabs stay.
-    encoding : str, optional
-        That of the stream: characters that it lacks are spelled in ASCII (``...``, ``+-``), or escaped.
+    text: Line feeds and tabs stay.
+    encoding: That of the stream: characters that it lacks are spelled in ASCII (``...``, ``+-``), or escaped.
     """
     shown = _NOT_PRINTABLE.sub(_escaped, text)
     return shown if encoding is None else shown.encode(encoding, SPELLED).decode(encoding)

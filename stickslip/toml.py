@@ -9,10 +9,8 @@ from stickslip.errors import InputError, nearest
 def parsed(text: str, where: str) -> dict[str, Any]:
     """Return the content of a TOML text.
 
-    Raises
-    ------
-    InputError
-        The text is not TOML (with the line), is nested too deeply, or holds a whole number of more than 64 bits.
+    Raises InputError: the text is not TOML (with the line), is nested too deeply, or holds a whole number of more than
+        64 bits.
     """
     try:
         content = tomllib.loads(text)

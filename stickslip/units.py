@@ -76,19 +76,10 @@ _PLUS_MINUS = re.compile(r"±|\+-|\+/-")
 def quantity(text: str, dimension: str, where: str) -> float:
     """Return a typed quantity in SI.
 
-    Parameters
-    ----------
-    text : str
-        A number with a unit of that dimension, or a bare SI number.
-    dimension : str
-        One of `UNITS`.
-    where : str
-        The flag or column it came from, for the message.
-
-    Raises
-    ------
-    InputError
-        For what is not a number, a unit unknown for this dimension, or a value with an error (+-).
+    text: A number with a unit of that dimension, or a bare SI number.
+    dimension: One of `UNITS`.
+    where: The flag or column it came from, for the message.
+    Raises InputError: for what is not a number, a unit unknown for this dimension, or a value with an error (+-).
     """
     if _PLUS_MINUS.search(text):
         raise InputError(f"{text!r} has an error, of which no use is made here", where, "give the value alone")
@@ -136,17 +127,9 @@ def with_error(stated: Measured) -> Measured:
 def stated(value: Stated | None, key: str) -> Measured | None:
     """Return a quantity of a rig as Python code states it; None where it states none.
 
-    Parameters
-    ----------
-    value : float, (float, float), str, Measured or None
-        A number in SI; value and standard deviation in SI; or text with a unit, such as ``"500 g +- 1 g"``.
-    key : str
-        Which quantity, one of `stickslip.units.QUANTITIES`.
-
-    Raises
-    ------
-    InputError
-        It is none of these, or a value that this quantity cannot have.
+    value: A number in SI; value and standard deviation in SI; or text with a unit, such as ``"500 g +- 1 g"``.
+    key: Which quantity, one of `stickslip.units.QUANTITIES`.
+    Raises InputError: it is none of these, or a value that this quantity cannot have.
     """
     if value is None:
         return None
@@ -184,7 +167,6 @@ def known(unit: str, dimension: str) -> bool:
 
 
 def si_unit(dimension: str) -> str:
-    """Return the SI unit of a dimension."""
     return next(iter(UNITS[dimension]))
 
 

@@ -29,17 +29,9 @@ def metres_per_count(run: Recording, distance: Measured) -> Measured:
 
     Where it did not stand before (`stands_at_first`), the distance counts from the first sample.
 
-    Parameters
-    ----------
-    run : Recording
-        One segment.
-    distance : Measured
-        Towards +x, m; negative towards -x.
-
-    Raises
-    ------
-    DataError
-        The mass did not stand at the end, or hardly moved.
+    run: One segment.
+    distance: Towards +x, m; negative towards -x.
+    Raises DataError: the mass did not stand at the end, or hardly moved.
     """
     count = _counts(run)
     n = max(1, round(STILL_S * run.rate_hz))

@@ -59,10 +59,8 @@ def resolve(flags: BoardFlags) -> dict[str, Any]:
 
     ``calibration`` is the text of the rig.toml.
 
-    Raises
-    ------
-    InputError
-        A file that is missing or not TOML, an unknown key (with its nearest neighbour), a value of the wrong kind.
+    Raises InputError: A file that is missing or not TOML, an unknown key (with its nearest neighbour), a value of the
+        wrong kind.
     """
     user = _user()
     named = os.environ.get("STICKSLIP_RIG") or user.get("rig")

@@ -15,10 +15,7 @@ from stickslip.output.lock import FileLock
 def claimed(path: Path) -> Iterator[Callable[[], None]]:
     """Hold a journal's lock, where the file system has locks; yield what removes the journal.
 
-    Raises
-    ------
-    InputError
-        A recording is writing it, another process is finishing it, or it does not exist.
+    Raises InputError: A recording is writing it, another process is finishing it, or it does not exist.
     """
     try:
         lock = FileLock(path)

@@ -20,21 +20,11 @@ from daq.wire import frames
 class RunColumns:
     """The columns of a run whose pieces come in order.
 
-    Parameters
-    ----------
-    rig : Rig
-        Its calibration.
-    idents : sequence of Ident or None
-        The identifications that it was sent under.
-    truth : Shelf of TruthRows
-        The exact motion as sent.
-    spill : Spill
-        Where the columns are put aside.
-
-    Attributes
-    ----------
-    first_ns : int
-        Host's stamp of the first sample.
+    rig: Its calibration.
+    idents: The identifications that it was sent under.
+    truth: The exact motion as sent.
+    spill: Where the columns are put aside.
+    first_ns: Host's stamp of the first sample.
     """
 
     def __init__(self, rig: Rig, idents: Sequence[frames.Ident | None], truth: Shelf[TruthRows], spill: Spill) -> None:

@@ -41,21 +41,12 @@ def finalise(
 ) -> RecordingQuality:
     """Build the run file of a journal; then remove the journal and its markers, unless the journal was damaged.
 
-    Parameters
-    ----------
-    part, output : Path
-        The journal, and the run file to write.
-    finished_by : str
-        The command, for the provenance.
-    remove : callable, optional
-        Removes the journal: from the recorder, which holds its lock.  Without it the lock is taken here.
-
-    Raises
-    ------
-    InputError
-        The journal is missing, not a journal, or still being written; ``output`` exists, or cannot be read back.
-    DataError
-        The journal holds no samples.  It is kept, as after every other error.
+    part, output: The journal, and the run file to write.
+    finished_by: The command, for the provenance.
+    remove: Removes the journal: from the recorder, which holds its lock.  Without it the lock is taken here.
+    Raises InputError: the journal is missing, not a journal, or still being written; ``output`` exists, or cannot be
+        read back.
+    Raises DataError: the journal holds no samples.  It is kept, as after every other error.
     """
     if remove is None:
         with claim.claimed(part) as removing:
@@ -94,12 +85,8 @@ def run_data(
     The samples are worked on piece by piece, in memory that does not grow with their number; where they are many, the
     columns of the run are in a file (`daq.runfile.spill.Column`) beside ``output``.
 
-    Raises
-    ------
-    InputError
-        The journal is in a protocol this version does not know.
-    DataError
-        It holds no samples.
+    Raises InputError: the journal is in a protocol this version does not know.
+    Raises DataError: it holds no samples.
     """
     recorded = replace(recorded, header=journal_header.complete(recorded.header, recorded.path))
     header = recorded.header
@@ -138,36 +125,18 @@ def run_data(
 
 @dataclass(frozen=True)
 class _Gathered:
-    """What the records of a journal hold.
+    """What the records of a journal hold."""
 
-    Attributes
-    ----------
-    rig, config : Rig, str
-        The calibration, and its text.
-    columns : dict
-        The attributes of the run that are columns over its samples, or follow from them.
-    totals, events, clock : DataTotals, RunEvents, PartClock
-        What was counted, what happened, and how the clocks went.
-    streams : list of Stream
-        What was sent, without its arrays.
-    warnings : list of str
-        What is wrong with the calibration.
-    first_ns : int
-        Host's stamp of the first sample.
-    peak_count_rate, repeated
-        See `CountCheck`, `Timeline`.
-    """
-
-    rig: Rig
+    rig: Rig  # the calibration, and its text
     config: str
-    columns: dict[str, Any]
-    totals: DataTotals
+    columns: dict[str, Any]  # the attributes of the run that are columns over its samples, or follow from them
+    totals: DataTotals  # what was counted, what happened, and how the clocks went
     events: RunEvents
     clock: PartClock
-    streams: list[decode.Stream]
-    warnings: list[str]
-    first_ns: int
-    peak_count_rate: float
+    streams: list[decode.Stream]  # what was sent, without its arrays
+    warnings: list[str]  # what is wrong with the calibration
+    first_ns: int  # Host's stamp of the first sample
+    peak_count_rate: float  # see `CountCheck`, `Timeline`
     repeated: int = 0
 
 
@@ -264,10 +233,7 @@ def _of_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spi
 class _CountedPieces:
     """The samples of a timeline's pieces, whenever they are iterated over.
 
-    Attributes
-    ----------
-    lengths : dict of int to int
-        How many samples each part of the run has; after the last piece.
+    lengths: How many samples each part of the run has; after the last piece.
     """
 
     def __init__(self, line: Timeline) -> None:

@@ -141,7 +141,6 @@ def _tags(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
 
 
 def _segments(lines: Sequence[str], at: int, separator: str, where: str) -> list[_Segment]:
-    """Return the segments in the lines from one on."""
     cells_kept = 0
     segments: list[_Segment] = []
     header: list[str] = []

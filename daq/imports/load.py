@@ -88,10 +88,7 @@ def _is_run(path: Path) -> bool:
 def _options(given: dict[str, Any]) -> "ImportOptions":
     """Return the options of an import as a caller states them.
 
-    Raises
-    ------
-    InputError
-        For a keyword that is none, naming the nearest, or a value that it cannot have.
+    Raises InputError: for a keyword that is none, naming the nearest, or a value that it cannot have.
     """
     from daq.imports.options import ImportOptions
     from stickslip import units

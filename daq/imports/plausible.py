@@ -92,14 +92,9 @@ def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
 def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int, force: bool) -> None:
     """Raise InputError when positions that were taken for metres, or forces for newtons, can hardly be.
 
-    Parameters
-    ----------
-    time, position : array of shape (n,)
-        s, m.
-    cells, column : Table, int
-        Where the positions come from, for the message.
-    force : bool
-        Whether they were made of forces.
+    time, position: s, m.
+    cells, column: Where the positions come from, for the message.
+    force: Whether they were made of forces.
     """
     moved = implausible_motion(time, position)
     if moved is None:

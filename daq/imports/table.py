@@ -144,23 +144,11 @@ class Table:
     ) -> "tuple[Array, Table, tuple[Skipped, ...]]":
         """Return columns as numbers.
 
-        Parameters
-        ----------
-        readers : sequence of ColumnReader
-        skip : bool
-            Leave out the lines that cannot be read, instead of refusing them.
-        progress : callable
-            Called with the stage, the lines done, and all lines.
-
-        Returns
-        -------
-        array of shape (columns, n), Table, tuple of Skipped
-            The numbers; the table of the lines that they were read from; the lines left out.
-
-        Raises
-        ------
-        InputError
-            For a line of another length or a cell that cannot be read, naming line and column, and how many there are.
+        skip: Leave out the lines that cannot be read, instead of refusing them.
+        progress: Called with the stage, the lines done, and all lines.
+        Returns: The numbers; the table of the lines that they were read from; the lines left out.
+        Raises InputError: for a line of another length or a cell that cannot be read, naming line and column, and how
+            many there are.
         """
         values: list[Array] = []
         kept: list[int] = []

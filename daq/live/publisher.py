@@ -75,19 +75,10 @@ class NotPossibleError(Exception):
 class Publisher(ABC):
     """The events of a view, and whoever waits for the next one.
 
-    Parameters
-    ----------
-    path : Path
-        The journal, or the run file.
-    rate_hz : float
-        Nominal rate of the samples.
-
-    Attributes
-    ----------
-    ended : str
-        How the view has ended, "" while it goes on.
-    failure : Exception or None
-        What has ended it.
+    path: The journal, or the run file.
+    rate_hz: Nominal rate of the samples.
+    ended: How the view has ended, "" while it goes on.
+    failure: What has ended it.
     """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
@@ -170,10 +161,7 @@ class Publisher(ABC):
 class LiveRun(Publisher):
     """A recording while it runs.
 
-    Parameters
-    ----------
-    path : Path
-        The journal.
+    path: The journal.
     """
 
     def __init__(self, path: Path) -> None:
@@ -334,10 +322,7 @@ class LiveRun(Publisher):
 class FinishedRun(Publisher):
     """A run file in the same view.
 
-    Parameters
-    ----------
-    path : Path
-        The run file.
+    path: The run file.
     """
 
     def __init__(self, path: Path) -> None:

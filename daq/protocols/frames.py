@@ -57,10 +57,7 @@ class Frames(Session):
     def identify(self) -> Identity:
         """Stop a running stream and ask for the identification.
 
-        Raises
-        ------
-        DeviceError
-            No answer, or none in this protocol; or the board does not have the decoder.
+        Raises DeviceError: no answer, or none in this protocol; or the board does not have the decoder.
         """
         self.send("", "X")  # the empty line ends an incomplete command of a program that crashed
         strange = self.drain()
@@ -79,10 +76,7 @@ class Frames(Session):
     def prepare(self, plan: Plan) -> Identity:
         """Set rate and samples per frame; the next identification confirms them.
 
-        Raises
-        ------
-        DeviceError
-            The board refuses; the message contains its reason.
+        Raises DeviceError: the board refuses; the message contains its reason.
         """
         self._settings = f"R {round(plan.rate_hz)}", f"B {plan.block}"
         self.send(*self._settings)

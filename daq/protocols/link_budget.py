@@ -33,22 +33,10 @@ def bytes_per_s(ident: frames.Ident, rate_hz: float, block: int) -> float:
 def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[str]:
     """Check a recording against the board, its decoder and its line.
 
-    Parameters
-    ----------
-    plan : Plan
-        Its rate, samples per frame and load on the line.
-    baud : int or None
-        Bits per second of the line; None where it has no such limit (USB, a socket, the simulated rig).
-
-    Returns
-    -------
-    list of str
-        Warnings.
-
-    Raises
-    ------
-    InputError
-        When it cannot work: names the number and what would.
+    plan: Its rate, samples per frame and load on the line.
+    baud: Bits per second of the line; None where it has no such limit (USB, a socket, the simulated rig).
+    Returns: Warnings.
+    Raises InputError: when it cannot work: names the number and what would.
     """
     rate_hz = plan.rate_hz
     if rate_hz > ident.max_rate_hz:

@@ -132,10 +132,7 @@ class Text(Session):
     def identify(self) -> Identity:
         """Read lines until their rate is known; and their columns, if they are labelled and none are declared.
 
-        Raises
-        ------
-        DeviceError
-            Nothing is received, or no line with the declared columns.
+        Raises DeviceError: nothing is received, or no line with the declared columns.
         """
         listener = reader(self._form)
         vote, kept = ColumnVote(), b""
@@ -193,10 +190,7 @@ class Text(Session):
     def plan(self, identity: Identity) -> Plan:
         """Return the sketch's own rate.
 
-        Raises
-        ------
-        InputError
-            It is not the requested one.
+        Raises InputError: it is not the requested one.
         """
         rate_hz, requested = self._rate_hz, self.request.rate_hz
         if requested is not None:

@@ -60,20 +60,12 @@ def record_blocks(
 ) -> "RecordingQuality":
     """Record the blocks of a source into ``request.output``; see `daq.recorder.source.record`.
 
-    Parameters
-    ----------
-    source : iterable
-        Its items are blocks.
-    request : RecordRequest
-        Output, calibration and notes; what concerns a board is not looked at.
-    rate_hz : float
-        Nominal rate.
-    seconds : float or None
-        How long; None: until the source ends.
-    warnings : list of str
-        What is to be said of the calibration.
-    progress, stop
-        As of `daq.recorder.record.record`.
+    source: Its items are blocks.
+    request: Output, calibration and notes; what concerns a board is not looked at.
+    rate_hz: Nominal rate.
+    seconds: How long; None: until the source ends.
+    warnings: What is to be said of the calibration.
+    progress, stop: As of `daq.recorder.record.record`.
     """
     check_output(request)
     samples = None if seconds is None else samples_wanted(seconds, rate_hz)

@@ -14,17 +14,10 @@ DO = "use {n}, {n:03} or {date}, as in 'run-{n:03}.h5'; for a brace itself write
 def completed(path: Path) -> Path:
     """Return an output path with its fields filled in; a path without braces is returned as it is.
 
-    Parameters
-    ----------
-    path : Path
-        ``{n}`` in the file's name becomes one more than the largest number of the run files and journals of that
+    path: ``{n}`` in the file's name becomes one more than the largest number of the run files and journals of that
         pattern in the folder, from 1, with a format such as ``{n:03}``; ``{date}`` becomes the local date and time,
         ``20240501-143000``.
-
-    Raises
-    ------
-    InputError
-        A field of another name, a format that numbers do not have, or a field in the name of the folder.
+    Raises InputError: A field of another name, a format that numbers do not have, or a field in the name of the folder.
     """
     if "{" not in path.name and "}" not in path.name:
         if "{" in str(path.parent):

@@ -29,10 +29,7 @@ class NoteFlags:
     def given(self) -> dict[str, Any]:
         """Return the notes that were given, by the attributes of `daq.runfile.recording.Recording`.
 
-        Raises
-        ------
-        InputError
-            A tag that is not NAME=VALUE, or text that a file cannot hold.
+        Raises InputError: A tag that is not NAME=VALUE, or text that a file cannot hold.
         """
         typed = {"title": self.title, "operator": self.operator, "sample_name": self.sample, "note": self.note}
         stated: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}

@@ -69,14 +69,9 @@ class BeltCount:
 def unwrapped(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the belt's count without roll-over, (n,), each segment beginning at its own first reading.
 
-    Parameters
-    ----------
-    values : (n,) integers
-        As sent, modulo 2^bits.
-    bits : int
-        Width of the counter.
-    starts : (s,) int64
-        First sample of each segment: nothing is carried over.
+    values: (n,) As sent, modulo 2^bits.
+    bits: Width of the counter.
+    starts: (s,) First sample of each segment: nothing is carried over.
     """
     begins = np.zeros(len(values), dtype=np.bool_)
     begins[starts] = True

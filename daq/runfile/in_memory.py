@@ -97,10 +97,7 @@ def from_arrays(
 def counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: str) -> Integers | None:
     """Return positions as counts: whole numbers of any type with a pitch, integers without; None where they are metres.
 
-    Raises
-    ------
-    InputError
-        There is a pitch, and the values are no whole numbers.
+    Raises InputError: there is a pitch, and the values are no whole numbers.
     """
     if values.dtype.kind in "iu":
         return np.asarray(values, np.int64)
@@ -120,12 +117,8 @@ def with_belt(run: Made, belt: Array) -> Made:
     The count is the last decimal of the positions, `FINEST_DECIMALS` at most, so that rounded readings are counts of
     their own rounding.
 
-    Parameters
-    ----------
-    run : RunData
-        Of n samples.
-    belt : (n,) float64
-        Positions of the belt, m, positive towards +x.
+    run: Of n samples.
+    belt: (n,) Positions of the belt, m, positive towards +x.
     """
     pitch = last_decimal(belt)
     count = np.rint(belt / pitch).astype(np.int64)

@@ -38,25 +38,13 @@ class BrokenOffError(Exception):
 def isolated(work: Work, path: Path, seconds: float, memory: int) -> bytes:
     """Return ``work(path)``, done in a child process.
 
-    Parameters
-    ----------
-    work : callable
-        A function of a module, which takes the path and returns bytes.
-    path : Path
-        The file that it works on.
-    seconds : float
-        CPU time that it may take, s.
-    memory : int
-        Bytes that it may take (on Linux).
-
-    Raises
-    ------
-    InputError
-        What ``work`` raises.
-    BrokenOffError
-        The child crashed, or was ended by one of the limits.
-    RuntimeError
-        Any other exception of ``work``, as text.
+    work: A function of a module, which takes the path and returns bytes.
+    path: The file that it works on.
+    seconds: CPU time that it may take, s.
+    memory: Bytes that it may take (on Linux).
+    Raises InputError: what ``work`` raises.
+    Raises BrokenOffError: the child crashed, or was ended by one of the limits.
+    Raises RuntimeError: any other exception of ``work``, as text.
     """
     sent = (_fork if sys.platform == "linux" else _spawn)(work, path, seconds, memory)
     kind, content = sent[:1], sent[1:]

@@ -113,19 +113,10 @@ class Journal:
 class Writer:
     """Append records to a new journal; synced to disk each second.
 
-    Attributes
-    ----------
-    path : Path
-        Where the journal is; `move` changes it.
-    locked : bool
-        False where the file system has no locks: nothing then keeps another process from finishing the journal.
-
-    Raises
-    ------
-    FileExistsError
-        When the file exists: a journal is never overwritten.
-    OSError
-        When the disk refuses: full, read-only, gone.
+    path: Where the journal is; `move` changes it.
+    locked: False where the file system has no locks: nothing then keeps another process from finishing the journal.
+    Raises FileExistsError: when the file exists: a journal is never overwritten.
+    Raises OSError: when the disk refuses: full, read-only, gone.
     """
 
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
@@ -158,10 +149,7 @@ class Writer:
     def tick(self) -> bool:
         """Hand what was appended to the system; sync when the last time is a second ago.  Called often.
 
-        Returns
-        -------
-        bool
-            Whether it was synced.
+        Returns: Whether it was synced.
         """
         self._file.flush()
         due = time.monotonic() - self._synced >= SYNC_EVERY_S
@@ -203,10 +191,7 @@ class Writer:
     def move(self, path: Path) -> None:
         """Write on in another file, a copy of this one: for a journal whose name is gone.
 
-        Raises
-        ------
-        OSError
-            The new file exists or cannot be written; the journal stays what it was.
+        Raises OSError: the new file exists or cannot be written; the journal stays what it was.
         """
         file, lock = _create(path)
         try:
@@ -295,10 +280,8 @@ def beginning(path: Path) -> dict[str, Any]:
 def read(path: Path) -> Journal:
     """Read a journal, whole or cut short.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, is no journal, has no header that can be read, or one that cannot be true.
+    Raises InputError: when the file is missing, is no journal, has no header that can be read, or one that cannot be
+        true.
     """
     with _open(path) as file:
         return _read(path, Content(file))

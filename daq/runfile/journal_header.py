@@ -82,17 +82,9 @@ _DEFAULTS: dict[str, Any] = {
 def parse(text: bytes, path: Path) -> dict[str, Any]:
     """Return a header; its texts are `stickslip.text.storable`.
 
-    Parameters
-    ----------
-    text : bytes
-        JSON.
-    path : Path
-        The journal, for the message.
-
-    Raises
-    ------
-    InputError
-        It is no JSON object, or one of its fields cannot be true.
+    text: JSON.
+    path: The journal, for the message.
+    Raises InputError: it is no JSON object, or one of its fields cannot be true.
     """
     try:
         header = json.loads(text)

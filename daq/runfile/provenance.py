@@ -17,16 +17,9 @@ from stickslip.version import VERSION
 def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
     """Return the provenance of a file made now by this process.
 
-    Parameters
-    ----------
-    command : sequence of str, optional
-        The command line; the process's own by default.
-
-    Returns
-    -------
-    dict
-        ``software, python, numpy, platform, hostname, command_line`` and, in a checkout with git, ``git_commit`` and
-        ``git_dirty`` (1 when the checkout had changes).  Bytes of a path that are no UTF-8 are escaped.
+    command: The command line; the process's own by default.
+    Returns: ``software, python, numpy, platform, hostname, command_line`` and, in a checkout with git, ``git_commit``
+        and ``git_dirty`` (1 when the checkout had changes). Bytes of a path that are no UTF-8 are escaped.
     """
     import numpy as np
 

@@ -35,28 +35,6 @@ COUNTER_BITS = (8, 16, 24, 32)
 class Rig:
     """What is known of a rig beforehand.
 
-    Attributes
-    ----------
-    name : str
-        What the lab calls it.
-    decoder : str
-        One of `DECODERS`: how edges became counts.
-    metres_per_count : Measured or None
-        Metres of travel per count; negative when counting up means towards -x.
-    counts_per_revolution : int or None
-        Counts of one turn of the encoder.
-    counter_bits : int
-        Width of the board's counters.
-    mass, stiffness, damping, belt_speed : Measured or None
-        kg, N/m, N s/m, m/s (signed).
-    datum : Measured or None
-        Position of count zero relative to the spring's rest, m: -x0 of the readings.  It is added to them, so that
-        positions are measured from the spring's rest.
-    x0 : Measured or None
-        Reading at the spring's rest, m.  The positions are the readings themselves.
-    belt_metres_per_count : Measured or None
-        Metres of belt per count of the belt's own encoder; negative when counting up means towards -x.
-
     Notes
     -----
     A rig has a datum or an x0, not both: either says where the spring is at rest, for positions of its own.
@@ -64,18 +42,21 @@ class Rig:
     Not modelled: the correlation between these errors, and a cog whose pitch varies within a turn.
     """
 
-    name: str = ""
-    decoder: str = "x4"
-    metres_per_count: Measured | None = None
-    counts_per_revolution: int | None = None
-    counter_bits: int = 16
-    mass: Measured | None = None
+    name: str = ""  # what the lab calls it
+    decoder: str = "x4"  # one of `DECODERS`: how edges became counts
+    metres_per_count: Measured | None = None  # metres of travel per count; negative when counting up means towards -x
+    counts_per_revolution: int | None = None  # counts of one turn of the encoder
+    counter_bits: int = 16  # width of the board's counters
+    mass: Measured | None = None  # kg, N/m, N s/m, m/s (signed)
     stiffness: Measured | None = None
+    # position of count zero relative to the spring's rest, m: -x0 of the readings.  It is added to them, so that
+    # positions are measured from the spring's rest.
     datum: Measured | None = None
     damping: Measured | None = None
     belt_speed: Measured | None = None
+    # metres of belt per count of the belt's own encoder; negative when counting up means towards -x
     belt_metres_per_count: Measured | None = None
-    x0: Measured | None = None
+    x0: Measured | None = None  # reading at the spring's rest, m.  The positions are the readings themselves.
 
     def __post_init__(self) -> None:
         if self.datum is not None and self.x0 is not None:
@@ -101,17 +82,10 @@ class Rig:
     def from_toml(cls, text: str, where: str) -> "Rig":
         """Read a rig from TOML.
 
-        Parameters
-        ----------
-        text : str
-            The TOML text.
-        where : str
-            Its file or frame, for the messages.
-
-        Raises
-        ------
-        InputError
-            For invalid TOML, an unknown section or key (naming its nearest neighbour), or an impossible value.
+        text: The TOML text.
+        where: Its file or frame, for the messages.
+        Raises InputError: for invalid TOML, an unknown section or key (naming its nearest neighbour), or an impossible
+            value.
         """
         values: dict[str, Any] = {}
         for section, content in toml.parsed(text, where).items():

@@ -41,57 +41,29 @@ SPANS = 200  # pieces that the record is cut into to measure its speed: noise be
 
 @dataclass(frozen=True)
 class Raw:
-    """The samples as the board sent them; each array has shape (n,).
+    """The samples as the board sent them; each array has shape (n,)."""
 
-    Attributes
-    ----------
-    sample : u4
-        Sequence number, unwrapped; it skips over lost samples and restarts in each segment.
-    count_up, count_down : u2, or u4 of counters wider than 16 bits
-        The two counters, rolling over at their width.
-    device_time : u4
-        Device time in us as sent, rolling over at 2^32.
-    levels : u1
-        Channel levels at the sample, A = 1, B = 2.
-    flags : u2
-        The status bits of the sample.
-    illegal : u2
-        Illegal transitions counted so far, rolling over.
-    belt_count, edge_time : u2 or None
-        The belt encoder's count, and us from the last edge to the sample, when the board sends them.
-    """
-
-    sample: NDArray[np.uint32]
-    count_up: NDArray[np.uint16] | NDArray[np.uint32]
+    sample: NDArray[np.uint32]  # sequence number, unwrapped; it skips over lost samples and restarts in each segment
+    count_up: NDArray[np.uint16] | NDArray[np.uint32]  # the two counters, rolling over at their width
     count_down: NDArray[np.uint16] | NDArray[np.uint32]
-    device_time: NDArray[np.uint32]
-    levels: NDArray[np.uint8]
-    flags: NDArray[np.uint16]
-    illegal: NDArray[np.uint16]
+    device_time: NDArray[np.uint32]  # device time in us as sent, rolling over at 2^32
+    levels: NDArray[np.uint8]  # channel levels at the sample, A = 1, B = 2
+    flags: NDArray[np.uint16]  # the status bits of the sample
+    illegal: NDArray[np.uint16]  # illegal transitions counted so far, rolling over
+    # the belt encoder's count, and us from the last edge to the sample, when the board sends them
     belt_count: NDArray[np.uint16] | None = None
     edge_time: NDArray[np.uint16] | None = None
 
 
 @dataclass(frozen=True)
 class SentAs:
-    """The identifications that a run was sent under, where there were several; i stretches of segments.
+    """The identifications that a run was sent under, where there were several; i stretches of segments."""
 
-    Attributes
-    ----------
-    segment : (i,) u4
-        First segment of each stretch.
-    counter_bits : (i,) u1
-        Width of the counters there.
-    counts : (i,) u1
-        Counts of the run in one count of these counters: 4 of a decoder that counts one edge in four.
-    ident : (i,) str
-        The identification, in words.
-    """
-
-    segment: NDArray[np.uint32]
-    counter_bits: NDArray[np.uint8]
+    segment: NDArray[np.uint32]  # (i,) first segment of each stretch
+    counter_bits: NDArray[np.uint8]  # (i,) width of the counters there
+    # (i,) counts of the run in one count of these counters: 4 of a decoder that counts one edge in four
     counts: NDArray[np.uint8]
-    ident: tuple[str, ...]
+    ident: tuple[str, ...]  # (i,) the identification, in words
 
 
 @dataclass(frozen=True)

@@ -36,16 +36,9 @@ class Aside:
 class Spill:
     """Where arrays are put aside.
 
-    Parameters
-    ----------
-    output : Path, optional
-        The file that is made of them: its folder takes what does not fit into memory, until nothing refers to it any
-        more; errors name it.
-
-    Raises
-    ------
-    RefusedError
-        The disk refuses.
+    output: The file that is made of them: its folder takes what does not fit into memory, until nothing refers to it
+        any more; errors name it.
+    Raises RefusedError: the disk refuses.
     """
 
     def __init__(self, output: Path | None = None) -> None:
@@ -160,10 +153,7 @@ class Column:
 class Shelf(Generic[T]):
     """Values of a dataclass, in order; their arrays are put aside.
 
-    Attributes
-    ----------
-    labels : list
-        The values without their arrays: these are empty.
+    labels: The values without their arrays: these are empty.
     """
 
     def __init__(self, spill: Spill) -> None:

@@ -12,21 +12,11 @@ from stickslip.output import atomic, disk
 def write(path: str | os.PathLike[str], run: RunData, *, force: bool = False) -> None:
     """Write a run into a new file: build it beside ``path``, sync it to disk, move it into place.
 
-    Parameters
-    ----------
-    path : path
-        The run file.
-    run : RunData
-        The run.
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    InputError
-        When ``path`` exists and ``force`` was not given, or its folder does not exist.
-    ValueError
-        When the arrays of ``run`` do not belong together.
+    path: The run file.
+    run: The run.
+    force: Replace an existing file.
+    Raises InputError: when ``path`` exists and ``force`` was not given, or its folder does not exist.
+    Raises ValueError: when the arrays of ``run`` do not belong together.
     """
     target = Path(path)
     atomic.refuse_existing(target, force)

@@ -104,10 +104,8 @@ def pieces(time: Array, segment: NDArray[np.integer], interval: float) -> tuple[
 def autocorrelation_time(pieces: Iterable[Array]) -> float:
     """Return the integrated autocorrelation time in samples, at least 1: 1 + 2 sum rho(lag), up to the first rho < 0.
 
-    Parameters
-    ----------
-    pieces : iterable of ndarray, shape (n_i,)
-        Residuals of zero mean, evenly sampled; the autocorrelation is pooled over the pieces.  Nothing but zeros: 1.
+    pieces: Residuals of zero mean, evenly sampled; the autocorrelation is pooled over the pieces.  Nothing but zeros:
+        1.
     """
     kept = list(pieces)
     lags = np.zeros(max((r.size for r in kept), default=1))

@@ -37,15 +37,10 @@ def compiled(function: Callable[..., Any], modules: tuple[str, ...], **options: 
 
     Where its machine code is not yet kept, the first call compiles it, and stderr says so once per installation.
 
-    Parameters
-    ----------
-    function : callable
-        A plain function; numba's nopython subset.
-    modules : tuple of str
-        Names of the modules whose functions it may call, its own included.
-    **options
-        Passed to numba, for the entry and for every function of the modules.  Division by zero gives an infinity or
-        NaN, as numpy's: to check every divisor takes about a tenth more time to compile.
+    function: A plain function; numba's nopython subset.
+    modules: Names of the modules whose functions it may call, its own included.
+    **options: Passed to numba, for the entry and for every function of the modules.  Division by zero gives an infinity
+        or NaN, as numpy's: to check every divisor takes about a tenth more time to compile.
     """
     from numba import config
 

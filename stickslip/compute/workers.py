@@ -31,23 +31,13 @@ MOST_HELD = 64
 def workers(jobs: int = 1, scheduler: str | None = None, *, join: bool = False) -> Iterator[Map]:
     """Give ``map(function, items)``; whatever ends the block, Ctrl-C too, ends the work.
 
-    Parameters
-    ----------
-    jobs : int
-        Processes on this machine; one is this process itself.
-    scheduler : str, optional
-        Address of a dask scheduler, ``tcp://host:8786`` or ``host:8786``; goes before ``jobs``.
-    join : bool
-        Whether this process is one of the ``jobs`` and works while the others start; for items shorter than a second:
+    jobs: Processes on this machine; one is this process itself.
+    scheduler: Address of a dask scheduler, ``tcp://host:8786`` or ``host:8786``; goes before ``jobs``.
+    join: Whether this process is one of the ``jobs`` and works while the others start; for items shorter than a second:
         while it works it passes on no result.
-
-    Raises
-    ------
-    InputError
-        When dask.distributed is not installed, nothing answers at the address, no worker is there, or the workers hold
-        another version of this package or cannot load the function.
-    DeviceError
-        When a process or worker was killed, or the scheduler lost.
+    Raises InputError: when dask.distributed is not installed, nothing answers at the address, no worker is there, or
+        the workers hold another version of this package or cannot load the function.
+    Raises DeviceError: when a process or worker was killed, or the scheduler lost.
     """
     if scheduler is not None:
         with cluster(scheduler) as each:

@@ -42,10 +42,7 @@ class LogFlags:
 def taken_off(arguments: Sequence[str]) -> tuple[list[str], LogFlags]:
     """Return the command line without ``--verbose`` and ``--log FILE``, and their values.
 
-    Raises
-    ------
-    InputError
-        ``--log`` without a file, or given twice.
+    Raises InputError: ``--log`` without a file, or given twice.
     """
     rest, verbose, files = [], False, []
     waiting = iter(arguments)
@@ -70,12 +67,9 @@ def taken_off(arguments: Sequence[str]) -> tuple[list[str], LogFlags]:
 def logging_to(flags: LogFlags, name: str, arguments: Sequence[str]) -> Iterator[None]:
     """Log what happens in the block: stderr gets INFO and above, the file everything; nothing without flags.
 
-    Raises
-    ------
-    InputError
-        The file is no log of ours, which is not added to.
-    OSError
-        It cannot be opened.  Where the disk takes nothing there is no error: stderr says that no log is written.
+    Raises InputError: the file is no log of ours, which is not added to.
+    Raises OSError: it cannot be opened.  Where the disk takes nothing there is no error: stderr says that no log is
+        written.
     """
     if not flags.verbose and flags.file is None:
         yield

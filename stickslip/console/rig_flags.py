@@ -47,10 +47,8 @@ class PitchFlags:
     def stated(self) -> dict[str, Measured | int]:
         """Return what is given, by the attributes of `daq.runfile.rig.Rig`.
 
-        Raises
-        ------
-        InputError
-            Of counts in a turn and the travel in it one is missing or zero, or metres per count are given as well.
+        Raises InputError: of counts in a turn and the travel in it one is missing or zero, or metres per count are
+            given as well.
         """
         turn, travel = self.counts_per_rev, self.circumference
         if turn is None and travel is None:

@@ -38,20 +38,12 @@ def refuse_existing(
 ) -> None:
     """Raise InputError when ``path`` may not be written: the one rule about files that exist.
 
-    Parameters
-    ----------
-    path : Path
-        The output file.
-    force : bool
-        Replace an existing file.
-    *sources : Path
-        What the output is made from; not even ``force`` lets it replace one of them.
-    own : str
-        A mark in the first 2000 bytes of a file of this kind: such a file is replaced without ``force``.
-    kind : str
-        What such a file is called, for the message.
-    flag : str
-        The flag that names the output, for the message.
+    path: The output file.
+    force: Replace an existing file.
+    *sources: What the output is made from; not even ``force`` lets it replace one of them.
+    own: A mark in the first 2000 bytes of a file of this kind: such a file is replaced without ``force``.
+    kind: What such a file is called, for the message.
+    flag: The flag that names the output, for the message.
     """
     where, other = str(path), "give another name"
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
@@ -79,12 +71,9 @@ def replacing(target: Path, force: bool) -> Iterator[Path]:
     Where ``target`` is a symbolic link, the file that it leads to is replaced.  Temporary files that a killed command
     left for this target are removed; one that another command is writing is waited for, up to `WAIT_S`.
 
-    Raises
-    ------
-    RefusedError
-        The disk refuses (`stickslip.output.disk`); nothing is left behind, and what stood there before still does.
-    InputError
-        Another command goes on writing the file.
+    Raises RefusedError: the disk refuses (`stickslip.output.disk`); nothing is left behind, and what stood there before
+        still does.
+    Raises InputError: another command goes on writing the file.
     """
     with disk.writing(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target

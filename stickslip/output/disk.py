@@ -101,10 +101,7 @@ def rehearsed(path: Path) -> "Iterator[h5py.File]":
 class Sink(io.RawIOBase):
     """A file, until the disk refuses; then its content in memory, so that whoever writes need not know.
 
-    Attributes
-    ----------
-    error : OSError or None
-        The first refusal.
+    error: The first refusal.
     """
 
     def __init__(self, file: io.FileIO) -> None:
@@ -122,7 +119,6 @@ class Sink(io.RawIOBase):
         return self._file.readinto(buffer) or 0
 
     def write(self, data: Any) -> int:
-        """Write all of it."""
         rest = memoryview(data).cast("B")
         while len(rest):
             try:

@@ -21,21 +21,12 @@ _BEYOND = 1 << 40  # Windows: where the locked byte lies
 class FileLock:
     """The lock on a file, held until `release`, `remove` or the end of the process.
 
-    Parameters
-    ----------
-    path : Path
-        An existing file.
-    new : bool
-        The file does not exist, and is made.
-
-    Raises
-    ------
-    BlockingIOError
-        Another process, or another lock of this one, holds it; or a new file was removed before it was locked.
-    FileExistsError
-        A new file exists.
-    OSError
-        The file cannot be opened, or its file system has no locks; a new file is removed.
+    path: An existing file.
+    new: The file does not exist, and is made.
+    Raises BlockingIOError: another process, or another lock of this one, holds it; or a new file was removed before it
+        was locked.
+    Raises FileExistsError: A new file exists.
+    Raises OSError: the file cannot be opened, or its file system has no locks; a new file is removed.
     """
 
     def __init__(self, path: Path, *, new: bool = False) -> None:

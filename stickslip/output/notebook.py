@@ -7,14 +7,9 @@ from html import escape
 def table(caption: str, rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
     """Return a table as HTML; what comes from a file (titles, notes, names) may contain anything.
 
-    Parameters
-    ----------
-    caption : str
-        Stands above it.
-    rows : iterable of sequence of str
-        Cells; the first of each row is its name.
-    header : sequence of str
-        Names of the columns; left out when empty.
+    caption: Stands above it.
+    rows: Cells; the first of each row is its name.
+    header: Names of the columns; left out when empty.
     """
     parts = [f'<table><caption style="text-align: left"><b>{escape(caption)}</b></caption>']
     if header:

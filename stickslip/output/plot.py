@@ -49,15 +49,9 @@ def lines_over_time(
 ) -> Figure:
     """Return the figure of a quantity over time, in parts between gaps, with markers.
 
-    Parameters
-    ----------
-    parts : iterable of ((n,) array, (n,) array)
-        Times, s, and values.
-    ylabel, title : str
-    markers : iterable of (float, str)
-        Time, s, and words.
-    axes : Axes, optional
-        Where to draw; by default in a new figure.
+    parts: Times, s, and values.
+    markers: Time, s, and words.
+    axes: Where to draw; by default in a new figure.
     """
     with mpl.rc_context(fname=STYLE):
         if axes is None:
@@ -83,16 +77,10 @@ def draw_markers(axes: "Axes", markers: Iterable[tuple[float, str]]) -> None:
 def check_place(target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:
     """Raise InputError where `save` would, so that nothing is computed in vain.
 
-    Parameters
-    ----------
-    target : Path
-        The picture: .png, .svg or .pdf.
-    *sources : Path
-        What is drawn: not even ``force`` lets the picture replace it.
-    force : bool
-        Replace an existing file.
-    digest : str
-        The sha256 of the run that is drawn: an older picture of it is replaced without ``force`` (not a PDF).
+    target: The picture: .png, .svg or .pdf.
+    *sources: What is drawn: not even ``force`` lets the picture replace it.
+    force: Replace an existing file.
+    digest: The sha256 of the run that is drawn: an older picture of it is replaced without ``force`` (not a PDF).
     """
     own = MARK + digest if digest else ""
     atomic.refuse_existing(target, force, *sources, own=own, kind="picture of this run", flag="--plot")
@@ -104,18 +92,9 @@ def check_place(target: Path, *sources: Path, force: bool = False, digest: str =
 def save(figure: Figure, target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:
     """Write a figure; its format is the file's ending.
 
-    Parameters
-    ----------
-    figure : Figure
-    target, *sources, force, digest
-        As for `check_place`.
-
-    Raises
-    ------
-    InputError
-        What `check_place` refuses.
-    RefusedError
-        The disk refuses; what stood there before still does.
+    target, *sources, force, digest: As for `check_place`.
+    Raises InputError: what `check_place` refuses.
+    Raises RefusedError: the disk refuses; what stood there before still does.
     """
     check_place(target, *sources, force=force, digest=digest)
     form = target.suffix.lower()[1:]

@@ -26,23 +26,12 @@ def write(
 ) -> None:
     """Write a run's table.
 
-    Parameters
-    ----------
-    rows : DataFrame
-        As `daq.runfile.recording.Recording.to_dataframe` returns it.
-    target : Path
-        The file.
-    form : str
-        "csv" or "parquet".
-    force : bool
-        Replace an existing file.
-    progress : callable
-        Called with the number of rows written.
-
-    Raises
-    ------
-    InputError
-        When the file exists, or Parquet was asked for and pyarrow is not installed.
+    rows: As `daq.runfile.recording.Recording.to_dataframe` returns it.
+    target: The file.
+    form: "csv" or "parquet".
+    force: Replace an existing file.
+    progress: Called with the number of rows written.
+    Raises InputError: when the file exists, or Parquet was asked for and pyarrow is not installed.
     """
     atomic.refuse_existing(target, force)
     with atomic.replacing(target, force) as temporary:
