@@ -107,7 +107,7 @@ def replay(
     from daq.runfile.rig import Rig, replaced
     from stickslip.output import atomic, suffix
 
-    kind = again.kind_of(source)
+    kind = again.recognise_kind(source)
     target = output or _default_output(source, kind)
     suffix.check_run(target)
     atomic.refuse_existing(target, force, source)
@@ -126,12 +126,12 @@ def replay(
         run, summary = finalise.run_data(journal.read(source), markers, "daq replay")
         extra = summary.as_json()
     else:
-        run = again.from_run(source)
-        extra = again.findings(run) | {"warnings": [], "clock_ppm": run.clock_ppm}
+        run = again.decode_run(source)
+        extra = again.count_faults(run) | {"warnings": [], "clock_ppm": run.clock_ppm}
     if calibration is not None or stated:
         used = (calibration or run.rig).stating(stated)
         extra["warnings"] = [*extra["warnings"], *(row.text for row in replaced(run.rig, used))]
-        run = again.recalibrated(run, used)
+        run = again.recalibrate(run, used)
     store.write(target, run, force=force)
     data = sentences.run_data(run, target, extra["warnings"]) | extra | {"file": target}
     return Answer(data, sentences.run_text(f"replayed the {kind} {source}:", run, data))
@@ -152,7 +152,7 @@ def decode(
     from daq.imports import sigrok
 
     capture = sigrok.read(file)
-    wired = decoding.wiring(capture, options)
+    wired = decoding.choose_wiring(capture, options)
     with application.progress("decoding", capture.samples, "samples") as progress:
         totals = decoding.decode(capture, wired, progress)
     names = [capture.probes[bit] for bit in wired.bits]
@@ -220,15 +220,15 @@ def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: "R
     capture = sigrok.read(source)
     if options.capture_rate is not None:
         capture = replace(capture, rate_hz=options.capture_rate)
-    wired = decoding.wiring(capture, options)
+    wired = decoding.choose_wiring(capture, options)
     rate_hz = options.rate or min(1000.0, capture.rate_hz or 1000.0)
     with application.progress("replaying", capture.samples, "samples") as progress:
-        run, totals = again.from_capture(capture, wired, rate_hz, rig, progress)
+        run, totals = again.sample_capture(capture, wired, rate_hz, rig, progress)
     store.write(target, run, force=force)
     warnings = sentences.count_warnings(totals)
     if run.rig.metres_per_count is None:
         warnings.append("metres per count are not known: positions are counts; give --metres-per-count or --rig")
-    data = again.findings(run) | {"clock_ppm": None} | sentences.run_data(run, target, warnings) | vars(totals)
+    data = again.count_faults(run) | {"clock_ppm": None} | sentences.run_data(run, target, warnings) | vars(totals)
     return Answer(data, sentences.run_text(f"replayed the capture {source}:", run, data, sentences.counts(totals)))
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from daq.imports import layout, source
 from daq.imports.layout import POSITION_NAMES, TIME_NAMES
-from daq.imports.table import Table, short
+from daq.imports.table import Table
 from stickslip import units
 from stickslip.errors import InputError, in_python, nearest
 
@@ -23,62 +23,46 @@ RATIO_UNITS = ("-", "1", "%", "dimensionless", "none", "unitless")
 COUNT_UNITS = ("count", "counts", "cts", "tick", "ticks", "pulse", "pulses", "inc", "increments", "steps")
 DIMENSIONS = ("time", "length", "force", "speed")  # dimensions that a column can have
 EXAMPLE_UNITS = {"time": "ms", "force": "mN, or weight for a force divided by the weight"}
-_IN_WORD = re.compile(r"[/,]|\bin\b")  # what stands between a name and its unit
+# Between a name and its unit; and at the end of what precedes a unit.
+_IN_WORD, _IN_WORD_AT_END = re.compile(r"[/,]|\bin\b"), re.compile(r"(?:[/,]|\bin)$")
 _BRACKETS = (("(", ")"), ("[", "]"))
 
 
-def named(cells: Table) -> Table:
-    """Return a table without a header with the names that a comment above it has, as numpy and trackers write them.
-
-    A comment is one of names where it has as many as there are columns, and one of them is known or has a unit.
-    """
+def name_from_comment(cells: Table) -> Table:
+    """Name the columns of a table without a header by a comment above it, as numpy and trackers write them."""
     for comment in () if cells.names else cells.comments:
         text = comment.strip().lstrip("#%/").strip()
-        names = tuple(name.strip() for name in layout.header(text, cells.delimiter, cells.width))
-        known = any(_bare(name) in TIME_NAMES + FRAME_NAMES + POSITION_NAMES or _dimension(name) for name in names)
-        if len(names) == cells.width and known and all(cells.number(name) is None for name in names):
+        names = tuple(name.strip() for name in layout.split_header(text, cells.delimiter, cells.width))
+        is_header = any(
+            _strip_unit(name) in TIME_NAMES + FRAME_NAMES + POSITION_NAMES or find_dimension(name) for name in names
+        )
+        if len(names) == cells.width and is_header and all(cells.number(name) is None for name in names):
             return replace(cells, names=names)
     return cells
 
 
-def find(
-    cells: Table,
-    time: str | None,
-    position: str | None,
-    rate_known: bool,
-    flag: str = "--position",
-    belt: int | None = None,
+def find_columns(
+    cells: Table, time: str | None, position: str | None, rate_known: bool, flag: str, belt: int | None
 ) -> tuple[int | None, int, bool]:
-    """Find the columns of times and positions: as they are called, by name, by unit, by elimination.
-
-    cells: The table.
-    time, position: What the user called them: a name, or a number from 1.
-    rate_known: Whether times can be made from a frame rate.
-    flag: The flag that ``position`` came from.
-    belt: The column of the belt, which is neither.
-    Returns: Column of times or None, column of positions, and whether the times are frame numbers.
-    Raises InputError: when a column is missing or there is more than one choice, listing the columns.
-    """
-    t_column = None if time is None else called(cells, time, "--time")
-    x_column = None if position is None else called(cells, position, flag)
+    """Find the column of times (None: a frame rate), that of positions, and whether the times are frame numbers."""
+    t_column = None if time is None else find_by_name(cells, time, "--time")
+    x_column = None if position is None else find_by_name(cells, position, flag)
     clocks = {clock for clock in cells.clocks if clock is not None}
     free = [i for i in range(cells.width) if i not in (t_column, x_column, belt) and i not in clocks]
     frames = False
     if cells.names:
-        plain = [_bare(name) for name in cells.names]
+        plain = [_strip_unit(name) for name in cells.names]
         if t_column is None and not clocks:
-            t_column = next((i for i in free if plain[i] in TIME_NAMES), None)
-            if t_column is None:
-                t_column = next((i for i in free if plain[i] in FRAME_NAMES), None)
-            t_column = _only(cells, free, "time", x_column) if t_column is None else t_column
+            t_column = next((i for names in (TIME_NAMES, FRAME_NAMES) for i in free if plain[i] in names), None)
+            t_column = _find_only(cells, free, "time", x_column) if t_column is None else t_column
         elif t_column is None and len(clocks) == 1:
             t_column = next(iter(clocks))
         if x_column is None:
-            places = [i for i in free if plain[i] in POSITION_NAMES and i != t_column]
-            if len(places) > 1 and plain[places[0]] == plain[places[1]]:
-                raise _ambiguous(cells, "the position", places, "--position")
-            x_column = places[0] if places else None
-            x_column = _only(cells, free, "length", t_column) if x_column is None else x_column
+            matches = [i for i in free if plain[i] in POSITION_NAMES and i != t_column]
+            if len(matches) > 1 and plain[matches[0]] == plain[matches[1]]:
+                raise _ambiguity_error(cells, "the position", matches, "--position")
+            x_column = matches[0] if matches else None
+            x_column = _find_only(cells, free, "length", t_column) if x_column is None else x_column
         frames = t_column is not None and plain[t_column] in FRAME_NAMES
     free = [i for i in free if i not in (t_column, x_column)]
     listed = cells.listed or f"1 to {cells.width}"
@@ -89,11 +73,11 @@ def find(
     elif x_column is None and len(free) == 1:
         x_column = free[0]
     if x_column is None:
-        forces = [i for i in free if _dimension(cells.names[i]) == "force"] if cells.names else []
+        force_columns = [i for i in free if find_dimension(cells.names[i]) == "force"] if cells.names else []
         what = f"which column is the position? the columns are: {listed}"
-        if not forces:
+        if not force_columns:
             raise InputError(what, str(cells.path), "give --position")
-        flags, keywords = _spring(cells, forces[0])
+        flags, keywords = _suggest_spring_flags(cells, force_columns[0])
         do = "give {}, or for the force of a pulling spring {}"
         raise InputError(
             what, str(cells.path), do.format("--position", flags), python=do.format("position=NAME", keywords)
@@ -109,45 +93,42 @@ def find(
     return t_column, x_column, frames
 
 
-def called(cells: Table, name: str, flag: str) -> int:
-    """Return the column of a name, or of a number from 1; InputError where there is none."""
+def find_by_name(cells: Table, name: str, flag: str) -> int:
+    """Return the column of a name, or of a number from 1."""
     wanted = name.strip()
-    for same in (str, str.lower, _bare):
-        places = [i for i, column in enumerate(cells.names) if same(column) == same(wanted)]
-        if len(places) > 1:
-            raise _ambiguous(cells, repr(wanted), places, flag)
-        if places:
-            return places[0]
+    for normalise in (str, str.lower, _strip_unit):
+        matches = [i for i, column in enumerate(cells.names) if normalise(column) == normalise(wanted)]
+        if len(matches) > 1:
+            raise _ambiguity_error(cells, repr(wanted), matches, flag)
+        if matches:
+            return matches[0]
     if wanted.isdecimal() and 1 <= int(wanted) <= cells.width:
         return int(wanted) - 1
-    known = f"the columns are numbered 1 to {cells.width}"
+    hint = f"the columns are numbered 1 to {cells.width}"
     if cells.names:
         near = nearest(wanted, cells.names)
-        known = (near + " " if near.startswith("did") else "") + f"the columns are: {cells.listed}"
-    raise InputError(f"{flag}: no column {name!r}", str(cells.path), known)
+        hint = (near + " " if near.startswith("did") else "") + f"the columns are: {cells.listed}"
+    raise InputError(f"{flag}: no column {name!r}", str(cells.path), hint)
 
 
-def _ambiguous(cells: Table, which: str, places: list[int], flag: str) -> InputError:
+def _ambiguity_error(cells: Table, which: str, places: list[int], flag: str) -> InputError:
     choice = source.shorten(f"{cells.names[i]!r} (column {i + 1})" for i in places)
     return InputError(f"which column is {which}: {choice}?", str(cells.path), f"give {flag}=NUMBER")
 
 
-def check_clock(cells: Table, column: int, times: int | None) -> int | None:
-    """Return the column of a channel's times: the file's own clock of that channel, where it states one.
-
-    Raises InputError: ``times`` are those of another channel.
-    """
-    own = cells.clocks[column] if cells.clocks else None
-    if own is None or times is None or times == own:
-        return times if own is None else own
-    is_clock = times in cells.clocks
-    if is_clock and any(row[times].strip() != row[own].strip() for row in cells.rows):
-        what = f"{cells.label(times)} holds the times of another channel, not of {cells.label(column)}"
-        raise InputError(what, str(cells.path), f"leave --time out: {cells.label(own)} holds its times")
-    return times
+def check_clock(cells: Table, column: int, time: int | None) -> int | None:
+    """Return the column of a channel's times: the file's own clock of that channel, where it states one."""
+    clock = cells.clocks[column] if cells.clocks else None
+    if clock is None or time is None or time == clock:
+        return time if clock is None else clock
+    is_clock = time in cells.clocks
+    if is_clock and any(row[time].strip() != row[clock].strip() for row in cells.rows):
+        what = f"{cells.label(time)} holds the times of another channel, not of {cells.label(column)}"
+        raise InputError(what, str(cells.path), f"leave --time out: {cells.label(clock)} holds its times")
+    return time
 
 
-def _bare(name: str) -> str:
+def _strip_unit(name: str) -> str:
     """Return a column's name without its unit, in lower case: ``x (cm)`` and ``x_cm`` are ``x``."""
     base, _ = split_unit(name)
     head, _, tail = base.rpartition("_")
@@ -157,69 +138,51 @@ def _bare(name: str) -> str:
 
 
 def split_unit(name: str) -> tuple[str, str | None]:
-    """Return a column's name without the unit after it, and the unit; the whole name and None where none follows.
-
-    A unit follows as in ``x (cm)``, ``x [cm]``, ``x/cm``, ``x, cm`` or ``x in cm``; of several readings the longest
-    unit is taken.  The name is looked through a fixed number of times, however long it is.
-    """
-    at, unit = len(name), ""
+    """Split ``x (cm)``, ``x [cm]``, ``x/cm``, ``x, cm`` or ``x in cm`` into name and unit, the longest if ambiguous."""
+    end, unit = len(name), ""
     for opening, closing in _BRACKETS:
         begin = name.rfind(opening)
         inside = name[begin + 1 : -1]
         if begin >= 0 and name.endswith(closing) and closing not in inside:
-            at, unit = begin, inside
+            end, unit = begin, inside
     last = name.split()[-1:]
     if last and name.endswith(last[0]):
         begin = len(name) - len(last[0])
         before = name[:begin].rstrip()
-        mark = _mark_at_end(before)
-        if mark is None:
-            match = _IN_WORD.search(name, begin)
-            mark = None if match is None or match.end() == len(name) else match.span()
-        if mark is not None and mark[0] < at:
-            at, unit = mark[0], name[mark[1] :]
-    base = name[:at].rstrip()
-    return (base, unit.strip()) if base and at < len(name) else (name, None)
+        mark = _IN_WORD_AT_END.search(before, max(0, len(before) - 2)) or _IN_WORD.search(name, begin)
+        if mark is not None and mark.end() < len(name) and mark.start() < end:
+            end, unit = mark.start(), name[mark.end() :]
+    base = name[:end].rstrip()
+    return (base, unit.strip()) if base and end < len(name) else (name, None)
 
 
-def _mark_at_end(text: str) -> tuple[int, int] | None:
-    """Return where a separator of name and unit stands that ends a text, None where none does."""
-    for length in (1, 2):
-        match = _IN_WORD.fullmatch(text, max(0, len(text) - length))
-        if match is not None:
-            return match.span()
-    return None
-
-
-def _stated_unit(name: str) -> str | None:
+def _read_stated_unit(name: str) -> str | None:
     """Return the unit that follows a name, or a name that is itself one, as ``ms``."""
     _, stated = split_unit(name)
     if stated is not None:
         return stated
-    if any(units.known(name.strip(), dimension) for dimension in ("time", "length")) and _bare(name) not in TIME_NAMES:
+    if (
+        any(units.known(name.strip(), dimension) for dimension in ("time", "length"))
+        and _strip_unit(name) not in TIME_NAMES
+    ):
         return name.strip()
     head, _, tail = name.rpartition("_")
     return tail if head and any(units.known(tail, dimension) for dimension in DIMENSIONS) else None
 
 
-def is_length(name: str) -> bool:
-    """Return whether a column states a unit of length."""
-    return _dimension(name) == "length"
-
-
-def _only(cells: Table, free: list[int], dimension: str, but: int | None) -> int | None:
-    """Return the one free column with a unit of a dimension; None where there are none or several."""
-    alike = [i for i in free if i != but and _dimension(cells.names[i]) == dimension]
+def _find_only(cells: Table, free: list[int], dimension: str, but: int | None) -> int | None:
+    """Return the only free column with a unit of a dimension; None where there are none or several."""
+    alike = [i for i in free if i != but and find_dimension(cells.names[i]) == dimension]
     return alike[0] if len(alike) == 1 else None
 
 
-def _dimension(name: str) -> str:
+def find_dimension(name: str) -> str:
     """Return the dimension of a column by its unit; "" where it states none that is known."""
-    stated = _stated_unit(name)
+    stated = _read_stated_unit(name)
     return next((each for each in DIMENSIONS if stated is not None and units.known(stated, each)), "")
 
 
-def _spring(cells: Table, column: int, *others: tuple[str, str]) -> tuple[str, str]:
+def _suggest_spring_flags(cells: Table, column: int, *others: tuple[str, str]) -> tuple[str, str]:
     """Return what reads a column as the force of a pulling spring: as flags, and as keywords in Python."""
     name = split_unit(cells.names[column])[0]
     given = (("spring-force", name), ("stiffness", "168 N/m"), *others)
@@ -228,41 +191,37 @@ def _spring(cells: Table, column: int, *others: tuple[str, str]) -> tuple[str, s
 
 
 def check_length(cells: Table, column: int) -> None:
-    """Raise InputError for a column that is no length by its unit or name, unless a flag states its unit.
-
-    A force suggests `daq import --spring-force`; a friction coefficient is asked about; counts need their pitch.
-    """
+    """Raise InputError for a column that is not a length by its unit or name, unless a flag states its unit."""
     if not cells.names:
         return
     name = cells.names[column]
-    stated, dimension, plain = _stated_unit(name), _dimension(name), _bare(name)
-    where, other = cells.place(cells.header_line, column), "choose the position by --position"
+    stated, dimension, plain = _read_stated_unit(name), find_dimension(name), _strip_unit(name)
+    where, other = cells.locate(cells.header_line, column), "choose the position by --position"
     do = "{} {}; else " + other + ", or state its unit by --x-unit"
+    others: list[tuple[str, str]] = []
     if dimension == "force" or (stated is None and plain in FORCE_NAMES):
-        is_of = f"is in {stated}: a force" if stated else "is a force by its name"
+        kind = f"in {stated}: a force" if stated else "a force by its name"
         how = "for the force of a pulling spring give"
-        flags, keywords = _spring(cells, column, *([] if stated else [("force-unit", "N")]))
-        what = f"{cells.label(column)} {is_of}, no position"
-        raise InputError(what, where, do.format(how, flags), python=in_python(do.format(how, keywords)))
-    if dimension in ("speed", "time"):
+        others = [] if stated else [("force-unit", "N")]
+    elif dimension in ("speed", "time"):
         raise InputError(f"{cells.label(column)} is in {stated}: a {dimension}, no position", where, other)
-    if (stated or "").lower() in RATIO_UNITS or (stated is None and plain in RATIO_NAMES):
-        is_of = f"is dimensionless ({stated})" if stated else "is a friction coefficient by its name"
+    elif (stated or "").lower() in RATIO_UNITS or (stated is None and plain in RATIO_NAMES):
+        kind = f"dimensionless ({stated})" if stated else "a friction coefficient by its name"
         how = "if it is the force of the pulling spring over the slider's weight give"
-        flags, keywords = _spring(cells, column, ("force-unit", "weight"), ("mass", "1 kg"))
-        what = f"{cells.label(column)} {is_of}, no position"
-        raise InputError(what, where, do.format(how, flags), python=in_python(do.format(how, keywords)))
-    if (stated or plain).lower() in COUNT_UNITS:
+        others = [("force-unit", "weight"), ("mass", "1 kg")]
+    elif (stated or plain).lower() in COUNT_UNITS:
         do = "give --metres-per-count '7.67 um', or --counts-per-rev=16384 and --circumference '125.66 mm'"
         raise InputError(f"{cells.label(column)} holds counts", where, do)
+    else:
+        return
+    flags, keywords = _suggest_spring_flags(cells, column, *others)
+    what, do_in_python = f"{cells.label(column)} is {kind}, no position", in_python(do.format(how, keywords))
+    raise InputError(what, where, do.format(how, flags), python=do_in_python)
 
 
-def belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[str, float, str]:
-    """Return what a column of the belt holds, "length" or "speed", the size of its unit in SI, and its name.
-
-    Raises InputError: its unit is neither stated nor given, or is one of neither dimension.
-    """
-    stated = flag_value or (_stated_unit(cells.names[column]) if cells.names else None)
+def read_belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[str, float, str]:
+    """Return the dimension of a belt column, "length" or "speed", the size of its unit in SI, and its name."""
+    stated = flag_value or (_read_stated_unit(cells.names[column]) if cells.names else None)
     for dimension in ("length", "speed"):
         if stated is not None and (units.known(stated, dimension) or flag_value is not None):
             try:
@@ -272,18 +231,15 @@ def belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[str, f
     what = f"{cells.label(column)} states no unit" if stated is None else f"{stated!r} is a unit of neither"
     do = "give --belt-unit=mm for a position of the belt, --belt-unit=mm/s for its speed"
     raise InputError(
-        f"{what}: is it the position or the speed of the belt?", cells.place(cells.header_line, column), do
+        f"{what}: is it the position or the speed of the belt?", cells.locate(cells.header_line, column), do
     )
 
 
-def unit(
+def read_unit(
     cells: Table, column: int, flag_value: str | None, dimension: str, flag: str, warnings: list[str]
 ) -> tuple[float, str]:
-    """Return the size of a column's unit in SI and its name: the flag's, else the header's, else SI.
-
-    Raises InputError: when the header's unit is unknown and the flag was not given.
-    """
-    stated = _stated_unit(cells.names[column]) if cells.names else None
+    """Return the size of a column's unit in SI and its name: the flag's, else the header's, else SI."""
+    stated = _read_stated_unit(cells.names[column]) if cells.names else None
     if dimension == "length" and flag_value is None:
         check_length(cells, column)
     if flag_value is not None:
@@ -296,15 +252,15 @@ def unit(
     base = split_unit(cells.names[column])[0].strip()
     if base != stated and units.known(base, dimension):
         what = f"column {base!r} has the name of a unit, and its unit is stated as {stated}"
-        raise InputError(what, cells.place(cells.header_line, column), f"give {flag}, for example {flag} {base}")
+        raise InputError(what, cells.locate(cells.header_line, column), f"give {flag}, for example {flag} {base}")
     if not units.known(stated, dimension):
         example = f"'0.25 mm' for {stated} of that size" if dimension == "length" else EXAMPLE_UNITS[dimension]
-        what = f"{cells.label(column)} is in {short(stated)}, which is not a known unit of {dimension}"
+        what = f"{cells.label(column)} is in {source.cut(stated)!r}, which is not a known unit of {dimension}"
         do = f"give {flag}, for example {flag} {example}"
-        raise InputError(what, cells.place(cells.header_line, column), do)
+        raise InputError(what, cells.locate(cells.header_line, column), do)
     return units.unit_size(stated, dimension, flag), stated
 
 
 def is_stated(cells: Table, column: int, flag_value: str | None) -> bool:
-    """Return whether the unit of a column was given by a flag or stands in the header."""
-    return flag_value is not None or bool(cells.names and _stated_unit(cells.names[column]))
+    """Return whether the unit of a column was given by a flag or is in the header."""
+    return flag_value is not None or bool(cells.names and _read_stated_unit(cells.names[column]))

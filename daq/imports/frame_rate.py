@@ -23,17 +23,17 @@ def check_half_period(
     time: NDArray[np.float64], position: NDArray[np.float64], mass: float, stiffness: float
 ) -> list[str]:
     """Return a warning when the swings of the slips do not take pi sqrt(m/k), or an empty list."""
-    swing = half_period(time, position)
-    wanted = math.pi * math.sqrt(mass / stiffness)
+    swing = measure_half_period(time, position)
+    expected = math.pi * math.sqrt(mass / stiffness)
     if swing.number == 0:
         return ["the frame rate could not be checked: the track holds no whole slip"]
-    if swing.shortest / wanted <= TOLERANCE and 1 / TOLERANCE <= swing.longest / wanted:
+    if swing.shortest / expected <= TOLERANCE and 1 / TOLERANCE <= swing.longest / expected:
         return []
-    measured, ratio = swing.duration, swing.duration / wanted
+    measured, ratio = swing.duration, swing.duration / expected
     rate = 1 / float(np.median(np.diff(time)))
     return [
         f"the frame rate must be wrong: a slip lasts {measured:.3g} s ({swing.number} found) where "
-        f"pi sqrt(m/k) = {wanted:.3g} s; the times give {rate:.4g} frames/s, {rate * ratio:.4g} would match "
+        f"pi sqrt(m/k) = {expected:.3g} s; the times give {rate:.4g} frames/s, {rate * ratio:.4g} would match "
         f"(or mass and stiffness are wrong); give the camera's true rate by --frame-rate"
     ]
 
@@ -48,13 +48,9 @@ class Swing:
     number: int  # of slips; 0 when the track has no whole one
 
 
-def half_period(time: NDArray[np.float64], position: NDArray[np.float64]) -> Swing:
-    """Return the time from a turning point to the opposite one in a slip.
-
-    Turning points are the extremes between which the position moves by more than half of its range.  Of the two kinds
-    of swing, up and down, the quicker one is the slip: the other waits for the belt.
-    """
-    turns = _turns(position)
+def measure_half_period(time: NDArray[np.float64], position: NDArray[np.float64]) -> Swing:
+    """Return the time from a turning point to the opposite one in a slip, the quicker of the swings up and down."""
+    turns = _find_turns(position)
     # The first and the last extreme may be mere ends of the record.
     inner = np.array(turns[1:-1], np.int64)
     if inner.size < 2:
@@ -68,7 +64,7 @@ def half_period(time: NDArray[np.float64], position: NDArray[np.float64]) -> Swi
     return Swing(duration, shortest, longest, int(slips.sum()))
 
 
-def _turns(position: NDArray[np.float64]) -> list[int]:
+def _find_turns(position: NDArray[np.float64]) -> list[int]:
     # Hysteresis of half the range: an extreme counts once the track has come back from it by that much.
     reach = 0.5 * float(np.ptp(position))
     if reach == 0:

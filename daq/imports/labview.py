@@ -13,7 +13,7 @@ Special blocks are skipped.
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -41,77 +41,63 @@ class _Segment:
 
 
 def read(path: Path, text: str) -> Table:
-    """Read a LabVIEW measurement from its text.
-
-    Raises InputError: there is no segment of numbers, X is not a time, or segments have other channels or times that
-        cannot be placed.
-    """
     where = str(path)
     lines = text.split("\n")
-    stated = (re.match(r"Separator[\t,](\w+)", line) for line in lines[:MOST_TAGS])
-    separator = next((_SEPARATORS.get(found[1], "\t") for found in stated if found), "\t")
-    end = next((number for number, line in enumerate(lines) if _is(line, _END, separator)), None)
+    separators = (re.match(r"Separator[\t,](\w+)", line) for line in lines[:MOST_TAGS])
+    separator = next((_SEPARATORS.get(match[1], "\t") for match in separators if match), "\t")
+    end = next((number for number, line in enumerate(lines) if _has_tag(line, _END, separator)), None)
     if end is None:
         raise InputError("its header does not end", where, "export it again, or delete what stands above the table")
-    header = _tags(lines[:end], separator)
-    segments = [segment for segment in _segments(lines, end + 1, separator, where) if segment.rows]
+    header = _parse_tags(lines[:end], separator)
+    segments = [segment for segment in _split_segments(lines, end + 1, separator, where) if segment.rows]
     if not segments:
         raise InputError("holds no numbers", where, "give a measurement with a channel of positions")
     first = segments[0]
-    decimal = header.get("Decimal_Separator", [""])[0] or _decimal(first.rows[0])  # before version 2 nobody says it
+    decimal = header.get("Decimal_Separator", [""])[0] or _find_decimal(
+        first.rows[0]
+    )  # before version 2 nobody says it
     for segment in segments:
         _check_segment(segment, first, where)
     kind = header.get("X_Columns", ["One"])[0]
-    names, clocks = _columns(first, kind, decimal, where)
+    names, clocks = _name_columns(first, kind, decimal, where)
     rows: list[Sequence[str]] = []
     numbers: list[int] = []
     starts: list[int] = []
-    origin = _stamp(first.tags)
+    origin = _read_stamp(first.tags)
     last = -math.inf
     for segment in segments:
-        timed, begins = _with_times(segment, kind, decimal, where)
-        times = [layout.number(row[0], decimal) for row in timed]
+        timed_rows, measurement_starts = _insert_times(segment, kind, decimal, where)
+        times = [layout.read_number(row[0], decimal) for row in timed_rows]
         begin = next((time for time in times if time is not None), None)
         shift = 0.0
         if begin is not None and begin <= last:
-            stamp = _stamp(segment.tags)
+            stamp = _read_stamp(segment.tags)
             if stamp is not None and origin is not None:
                 shift = DAY_S * (stamp[0] - origin[0]) + (stamp[1] - origin[1])
             if begin + shift <= last:
                 shift = math.nan  # nobody knows when
-        step = _usual_step(times)
-        new = begin is None or not begin + shift - last <= LONGEST_BREAK * step
-        starts += [len(rows) + row for row in begins if row or new]
+        step = _compute_mean_step(times)
+        is_separate = begin is None or not begin + shift - last <= LONGEST_BREAK * step
+        starts += [len(rows) + row for row in measurement_starts if row or is_separate]
         if shift > 0:
-            for row in timed:
+            for row in timed_rows:
                 for column in range(clocks.count(None)):
-                    value = layout.number(row[column], decimal)
+                    value = layout.read_number(row[column], decimal)
                     row[column] = row[column] if value is None else repr(value + shift).replace(".", decimal)
-        known = [time for time in times if time is not None]
-        last = known[-1] + (shift if shift > 0 else 0.0) if known else last
-        rows += timed
+        finite_times = [time for time in times if time is not None]
+        last = finite_times[-1] + (shift if shift > 0 else 0.0) if finite_times else last
+        rows += timed_rows
         numbers += segment.lines
     recorded = " ".join(header.get(tag, [""])[0].strip() for tag in ("Date", "Time")).strip()
-    return Table(
-        path,
-        tuple(names),
-        rows,
-        numbers,
-        len(names),
-        separator,
-        decimal,
-        first.lines[0] - 1,
-        "LabVIEW",
-        recorded,
-        clocks=tuple(clocks),
-        starts=tuple(starts) or (0,),
-    )
+    header_line = first.lines[0] - 1
+    cells = Table(path, tuple(names), rows, numbers, len(names), separator, decimal, header_line, "LabVIEW", recorded)
+    return replace(cells, clocks=tuple(clocks), starts=tuple(starts) or (0,))
 
 
-def _usual_step(times: Sequence[float | None]) -> float:
+def _compute_mean_step(times: Sequence[float | None]) -> float:
     """Return the mean step of times; infinite for fewer than two."""
-    known = [time for time in times if time is not None]
-    return (known[-1] - known[0]) / (len(known) - 1) if len(known) > 1 else math.inf
+    finite_times = [time for time in times if time is not None]
+    return (finite_times[-1] - finite_times[0]) / (len(finite_times) - 1) if len(finite_times) > 1 else math.inf
 
 
 def _check_segment(segment: _Segment, first: _Segment, where: str) -> None:
@@ -127,11 +113,11 @@ def _check_segment(segment: _Segment, first: _Segment, where: str) -> None:
             raise InputError(what, place, "export the signal against time")
 
 
-def _is(line: str, tag: str, separator: str) -> bool:
+def _has_tag(line: str, tag: str, separator: str) -> bool:
     return line.split(separator, 1)[0].strip() == tag
 
 
-def _tags(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
+def _parse_tags(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
     tags = {}
     for line in lines:
         tag, *values = line.split(separator)
@@ -140,26 +126,26 @@ def _tags(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
     return tags
 
 
-def _segments(lines: Sequence[str], at: int, separator: str, where: str) -> list[_Segment]:
+def _split_segments(lines: Sequence[str], first: int, separator: str, where: str) -> list[_Segment]:
     cells_kept = 0
     segments: list[_Segment] = []
     header: list[str] = []
     special = named = False
-    for number, line in enumerate(lines[at:], start=at + 1):
-        if _is(line, _SPECIAL, separator):
+    for number, line in enumerate(lines[first:], start=first + 1):
+        if _has_tag(line, _SPECIAL, separator):
             special = True
-        elif _is(line, _SPECIAL_END, separator):
+        elif _has_tag(line, _SPECIAL_END, separator):
             special = False
         elif special or not line.strip():
             continue
-        elif _is(line, "Channels", separator):  # the header of a segment begins
+        elif _has_tag(line, "Channels", separator):  # the header of a segment begins
             header, named = [line], False
-        elif _is(line, _END, separator):
+        elif _has_tag(line, _END, separator):
             named = False
-        elif _is(line, _COLUMNS, separator) and not named:
+        elif _has_tag(line, _COLUMNS, separator) and not named:
             names = [name.strip() for name in line.rstrip(separator).split(separator)]
             names = names[:-1] if names[-1] == "Comment" else names
-            segments.append(_Segment(_tags(header, separator), names, [], []))
+            segments.append(_Segment(_parse_tags(header, separator), names, [], []))
             named = True
         elif named:
             width = len(segments[-1].names)
@@ -173,76 +159,75 @@ def _segments(lines: Sequence[str], at: int, separator: str, where: str) -> list
     return segments
 
 
-def _decimal(cells: Sequence[str]) -> str:
-    commas = any(layout.number(cell, ".") is None and layout.number(cell, ",") is not None for cell in cells)
+def _find_decimal(cells: Sequence[str]) -> str:
+    commas = any(layout.read_number(cell, ".") is None and layout.read_number(cell, ",") is not None for cell in cells)
     return "," if commas else "."
 
 
-def _columns(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[str], list[int | None]]:
-    """Return the names of the columns with their units, and of each channel the column with its times.
-
-    The times come first: one column where they are the same, else one for each channel.
-    """
+def _name_columns(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[str], list[int | None]]:
+    """Return the names of the columns with their units, and of each channel the column with its times."""
     units = segment.tags.get("Y_Unit_Label", [])
-    channels = [(place, name) for place, name in enumerate(segment.names) if name != _COLUMNS]
-    count = len({clock for clock, _ in _clocks(segment, kind, decimal, where)})
+    channels = [(column, name) for column, name in enumerate(segment.names) if name != _COLUMNS]
+    count = len({clock for clock, _ in _assign_clocks(segment, kind, decimal, where)})
     names = ["Time (s)"] if count == 1 else [f"Time {number + 1} (s)" for number in range(count)]
     clocks: list[int | None] = [None] * count
-    for (_, name), (clock, place) in zip(channels, _clocks(segment, kind, decimal, where), strict=True):
-        unit = units[place] if place < len(units) else ""
+    for (_, name), (clock, column) in zip(channels, _assign_clocks(segment, kind, decimal, where), strict=True):
+        unit = units[column] if column < len(units) else ""
         names.append(f"{name} ({unit})" if unit else name)
         clocks.append(clock)
     return names, clocks
 
 
-def _clocks(segment: _Segment, kind: str, decimal: str, where: str) -> list[tuple[int, int]]:
+def _assign_clocks(segment: _Segment, kind: str, decimal: str, where: str) -> list[tuple[int, int]]:
     """Return of each channel the number of its clock, and its number among the channels' tags."""
-    channels = [place for place, name in enumerate(segment.names) if name != _COLUMNS]
+    channels = [column for column, name in enumerate(segment.names) if name != _COLUMNS]
     if kind == "No":
-        waveforms = _waveforms(segment, len(channels), decimal, where)
+        waveforms = _read_waveforms(segment, len(channels), decimal, where)
         distinct = list(dict.fromkeys(waveforms))
         return [(distinct.index(waveform), number) for number, waveform in enumerate(waveforms)]
     if kind != "Multi":
-        return [(0, place - 1) for place in channels]
+        return [(0, column - 1) for column in channels]
     times: list[int] = []
     clocks = []
-    for place in channels:
-        column = _times_before(segment, place)
-        clock = next((index for index, other in enumerate(times) if _agree(segment, column, other)), len(times))
-        times += [column] if clock == len(times) else []
-        clocks.append((clock, place - 1))
+    for column in channels:
+        time_column = _times_before(segment, column)
+        clock = next(
+            (index for index, other in enumerate(times) if _have_equal_times(segment, time_column, other)), len(times)
+        )
+        times += [time_column] if clock == len(times) else []
+        clocks.append((clock, column - 1))
     return clocks
 
 
 def _times_before(segment: _Segment, channel: int) -> int:
     """Return the column of X values before a channel."""
-    return max(place for place, name in enumerate(segment.names[:channel]) if name == _COLUMNS)
+    return max(column for column, name in enumerate(segment.names[:channel]) if name == _COLUMNS)
 
 
-def _agree(segment: _Segment, column: int, other: int) -> bool:
-    """Return whether two columns hold the same times; of a shorter channel the last are missing."""
+def _have_equal_times(segment: _Segment, column: int, other: int) -> bool:
+    """Return whether two columns hold the same times; the last ones of a shorter channel are missing."""
     pairs = ((row[column].strip(), row[other].strip()) for row in segment.rows)
-    return column == other or all(one == two or not one or not two for one, two in pairs)
+    return column == other or all(first == second or not first or not second for first, second in pairs)
 
 
-def _waveforms(segment: _Segment, channels: int, decimal: str, where: str) -> list[tuple[float, float]]:
+def _read_waveforms(segment: _Segment, channels: int, decimal: str, where: str) -> list[tuple[float, float]]:
     """Return X0 and Delta_X of each channel."""
-    found = []
+    waveforms = []
     for number in range(channels):
-        begin, step = (_tag(segment.tags, tag, number, decimal) for tag in ("X0", "Delta_X"))
+        begin, step = (_read_tag(segment.tags, tag, number, decimal) for tag in ("X0", "Delta_X"))
         if begin is None or not step:
             what = "has neither a column of X values nor X0 and Delta_X"
             raise InputError(what, f"{where}, line {segment.lines[0]}", "export it with X_Columns One")
-        found.append((begin, step))
-    return found
+        waveforms.append((begin, step))
+    return waveforms
 
 
-def _with_times(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[list[str]], list[int]]:
+def _insert_times(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[list[str]], list[int]]:
     """Return the rows of a segment, with the columns of times before the channels, and where measurements begin."""
-    channels = [place for place, name in enumerate(segment.names) if name != _COLUMNS]
+    channels = [column for column, name in enumerate(segment.names) if name != _COLUMNS]
     if kind == "No":
-        distinct = list(dict.fromkeys(_waveforms(segment, len(channels), decimal, where)))
-        samples = _tag(segment.tags, "Samples", 0, decimal) or 0.0
+        distinct = list(dict.fromkeys(_read_waveforms(segment, len(channels), decimal, where)))
+        samples = _read_tag(segment.tags, "Samples", 0, decimal) or 0.0
         size = int(samples) if 0 < samples < len(segment.rows) else len(segment.rows)
         rows = [
             [*(repr(begin + row % size * step).replace(".", decimal) for begin, step in distinct), *cells[1:]]
@@ -251,23 +236,23 @@ def _with_times(segment: _Segment, kind: str, decimal: str, where: str) -> tuple
         return rows, list(range(0, len(rows), size))
     if kind != "Multi":
         return segment.rows, [0]
-    clocks = _clocks(segment, kind, decimal, where)
-    first = {clock: place for (clock, _), place in reversed(list(zip(clocks, channels, strict=True)))}
+    clocks = _assign_clocks(segment, kind, decimal, where)
+    first = {clock: column for (clock, _), column in reversed(list(zip(clocks, channels, strict=True)))}
     times = [_times_before(segment, first[clock]) for clock in sorted(first)]
-    return [[row[place] for place in (*times, *channels)] for row in segment.rows], [0]
+    return [[row[column] for column in (*times, *channels)] for row in segment.rows], [0]
 
 
-def _tag(tags: dict[str, list[str]], tag: str, number: int, decimal: str) -> float | None:
+def _read_tag(tags: dict[str, list[str]], tag: str, number: int, decimal: str) -> float | None:
     """Return a channel's number under a tag; the first channel's where there is only one."""
     values = tags.get(tag, [""])
-    return layout.number(values[min(number, len(values) - 1)], decimal)
+    return layout.read_number(values[min(number, len(values) - 1)], decimal)
 
 
-def _stamp(tags: dict[str, list[str]]) -> tuple[int, float] | None:
-    """Return the day and the second of it in which a segment began; None where its header does not say it."""
+def _read_stamp(tags: dict[str, list[str]]) -> tuple[int, float] | None:
+    """Return the day and the second of it in which a segment began; None where its header does not contain it."""
     try:
         day = datetime.strptime(tags["Date"][0], "%Y/%m/%d")
     except (KeyError, ValueError):
         return None
-    clock = layout.clock(tags.get("Time", [""])[0])
+    clock = layout.read_clock(tags.get("Time", [""])[0])
     return None if clock is None else (day.toordinal(), clock)

@@ -13,7 +13,6 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import date
 
 from stickslip import units
@@ -40,8 +39,8 @@ _WIDE_GAP = re.compile(r"(?<!\s)\s{2,}+|\t")
 _GAP = re.compile(r"(?<!\s)\s++(?![(\[])")
 
 
-def number(cell: str, decimal: str) -> float | None:
-    """Return a cell as a number (which may be nan or inf), or None when it is not a number."""
+def read_number(cell: str, decimal: str) -> float | None:
+    """Return a cell as a number, which may be nan or inf; None when it is not a number."""
     if len(cell) > LONGEST_NUMBER:
         return None
     text = cell.strip().replace("\N{MINUS SIGN}", "-")
@@ -52,8 +51,8 @@ def number(cell: str, decimal: str) -> float | None:
     return float(text) if _NUMBER.fullmatch(text) else None
 
 
-def plain_numbers(cells: Sequence[str], decimal: str) -> list[float] | None:
-    """Return cells as `number` returns each of them, in a third of the CPU time; None unless all are plain numbers."""
+def read_plain_numbers(cells: Sequence[str], decimal: str) -> list[float] | None:
+    """Return cells as `read_number` does, in a third of the CPU time; None unless all are plain numbers."""
     text = "\n".join(cells)
     if decimal == ",":
         if "." in text:
@@ -64,16 +63,12 @@ def plain_numbers(cells: Sequence[str], decimal: str) -> list[float] | None:
     return list(map(float, text.split("\n")))
 
 
-def time_of(cell: str) -> str:
-    """Return the part of a cell behind a date."""
+def strip_date(cell: str) -> str:
     return _DATE_END.split(cell.strip())[-1]
 
 
-def day(cell: str) -> int | None:
-    """Return the date before a time of day as a number of days; None without one that can be read.
-
-    Of 25.03.2026 the day comes first, of 03/25/2026 the month; where both are possible, points mean the day.
-    """
+def read_day(cell: str) -> int | None:
+    """Return the date before a time of day in days: of 25.03.2026 the day comes first, of 03/25/2026 the month."""
     parts = _DATE.match(cell.strip()) if len(cell) <= LONGEST_NUMBER else None
     if parts is None:
         return None
@@ -89,9 +84,9 @@ def day(cell: str) -> int | None:
         return None
 
 
-def clock(cell: str) -> float | None:
-    """Return a time of day such as 12:00:00.000 in seconds since midnight, or None; `day` reads a date before it."""
-    parts = _CLOCK.fullmatch(time_of(cell)) if len(cell) <= LONGEST_NUMBER else None
+def read_clock(cell: str) -> float | None:
+    """Return a time of day such as 12:00:00.000 in seconds since midnight; `read_day` reads a date before it."""
+    parts = _CLOCK.fullmatch(strip_date(cell)) if len(cell) <= LONGEST_NUMBER else None
     if parts is None:
         return None
     hours, minutes, seconds = parts.groups()
@@ -103,8 +98,7 @@ def is_timecode(cell: str) -> bool:
     return len(cell) <= LONGEST_NUMBER and _TIMECODE.fullmatch(cell.strip()) is not None
 
 
-def split(text: str, delimiter: str) -> list[str]:
-    """Return the cells of a line."""
+def split_cells(text: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return text.split()
     if '"' not in text and " " not in text and 0 < len(text) <= csv.field_size_limit():
@@ -115,35 +109,35 @@ def split(text: str, delimiter: str) -> list[str]:
         return [text]  # a cell too long to be one
 
 
-def header(text: str, delimiter: str, width: int) -> list[str]:
+def split_header(text: str, delimiter: str, width: int) -> list[str]:
     """Return the cells of a header; between spaces, ``x (cm)`` is one name; a closing delimiter adds no column."""
     if delimiter == " " and len(text.split()) != width:
         wide = _WIDE_GAP.split(text.strip())
         return wide if len(wide) == width else _GAP.split(text.strip())
-    cells = split(text, delimiter)
+    cells = split_cells(text, delimiter)
     return cells[:-1] if len(cells) == width + 1 and not cells[-1].strip() else cells
 
 
-def find_format(texts: Sequence[str], named: str | None) -> tuple[str, str]:
-    """Return the delimiter and the decimal sign; ``named`` is the delimiter that the file itself names."""
+def find_format(texts: Sequence[str], stated: str | None) -> tuple[str, str]:
+    """Return the delimiter and the decimal sign; ``stated`` is the delimiter that the file itself names."""
     half = texts[len(texts) // 2 :]
     sample = half[:: max(1, len(half) // FORMAT_LINES)]
     best, best_score = CANDIDATES[0], 0.0
     for delimiter, decimal in CANDIDATES:
-        if named is not None and delimiter != named:
+        if stated is not None and delimiter != stated:
             continue
-        rows = [split(text, delimiter) for text in sample]
-        width, same = Counter(map(len, rows)).most_common(1)[0]
+        rows = [split_cells(text, delimiter) for text in sample]
+        width, most_common_count = Counter(map(len, rows)).most_common(1)[0]
         cells = [cell for row in rows for cell in row]
-        numbers = sum(number(cell, decimal) is not None for cell in cells)
-        score = same / len(rows) * numbers / max(len(cells), 1)
+        numbers = sum(read_number(cell, decimal) is not None for cell in cells)
+        score = most_common_count / len(rows) * numbers / max(len(cells), 1)
         if score <= best_score:
             continue  # what follows only lowers it
         if width == 1:
             score *= 0.9  # "1,5" alone is two columns, unless there is a header of one name
         start = find_start(texts, delimiter, decimal, width)
         if 0 < start < len(texts):
-            names = header(texts[start - 1], delimiter, width)
+            names = split_header(texts[start - 1], delimiter, width)
             # A name that contains another delimiter is more than one name.
             if len(names) != width or (width == 1 and any(mark in names[0] for mark in "\t;,|")):
                 score *= 0.5
@@ -152,63 +146,45 @@ def find_format(texts: Sequence[str], named: str | None) -> tuple[str, str]:
     return best
 
 
-def _counts(cell: str, decimal: str) -> bool:
-    """Return whether a cell may stand in a line of data."""
-    return number(cell, decimal) is not None or clock(cell) is not None or is_timecode(cell)
-
-
-@dataclass(frozen=True)
-class _Line:
-    """What a line of the file could be, in a table of a known width."""
-
-    cells: tuple[str, ...]
-    numeric: tuple[bool, ...]
-
-    @property
-    def words(self) -> bool:
-        """Whether it holds no number."""
-        return not any(self.numeric)
+def _is_data(cell: str, decimal: str) -> bool:
+    return read_number(cell, decimal) is not None or read_clock(cell) is not None or is_timecode(cell)
 
 
 def find_start(texts: Sequence[str], delimiter: str, decimal: str, width: int) -> int:
     """Return the index of the first line of data in a table of ``width`` columns; the number of lines without any."""
 
-    def line(index: int) -> _Line:
-        cells = tuple(split(texts[index], delimiter))
-        return _Line(cells, tuple(_counts(cell, decimal) for cell in cells))
+    def mark_data(index: int) -> tuple[bool, ...]:
+        return tuple(_is_data(cell, decimal) for cell in split_cells(texts[index], delimiter))
 
-    first = next((index for index in range(len(texts)) if not line(index).words), len(texts))
+    first = next((index for index in range(len(texts)) if any(mark_data(index))), len(texts))
     if first == len(texts):
         return first
-    usual = Counter(line(index).numeric for index in range(len(texts) // 2, len(texts))[:FORMAT_LINES])
-    pattern = usual.most_common(1)[0][0]
-    if line(first).numeric == pattern:
+    patterns = Counter(mark_data(index) for index in range(len(texts) // 2, len(texts))[:FORMAT_LINES])
+    pattern = patterns.most_common(1)[0][0]
+    if mark_data(first) == pattern:
         return first
     # Words of another width at the top are a preamble, numbers of another width are a damaged line.
-    while first < len(texts) and len(line(first).cells) != width and not all(line(first).numeric):
+    while first < len(texts) and len(mark_data(first)) != width and not all(mark_data(first)):
         first += 1
     alike = 0
     for index in range(first, len(texts)):
-        alike = alike + 1 if line(index).numeric == pattern else 0
+        alike = alike + 1 if mark_data(index) == pattern else 0
         if alike == max(1, min(ALIKE, len(texts) - first - 1)):
             start = index - alike + 1
-            above = header(texts[start - 1], delimiter, width) if start else []
-            named = len(above) == width and start and line(start - 1).words
-            return start if named else first
+            above = split_header(texts[start - 1], delimiter, width) if start else []
+            has_names = len(above) == width and start and not any(mark_data(start - 1))
+            return start if has_names else first
     return first
 
 
 def name_columns(head: Sequence[str], delimiter: str, width: int) -> tuple[str, ...] | None:
-    """Return the names in the lines above the data; a line of units below them is added to them.
-
-    Returns: Empty where the last line is free text; None where it names another number of columns.
-    """
+    """Join the names above the data with a line of units; empty below free text, None for another number of columns."""
     if not head:
         return ()
-    cells = tuple(cell.strip() for cell in header(head[-1], delimiter, width))
+    cells = tuple(cell.strip() for cell in split_header(head[-1], delimiter, width))
     if len(cells) != width:
         return () if len(cells) == 1 and width > 1 else None
-    above = tuple(cell.strip() for cell in header(head[-2], delimiter, width)) if len(head) > 1 else ()
+    above = tuple(cell.strip() for cell in split_header(head[-2], delimiter, width)) if len(head) > 1 else ()
     bare = [cell.strip("()[] ") for cell in cells]
     if len(above) == width and all(above) and _are_units(bare, above):
         return tuple(f"{name} ({unit})" if unit else name for name, unit in zip(above, bare, strict=True))
@@ -216,10 +192,7 @@ def name_columns(head: Sequence[str], delimiter: str, width: int) -> tuple[str, 
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str]) -> bool:
-    """Return whether a line holds the units of the names above it: at least two are known, or one below a known name.
-
-    The others are units that cannot be converted, such as V, or of columns without one.
-    """
-    known = sum(any(units.known(cell, dimension) for dimension in LOGGED) for cell in cells)
-    named = any(name.lower() in TIME_NAMES + POSITION_NAMES for name in above)
-    return known > 1 or (known == 1 and named)
+    """Return whether a line holds the units of the names above it: two known ones, or one below a known name."""
+    unit_count = sum(any(units.known(cell, dimension) for dimension in LOGGED) for cell in cells)
+    names_known = any(name.lower() in TIME_NAMES + POSITION_NAMES for name in above)
+    return unit_count > 1 or (unit_count == 1 and names_known)

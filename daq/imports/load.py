@@ -57,25 +57,25 @@ def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":
     """
     from daq.runfile import store
 
-    place = Path(path)
-    if _is_run(place):
+    file = Path(path)
+    if _is_run(file):
         if import_options:
             name = next(iter(import_options))
             do = "leave it out; calibrations and x0 are arguments of fitting.rank"
-            raise InputError(f"{name}= is for tables, and this is a run file", str(place), do)
-        return store.load(place)
+            raise InputError(f"{name}= is for tables, and this is a run file", str(file), do)
+        return store.load(file)
     import warnings
 
     from daq.imports import table_to_run  # with the library of the command line, which run files do without
 
-    imported = table_to_run.read(place, _options(import_options))
+    imported = table_to_run.read(file, _build_options(import_options))
     for text in imported.warnings:
-        warnings.warn(f"{place.name}: {in_python(text)}", UserWarning, stacklevel=2)
+        warnings.warn(f"{file.name}: {in_python(text)}", UserWarning, stacklevel=2)
     return imported.run
 
 
 def _is_run(path: Path) -> bool:
-    """Return whether a file is to be read as a run file: by its suffix, else by how it begins."""
+    """Return whether a file is to be read as a run file: by its suffix, else by its first bytes."""
     if path.suffix.lower() in TABLE_SUFFIXES:
         return False
     if path.suffix.lower() in RUN_SUFFIXES or not path.is_file():
@@ -85,20 +85,16 @@ def _is_run(path: Path) -> bool:
     return head.startswith((b"\x89HDF\r\n\x1a\n", b"stickslip journal"))
 
 
-def _options(given: dict[str, Any]) -> "ImportOptions":
-    """Return the options of an import as a caller states them.
-
-    Raises InputError: for a keyword that is none, naming the nearest, or a value that it cannot have.
-    """
+def _build_options(keywords: dict[str, Any]) -> "ImportOptions":
     from daq.imports.options import ImportOptions
     from stickslip import units
 
-    known = {field.name for field in fields(ImportOptions)}
+    field_names = {field.name for field in fields(ImportOptions)}
     options: dict[str, Any] = {}
-    for keyword, value in given.items():
+    for keyword, value in keywords.items():
         name = FLAGS.get(keyword, keyword)
-        if name not in known:
-            names = sorted(known - set(FLAGS.values())) + list(FLAGS)
+        if name not in field_names:
+            names = sorted(field_names - set(FLAGS.values())) + list(FLAGS)
             raise InputError(f"no option {keyword!r} of a table", "daq.load", nearest(keyword, names))
         if name in units.OF_QUANTITY:
             value = units.stated(value, name)

@@ -28,7 +28,6 @@ MATLAB_HEADER = 512  # bytes before the HDF5 of a file of version 7.3
 
 
 def read(path: Path) -> Table:
-    """Read a MATLAB file of version 4 to 7.3."""
     parsed = source.unpack(source.parse_isolated(_parse, path, SECONDS, MEMORY, "MATLAB file", SAVE))
     if not parsed.columns:
         raise InputError("holds no vector of real numbers", str(path), "give a file with times and positions in it")
@@ -66,13 +65,13 @@ def _read_version_5(file: Source) -> Iterator[tuple[str, Array]]:
 
 
 def _read_hdf5(file: Source) -> Iterator[tuple[str, Array]]:
-    """Yield the same of a file of version 7.3, which is HDF5, its matrices transposed."""
+    """Yield the matrices of a file of version 7.3, which is HDF5, its matrices transposed."""
     import h5py
 
     with h5py.File(io.BytesIO(file.data)) as content:
-        for name, item in _objects(content, file.path):
+        for name, item in _yield_objects(content, file.path):
             group = isinstance(item, h5py.Group) and not name.startswith("#")
-            for label, part in _fields(name, item, file.path) if group else [(name, item)]:
+            for label, part in _yield_fields(name, item, file.path) if group else [(name, item)]:
                 if not isinstance(part, h5py.Dataset) or part.dtype.kind not in "iuf":
                     continue
                 text = part.attrs.get("MATLAB_class") == b"char" or "MATLAB_empty" in part.attrs
@@ -82,18 +81,18 @@ def _read_hdf5(file: Source) -> Iterator[tuple[str, Array]]:
                     yield label, part[()].T
 
 
-def _fields(name: str, group: Any, path: Path) -> Iterator[tuple[str, Any]]:
-    return ((f"{name}.{field}", part) for field, part in _objects(group, path))
+def _yield_fields(name: str, group: Any, path: Path) -> Iterator[tuple[str, Any]]:
+    return ((f"{name}.{field}", part) for field, part in _yield_objects(group, path))
 
 
-def _objects(group: Any, path: Path) -> Iterator[tuple[str, Any]]:
-    """Yield the objects of a group, of which none lies in another file."""
+def _yield_objects(group: Any, path: Path) -> Iterator[tuple[str, Any]]:
+    """Yield the objects of a group, none of which may lie in another file."""
     for name in group:
         refuse_external_link(group, name, path)
         yield name, group[name]
 
 
 def _check_matrix(name: str, shape: tuple[int, ...], path: Path) -> None:
-    """Refuse a matrix before it is read."""
+    """Reject a matrix that is too large before it is read."""
     columns = 1 if 1 in shape else shape[1]
     source.check_size(max(shape) if columns == 1 else shape[0], columns, f"{path}, {name[:40]}")

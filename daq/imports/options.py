@@ -54,12 +54,10 @@ class ImportOptions(RigFlags):
         False
     )
     frame_rate_hz: Annotated[
-        float | None,
-        flags.rate("--frame-rate", "The camera's true rate, '400 fps': makes or corrects the times."),
+        float | None, flags.rate("--frame-rate", "The camera's true rate, '400 fps': makes or corrects the times.")
     ] = None
     datum: Annotated[
-        Measured | None,
-        flags.measured("--datum", "length", "-x0, which is added to all positions; use --x0.", "datum"),
+        Measured | None, flags.measured("--datum", "length", "-x0, which is added to all positions; use --x0.", "datum")
     ] = None
     started: Annotated[
         str | None, Parameter(name="--start", help="Start time, ISO 8601 with time zone; default the file's date.")

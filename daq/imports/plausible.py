@@ -10,9 +10,7 @@ from daq.runfile.run_data import FEWEST_ROWS, implausible_motion
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
-SLOWEST_S = (
-    0.5  # between samples: 400 frames/s in ms are 2.5, 1 kHz in ms is 1; a record with fewer than 2 samples/s is rare
-)
+SLOWEST_S = 0.5  # between samples: 400 frames/s in ms are 2.5, and a record with fewer than 2 samples/s is rare
 FARTHEST_M = 1e6  # a larger position is a typing error or a wrong unit
 GAP = 100.0  # steps: a longer one is reported as a gap
 HOUR_S = 3600.0
@@ -20,19 +18,18 @@ MOST_ROUNDINGS = 3.0  # longest steps of rounded times by which they may differ 
 
 
 def check_range(values: Array, most: float, cells: Table, column: int, unit: str, flag: str) -> None:
-    """Refuse a column with a value that is not finite or larger than ``most``, naming its line."""
+    """Raise InputError for a column with a value that is not finite or larger than ``most``, naming its line."""
     wrong = np.flatnonzero(~(np.abs(values) <= most))
     if wrong.size:
         row = int(wrong[0])
         raise InputError(
             f"{cells.label(column)} is {values[row]:.9g} {unit}",
-            cells.place(cells.lines[row], column),
+            cells.locate(cells.lines[row], column),
             f"correct or delete that line; if the unit is wrong, give {flag}",
         )
 
 
 def check_increasing(time: Array, cells: Table, column: int) -> None:
-    """Refuse times that do not increase, naming the first line."""
     wrong = np.flatnonzero(np.diff(time) <= 0)
     if not wrong.size:
         return
@@ -45,21 +42,18 @@ def check_increasing(time: Array, cells: Table, column: int) -> None:
         rate = (time.size - 1) / (time[-1] - time[0])
         what += f"; {wrong.size} lines repeat a time, which is rounded too coarsely"
         do = f"number the samples evenly: --frame-rate '{rate:.4g} Hz', or your board's exact rate"
-    raise InputError(what, cells.place(cells.lines[row], column), do)
+    raise InputError(what, cells.locate(cells.lines[row], column), do)
 
 
 def number_evenly(time: Array, rate_hz: float, cells: Table, column: int, warnings: list[str]) -> Array:
-    """Return even times in place of rounded ones that repeat, where they agree with a stated sample rate.
-
-    Raises InputError: samples are missing, or the rate is another.
-    """
+    """Return even times in place of rounded ones that repeat, where they agree with a stated sample rate."""
     even: Array = time[0] + np.arange(time.size) / rate_hz
     rounding = float(np.max(np.diff(time)[np.diff(time) > 0], initial=0.0))
     worst = int(np.argmax(np.abs(time - even)))
     if abs(time[worst] - even[worst]) > MOST_ROUNDINGS * rounding:
         what = f"{cells.label(column)} differs by {time[worst] - even[worst]:.3g} s from even samples at {rate_hz:g} Hz"
         do = "check --frame-rate; where samples are missing, record times with more digits"
-        raise InputError(what, cells.place(cells.lines[worst], column), do)
+        raise InputError(what, cells.locate(cells.lines[worst], column), do)
     warnings.append(f"{cells.label(column)} repeats times; the samples were numbered evenly at {rate_hz:g} Hz")
     return even
 
@@ -77,34 +71,29 @@ def describe_gap(time: Array, cells: Table, *, clock: bool) -> list[str]:
 
 
 def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
-    """Raise InputError when times that were taken for seconds can hardly be."""
+    """Raise InputError when times that were read in seconds are implausible."""
     step = float(np.median(np.diff(time))) if time.size >= FEWEST_ROWS else 0.0
     if step > SLOWEST_S:
         unit = "ms" if step < 1e3 * SLOWEST_S else "us"
         raise InputError(
             f"the unit of the times is not stated; in s there would be a sample every {step:.3g} s",
-            cells.place(cells.header_line, column),
+            cells.locate(cells.header_line, column),
             f"give the unit: --t-unit {unit}? (--t-unit s if they are seconds)",
             python=f"give the unit: t_unit={unit!r}? (t_unit='s' if they are seconds)",
         )
 
 
 def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int, force: bool) -> None:
-    """Raise InputError when positions that were taken for metres, or forces for newtons, can hardly be.
-
-    time, position: s, m.
-    cells, column: Where the positions come from, for the message.
-    force: Whether they were made of forces.
-    """
-    moved = implausible_motion(time, position)
-    if moved is None:
+    """Raise InputError when positions read in metres, or forces (``force``) read in newtons, are implausible."""
+    motion = implausible_motion(time, position)
+    if motion is None:
         return
     if force:
-        what = f"the unit of the forces is not known: none is stated, and in N {moved}"
+        what = f"the unit of the forces is not known: none is stated, and in N {motion}"
         do = "give it: --force-unit mN? --force-unit kgf? (--force-unit N if they are newtons)"
         python = "give it: force_unit='mN'? force_unit='kgf'? (force_unit='N' if they are newtons)"
     else:
-        what = f"the unit of the positions is not known: none is stated, and in m {moved}"
+        what = f"the unit of the positions is not known: none is stated, and in m {motion}"
         do = "give it: --x-unit mm? --x-unit cm? --x-unit '0.25 mm', a pixel? (--x-unit m if they are metres)"
         python = "give it: x_unit='mm'? x_unit='cm'? x_unit='0.25 mm', a pixel? (x_unit='m' if they are metres)"
-    raise InputError(what, cells.place(cells.header_line, column), do, python=python)
+    raise InputError(what, cells.locate(cells.header_line, column), do, python=python)

@@ -26,18 +26,11 @@ from stickslip.compute.arrays import runs
 from stickslip.errors import InputError
 from stickslip.toml import quoted
 
-HOST_FLAGS = {
-    "illegal": counters.FLAG_ILLEGAL,
-    "phase": counters.FLAG_PHASE,
-    "both-moved": counters.FLAG_BOTH,
-}
+HOST_FLAGS = {"illegal": counters.FLAG_ILLEGAL, "phase": counters.FLAG_PHASE, "both-moved": counters.FLAG_BOTH}
 
 
-def kind_of(source: Path) -> str:
-    """Return "journal", "run" or "capture" by a file's first bytes.
-
-    Raises InputError: when it is none of them, or missing.
-    """
+def recognise_kind(source: Path) -> str:
+    """Return "journal", "run" or "capture" by a file's first bytes."""
     where = str(source)
     with regular_file(source, "give a journal, a run file or a .sr capture") as stream:
         head = stream.read(32)
@@ -51,8 +44,8 @@ def kind_of(source: Path) -> str:
     raise InputError("is neither a journal, a run file nor a .sr capture", where, "a CSV is read by daq import")
 
 
-def from_run(source: Path) -> Recording:
-    """Decode a run file again from its raw counters; an import, which has none, is taken as it is."""
+def decode_run(source: Path) -> Recording:
+    """Decode a run file again from its raw counters; an import, which has none, is returned as it is."""
     recording = store.load(source)
     count = recording.count
     if recording.raw is not None and count is not None:
@@ -66,20 +59,17 @@ def from_run(source: Path) -> Recording:
         | provenance.here()
         | {"replay_of": source.name, "replay_of_sha256": recording.digest},
     )
-    return _belt_recounted(run)
+    return _recount_belt(run)
 
 
-def recalibrated(run: Recording, rig: Rig) -> Recording:
-    """Return the run with another calibration; decoder and counter width stay those it was recorded with.
-
-    Positions that no encoder counted move with the datum that was added to them.
-    """
+def recalibrate(run: Recording, rig: Rig) -> Recording:
+    """Return the run with another calibration; decoder and counter width stay those it was recorded with."""
     rig = replace(rig, decoder=run.rig.decoder, counter_bits=run.rig.counter_bits)
     position = positions(run.count, rig) if run.count is not None else run.position + (rig.offset - run.rig.offset)
-    return _belt_recounted(replace(run, rig=rig, position=position, config_toml=rig.to_toml()))
+    return _recount_belt(replace(run, rig=rig, position=position, config_toml=rig.to_toml()))
 
 
-def _belt_recounted(run: Recording) -> Recording:
+def _recount_belt(run: Recording) -> Recording:
     """Return the run with its belt decoded again from the raw counter; without one the run is unchanged."""
     if run.raw is None or run.raw.belt_count is None:
         return run
@@ -88,7 +78,7 @@ def _belt_recounted(run: Recording) -> Recording:
     return replace(run, belt_count=count, belt_velocity=velocity)
 
 
-def findings(run: Recording) -> dict[str, int]:
+def count_faults(run: Recording) -> dict[str, int]:
     """Return ``lost, crc_errors, illegal, phase_errors`` from the raw samples and events of a run."""
     counts = {"lost": 0, "illegal": 0, "phase_errors": 0}
     if run.raw is not None:
@@ -103,11 +93,11 @@ def _recount(raw: Raw, segment: NDArray[np.unsignedinteger], bits: int, sent_as:
     count = np.empty(segment.size, np.int64)
     edges = np.flatnonzero(np.diff(segment.astype(np.int64), prepend=-1))
     for first, last in pairwise([*edges.tolist(), segment.size]):
-        here, counts = slice(first, last), 1
+        part, counts_per_count = slice(first, last), 1
         if sent_as is not None:
-            under = int(np.searchsorted(sent_as.segment, segment[first], side="right")) - 1
-            bits, counts = int(sent_as.counter_bits[under]), int(sent_as.counts[under])
-        count[here] = counters.net_count(raw.count_up[here], raw.count_down[here], bits) * counts
+            identification = int(np.searchsorted(sent_as.segment, segment[first], side="right")) - 1
+            bits, counts_per_count = int(sent_as.counter_bits[identification]), int(sent_as.counts[identification])
+        count[part] = counters.net_count(raw.count_up[part], raw.count_down[part], bits) * counts_per_count
     return count
 
 
@@ -125,38 +115,31 @@ class _Sampler:
         index = np.floor((self.next_sample + np.arange(count + 1)) * self.stride).astype(np.int64)
         index = index[index < last]
         self.next_sample += index.size
-        at = index - offset
-        seen = np.searchsorted(steps.index, at, side="right")
+        chunk_index = index - offset
+        step_count = np.searchsorted(steps.index, chunk_index, side="right")
 
-        def running(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+        def count_so_far(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
             total = np.zeros(mask.size + 1, np.int64)
             np.cumsum(mask, out=total[1:])
-            return np.asarray(total[seen], np.int64)
+            return np.asarray(total[step_count], np.int64)
 
         rows = np.empty((index.size, 5), np.int64)
         rows[:, 0] = index
-        rows[:, 1] = before.up + running(steps.step > 0)
-        rows[:, 2] = before.down + running(steps.step < 0)
-        rows[:, 3] = before.illegal + running(steps.illegal)
-        rows[:, 4] = levels[at]
+        rows[:, 1] = before.up + count_so_far(steps.step > 0)
+        rows[:, 2] = before.down + count_so_far(steps.step < 0)
+        rows[:, 3] = before.illegal + count_so_far(steps.illegal)
+        rows[:, 4] = levels[chunk_index]
         return rows
 
 
-def from_capture(
+def sample_capture(
     capture: sigrok.Capture,
-    wired: decode.Wiring,
+    wiring: decode.Wiring,
     rate_hz: float,
     rig: Rig,
     progress: Callable[[float], None] = lambda done: None,
 ) -> tuple[Recording, decode.Totals]:
-    """Sample a capture as a board would.
-
-    capture, wired: The capture and its wiring.
-    rate_hz: Sample rate of the board, at most the capture's own.
-    rig: Calibration; without metres per count the run's positions are counts.
-    progress: Called with the number of capture samples done.
-    Raises InputError: when the capture does not state its rate, or is slower than ``rate_hz``.
-    """
+    """Sample a capture as a board of ``rate_hz`` would; without metres per count its positions are counts."""
     where = str(capture.path)
     if capture.rate_hz is None:
         raise InputError("does not state its sample rate", where, "give it by --capture-rate, for example '1 MHz'")
@@ -169,27 +152,27 @@ def from_capture(
     before = decode.Totals(0, 0, 0, 0, 0)
     offset = 0
     rows = []
-    for levels, steps, after in decode.walk(capture, wired):
+    for levels, steps, after in decode.decode_chunks(capture, wiring):
         rows.append(sampler.take(levels, steps, before, offset))
         before = after
         offset += levels.size
         progress(offset)
     if not offset:
         raise InputError("holds no logic samples", where, "capture again")
-    rig = replace(rig, decoder=wired.decoder, counter_bits=16)
-    return _captured(capture, wired, rate_hz, rig, np.concatenate(rows)), before
+    rig = replace(rig, decoder=wiring.decoder, counter_bits=16)
+    return _build_run(capture, wiring, rate_hz, rig, np.concatenate(rows)), before
 
 
-def _captured(
-    capture: sigrok.Capture, wired: decode.Wiring, rate_hz: float, rig: Rig, rows: NDArray[np.int64]
+def _build_run(
+    capture: sigrok.Capture, wiring: decode.Wiring, rate_hz: float, rig: Rig, rows: NDArray[np.int64]
 ) -> Recording:
     """Return the run of the rows of `_Sampler.take`, (n, 5)."""
     index, up, down, illegal, levels = rows.T
-    if wired.decoder == "x4":
+    if wiring.decoder == "x4":
         up = up + int(PHASE[levels[0]])  # as on the board, the counter starts at the phase of the levels
     time = index / float(capture.rate_hz or rate_hz)
     count = up - down
-    names = [capture.probes[bit] for bit in wired.bits]
+    names = [capture.probes[bit] for bit in wiring.bits]
     raw = Raw(
         sample=np.arange(index.size, dtype=np.uint32),
         count_up=(up & 0xFFFF).astype(np.uint16),
@@ -199,10 +182,10 @@ def _captured(
         flags=np.zeros(index.size, np.uint16),
         illegal=(illegal & 0xFFFF).astype(np.uint16),
     )
-    raw = replace(raw, flags=_flags(wired.decoder, raw))
-    event_sample, event_kind = _events(raw.flags)
+    raw = replace(raw, flags=_compute_flags(wiring.decoder, raw))
+    event_sample, event_kind = _list_events(raw.flags)
     started = datetime(*capture.stamp, tzinfo=UTC)
-    roles = ("step", "direction") if wired.decoder == decode.TWO_COUNTER else ("a", "b")
+    roles = ("step", "direction") if wiring.decoder == decode.TWO_COUNTER else ("a", "b")
     settings = f"[replay]\nsource = {quoted(capture.path.name)}\nrate_hz = {float(rate_hz)!r}\n"
     settings += "".join(f"{role} = {quoted(name)}\n" for role, name in zip(roles, names, strict=True))
     return Recording(
@@ -224,7 +207,7 @@ def _captured(
     )
 
 
-def _flags(decoder: str, raw: Raw) -> NDArray[np.uint16]:
+def _compute_flags(decoder: str, raw: Raw) -> NDArray[np.uint16]:
     flags = np.zeros_like(raw.flags)
     flags[1:][np.diff(raw.illegal) > 0] |= counters.FLAG_ILLEGAL
     if decoder == "x4":
@@ -235,7 +218,7 @@ def _flags(decoder: str, raw: Raw) -> NDArray[np.uint16]:
     return flags
 
 
-def _events(flags: NDArray[np.uint16]) -> tuple[NDArray[np.uint32], tuple[str, ...]]:
+def _list_events(flags: NDArray[np.uint16]) -> tuple[NDArray[np.uint32], tuple[str, ...]]:
     """Return one event where each check begins to fail."""
     events = []
     for kind, flag in HOST_FLAGS.items():

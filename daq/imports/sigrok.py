@@ -46,40 +46,37 @@ class Capture:
     stamp: tuple[int, int, int, int, int, int]
     entries: tuple[str, ...]  # names of the zip entries with the samples, in order
 
-    def bit(self, probe: str, flag: str) -> int:
-        """Return the bit of a probe called by name or index.
+    @property
+    def listed(self) -> str:
+        return ", ".join(f"{bit} {name}" for bit, name in self.probes.items())
 
-        Raises InputError: for an unknown probe, listing the capture's probes.
-        """
+    def bit(self, probe: str, flag: str) -> int:
+        """Return the bit of a probe called by name or index."""
         for bit, name in self.probes.items():
             if name == probe:
                 return bit
         if probe.isdecimal() and int(probe) in self.probes:
             return int(probe)
-        listed = ", ".join(f"{bit} {name}" for bit, name in self.probes.items())
         near = nearest(probe, tuple(self.probes.values()))
-        do = (near + " " if near.startswith("did") else "") + f"the capture has: {listed}"
+        do = (near + " " if near.startswith("did") else "") + f"the capture has: {self.listed}"
         raise InputError(f"{flag}: the capture has no probe {probe!r}", str(self.path), do)
 
     def levels(self, *bits: int) -> Iterator[NDArray[np.uint8]]:
-        """Yield the samples chunk by chunk: bit i of each value is the level of the i-th probe asked for.
-
-        Raises InputError: when the file turns out to be damaged or ends within a sample.
-        """
+        """Yield the samples chunk by chunk: bit i of each value is the level of the i-th probe of ``bits``."""
         rest = b""
-        with _zip(self.path) as archive:
+        with _open_zip(self.path) as archive:
             for entry in self.entries:
                 with archive.open(entry) as stream:
                     while piece := stream.read(PIECE):
                         data = rest + piece if rest else piece
                         whole = len(data) - len(data) % self.unitsize
                         rest = data[whole:]
-                        yield _pick(np.frombuffer(data, np.uint8, whole), bits, self.unitsize)
+                        yield _extract_bits(np.frombuffer(data, np.uint8, whole), bits, self.unitsize)
         if rest:
             raise InputError("ends within a sample", str(self.path), "copy the capture again from its source")
 
 
-def _pick(data: NDArray[np.uint8], bits: tuple[int, ...], unitsize: int) -> NDArray[np.uint8]:
+def _extract_bits(data: NDArray[np.uint8], bits: tuple[int, ...], unitsize: int) -> NDArray[np.uint8]:
     out = np.zeros(data.size // unitsize, np.uint8)
     for position, bit in enumerate(bits):
         out |= ((data[bit // 8 :: unitsize] >> (bit % 8)) & 1) << position
@@ -87,12 +84,9 @@ def _pick(data: NDArray[np.uint8], bits: tuple[int, ...], unitsize: int) -> NDAr
 
 
 def read(path: Path) -> Capture:
-    """Read the metadata of a capture; its samples stay on disk.
-
-    Raises InputError: when the file is missing, no zip, cut short, has no metadata, no logic samples or no probes.
-    """
+    """Read the metadata of a capture; its samples stay on disk."""
     where = str(path)
-    with _zip(path) as archive:
+    with _open_zip(path) as archive:
         names = archive.namelist()
         if "metadata" not in names:
             raise InputError("is a zip without 'metadata', not a sigrok capture", where, "give a .sr file")
@@ -101,24 +95,24 @@ def read(path: Path) -> Capture:
             raise InputError("is packed in a way that sigrok does not use", where, "zip it again by deflate")
         if archive.getinfo("metadata").file_size > MOST_METADATA:
             raise InputError(f"has over {MOST_METADATA} bytes of metadata", where, "copy the capture again")
-        device = _device(archive.read("metadata"), where)
+        device = _parse_metadata(archive.read("metadata"), where)
         base = device.get("capturefile", "logic-1")
-        entries = _entries(names, base, where)
+        entries = _order_entries(names, base, where)
         size = sum(archive.getinfo(name).file_size for name in entries)
         stamp = archive.getinfo(entries[0]).date_time
         if not (1 <= stamp[1] <= 12 and 1 <= stamp[2] <= 31):
             stamp = (1980, 1, 1, 0, 0, 0)  # a zip without dates
-    probes = _probes(device, where)
-    unitsize = _whole(device, "unitsize", where) or 1 + max(probes) // 8
+    probes = _name_probes(device, where)
+    unitsize = _read_whole(device, "unitsize", where) or 1 + max(probes) // 8
     if max(probes) >= 8 * unitsize:
         raise InputError(f"names probe {max(probes) + 1} in samples of {unitsize} bytes", where, "capture again")
     if size // unitsize == 0:
         raise InputError("holds no logic samples", where, "capture again")
-    return Capture(path, probes, unitsize, _rate(device, where), size // unitsize, stamp, entries)
+    return Capture(path, probes, unitsize, _read_rate(device, where), size // unitsize, stamp, entries)
 
 
 @contextmanager
-def _zip(path: Path) -> Iterator[zipfile.ZipFile]:
+def _open_zip(path: Path) -> Iterator[zipfile.ZipFile]:
     where = str(path)
     try:
         with regular_file(path, "give the .sr file in it") as file, zipfile.ZipFile(file) as archive:
@@ -134,7 +128,7 @@ def _zip(path: Path) -> Iterator[zipfile.ZipFile]:
         raise InputError(what, where, "copy the capture again from its source") from error
 
 
-def _device(text: bytes, where: str) -> dict[str, str]:
+def _parse_metadata(text: bytes, where: str) -> dict[str, str]:
     parser = configparser.ConfigParser(interpolation=None, strict=False)
     # A line of its own is a key, even where it is indented: a parser of ini files takes it for more of the value above.
     lines = [line.strip() for line in text.decode("utf-8", "replace").splitlines()]
@@ -150,27 +144,27 @@ def _device(text: bytes, where: str) -> dict[str, str]:
     return with_logic[0]
 
 
-def _entries(names: list[str], base: str, where: str) -> tuple[str, ...]:
+def _order_entries(names: list[str], base: str, where: str) -> tuple[str, ...]:
     if base in names:
         return (base,)
     numbers = sorted({int(n[len(base) + 1 :]) for n in names if re.fullmatch(re.escape(base) + r"-[1-9]\d{0,8}", n)})
     if not numbers:
         raise InputError(f"has no logic samples (no {base} in the zip)", where, "capture digital channels")
-    missing = next((place for place, number in enumerate(numbers, start=1) if number != place), None)
+    missing = next((expected for expected, number in enumerate(numbers, start=1) if number != expected), None)
     if missing is not None:
         what = f"lacks {base}-{missing} of {base}-1 to {base}-{numbers[-1]}"
         raise InputError(what, where, "copy the capture again from its source")
     return tuple(f"{base}-{number}" for number in numbers)
 
 
-def _probes(device: dict[str, str], where: str) -> dict[int, str]:
+def _name_probes(device: dict[str, str], where: str) -> dict[int, str]:
     probes = {int(key[5:]) - 1: name for key, name in device.items() if re.fullmatch(r"probe[1-9]\d{0,3}", key)}
     if not probes:
         raise InputError("names no probes in its metadata", where, "capture digital channels")
     return dict(sorted(probes.items()))
 
 
-def _whole(device: dict[str, str], key: str, where: str) -> int | None:
+def _read_whole(device: dict[str, str], key: str, where: str) -> int | None:
     if key not in device:
         return None
     if not re.fullmatch(r"0*[1-9]\d{0,3}", device[key]):
@@ -178,7 +172,7 @@ def _whole(device: dict[str, str], key: str, where: str) -> int | None:
     return int(device[key])
 
 
-def _rate(device: dict[str, str], where: str) -> float | None:
+def _read_rate(device: dict[str, str], where: str) -> float | None:
     text = device.get("samplerate", "").strip()
     if not text or text == "0":
         return None

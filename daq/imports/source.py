@@ -8,7 +8,8 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -41,10 +42,7 @@ class Source:
 
 
 def read(path: Path, do: str = "give the CSV file in it") -> Source:
-    """Read a file whole; ``do`` says what to give in place of a folder.
-
-    Raises InputError: it is missing, not a regular file, larger than `MOST_BYTES`, or may not be read.
-    """
+    """Read a file whole; ``do`` says what to give in place of a folder."""
     with regular_file(path, do) as file:
         status = os.fstat(file.fileno())
         check_bytes(status.st_size, str(path))
@@ -58,7 +56,6 @@ def check_bytes(size: int, where: str) -> None:
 
 
 def check_size(rows: int, columns: int, where: str) -> None:
-    """Raise InputError for a table that has too many columns, or too many cells."""
     if columns > MOST_COLUMNS:
         what = f"has {columns:,} columns; a table has at most {MOST_COLUMNS:,}"
     elif rows * columns > MOST_CELLS:
@@ -68,11 +65,27 @@ def check_size(rows: int, columns: int, where: str) -> None:
     raise InputError(what, where, PARTS)
 
 
-def shorten(names: Iterable[str]) -> str:
-    """Return names for a message, of many the first few and how many more."""
-    every = [name if len(name) <= 40 else f"{name[:37]}..." for name in names]
-    more = f" and {len(every) - LISTED} more" if len(every) > LISTED else ""
-    return ", ".join(every[:LISTED]) + more
+def cut(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def shorten(names: Iterable[str], most: int = LISTED) -> str:
+    """Join names for a message: the first ``most``, and how many more."""
+    shortened = [cut(name) for name in names]
+    more = f" and {len(shortened) - most} more" if len(shortened) > most else ""
+    return ", ".join(shortened[:most]) + more
+
+
+@contextmanager
+def refuse_unreadable(kind: str, path: Path, do: str) -> Iterator[None]:
+    """Turn any error of a library that reads a file into an InputError."""
+    try:
+        yield
+    except (MemoryError, InputError):
+        raise
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"is not a {kind} ({reason[:200]})", str(path), do) from error
 
 
 def require(library: str, path: Path) -> None:
@@ -85,8 +98,6 @@ def require(library: str, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Column:
-    """A column that a library read."""
-
     name: str
     values: Array
     clock: tuple[float, float] | None = None  # of a waveform: time of its first value and interval, s
@@ -94,7 +105,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Parsed:
-    """What a child process read: where the bytes came from, when they were recorded, the columns."""
+    """What a child process read."""
 
     sha256: str
     modified_s: float
@@ -103,10 +114,7 @@ class Parsed:
 
 
 def parse_isolated(work: Work, path: Path, seconds: float, memory: int, kind: str, do: str) -> bytes:
-    """Return what a child makes of a file; ``memory`` is what it may take besides the file's own size.
-
-    Raises InputError: the child was ended by a limit, or crashed; and as ``work``.
-    """
+    """Return what a child makes of a file; ``memory``, bytes, is what it may use in addition to the file's size."""
     with regular_file(path, "give the file in it") as file:
         size = os.fstat(file.fileno()).st_size
     try:
@@ -116,43 +124,33 @@ def parse_isolated(work: Work, path: Path, seconds: float, memory: int, kind: st
 
 
 def parse(parser: Callable[[Source], tuple[str, list[Column]]], path: Path, kind: str, do: str) -> bytes:
-    """Return, in the child, the columns that a parser finds, packed for the parent.
-
-    Raises InputError: the parser failed, or the columns are too many or too large.
-    """
+    """Return, in the child, the columns that a parser reads, packed for the parent."""
     source = read(path, "give the file in it")
-    try:
+    with refuse_unreadable(kind, path, do):
         recorded, columns = parser(source)
-    except (MemoryError, InputError):
-        raise
-    except Exception as error:  # whatever the library stumbles over
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"is not a {kind} ({reason[:200]})", str(path), do) from error
     check_size(1, len(columns), str(path))
     check_size(sum(column.values.size for column in columns), 1, str(path))
-    about = [(_printable(column.name), column.values.size, column.clock) for column in columns]
-    head = json.dumps([source.sha256, source.modified_s, recorded, about])
+    descriptions = [(_clean_name(column.name), column.values.size, column.clock) for column in columns]
+    head = json.dumps([source.sha256, source.modified_s, recorded, descriptions])
     return b"\n".join([head.encode(), b"".join(column.values.astype("<f8").tobytes() for column in columns)])
 
 
-def unpack(sent: bytes) -> Parsed:
-    """Return what `parse` packed."""
-    head, _, content = sent.partition(b"\n")
-    sha256, modified_s, recorded, about = json.loads(head)
-    ends = 8 * np.cumsum([0, *(size for _, size, _ in about)])
+def unpack(message: bytes) -> Parsed:
+    head, _, content = message.partition(b"\n")
+    sha256, modified_s, recorded, descriptions = json.loads(head)
+    ends = 8 * np.cumsum([0, *(size for _, size, _ in descriptions)])
     columns = tuple(
         Column(name, np.frombuffer(content[first:last], "<f8"), None if clock is None else (clock[0], clock[1]))
-        for (name, _, clock), first, last in zip(about, ends[:-1], ends[1:], strict=True)
+        for (name, _, clock), first, last in zip(descriptions, ends[:-1], ends[1:], strict=True)
     )
     return Parsed(sha256, modified_s, recorded, columns)
 
 
-def usual_length(columns: Sequence[Column]) -> int:
-    """Return the length that most columns share."""
+def find_usual_length(columns: Sequence[Column]) -> int:
     return Counter(column.values.size for column in columns).most_common(1)[0][0]
 
 
-def _printable(name: str | bytes) -> str:
+def _clean_name(name: str | bytes) -> str:
     """Return a name without bytes that are not UTF-8."""
     text = name.decode("utf-8", "replace") if isinstance(name, bytes) else name.encode("utf-8", "replace").decode()
     return "".join(letter if letter.isprintable() else "?" for letter in text)

@@ -25,19 +25,15 @@ COMMENTS = ("#", "%", "//", "=~=~")  # the last begins the log of a terminal pro
 HDF5 = b"\x89HDF\r\n\x1a\n"  # how such a file begins, a run file among them
 # A column, what makes a number of its cells (None where it cannot), and what a cell should be.
 ColumnReader = tuple[int, Callable[[str], float | None], str]
-TOGETHER = 4096  # rows whose cells are converted together; half costs the same CPU time, double 50 % more
+TOGETHER = 4096  # rows whose cells are converted together
 MOST_COMMENTS = 100  # lines above a table in which its names are looked for
 LISTED = 5  # lines named in a message about many
-# Characters.  A table of 4000 columns has lines of half of it; at twice, a file that is no table takes a second to be
-# found out, since every delimiter and decimal sign is tried on each line.
-LONGEST_LINE = 100_000
+LONGEST_LINE = 100_000  # characters; a table of 4000 columns has half of it
 _STAMP = re.compile(r"\d{2}:\d{2}:\d{2}\.\d{3} -> ")  # of the serial monitor of Arduino, before each line
 
 
 @dataclass(frozen=True)
 class Skipped:
-    """A line that cannot be read: its number in the file, from 1, and what is wrong with it."""
-
     line: int
     what: str
 
@@ -66,32 +62,32 @@ class Table:
 
     @property
     def delimiter_name(self) -> str:
-        """The delimiter in words; "none" for a single column, the kind of a file that is no text."""
+        """The delimiter in words; "none" for a single column, the kind of a file that is not text."""
         return self.kind or (DELIMITER_NAMES[self.delimiter] if self.width > 1 else "none")
 
     def label(self, column: int) -> str:
         """Return the name of a column in messages."""
-        return f"column {short(self.names[column])}" if self.names else f"column {column + 1}"
+        return f"column {source.cut(self.names[column])!r}" if self.names else f"column {column + 1}"
 
     @property
     def listed(self) -> str:
         """The names of the columns, for messages; empty without a header."""
         return source.shorten(self.names) + (f" (of another length: {self.left_out})" if self.left_out else "")
 
-    def place(self, line: int, column: int | None = None) -> str:
-        """Return where a line, or a cell of it, stands in the file, for messages."""
+    def locate(self, line: int, column: int | None = None) -> str:
+        """Return the position of a line, or of a cell of it, in the file, for messages."""
         where = f"{self.path}, line {line}" if line else str(self.path)
         return where if column is None else f"{where}, column {column + 1}"
 
     def number(self, cell: str) -> float | None:
         """Return a cell as a finite number, None when it is not one."""
-        value = layout.number(cell, self.decimal)
+        value = layout.read_number(cell, self.decimal)
         return None if value is None or value - value != 0 else value
 
     @classmethod
     def of_columns(cls, path: Path, parsed: Parsed, kind: str) -> "Table":
         """Return the table of the columns that have the usual length, with their waveforms' times before them."""
-        length = source.usual_length(parsed.columns)
+        length = source.find_usual_length(parsed.columns)
         columns = [column for column in parsed.columns if column.values.size == length]
         clocks = list(dict.fromkeys(column.clock for column in columns if column.clock is not None))
         names = ["Time (s)"] if len(clocks) == 1 else []
@@ -101,30 +97,19 @@ class Table:
         cells = [list(map(repr, (begin + step * np.arange(length)).tolist())) for begin, step in clocks]
         cells += [list(map(repr, column.values.tolist())) for column in columns]
         names += [column.name for column in columns]
-        return cls(
-            path,
-            tuple(names),
-            list(zip(*cells, strict=True)),
-            list(range(1, length + 1)),
-            len(names),
-            "",
-            ".",
-            kind=kind,
-            recorded=parsed.recorded,
+        rows: list[Sequence[str]] = list(zip(*cells, strict=True))
+        table = cls(path, tuple(names), rows, list(range(1, length + 1)), len(names), "", ".", 0, kind, parsed.recorded)
+        clock_of = (None if column.clock is None else clocks.index(column.clock) for column in columns)
+        return replace(
+            table,
             sha256=parsed.sha256,
             modified_s=parsed.modified_s,
-            clocks=(
-                *[None] * len(clocks),
-                *(None if column.clock is None else clocks.index(column.clock) for column in columns),
-            ),
+            clocks=(*[None] * len(clocks), *clock_of),
             left_out=source.shorten(column.name for column in parsed.columns if column.values.size != length),
         )
 
     def segment(self, number: int | None) -> "Table":
-        """Return one of the measurements, from 1, or all as one record (0); None: the only one.
-
-        Raises InputError: there is no such measurement, or several and none was chosen.
-        """
+        """Return the measurement of a number from 1, or all as one record (0); None: the only one."""
         count = len(self.starts)
         if number is None and count > 1:
             begins = source.shorten(f"line {self.lines[start]}" for start in self.starts)
@@ -142,14 +127,7 @@ class Table:
     def columns(
         self, readers: Sequence[ColumnReader], *, skip: bool, progress: Stages = silent
     ) -> "tuple[Array, Table, tuple[Skipped, ...]]":
-        """Return columns as numbers.
-
-        skip: Leave out the lines that cannot be read, instead of refusing them.
-        progress: Called with the stage, the lines done, and all lines.
-        Returns: The numbers; the table of the lines that they were read from; the lines left out.
-        Raises InputError: for a line of another length or a cell that cannot be read, naming line and column, and how
-            many there are.
-        """
+        """Return columns as numbers, the table of their lines, and the lines left out, which ``skip`` allows."""
         values: list[Array] = []
         kept: list[int] = []
         bad: list[Skipped] = []
@@ -162,30 +140,30 @@ class Table:
                 values.append(plain)
                 kept += range(begin, begin + len(rows))
                 continue
-            found: list[list[float]] = []
+            numbers: list[list[float]] = []
             for index, row in enumerate(rows, start=begin):
                 cells: list[float] = []
                 for column, reader, kind in readers if len(row) == self.width else ():
                     value = reader(row[column])
                     if value is None:
                         cell = row[column].strip()
-                        what = f"holds {short(cell)}, not {kind}" if cell else "is empty"
+                        what = f"holds {source.cut(cell)!r}, not {kind}" if cell else "is empty"
                         bad.append(Skipped(self.lines[index], f"{self.label(column)} {what}"))
                         first = column if len(bad) == 1 else first
                         break
                     cells.append(value)
                 else:
                     if len(row) == self.width:
-                        found.append(cells)
+                        numbers.append(cells)
                         kept.append(index)
                     else:
                         columns = "1 column" if len(row) == 1 else f"{len(row)} columns"
                         what = f"has {columns} where the others have {self.width}"
                         bad.append(Skipped(self.lines[index], what))
-            values.append(np.array(found, np.float64).reshape(-1, len(readers)).T)
+            values.append(np.array(numbers, np.float64).reshape(-1, len(readers)).T)
         if bad and not skip:
-            do, python = _advice(self, bad, kept)
-            raise InputError(_bad_lines(bad), self.place(bad[0].line, first), do, python=python)
+            do, python = _advise(self, bad, kept)
+            raise InputError(_describe_bad_lines(bad), self.locate(bad[0].line, first), do, python=python)
         good = self
         if bad:
             good = replace(self, rows=[self.rows[index] for index in kept], lines=[self.lines[index] for index in kept])
@@ -195,26 +173,23 @@ class Table:
         """Return the columns of some rows as numbers, (columns, rows); None unless each cell is a plain number."""
         if {*map(len, rows)} != {self.width} or any(reader != self.number for _, reader, _ in readers):
             return None
-        columns = [layout.plain_numbers([row[column] for row in rows], self.decimal) for column, _, _ in readers]
+        columns = [layout.read_plain_numbers([row[column] for row in rows], self.decimal) for column, _, _ in readers]
         if any(numbers is None for numbers in columns):
             return None
         values = np.array(columns, np.float64)
         return values if np.isfinite(values).all() else None
 
 
-def listed(lines: Sequence[int]) -> str:
-    """Return the numbers of the first few lines: ``3, 4, 9 and 12 more``."""
-    more = f" and {len(lines) - LISTED} more" if len(lines) > LISTED else ""
-    return ", ".join(map(str, lines[:LISTED])) + more
+def list_lines(lines: Iterable[int]) -> str:
+    return source.shorten(map(str, lines), LISTED)
 
 
-def _bad_lines(bad: Sequence[Skipped]) -> str:
-    return bad[0].what + (
-        f"; {len(bad)} lines cannot be read: {listed([each.line for each in bad])}" if len(bad) > 1 else ""
-    )
+def _describe_bad_lines(bad: Sequence[Skipped]) -> str:
+    several = f"; {len(bad)} lines cannot be read: {list_lines(skipped.line for skipped in bad)}"
+    return bad[0].what + (several if len(bad) > 1 else "")
 
 
-def _advice(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> tuple[str, str]:
+def _advise(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> tuple[str, str]:
     """Return what to do, for a terminal and in Python."""
     what = "those lines" if len(bad) > 1 else "that line"
     do = f"correct or delete {what}, or leave such lines out with {{}}: times need not be even"
@@ -223,43 +198,23 @@ def _advice(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> tuple[
     return do.format("--skip-bad"), in_python(do.format("skip_bad=True"))
 
 
-def short(cell: str) -> str:
-    """Return a cell in quotes, its end left out where it is long."""
-    return repr(cell if len(cell) <= 40 else cell[:37] + "...")
-
-
-def read(path: Path, preamble: int = 0, progress: Stages = silent) -> Table:
-    """Read a table of numbers; ``preamble`` is how many lines at its top to pass over."""
-    file = source.read(path)
-    cells = of_lines(path, enumerate(text_of(file).split("\n"), start=1), preamble, progress)
-    return replace(cells, sha256=file.sha256, modified_s=file.modified_s)
-
-
-def of_lines(
-    path: Path,
-    numbered: Iterable[tuple[int, str]],
-    preamble: int = 0,
-    progress: Stages = silent,
-    named: str | None = None,
+def parse_lines(
+    path: Path, numbered: Iterable[tuple[int, str]], preamble: int, progress: Stages, delimiter_known: str | None = None
 ) -> Table:
-    """Return the table in numbered lines; ``named`` is the delimiter, where it is known.
-
-    Raises InputError: there are no numbers, a line is longer than `LONGEST_LINE`, or the header names another number of
-        columns than the lines have.
-    """
-    lines, comments, own = _kept(path, numbered, preamble, progress)
-    named = own if named is None else named
+    """Return the table in numbered lines; ``delimiter_known`` is the delimiter, where it is known."""
+    lines, comments, stated = _select_lines(path, numbered, preamble, progress)
+    delimiter_known = stated if delimiter_known is None else delimiter_known
     texts = [text for _, text in lines]
     if all(_STAMP.match(text) for text in texts):
         texts = [_STAMP.sub("", text, count=1) for text in texts]
-    delimiter, decimal = layout.find_format(texts, named)
-    rows, data = _split(texts, delimiter, decimal, progress)
+    delimiter, decimal = layout.find_format(texts, delimiter_known)
+    rows, data = _split_lines(texts, delimiter, decimal, progress)
     if data and delimiter != " " and all(len(row) > 1 and not row[-1].strip() for row in data):
         # Every line closes with a delimiter.
         texts = [
             text.rstrip()[:-1] if text.rstrip().endswith(delimiter.strip() or delimiter) else text for text in texts
         ]
-        rows, data = _split(texts, delimiter, decimal, silent)
+        rows, data = _split_lines(texts, delimiter, decimal, silent)
     if not data:
         raise InputError("holds no numbers", str(path), "give a CSV with a column of positions")
     width = Counter(map(len, data)).most_common(1)[0][0]
@@ -268,7 +223,7 @@ def of_lines(
     head = texts[:start]
     names = layout.name_columns(head, delimiter, width)
     if names is None:
-        count = len(layout.header(head[-1], delimiter, width))
+        count = len(layout.split_header(head[-1], delimiter, width))
         raise InputError(
             f"the header names {count} columns, the lines below have {width}",
             f"{path}, line {lines[start - 1][0]}",
@@ -277,23 +232,15 @@ def of_lines(
     header_line = lines[start - 1][0] if names else 0
     first_line = lines[start][0]
     above = tuple(text for line, text in reversed(comments) if line < first_line)
-    kept, starts, beside = _measurements(rows, start, head, delimiter, width)
+    kept, starts, outside = _find_measurements(rows, start, head, delimiter, width)
+    beside = tuple(lines[index][0] for index in outside)
+    rows, numbers = [rows[index] for index in kept], [lines[index][0] for index in kept]
     return Table(
-        path,
-        names,
-        [rows[index] for index in kept],
-        [lines[index][0] for index in kept],
-        width,
-        delimiter,
-        decimal,
-        header_line,
-        comments=above,
-        starts=starts,
-        beside=tuple(lines[index][0] for index in beside),
+        path, names, rows, numbers, width, delimiter, decimal, header_line, comments=above, starts=starts, beside=beside
     )
 
 
-def _split(
+def _split_lines(
     texts: Sequence[str], delimiter: str, decimal: str, progress: Stages
 ) -> tuple[list[Sequence[str]], list[Sequence[str]]]:
     """Return the cells of each line, and those of the lines that hold a number."""
@@ -301,22 +248,19 @@ def _split(
     data: list[Sequence[str]] = []
     for begin in range(0, len(texts), TOGETHER):
         progress("splitting lines", begin, len(texts))
-        some: list[Sequence[str]] = [layout.split(text, delimiter) for text in texts[begin : begin + TOGETHER]]
-        rows += some
-        if layout.plain_numbers([row[0] if row else "" for row in some], decimal) is None:
-            some = [row for row in some if any(layout.number(cell, decimal) is not None for cell in row)]
-        data += some
+        chunk: list[Sequence[str]] = [layout.split_cells(text, delimiter) for text in texts[begin : begin + TOGETHER]]
+        rows += chunk
+        if layout.read_plain_numbers([row[0] if row else "" for row in chunk], decimal) is None:
+            chunk = [row for row in chunk if any(layout.read_number(cell, decimal) is not None for cell in row)]
+        data += chunk
     return rows, data
 
 
-def _measurements(
+def _find_measurements(
     rows: Sequence[Sequence[str]], start: int, head: Sequence[str], delimiter: str, width: int
 ) -> tuple[list[int], tuple[int, ...], list[int]]:
-    """Return the rows of data, which of them begin a measurement, and rows of cells beside the table, such as notes.
-
-    A measurement begins below each repeated header.
-    """
-    header = {tuple(layout.split(text, delimiter)) for text in head if text}
+    """Return the rows of data, which of them start a measurement, and rows outside the table, such as notes."""
+    header = {tuple(layout.split_cells(text, delimiter)) for text in head if text}
     kept: list[int] = []
     beside: list[int] = []
     starts = [0]
@@ -334,8 +278,8 @@ def _measurements(
     return kept, tuple(starts), beside
 
 
-def text_of(file: Source) -> str:
-    """Return the text of a file, its lines ended by line feeds; InputError where it is not text."""
+def decode_text(file: Source) -> str:
+    """Return the text of a file, its lines ended by line feeds."""
     data, where = file.data, str(file.path)
     if data.startswith(HDF5):
         do = "a run file needs no import: process smooth reads it; of another file export a CSV"
@@ -352,31 +296,31 @@ def text_of(file: Source) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _kept(
+def _select_lines(
     path: Path, lines: Iterable[tuple[int, str]], preamble: int, progress: Stages
 ) -> tuple[list[tuple[int, str]], list[tuple[int, str]], str | None]:
     """Return number and text of each line that may hold data, of comments, and the delimiter that the file names."""
     where = str(path)
-    every = list(lines)
-    numbered = [(line, text) for line, text in every if line > preamble]
+    all_lines = list(lines)
+    numbered = [(line, text) for line, text in all_lines if line > preamble]
     kept: list[tuple[int, str]] = []
     comments: list[tuple[int, str]] = []
     for begin in range(0, len(numbered), TOGETHER):
         progress("reading lines", begin, len(numbered))
-        some = [(line, content) for line, content in numbered[begin : begin + TOGETHER] if content.strip(" \t;,|")]
-        comment = [content.lstrip().startswith(COMMENTS) for _, content in some]
-        kept += [each for each, is_comment in zip(some, comment, strict=True) if not is_comment]
+        chunk = [(line, content) for line, content in numbered[begin : begin + TOGETHER] if content.strip(" \t;,|")]
+        comment = [content.lstrip().startswith(COMMENTS) for _, content in chunk]
+        kept += [each for each, is_comment in zip(chunk, comment, strict=True) if not is_comment]
         if len(comments) < MOST_COMMENTS:
-            comments += [each for each, is_comment in zip(some, comment, strict=True) if is_comment]
-    named = None
+            comments += [each for each, is_comment in zip(chunk, comment, strict=True) if is_comment]
+    delimiter = None
     if kept and kept[0][1].lower().startswith("sep=") and len(kept[0][1]) == 5:
-        named = kept.pop(0)[1][4]  # written by spreadsheets
+        delimiter = kept.pop(0)[1][4]  # written by spreadsheets
     if not kept:
-        what = "holds no data" if any(text for _, text in every) else "is empty"
+        what = "holds no data" if any(text for _, text in all_lines) else "is empty"
         raise InputError(what, where, "give a CSV with a column of positions")
     for line, content in kept:
         if len(content) > LONGEST_LINE:
             what = f"the line holds {len(content)} characters; a line of a table has at most {LONGEST_LINE}"
             do = "delete that line; if the table begins below it, give --preamble"
             raise InputError(what, f"{where}, line {line}", f"{do} {line}")
-    return kept, comments[:MOST_COMMENTS], named
+    return kept, comments[:MOST_COMMENTS], delimiter

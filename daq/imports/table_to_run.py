@@ -16,7 +16,16 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.imports import labview, layout, plausible, source, table
-from daq.imports.columns import belt_unit, called, check_clock, find, is_length, is_stated, named, unit
+from daq.imports.columns import (
+    check_clock,
+    find_by_name,
+    find_columns,
+    find_dimension,
+    is_stated,
+    name_from_comment,
+    read_belt_unit,
+    read_unit,
+)
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
 from daq.runfile import provenance
@@ -31,8 +40,7 @@ from stickslip.errors import InputError
 from stickslip.toml import quoted
 from stickslip.units import Measured
 
-# Ratio of the times' rate to --frame-rate beyond which the times are corrected.  An error of 1 % in time
-# is 1 % in velocity: double leaves 2 % uncorrected, half corrects what rounded times cause.  Not swept.
+# Ratio of the times' rate to --frame-rate beyond which times are corrected; 1 % in time is 1 % in velocity.
 FRAME_RATE_TOLERANCE = 1.01
 GRAVITY = 9.80665  # m/s^2, standard
 WEIGHT = ("weight", "mg")  # words for a force divided by the slider's weight
@@ -42,10 +50,7 @@ MOST_TICKS = 2.0**53  # whole numbers up to here are exact
 
 @dataclass(frozen=True)
 class Imported:
-    """A run made of a table, how its columns were read, what was left out of it, and what looks wrong with it.
-
-    ``assumed`` are the SI units of columns that state none.
-    """
+    """A run made of a table, how its columns were read, what was left out of it, and what looks wrong with it."""
 
     run: Recording
     columns: dict[str, str]
@@ -58,7 +63,7 @@ class Imported:
 
 
 class Columns(NamedTuple):
-    """Which columns hold what; None where there is none."""
+    """Which columns hold what; None where a column is missing."""
 
     time: int | None
     position: int
@@ -67,14 +72,10 @@ class Columns(NamedTuple):
 
 
 def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Imported:
-    """Read a table into a run; ``progress`` is called with the stage, the lines done, and all lines.
-
-    Raises InputError: an unreadable table, several measurements of which none was chosen, an unknown column or unit, a
-        cell that is not a number, times that do not increase, numbers that are impossible in their unit.
-    """
+    """Read a table into a run; ``progress`` is called with the stage, the lines done, and all lines."""
     stated = options.stated()
     _check_options(options, stated)
-    cells = named(_cells(path, options, progress))
+    cells = name_from_comment(_read_cells(path, options, progress))
     warnings: list[str] = []
     forces = options.spring_force is not None
     columns = _choose_columns(cells, options)
@@ -86,24 +87,23 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         _check_counts(cells, columns.position, options)
         x_size, x_unit = 1.0, f"counts of {pitch.value:g} m"
     else:
-        x_size, x_unit = _position_unit(cells, columns.position, options, warnings)
+        x_size, x_unit = _read_position_unit(cells, columns.position, options, warnings)
     readers: list[table.ColumnReader] = [(columns.position, cells.number, "a number")]
     if columns.time is not None:
-        readers.append(_times(cells, columns.time, clock=options.clock))
+        readers.append(_choose_time_reader(cells, columns.time, clock=options.clock))
     if columns.belt is not None:
         readers.append((columns.belt, cells.number, "a number"))
     values, cells, skipped = cells.columns(readers, skip=options.skip_bad, progress=progress)
     if skipped:
         share = 100 * len(skipped) / (len(skipped) + len(cells.lines))
-        lines = table.listed([line.line for line in skipped])
+        lines = table.list_lines(line.line for line in skipped)
         warnings.append(f"{len(skipped)} lines ({share:.2g} %) could not be read and were left out: {lines}")
     if cells.beside:
         count_of = f"{len(cells.beside)} line{'s' if len(cells.beside) > 1 else ''}"
-        warnings.append(f"{count_of} with cells beside the table only: left out: {table.listed(cells.beside)}")
+        warnings.append(f"{count_of} with cells beside the table only: left out: {table.list_lines(cells.beside)}")
     if values.shape[1] < 2:
-        raise InputError(
-            f"holds {('no', 'a single')[values.shape[1]]} sample", str(path), "give a track of at least two"
-        )
+        what = f"holds {('no', 'a single')[values.shape[1]]} sample"
+        raise InputError(what, str(path), "give a track of at least two")
     time, t_unit, chosen = _read_times(values, cells, columns, options, warnings)
     values = values[:, chosen]
     cells = replace(cells, lines=cells.lines[chosen], rows=cells.rows[chosen])
@@ -111,62 +111,64 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
     if count is not None and (roll_over := find_roll_over(count)) is not None:
         count = unroll(count, roll_over)
         warnings.append(f"the counter rolled over or restarted {roll_over}; these jumps were removed")
-    rig = _rig(options, stated)
+    rig = _build_rig(options, stated)
     position = values[0] * x_size if count is None else positions(count, replace(rig, datum=None))
     plausible.check_range(position, plausible.FARTHEST_M, cells, columns.position, "m", "its unit")
-    if (wrong := impossible_motion(time, position)) is not None:
+    if (impossible := impossible_motion(time, position)) is not None:
         do = "give the unit of the times with --t-unit" if options.frame_rate_hz is None else "check --frame-rate"
-        raise InputError(wrong, str(path), do)
-    sure = count is not None or is_stated(cells, columns.position, options.force_unit if forces else options.x_unit)
-    if not sure:
+        raise InputError(impossible, str(path), do)
+    has_unit = count is not None or is_stated(cells, columns.position, options.force_unit if forces else options.x_unit)
+    if not has_unit:
         plausible.ask_for_length_unit(time, position, cells, columns.position, forces)
-    rest = options.x0
+    rest_position = options.x0
     if options.datum is not None:
-        rest = replace(options.datum, value=-options.datum.value)
-    if rest is not None and (asked := question(rest, float(position.min()), float(position.max()))):
-        warnings.append(asked)
+        rest_position = replace(options.datum, value=-options.datum.value)
+    if rest_position is not None and (doubt := question(rest_position, float(position.min()), float(position.max()))):
+        warnings.append(doubt)
     position = position + rig.offset
     if rig.mass is not None and rig.stiffness is not None:
         warnings += check_half_period(time, position, rig.mass.value, rig.stiffness.value)
     in_unit = ", times of day" if options.clock else f" in {t_unit}"
-    how = {
+    sources = {
         "time": "frame rate" if columns.time is None else f"{cells.label(columns.time)}{in_unit}",
         "position": f"{cells.label(columns.position)} in {x_unit}",
     }
     run = Recording("", "", "", sample_rate(time), rig, time, position, count)
     if columns.belt is not None:
-        of, size, name = belt_unit(cells, columns.belt, options.belt_unit)
-        moved = values[-1] * size
-        plausible.check_range(moved, plausible.FARTHEST_M, cells, columns.belt, "m", "--belt-unit")
-        run = with_belt(run, moved if of == "length" else _travelled(time, moved))
-        how["belt"] = f"{cells.label(columns.belt)} in {name}, its {'position' if of == 'length' else of}"
-    run = _run(path, options, run, cells, how, skipped)
+        dimension, size, name = read_belt_unit(cells, columns.belt, options.belt_unit)
+        belt = values[-1] * size
+        plausible.check_range(belt, plausible.FARTHEST_M, cells, columns.belt, "m", "--belt-unit")
+        run = with_belt(run, belt if dimension == "length" else _integrate_speed(time, belt))
+        kind = "position" if dimension == "length" else dimension
+        sources["belt"] = f"{cells.label(columns.belt)} in {name}, its {kind}"
+    run = _complete_run(options, run, cells, sources, skipped)
     step = np.diff(time)
     even = bool(np.all(np.abs(step - step.mean()) <= 1e-3 * step.mean() + 1e-9))
-    assumed = [] if sure else ["N" if forces else "m"]
+    assumed = [] if has_unit else ["N" if forces else "m"]
     if columns.time is not None and not (
         columns.frames or options.clock or is_stated(cells, columns.time, options.t_unit)
     ):
         assumed.append("s")
-    return Imported(run, how, cells.delimiter_name, cells.decimal, even, len(skipped), tuple(warnings), tuple(assumed))
+    return Imported(
+        run, sources, cells.delimiter_name, cells.decimal, even, len(skipped), tuple(warnings), tuple(assumed)
+    )
 
 
 def _choose_columns(cells: table.Table, options: ImportOptions) -> Columns:
-    """Return the columns that options name, or that names and units show."""
     forces = options.spring_force is not None
-    wanted, flag = (options.spring_force, "--spring-force") if forces else (options.position, "--position")
-    belt = None if options.belt_column is None else called(cells, options.belt_column, "--belt-column")
+    requested, flag = (options.spring_force, "--spring-force") if forces else (options.position, "--position")
+    belt = None if options.belt_column is None else find_by_name(cells, options.belt_column, "--belt-column")
     rate_known = options.frame_rate_hz is not None
-    time, position, frames = find(cells, options.time, wanted, rate_known, flag, belt)
+    time, position, frames = find_columns(cells, options.time, requested, rate_known, flag, belt)
     if belt is not None and check_clock(cells, belt, time) != time:
         what = f"{cells.label(belt)} has other times than {cells.label(position)}"
         raise InputError(what, str(cells.path), "export both channels at the same times")
-    coded = time is not None and _is_timecode(cells, time)
-    if coded and not rate_known:
+    has_timecodes = time is not None and _is_timecode(cells, time)
+    if has_timecodes and not rate_known:
         what = f"{cells.label(time or 0)} holds time codes, whose last part may be frames or hundredths"
         do = "give --frame-rate, one line a frame, for example --frame-rate '400 fps'"
         raise InputError(what, str(cells.path), do)
-    time = None if coded else time
+    time = None if has_timecodes else time
     if (time is None or frames) and not rate_known:
         what = "has frame numbers but no times" if frames else "has no column of times"
         raise InputError(what, str(cells.path), "give --frame-rate, for example --frame-rate '400 fps'")
@@ -188,8 +190,8 @@ def _read_times(
         t_unit = ""
         time = time + DAY_S * np.cumsum(np.diff(time, prepend=time[0]) < -DAY_S / 2)  # times past midnight
     else:
-        size, t_unit = unit(cells, columns.time, options.t_unit, "time", "--t-unit", warnings)
-        time = _unrolled_times(time, warnings) * size
+        size, t_unit = read_unit(cells, columns.time, options.t_unit, "time", "--t-unit", warnings)
+        time = _unroll_times(time, warnings) * size
     time, chosen = _choose_measurement(time, cells, options.segment)
     cells = replace(cells, lines=cells.lines[chosen])
     time = time[chosen]
@@ -199,14 +201,14 @@ def _read_times(
     plausible.check_increasing(time, cells, columns.time)
     if not (columns.frames or options.clock):
         if rate is not None:
-            time = _retimed(time, rate, warnings)
+            time = _correct_times(time, rate, warnings)
         elif not is_stated(cells, columns.time, options.t_unit):
             plausible.ask_for_time_unit(time, cells, columns.time)
     warnings += plausible.describe_gap(time, cells, clock=options.clock)
     return time - time[0], t_unit, chosen
 
 
-def _unrolled_times(time: Array, warnings: list[str]) -> Array:
+def _unroll_times(time: Array, warnings: list[str]) -> Array:
     """Return the stamps of a board's clock, micros() or millis(), without the jumps where it rolled over."""
     if np.all(np.diff(time) >= 0) or not np.all(time == np.rint(time)) or np.max(np.abs(time)) > MOST_TICKS:
         return time
@@ -219,15 +221,12 @@ def _unrolled_times(time: Array, warnings: list[str]) -> Array:
 
 
 def _choose_measurement(time: Array, cells: table.Table, segment: int | None) -> tuple[Array, slice]:
-    """Return times, and which lines belong to the chosen measurement: one begins where the times start again.
-
-    As one record (0) each measurement follows the one before after a usual step.
-    """
+    """Return times and lines of a measurement, which starts where times restart; 0 joins them at a usual step."""
     step = np.diff(time)
-    again = np.flatnonzero(step < 0) + 1
-    restarts = again[time[again] <= time[0] + np.median(np.abs(step))]
+    backward_rows = np.flatnonzero(step < 0) + 1
+    restarts = backward_rows[time[backward_rows] <= time[0] + np.median(np.abs(step))]
     starts = (0, *(int(row) for row in restarts))
-    if again.size != restarts.size or min(np.diff([*starts, time.size])) < 2:
+    if backward_rows.size != restarts.size or min(np.diff([*starts, time.size])) < 2:
         starts = (0,)  # times out of order, of which `plausible` names the line
     if segment == 0:
         lag = np.zeros(time.size)
@@ -238,7 +237,7 @@ def _choose_measurement(time: Array, cells: table.Table, segment: int | None) ->
     return time, slice(first, first + len(chosen.lines))
 
 
-def _travelled(time: Array, speed: Array) -> Array:
+def _integrate_speed(time: Array, speed: Array) -> Array:
     """Return the positions, m, of a belt whose speeds, m/s, were measured: by the trapezoidal rule."""
     return np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
 
@@ -249,18 +248,18 @@ def _is_timecode(cells: table.Table, column: int) -> bool:
 
 
 def _check_counts(cells: table.Table, column: int, options: ImportOptions) -> None:
-    """Refuse a unit of length beside metres per count."""
+    """Reject a unit of length given together with metres per count."""
     flag = "--x-unit" if options.x_unit is not None else "--spring-force" if options.spring_force is not None else ""
     if flag:
         raise InputError(f"{flag} beside metres per count", "command line", "leave one out: counts have no other unit")
-    if cells.names and is_length(cells.names[column]):
+    if cells.names and find_dimension(cells.names[column]) == "length":
         what = f"{cells.label(column)} is a length, and metres per count are given"
         do = "leave --metres-per-count out, or choose the column of counts by --position"
-        raise InputError(what, cells.place(cells.header_line, column), do)
+        raise InputError(what, cells.locate(cells.header_line, column), do)
 
 
 def _check_options(options: ImportOptions, stated: Mapping[str, Measured | int]) -> None:
-    """Refuse flags that exclude or need each other."""
+    """Reject flags that exclude or need each other."""
     if options.belt_unit is not None and options.belt_column is None:
         raise InputError("--belt-unit without --belt-column", "command line", "name the column of the belt")
     if options.preamble < 0:
@@ -294,10 +293,12 @@ def _is_over_weight(options: ImportOptions) -> bool:
     return options.force_unit is not None and options.force_unit.strip() in WEIGHT
 
 
-def _position_unit(cells: table.Table, column: int, options: ImportOptions, warnings: list[str]) -> tuple[float, str]:
-    """Return what a number of the column is multiplied by to be a position in m, and the unit in words."""
+def _read_position_unit(
+    cells: table.Table, column: int, options: ImportOptions, warnings: list[str]
+) -> tuple[float, str]:
+    """Return the factor from numbers of the column to positions in m, and the unit in words."""
     if options.spring_force is None:
-        return unit(cells, column, options.x_unit, "length", "--x-unit", warnings)
+        return read_unit(cells, column, options.x_unit, "length", "--x-unit", warnings)
     if _is_over_weight(options):
         if options.mass is None or options.stiffness is None:
             warnings.append(
@@ -310,7 +311,7 @@ def _position_unit(cells: table.Table, column: int, options: ImportOptions, warn
             weight / options.stiffness.value,
             f"units of weight ({weight:.6g} N), over {options.stiffness.value:g} N/m",
         )
-    size, name = unit(cells, column, options.force_unit, "force", "--force-unit", warnings)
+    size, name = read_unit(cells, column, options.force_unit, "force", "--force-unit", warnings)
     if not is_stated(cells, column, options.force_unit):
         warnings.append(
             f"{cells.label(column)} states no unit and is read in N; for a force divided by the weight give "
@@ -321,14 +322,14 @@ def _position_unit(cells: table.Table, column: int, options: ImportOptions, warn
     return size / options.stiffness.value, f"{name}, over {options.stiffness.value:g} N/m"
 
 
-def _rig(options: ImportOptions, stated: Mapping[str, Measured | int]) -> Rig:
-    """Return the stated calibration; without the one that positions in units of weight / stiffness cannot use."""
+def _build_rig(options: ImportOptions, stated: Mapping[str, Measured | int]) -> Rig:
+    """Return the stated calibration; without what positions in units of weight / stiffness cannot use."""
     if _is_over_weight(options) and (options.mass is None or options.stiffness is None):
         return Rig(mass=options.mass)
     return replace(Rig(), datum=options.datum).stating(stated)
 
 
-def _cells(path: Path, options: ImportOptions, progress: Stages) -> table.Table:
+def _read_cells(path: Path, options: ImportOptions, progress: Stages) -> table.Table:
     kind = path.suffix.lower()
     if kind == ".xlsx":
         from daq.imports import workbook
@@ -342,31 +343,30 @@ def _cells(path: Path, options: ImportOptions, progress: Stages) -> table.Table:
         cells: table.Table = module.read(path)
         return cells
     file = source.read(path)
-    text = table.text_of(file)
+    text = table.decode_text(file)
     if text.startswith(labview.BEGINS):
         _check_plain("a LabVIEW measurement", path, options)
         cells = labview.read(path, text)
     else:
-        cells = table.of_lines(path, enumerate(text.split("\n"), start=1), options.preamble, progress)
+        cells = table.parse_lines(path, enumerate(text.split("\n"), start=1), options.preamble, progress)
     return replace(cells, sha256=file.sha256, modified_s=file.modified_s)
 
 
 def _check_plain(kind: str, path: Path, options: ImportOptions) -> None:
-    """Refuse flags about text of any program for a file whose form is known."""
-    for flag, given in (("--preamble", options.preamble), ("--clock", options.clock)):
-        if given:
+    """Reject flags about text of any program for a file of a known form."""
+    for flag, value in (("--preamble", options.preamble), ("--clock", options.clock)):
+        if value:
             raise InputError(f"{flag} is for text; this is {kind}", str(path), "leave it out")
 
 
-def _times(cells: table.Table, column: int, *, clock: bool) -> table.ColumnReader:
-    """Return how to read a column of times; InputError for times of day without the flag that names them."""
+def _choose_time_reader(cells: table.Table, column: int, *, clock: bool) -> table.ColumnReader:
     if clock:
         return column, _Clock().read, "a time of day, with a date such as 2026-03-27 if any"
     row = next((row for row in cells.rows if len(row) == cells.width), None)
-    if row is not None and cells.number(row[column]) is None and layout.clock(row[column]) is not None:
+    if row is not None and cells.number(row[column]) is None and layout.read_clock(row[column]) is not None:
         what = f"{cells.label(column)} holds times of day such as {row[column].strip()}"
         raise InputError(
-            what, cells.place(cells.lines[cells.rows.index(row)], column), "give --clock", python="give clock=True"
+            what, cells.locate(cells.lines[cells.rows.index(row)], column), "give --clock", python="give clock=True"
         )
     return column, cells.number, "a number"
 
@@ -380,8 +380,8 @@ class _Clock:
 
     def read(self, cell: str) -> float | None:
         """Return a cell in s; None where it is not a time, or its date is another one that cannot be read."""
-        seconds, day = layout.clock(cell), layout.day(cell)
-        date = cell.strip()[: -len(layout.time_of(cell))].strip(" T")
+        seconds, day = layout.read_clock(cell), layout.read_day(cell)
+        date = cell.strip()[: -len(layout.strip_date(cell))].strip(" T")
         if self._date is None:
             self._date, self._day = date, day
         if seconds is None or (date != self._date and (day is None or self._day is None)):
@@ -389,7 +389,7 @@ class _Clock:
         return seconds + (DAY_S * (day - self._day) if day is not None and self._day is not None else 0.0)
 
 
-def _retimed(time: Array, rate_hz: float, warnings: list[str]) -> Array:
+def _correct_times(time: Array, rate_hz: float, warnings: list[str]) -> Array:
     # The flag is the camera's true rate; the column of times uses the rate that the tracking program assumed.
     assumed = sample_rate(time)
     ratio = assumed / rate_hz
@@ -402,8 +402,7 @@ def _retimed(time: Array, rate_hz: float, warnings: list[str]) -> Array:
     return time * ratio
 
 
-def _run(
-    path: Path,
+def _complete_run(
     options: ImportOptions,
     run: Recording,
     cells: table.Table,
@@ -413,21 +412,16 @@ def _run(
     if options.started is None:
         start = datetime.fromtimestamp(cells.modified_s, UTC).replace(microsecond=0)
     else:
-        start = _start(options.started)
-    settings = {
-        "source": path.name,
-        "source_sha256": cells.sha256,
-        "delimiter": cells.delimiter_name,
-        "decimal": cells.decimal,
-        **columns,
-    }
+        start = _parse_start(options.started)
+    settings = {"source": cells.path.name, "source_sha256": cells.sha256, "delimiter": cells.delimiter_name}
+    settings |= {"decimal": cells.decimal} | columns
     lines = [f"{key} = {quoted(value)}" for key, value in settings.items()]
     if options.frame_rate_hz is not None:
         lines.append(f"frame_rate_hz = {options.frame_rate_hz!r}")
     if cells.recorded:
         lines.append(f"recorded = {quoted(cells.recorded)}")
     if skipped:
-        lines.append(f"skipped_lines = {[one.line for one in skipped]}")
+        lines.append(f"skipped_lines = {[line.line for line in skipped]}")
     try:
         end = start + timedelta(seconds=float(run.time[-1]))
         end.timestamp()
@@ -436,7 +430,7 @@ def _run(
     origin = OF_FILE if options.started is None else "--start"
     return replace(
         run,
-        title=f"{path.name}, imported",
+        title=f"{cells.path.name}, imported",
         started=start.isoformat(),
         ended=end.isoformat(),
         config_toml=run.rig.to_toml() + "[import]\n" + "\n".join(lines) + "\n",
@@ -444,7 +438,7 @@ def _run(
     )
 
 
-def _start(text: str) -> datetime:
+def _parse_start(text: str) -> datetime:
     try:
         start = datetime.fromisoformat(text)
     except ValueError:

@@ -21,7 +21,6 @@ SAVE = "export it as CSV"
 
 
 def read(path: Path) -> Table:
-    """Read a TDMS file."""
     source.require("nptdms", path)
     parsed = source.unpack(source.parse_isolated(_parse, path, 10 * SECONDS, 2 * MEMORY, "TDMS file", SAVE))
     if not parsed.columns:
@@ -45,18 +44,20 @@ def _read_channels(file: Source) -> tuple[str, list[Column]]:
         for channel in group.channels():
             values = np.asarray(channel[:])
             if values.dtype.kind in "iuf" and values.size >= 2:
-                columns.append(Column(_name(channel, group.name if several else ""), values, _clock(channel)))
+                columns.append(
+                    Column(_label_channel(channel, group.name if several else ""), values, _read_clock(channel))
+                )
                 recorded = recorded or str(channel.properties.get("wf_start_time", ""))
     return recorded, columns
 
 
-def _name(channel: Any, group: str) -> str:
+def _label_channel(channel: Any, group: str) -> str:
     """Return the name of a channel with its unit, and with that of its group where there are several."""
     unit = str(channel.properties.get("unit_string", "") or "").strip()
     name = f"{group}/{channel.name}" if group else str(channel.name)
     return f"{name} ({unit})" if unit else name
 
 
-def _clock(channel: Any) -> tuple[float, float] | None:
+def _read_clock(channel: Any) -> tuple[float, float] | None:
     step = float(channel.properties.get("wf_increment", 0.0) or 0.0)
     return (float(channel.properties.get("wf_start_offset", 0.0) or 0.0), step) if step > 0 else None

@@ -29,8 +29,8 @@ def read(path: Path, sheet: str | None, preamble: int = 0, progress: Stages = si
     """Read a sheet of a workbook; without ``sheet`` the only one with a table."""
     where = str(path)
     source.require("openpyxl", path)
-    sent = json.loads(source.parse_isolated(_parse, path, SECONDS, MEMORY, "workbook", SAVE))
-    sheets: dict[str, list[tuple[int, str]]] = sent["sheets"]
+    answer = json.loads(source.parse_isolated(_parse, path, SECONDS, MEMORY, "workbook", SAVE))
+    sheets: dict[str, list[tuple[int, str]]] = answer["sheets"]
     tables = [name for name, lines in sheets.items() if sum(_is_row(line) for _, line in lines) >= FEWEST_ROWS]
     if sheet is None:
         if len(tables) != 1:
@@ -41,12 +41,18 @@ def read(path: Path, sheet: str | None, preamble: int = 0, progress: Stages = si
         sheet = tables[0]
     elif sheet not in sheets:
         raise InputError(f"no sheet {sheet!r}", where, f"the sheets are: {source.shorten(map(repr, sheets))}")
-    cells = table.of_lines(path, sheets[sheet], preamble, progress, named="\t")
-    return replace(cells, kind="workbook", sha256=sent["sha256"], modified_s=sent["modified_s"])
+    cells = table.parse_lines(path, sheets[sheet], preamble, progress, delimiter_known="\t")
+    return replace(cells, kind="workbook", sha256=answer["sha256"], modified_s=answer["modified_s"])
 
 
 def _is_row(line: str) -> bool:
-    return sum(layout.number(cell, ".") is not None or layout.clock(cell) is not None for cell in line.split("\t")) >= 2
+    return (
+        sum(
+            layout.read_number(cell, ".") is not None or layout.read_clock(cell) is not None
+            for cell in line.split("\t")
+        )
+        >= 2
+    )
 
 
 def _parse(path: Path) -> bytes:
@@ -56,31 +62,25 @@ def _parse(path: Path) -> bytes:
     from openpyxl import load_workbook
 
     file = source.read(path, "give the workbook in it")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about extensions that hold no cells
-            unpacked = sum(entry.file_size for entry in zipfile.ZipFile(io.BytesIO(file.data)).infolist())
-            source.check_bytes(unpacked, str(path))
-            book = load_workbook(io.BytesIO(file.data), read_only=True, data_only=True)
-            state = vars(book)
-            dates, durations = state["_date_formats"], state["_timedelta_formats"]
-            state["_date_formats"] = frozenset()  # so that serial numbers come as they are
-            sheets = {sheet.title: _lines(sheet, dates, durations, book.epoch, path) for sheet in book.worksheets}
-    except (MemoryError, InputError):
-        raise
-    except Exception as error:  # whatever the library stumbles over
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"is not a workbook ({reason[:200]})", str(path), SAVE) from error
+    with source.refuse_unreadable("workbook", path, SAVE), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about extensions that hold no cells
+        unpacked = sum(entry.file_size for entry in zipfile.ZipFile(io.BytesIO(file.data)).infolist())
+        source.check_bytes(unpacked, str(path))
+        book = load_workbook(io.BytesIO(file.data), read_only=True, data_only=True)
+        state = vars(book)
+        dates, durations = state["_date_formats"], state["_timedelta_formats"]
+        state["_date_formats"] = frozenset()  # so that serial numbers come as they are
+        sheets = {sheet.title: _read_lines(sheet, dates, durations, book.epoch, path) for sheet in book.worksheets}
     return json.dumps({"sha256": file.sha256, "modified_s": file.modified_s, "sheets": sheets}).encode()
 
 
-def _lines(sheet: Any, dates: set[int], durations: set[int], epoch: datetime, path: Path) -> list[tuple[int, str]]:
-    """Return number and text of each row that holds something."""
+def _read_lines(sheet: Any, dates: set[int], durations: set[int], epoch: datetime, path: Path) -> list[tuple[int, str]]:
+    """Return number and text of each row that is not empty."""
     sheet.reset_dimensions()
     lines: list[tuple[int, str]] = []
     cells = 0
     for number, row in enumerate(sheet.iter_rows(), start=1):
-        texts = [_text(cell, dates, durations, epoch) for cell in row]
+        texts = [_format_cell(cell, dates, durations, epoch) for cell in row]
         while texts and not texts[-1]:
             texts.pop()
         if texts:
@@ -90,13 +90,13 @@ def _lines(sheet: Any, dates: set[int], durations: set[int], epoch: datetime, pa
     return lines
 
 
-def _text(cell: Any, dates: set[int], durations: set[int], epoch: datetime) -> str:
+def _format_cell(cell: Any, dates: set[int], durations: set[int], epoch: datetime) -> str:
     value = cell.value
     if value is None:
         return ""
     style = getattr(cell, "_style_id", None)
     if style in dates and isinstance(value, int | float):
-        return _time(float(value), epoch, is_duration=style in durations)
+        return _format_time(float(value), epoch, is_duration=style in durations)
     if isinstance(value, datetime | time):  # a cell that holds a date as text
         return value.isoformat(" ") if isinstance(value, datetime) else value.isoformat()
     if isinstance(value, timedelta):
@@ -106,7 +106,7 @@ def _text(cell: Any, dates: set[int], durations: set[int], epoch: datetime) -> s
     return repr(value) if isinstance(value, int | float) else " ".join(str(value).split())
 
 
-def _time(days: float, epoch: datetime, *, is_duration: bool) -> str:
+def _format_time(days: float, epoch: datetime, *, is_duration: bool) -> str:
     """Return a serial number as a duration in s, a time of day, or a date with one."""
     microseconds = round(days * DAY_US)
     if is_duration:

@@ -206,8 +206,8 @@ def test_a_possessive_repeat_repeats_one_part(module):
 
 
 def test_digits_before_an_unfinished_exponent_are_no_number():
-    assert layout.number("1.5e", ".") is None
-    assert layout.number("1.5e-", ".") is None
+    assert layout.read_number("1.5e", ".") is None
+    assert layout.read_number("1.5e-", ".") is None
 
 
 UNIT = re.compile(r"^(.*?)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\]|(?:/|,|\bin\b)\s*(\S+))$")
@@ -238,7 +238,7 @@ def test_a_line_longer_than_a_table_has_is_refused_unread(tmp_path, monkeypatch)
     """A line of 4 MB was split by every delimiter and each of its cells tried as a number: 11 s."""
     path = tmp_path / "long.csv"
     path.write_text("t,x\n0,1\n" + "1," * table.LONGEST_LINE + "\n0.1,2\n")
-    monkeypatch.setattr(layout, "split", lambda *_: pytest.fail("a line was split"))
+    monkeypatch.setattr(layout, "split_cells", lambda *_: pytest.fail("a line was split"))
     with pytest.raises(InputError) as refused:
         table_to_run.read(path, ImportOptions())
     assert (refused.value.where, refused.value.do) == (

@@ -89,7 +89,7 @@ def part(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("rate", [1000.0, 300.0, 10_000.0])
 def test_a_capture_is_sampled_where_it_stood(swing: Path, rate: float) -> None:
-    run, totals = replay.from_capture(sigrok.read(swing), WIRED, rate, Rig())
+    run, totals = replay.sample_capture(sigrok.read(swing), WIRED, rate, Rig())
     assert run.raw is not None
     assert run.count is not None
     index = np.round(run.time * 10_000).astype(int)
@@ -106,7 +106,7 @@ def test_a_capture_is_sampled_where_it_stood(swing: Path, rate: float) -> None:
 def test_counters_of_a_capture_roll_over_at_16_bits(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
     count = np.arange(140_001)
     path = write_capture(tmp_path / "far.sr", GRAY[count & 3], PAIR, rate="100 kHz")
-    run, _ = replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig(metres_per_count=Measured(2.0**-10)))
+    run, _ = replay.sample_capture(sigrok.read(path), WIRED, 1000.0, Rig(metres_per_count=Measured(2.0**-10)))
     assert run.raw is not None
     assert run.raw.count_up.tolist() == [int(n) & 0xFFFF for n in count[::100]]
     assert run.position.tolist() == [n / 1024 for n in count[::100]]
@@ -116,7 +116,7 @@ def test_a_probe_of_any_name_is_kept(tmp_path: Path, write_capture: Callable[...
     # A quote in a name made the stored settings no TOML.
     names = {0: 'A" = 1', 1: "B\\"}
     path = write_capture(tmp_path / "swing.sr", GRAY[SWING[:200] & 3], names, rate="10 kHz")
-    run, _ = replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig())
+    run, _ = replay.sample_capture(sigrok.read(path), WIRED, 1000.0, Rig())
     kept = tomllib.loads(run.config_toml)["replay"]
     assert (kept["a"], kept["b"]) == (names[0], names[1])
 
@@ -125,8 +125,8 @@ def test_step_pulses_become_two_counters(tmp_path: Path, write_capture: Callable
     step = np.tile([0, 1], 300)
     direction = np.repeat([1, 0], 300)
     path = write_capture(tmp_path / "s.sr", step + 2 * direction, {0: "step", 1: "dir"}, rate="1 kHz")
-    wired = capture.wiring(sigrok.read(path), ProbeOptions(step="step", direction="dir"))
-    run, totals = replay.from_capture(sigrok.read(path), wired, 1000.0, Rig())
+    wired = capture.choose_wiring(sigrok.read(path), ProbeOptions(step="step", direction="dir"))
+    run, totals = replay.sample_capture(sigrok.read(path), wired, 1000.0, Rig())
     assert (totals.up, totals.down) == (150, 150)
     assert run.raw is not None
     assert (run.raw.count_up[-1], run.raw.count_down[-1]) == (150, 150)
@@ -137,7 +137,7 @@ def test_illegal_transitions_are_marked_in_the_run(tmp_path: Path, write_capture
     count = np.arange(200)
     count[120:] += 1  # two counts in one sample: both channels change at once, and the direction is not known
     path = write_capture(tmp_path / "bad.sr", GRAY[count & 3], PAIR, rate="1 kHz")
-    run, totals = replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig())
+    run, totals = replay.sample_capture(sigrok.read(path), WIRED, 1000.0, Rig())
     assert totals.illegal == 1
     store.write(tmp_path / "run.h5", run)
     recording = store.load(tmp_path / "run.h5")
@@ -145,18 +145,18 @@ def test_illegal_transitions_are_marked_in_the_run(tmp_path: Path, write_capture
         (120, "illegal"),
         (120, "phase"),
     ]
-    assert replay.findings(run) == {"lost": 0, "illegal": 1, "phase_errors": 80, "crc_errors": 0}
+    assert replay.count_faults(run) == {"lost": 0, "illegal": 1, "phase_errors": 80, "crc_errors": 0}
 
 
 def test_a_capture_without_a_rate_is_not_guessed(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
     path = write_capture(tmp_path / "x.sr", [0, 1], PAIR, rate=None)
     with pytest.raises(InputError, match="capture_rate"):
-        replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig())
+        replay.sample_capture(sigrok.read(path), WIRED, 1000.0, Rig())
 
 
 def test_a_board_cannot_sample_faster_than_the_capture(swing: Path) -> None:
     with pytest.raises(InputError, match="up to 10000"):
-        replay.from_capture(sigrok.read(swing), WIRED, 20_000.0, Rig())
+        replay.sample_capture(sigrok.read(swing), WIRED, 20_000.0, Rig())
 
 
 def test_a_journal_is_replayed_and_kept(
@@ -275,5 +275,5 @@ def test_positions_of_a_table_move_with_the_datum_of_another_calibration(tmp_pat
     x = np.linspace(0.0, 0.1, 11)
     stated = Rig(datum=Measured(-0.06))
     run = Recording("", "", "", 10.0, stated, np.arange(11) / 10, x - 0.06)
-    np.testing.assert_allclose(replay.recalibrated(run, Rig(datum=Measured(-0.05))).position, x - 0.05, atol=1e-15)
-    np.testing.assert_allclose(replay.recalibrated(run, Rig(x0=Measured(0.06))).position, x, atol=1e-15)
+    np.testing.assert_allclose(replay.recalibrate(run, Rig(datum=Measured(-0.05))).position, x - 0.05, atol=1e-15)
+    np.testing.assert_allclose(replay.recalibrate(run, Rig(x0=Measured(0.06))).position, x, atol=1e-15)

@@ -77,7 +77,7 @@ def test_an_unknown_probe_lists_the_captures(path: Path, write_capture: Any) -> 
 
 def totals(path: Path, decoder: str | None = None, **probes: str) -> capture.Totals:
     found = sigrok.read(path)
-    wired = capture.wiring(found, ProbeOptions(**probes, decoder=decoder))
+    wired = capture.choose_wiring(found, ProbeOptions(**probes, decoder=decoder))
     return capture.decode(found, wired)
 
 

@@ -18,6 +18,7 @@ from daq.imports import frame_rate, layout, table, table_to_run
 from daq.imports.options import ImportOptions
 from daq.runfile import store
 from stickslip import units
+from stickslip.compute import stages
 from stickslip.console import application
 from stickslip.errors import InputError
 from stickslip.units import Measured
@@ -102,7 +103,7 @@ def test_any_table_reads_back(tmp_path: Path, rows: Any, how: tuple[str, str], h
     text = (delimiter.join("abc") + "\n" if head else "") + "\n".join(lines) + "\n"
     path = tmp_path / "t.csv"
     path.write_text(text)
-    found = table.read(path)
+    found = table.parse_lines(path, enumerate(text.split("\n"), start=1), 0, stages.silent)
     assert (found.delimiter, found.decimal) == how
     values, _, bad = found.columns([(column, found.number, "a number") for column in range(3)], skip=False)
     assert values.T.tolist() == [list(row) for row in rows]
@@ -133,15 +134,15 @@ def test_cells_converted_together_are_converted_as_one_by_one(rows: Any, decimal
     values, good, skipped = cells.columns(one_by_one, skip=True)
     assert found.tobytes() == values.tobytes()
     assert (used, bad) == (good, skipped)
-    plain = layout.plain_numbers([row[0] for row in rows], decimal) if rows else []
-    assert plain is None or plain == [layout.number(row[0], decimal) for row in rows]
+    plain = layout.read_plain_numbers([row[0] for row in rows], decimal) if rows else []
+    assert plain is None or plain == [layout.read_number(row[0], decimal) for row in rows]
 
 
 @pytest.mark.parametrize("delimiter", "\t;,|")
 @given(text=st.text('1.5-e;,|\t "x\u00e9', min_size=1, max_size=12))
 def test_a_line_without_quotes_is_split_as_csv_splits_it(delimiter: str, text: str) -> None:
     row = next(reader([text.strip(" ")], delimiter=delimiter, skipinitialspace=True), [])
-    assert layout.split(text, delimiter) == row
+    assert layout.split_cells(text, delimiter) == row
 
 
 @pytest.mark.parametrize(
@@ -246,7 +247,7 @@ def test_bad_tables_are_refused_by_line(csv: Path, text: str, changes: Any, word
 @pytest.mark.parametrize("belt", [0.22, -0.22])
 def test_the_half_period_of_the_slip_is_found_in_either_direction(belt: float) -> None:
     time, x = sawtooth(400, belt=belt)
-    swing = frame_rate.half_period(time, x)
+    swing = frame_rate.measure_half_period(time, x)
     assert swing.duration == pytest.approx(math.pi * math.sqrt(MASS / STIFFNESS), abs=1 / 400)
     assert swing.number == 7
     assert swing.shortest <= math.pi * math.sqrt(MASS / STIFFNESS) <= swing.longest

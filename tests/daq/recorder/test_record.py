@@ -989,7 +989,7 @@ def test_a_segment_is_read_as_the_board_identified_itself_before_it(tmp_path, at
     assert run.sent_as.counter_bits.tolist() == [16, change.get("bits", 16)]
     assert run.sent_as.counts.tolist() == [1, 4 if "decoder" in change else 1]
     assert f"tick {change.get('tick_ns', 1000)} ns" in run.sent_as.ident[1]
-    again = replay.from_run(tmp_path / "run.h5")
+    again = replay.decode_run(tmp_path / "run.h5")
     assert np.array_equal(again.count, run.count)
     assert np.array_equal(again.position, run.position)
 

@@ -209,14 +209,14 @@ def test_a_replayed_run_has_its_belt_and_another_calibration_gives_it_another_sp
 
     first = recorded(tmp_path / "run.h5", "belt.channel=true", "gaps.rate=0.4", "gaps.duration=0.7")
     assert len(set(first.segment.tolist())) > 1
-    again = replay.from_run(tmp_path / "run.h5")
+    again = replay.decode_run(tmp_path / "run.h5")
     np.testing.assert_array_equal(again.belt_count, first.belt_count)
     np.testing.assert_array_equal(again.belt_velocity, first.belt_velocity)
-    halved = replay.recalibrated(again, Rig(belt_metres_per_count=Measured(-DELTA / 2)))
+    halved = replay.recalibrate(again, Rig(belt_metres_per_count=Measured(-DELTA / 2)))
     assert first.belt_velocity is not None
     assert first.rig.belt_metres_per_count is not None
     scale = -DELTA / 2 / first.rig.belt_metres_per_count.value
     np.testing.assert_allclose(halved.belt_velocity, scale * first.belt_velocity, rtol=1e-12)
-    unknown = replay.recalibrated(again, Rig())
+    unknown = replay.recalibrate(again, Rig())
     assert unknown.belt_velocity is None
     assert unknown.raw is again.raw

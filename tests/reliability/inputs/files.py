@@ -152,10 +152,10 @@ def damaged_sr(draw: random.Random, folder: Path) -> None:
     if draw.random() < 0.6:
         path.write_bytes(bytewise(draw, path.read_bytes()))
     found = sigrok.read(path)
-    wired = capture.wiring(found, ProbeOptions(channels=draw.choice(("A=A,B=B", "A=0,B=1"))))
+    wired = capture.choose_wiring(found, ProbeOptions(channels=draw.choice(("A=A,B=B", "A=0,B=1"))))
     capture.decode(found, wired)
     rate = found.rate_hz if found.rate_hz else 1e6
-    replay.from_capture(found, wired, min(1000.0, rate), Rig())
+    replay.sample_capture(found, wired, min(1000.0, rate), Rig())
 
 
 @functools.cache
@@ -201,7 +201,7 @@ def _use(draw: random.Random, path: Path) -> None:
             store.extend(path, "smooth", lambda entry: entry.create_group("smooth"))
             store.load(path)
         case 5 | 6:
-            replay.from_run(path)
+            replay.decode_run(path)
         case 7 | 8:
             listing.runs([path.parent])
         case 9 | 10:
