@@ -255,11 +255,11 @@ def _fit_options(
         raise InputError("mass and stiffness together", "fitting.rank", "give one: the fit finds the other")
     return FitOptions(
         competitors=laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start),
-        mass=units.stated(mass, "mass"),
-        stiffness=units.stated(stiffness, "stiffness"),
-        x0=units.stated(x0, "x0"),
-        damping=units.stated(damping, "damping"),
-        belt_speed=belt_speed if belt_speed == "channel" else units.stated(belt_speed, "belt_speed"),
+        mass=units.read_stated(mass, "mass"),
+        stiffness=units.read_stated(stiffness, "stiffness"),
+        x0=units.read_stated(x0, "x0"),
+        damping=units.read_stated(damping, "damping"),
+        belt_speed=belt_speed if belt_speed == "channel" else units.read_stated(belt_speed, "belt_speed"),
         excluded=(excluded,) if isinstance(excluded, int) else tuple(excluded),
         alpha=alpha,
         begin=_time(begin, "begin"),
@@ -315,7 +315,7 @@ def _loaded(run: Run, rig: Rig | None, options: FitOptions) -> LoadedRun:
         run = daq.load(run)
     recording = _recording(run)
     if not recording.digest:  # by which a report knows its runs
-        recording = replace(recording, digest=schema.digest(recording))
+        recording = replace(recording, digest=schema.compute_digest(recording))
         motion = None if motion is None else replace(motion, recording=recording)
     ends = float(recording.time[0]), float(recording.time[-1])
     return LoadedRun(recording, motion, job.calibrated(recording.rig if rig is None else rig, options), "", ends)

@@ -11,7 +11,7 @@ from daq.runfile import store as runfile
 from daq.runfile.joint import FittedRun
 from daq.runfile.nexus import EVERY
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Rig, replaced
+from daq.runfile.rig import Rig, find_replaced
 from fitting.adequacy.result import ADEQUATE
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.report import page as report
@@ -113,7 +113,7 @@ class FitOutput:
         """
         files = [run.file for run in self.runs]
         if len(files) > 1:
-            store.save_joint(self.ranking, self.runs, joint.beside(files), self.part, force=force)
+            store.save_joint(self.ranking, self.runs, joint.name_output(files), self.part, force=force)
         else:
             store.save(self.ranking, files[0], self.runs[0].digest, self.stages[0], self.part)
         if place is not None and self.page is not None:
@@ -142,12 +142,12 @@ def load_run(path: Path, options: FitOptions, rig: Rig | None = None) -> LoadedR
     InputError
         For a file that is no run, a calibration that cannot be, or times between which the run has no samples.
     """
-    samples = runfile.between(path, options.begin, options.end)
-    with runfile.opened(path) as file:
+    samples = runfile.select_between(path, options.begin, options.end)
+    with runfile.open_run(path) as file:
         beside = stage.digest(file["entry"])  # before the rest: what replaces it later is another one
     kinematics = stage.load(path) if samples == EVERY else None  # of a part, the smoothing is its own
     recording = runfile.load(path, samples) if kinematics is None else kinematics.recording
-    time = runfile.times(path)
+    time = runfile.read_times(path)
     known = calibrated(recording.rig if rig is None else rig, options)
     return LoadedRun(recording, kinematics, known, beside, (float(time[0]), float(time[-1])))
 
@@ -200,7 +200,7 @@ def _with_replaced(motion: Kinematics, rig: Rig, options: FitOptions) -> Kinemat
     speed = options.belt_speed
     if speed is not None and not isinstance(speed, str):
         rig = replace(rig, belt_speed=speed if isinstance(speed, Measured) else Measured(speed))
-    rows = tuple(Finding("replaced", *row) for row in replaced(motion.recording.rig, rig))
+    rows = tuple(Finding("replaced", *row) for row in find_replaced(motion.recording.rig, rig))
     return replace(motion, findings=(*rows, *motion.findings)) if rows else motion
 
 
@@ -212,7 +212,7 @@ def _with_replaced_mass(ranking: RankedLaws, runs: Sequence[LoadedRun], options:
     stated = with_error(options.stiffness)
     mass = stated.value / ratio.value
     implied = Rig(mass=Measured(mass, mass * math.hypot(stated.sd / stated.value, ratio.stderr / ratio.value)))
-    rows = {row for run in runs for row in replaced(Rig(mass=run.recording.rig.mass), implied)}
+    rows = {row for run in runs for row in find_replaced(Rig(mass=run.recording.rig.mass), implied)}
     findings = tuple(Finding("replaced", *row) for row in sorted(rows))
     warnings = (*(finding.text for finding in findings), *ranking.warnings)
     return replace(ranking, findings=(*findings, *ranking.findings), warnings=warnings) if findings else ranking

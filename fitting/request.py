@@ -83,11 +83,11 @@ class FitRequest:
         joined = several and not work.each
         places, compared = [], None
         if not outputs.no_report:
-            places = [report or joint.beside(runs, pages.SUFFIX)] if joined else pages.report_paths(runs, report)
+            places = [report or joint.name_output(runs, pages.SUFFIX)] if joined else pages.report_paths(runs, report)
             if several and not joined:
-                beside = joint.beside(runs, comparison.SUFFIX)
+                beside = joint.name_output(runs, comparison.SUFFIX)
                 compared = beside if report is None else report.with_stem(f"{report.stem}-each")
-        joint_file = joint.beside(runs) if joined else None
+        joint_file = joint.name_output(runs) if joined else None
         request = cls(runs, options, outputs, work, tuple(places), joint_file, compared)
         request._refuse_outputs()
         return request
@@ -118,7 +118,7 @@ class FitRequest:
 
 def _without_fits(files: Sequence[Path]) -> list[Path]:
     """Return the files that are runs: a pattern such as *.h5 names the joint fits of a folder, too."""
-    fits = [path for path in files if path.name.endswith(joint.SUFFIX) and joint.recognised(path)]
+    fits = [path for path in files if path.name.endswith(joint.SUFFIX) and joint.is_joint_fit(path)]
     for path in fits:
         application.note(f"{path} is the file of a joint fit, left out")
     runs = [path for path in files if path not in fits]

@@ -72,8 +72,8 @@ def smooth(
     speed = belt_speed if belt_speed == "auto" else quantity(belt_speed, "speed", "--belt-speed")
     asked = (method, window, order, times, speed, repair_counts)
     motion: Kinematics | SmoothingSummary
-    own = store.between(file, time_or_none(begin, "--from"), time_or_none(end, "--to"))
-    with store.reading(file, own) as run:
+    own = store.select_between(file, time_or_none(begin, "--from"), time_or_none(end, "--to"))
+    with store.open_reader(file, own) as run:
         n = run.samples
     if n > smoothing.LARGE:
         with application.progress("smoothing", n, "samples") as progress:

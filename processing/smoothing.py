@@ -105,7 +105,7 @@ def smooth_file(
     """
     begun = clock.process_time()
     _check(method, repair_counts)
-    with store.reading(path, own) as run:
+    with store.open_reader(path, own) as run:
         n = run.samples
         asked = method, window, order, belt_speed, repair_counts
         start = run.load(slice(0, 1))
@@ -118,7 +118,7 @@ def smooth_file(
     def write(entry: h5py.Group) -> None:
         table = stage.begin(entry, n, recording.unit, belt=belt)
         ends = []
-        with store.reading(path, own) as run:
+        with store.open_reader(path, own) as run:
             reader = _Reader(run, times, margin, start)
             for begin in range(0, n, BLOCK):
                 end = min(begin + BLOCK, n)

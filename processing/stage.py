@@ -245,7 +245,7 @@ def load(path: Path) -> Kinematics | None:
 
     Raises InputError: for a file that is no run, or a stage that is damaged or was made from other raw data.
     """
-    with store.opened(path) as file, trust.damage(path):
+    with store.open_run(path) as file, trust.damage(path):
         entry = file["entry"]
         if "smooth" not in entry:
             return None
@@ -258,7 +258,7 @@ def load(path: Path) -> Kinematics | None:
                 "its smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
             )
         nexus.check_length(found["motion.time"].size, recording.time.size, "smooth/kinematics/time", path)
-        made = tree.part(found, "motion")
+        made = tree.select_part(found, "motion")
         made["repaired"] = bool(made.get("repaired", False))
         if "noise" not in made:
             made["noise"] = position_noise(series.from_recording(recording, made["times"]))
@@ -315,12 +315,12 @@ def load_statistics(path: Path) -> StickSlipStatistics:
 
     Raises InputError: as `load` does, and for a run that is not smoothed.
     """
-    with store.opened(path) as file, trust.damage(path):
+    with store.open_run(path) as file, trust.damage(path):
         entry = file["entry"]
         if "smooth/statistics" in entry:
             found = tree.read(entry, (*PARAMETERS, *STATISTICS), path)
             return StickSlipStatistics(
-                **tree.part(found, "statistics"),
+                **tree.select_part(found, "statistics"),
                 dropped_frames=found.get("motion.dropped_frames", 0),
                 events=tuple(SlipEvent(**row) for row in tree.rows(found, "statistics.events")),
             )

@@ -80,11 +80,11 @@ class StickslipError(Exception):
 
     def as_line(self) -> str:
         """Return one line for a terminal: ``where: what; do``."""
-        return _line(self.what, self.where, self.do)
+        return _join_parts(self.what, self.where, self.do)
 
     def __str__(self) -> str:
         """One line for a caller from Python: flags are keywords, and ``python`` stands in place of ``do``."""
-        return _line(in_python(self.what), in_python(self.where), self.python or in_python(self.do))
+        return _join_parts(in_python(self.what), in_python(self.where), self.python or in_python(self.do))
 
 
 class InputError(StickslipError):
@@ -111,10 +111,10 @@ def in_python(text: str) -> str:
     A value that follows an equals sign is Python's: ``--method=dop853`` is ``method='dop853'``; numbers and names in
     capital letters (``--until=T``) stay as they are.  So do values in quotes: ``--mass '1 kg'`` is ``mass='1 kg'``.
     """
-    return _FLAG.sub(_keyword, text)
+    return _FLAG.sub(_format_keyword, text)
 
 
-def _keyword(flag: "re.Match[str]") -> str:
+def _format_keyword(flag: "re.Match[str]") -> str:
     name, quoted, value = KEYWORDS.get(flag[1], flag[1].replace("-", "_")), flag[2], flag[3]
     if quoted is not None:
         return f"{name}={quoted}"
@@ -131,7 +131,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _line(what: str, where: str, do: str) -> str:
+def _join_parts(what: str, where: str, do: str) -> str:
     line = f"{where}: {what}" if where else what
     return f"{line}; {do}" if do else line
 
@@ -142,15 +142,15 @@ def check_type(value: object, kind: "type | tuple[type, ...]", name: str, where:
         raise InputError(f"{name} is a {type(value).__name__}", where, f"give {form}")
 
 
-def check_known(name: str, known: "list[str] | tuple[str, ...]", what: str, where: str) -> None:
+def check_known(name: str, names: "list[str] | tuple[str, ...]", what: str, where: str) -> None:
     """Raise InputError, which names the nearest known word, when ``name`` is unknown; ``what`` is its kind."""
-    if name not in known:
-        raise InputError(f"unknown {what} {name!r}", where, nearest(name, known))
+    if name not in names:
+        raise InputError(f"unknown {what} {name!r}", where, nearest(name, names))
 
 
-def nearest(word: str, known: "list[str] | tuple[str, ...]") -> str:
+def nearest(word: str, names: "list[str] | tuple[str, ...]") -> str:
     """Return ``'; did you mean X?'`` for the closest known word, or an empty string."""
     from difflib import get_close_matches
 
-    similar = get_close_matches(word, known, n=1, cutoff=0.5)
-    return f"did you mean {similar[0]!r}?" if similar else f"known: {', '.join(known)}"
+    similar = get_close_matches(word, names, n=1, cutoff=0.5)
+    return f"did you mean {similar[0]!r}?" if similar else f"known: {', '.join(names)}"

@@ -20,7 +20,7 @@ SPELLED = "stickslip-spelled"  # the name of the error handler, for streams
 
 def storable(text: str) -> str:
     """Return a text that HDF5 and UTF-8 can hold; one that they can hold already is returned as it is."""
-    return _NOT_STORABLE.sub(_escaped, text)
+    return _NOT_STORABLE.sub(_escape, text)
 
 
 def printable(text: str, encoding: str | None = None) -> str:
@@ -29,18 +29,18 @@ def printable(text: str, encoding: str | None = None) -> str:
     text: Line feeds and tabs stay.
     encoding: That of the stream: characters that it lacks are spelled in ASCII (``...``, ``+-``), or escaped.
     """
-    shown = _NOT_PRINTABLE.sub(_escaped, text)
-    return shown if encoding is None else shown.encode(encoding, SPELLED).decode(encoding)
+    escaped = _NOT_PRINTABLE.sub(_escape, text)
+    return escaped if encoding is None else escaped.encode(encoding, SPELLED).decode(encoding)
 
 
-def _escaped(character: "re.Match[str]") -> str:
+def _escape(character: "re.Match[str]") -> str:
     code = ord(character[0])
     if 0xDC80 <= code <= 0xDCFF:
         code -= 0xDC00  # a byte that was no UTF-8
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
 
-def _spelled(error: UnicodeError) -> tuple[str, int]:
+def _spell(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     lacking = error.object[error.start : error.end]
@@ -48,4 +48,4 @@ def _spelled(error: UnicodeError) -> tuple[str, int]:
     return "".join(words), error.end
 
 
-codecs.register_error(SPELLED, _spelled)
+codecs.register_error(SPELLED, _spell)

@@ -83,8 +83,8 @@ def quantity(text: str, dimension: str, where: str) -> float:
     """
     if _PLUS_MINUS.search(text):
         raise InputError(f"{text!r} has an error, of which no use is made here", where, "give the value alone")
-    value, unit = _split(text, dimension, where)
-    return value * _size(unit, text, dimension, where)
+    value, unit = _split_unit(text, dimension, where)
+    return value * _get_size(unit, text, dimension, where)
 
 
 def time_or_none(text: str | None, where: str) -> float | None:
@@ -99,14 +99,14 @@ def measured(text: str, dimension: str, where: str) -> Measured:
         raise InputError(f"{text!r} has more than one +-", where, f"write for example {EXAMPLES[dimension]!r}")
     if len(parts) == 1:
         return Measured(quantity(text, dimension, where))
-    (value, value_unit), (sd, sd_unit) = (_split(part, dimension, where) for part in parts)
-    size = _size(sd_unit, text, dimension, where)
+    (value, value_unit), (sd, sd_unit) = (_split_unit(part, dimension, where) for part in parts)
+    size = _get_size(sd_unit, text, dimension, where)
     if sd < 0:
         raise InputError(f"{text!r} has a negative standard deviation", where, "write it as a positive number")
-    return Measured(value * (_size(value_unit, text, dimension, where) if value_unit else size), sd * size)
+    return Measured(value * (_get_size(value_unit, text, dimension, where) if value_unit else size), sd * size)
 
 
-def checked(key: str, value: float, sd: float, where: str) -> Measured:
+def check_measured(key: str, value: float, sd: float, where: str) -> Measured:
     """Return the measured quantity ``key``, or raise InputError when its value or error is impossible."""
     rule = QUANTITIES[key]
     if not math.isfinite(value) or (rule is not None and not _RULES[rule](value)):
@@ -124,7 +124,7 @@ def with_error(stated: Measured) -> Measured:
     return stated if stated.sd > 0 else Measured(stated.value, STATED_SD * abs(stated.value))
 
 
-def stated(value: Stated | None, key: str) -> Measured | None:
+def read_stated(value: Stated | None, key: str) -> Measured | None:
     """Return a quantity of a rig as Python code states it; None where it states none.
 
     value: A number in SI; value and standard deviation in SI; or text with a unit, such as ``"500 g +- 1 g"``.
@@ -133,12 +133,12 @@ def stated(value: Stated | None, key: str) -> Measured | None:
     """
     if value is None:
         return None
-    found = in_si(value, OF_QUANTITY[key], key)
-    return checked(key, found.value, found.sd, key)
+    measurement = in_si(value, OF_QUANTITY[key], key)
+    return check_measured(key, measurement.value, measurement.sd, key)
 
 
 def in_si(value: Stated, dimension: str, key: str) -> Measured:
-    """Return a quantity as Python code states it (`stated`), of any dimension; ``key`` is its name."""
+    """Return a quantity as Python code states it (`read_stated`), of any dimension; ``key`` is its name."""
     if isinstance(value, Measured):
         return value
     if isinstance(value, str):
@@ -155,22 +155,22 @@ def unit_size(text: str, dimension: str, where: str) -> float:
     if text.strip()[:1].isdigit() or text.strip()[:1] in (".", "-", "+"):
         size = quantity(text, dimension, where)
     else:
-        size = _size(text.strip(), text, dimension, where)
+        size = _get_size(text.strip(), text, dimension, where)
     if size == 0:
         raise InputError(f"{text!r} is zero", where, f"give a unit, for example {si_unit(dimension)!r}")
     return size
 
 
-def known(unit: str, dimension: str) -> bool:
+def is_unit(unit: str, dimension: str) -> bool:
     """Return whether ``unit`` is a unit of that dimension."""
-    return _latin(unit) in UNITS[dimension]
+    return _spell_latin(unit) in UNITS[dimension]
 
 
 def si_unit(dimension: str) -> str:
     return next(iter(UNITS[dimension]))
 
 
-def _split(text: str, dimension: str, where: str) -> tuple[float, str]:
+def _split_unit(text: str, dimension: str, where: str) -> tuple[float, str]:
     parts = _QUANTITY.fullmatch(text.strip())
     if not parts or parts[2].startswith(","):
         hint = "with a decimal point, " if "," in text else ""
@@ -181,16 +181,16 @@ def _split(text: str, dimension: str, where: str) -> tuple[float, str]:
     return value, parts[2].strip()
 
 
-def _size(unit: str, text: str, dimension: str, where: str) -> float:
+def _get_size(unit: str, text: str, dimension: str, where: str) -> float:
     if not unit:
         return 1.0
     table = UNITS[dimension]
-    unit = _latin(unit)
+    unit = _spell_latin(unit)
     if unit not in table:
         what = f"{unit!r} is not a unit of {dimension}" + (f" (in {text!r})" if text.strip() != unit else "")
         raise InputError(what, where, nearest(unit, list(table)))
     return table[unit]
 
 
-def _latin(unit: str) -> str:
+def _spell_latin(unit: str) -> str:
     return unit.replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")

@@ -9,27 +9,27 @@ import sys
 from pathlib import Path
 
 
-def config() -> Path | None:
+def find_config() -> Path | None:
     """Return the folder of this user's configurations; None where there is none."""
-    return absolute("XDG_CONFIG_HOME") or _home(".config")
+    return read_absolute("XDG_CONFIG_HOME") or _find_home(".config")
 
 
-def cache() -> Path | None:
+def find_cache() -> Path | None:
     """Return the folder of what this user's programs can make again; None where there is none."""
     if sys.platform == "win32":
-        return absolute("LOCALAPPDATA") or _home("AppData", "Local")
+        return read_absolute("LOCALAPPDATA") or _find_home("AppData", "Local")
     if sys.platform == "darwin":
-        return _home("Library", "Caches")
-    return absolute("XDG_CACHE_HOME") or _home(".cache")
+        return _find_home("Library", "Caches")
+    return read_absolute("XDG_CACHE_HOME") or _find_home(".cache")
 
 
-def absolute(variable: str) -> Path | None:
+def read_absolute(variable: str) -> Path | None:
     """Return the absolute path in an environment variable; None where it is not set, or holds anything else."""
     path = Path(os.environ.get(variable, ""))
     return path if path.is_absolute() else None
 
 
-def _home(*parts: str) -> Path | None:
+def _find_home(*parts: str) -> Path | None:
     try:
         path = Path.home().joinpath(*parts)
     except RuntimeError:  # a user without a home

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from daq.cli import sentences
 from daq.cli.record import rig_port
-from daq.cli.settings import NO_FLAGS, BoardFlags, board_toml, resolve
+from daq.cli.settings import NO_FLAGS, BoardFlags, format_board, resolve
 from daq.runfile.rig import Rig
 from stickslip.console import application, flags
 from stickslip.console.application import Answer, Json
@@ -74,18 +74,18 @@ def check(
     if parked_s + move_s == 0:
         raise InputError("nothing to check", "--parked and --move", "give one of them more than 0 s")
     request = replace(request, duration_s=parked_s + move_s)
-    _reach(request)
-    asked = False
+    _check_reachable(request)
+    announced = False
 
     def progress(seconds: float) -> None:
-        nonlocal asked
-        if move_s and not asked and seconds >= parked_s:
+        nonlocal announced
+        if move_s and not announced and seconds >= parked_s:
             application.note(f"now move the mass by hand towards +x, within {move_s:g} s")
-            asked = True
+            announced = True
 
     if parked_s:
-        _ask(f"do not touch the mass for {parked_s:g} s", not (yes or json or simulated))
-    summary, run = _take(request, progress)
+        _ask_to_act(f"do not touch the mass for {parked_s:g} s", not (yes or json or simulated))
+    summary, run = _record_once(request, progress)
     checks = board_test.findings(summary, run, parked_s)
     ok = all(finding.ok is not False for finding in checks)
     still = board_test.stretch(run, 0.0, parked_s)
@@ -104,7 +104,7 @@ def check(
     marks = {True: "OK", False: "FAIL", None: "--"}
     lines = [f"{marks[finding.ok]:<4} {finding.name}: {finding.seen}" for finding in checks]
     lines += [f"     do: {finding.do}" for finding in checks if finding.ok is not True and finding.do]
-    lines += sentences.warnings(summary.warnings)
+    lines += sentences.format_warnings(summary.warnings)
     lines.append("next: daq calibrate" if ok else "see the lines marked FAIL")
     return Answer(data, "\n".join(lines), EXIT_DONE if ok else EXIT_DATA)
 
@@ -143,13 +143,13 @@ def calibrate(
 
     if not ring_down and distance is None:
         raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
-    known = resolve(board)
-    request = RecordRequest(**known)
+    settings = resolve(board)
+    request = RecordRequest(**settings)
     suffix.check(output, suffix.TOML)
     atomic.refuse_existing(output, force)
     if distance is not None and distance.value == 0:
         raise InputError("the distance is zero", "--distance", "give for example '100 mm'")
-    if "port" not in known:
+    if "port" not in settings:
         if distance is not None:
             what = "the simulated rig cannot be moved by hand, so --distance does not apply"
             raise InputError(what, "--distance", "give the --port of a board, or leave --distance out")
@@ -157,22 +157,22 @@ def calibrate(
     for flag, seconds, needed in (("--move", move, distance is not None), ("--duration", duration, ring_down)):
         if needed and not 0 < seconds < float("inf"):
             raise InputError(f"{seconds:g} s", flag, "give more than 0 seconds")
-    _reach(replace(request, duration_s=duration if ring_down else move))
+    _check_reachable(replace(request, duration_s=duration if ring_down else move))
     wait = not (yes or json or request.port.startswith("rig://"))
     pitch = ring = None
     recording = None
     warnings: list[str] = []
     if distance is not None:
         far = f"{1e3 * distance.value:g} mm"
-        _ask(f"let the mass rest; move it by {far} within {move:g} s, and let it rest again", wait)
-        summary, recording = _take(replace(request, duration_s=move))
+        _ask_to_act(f"let the mass rest; move it by {far} within {move:g} s, and let it rest again", wait)
+        summary, recording = _record_once(replace(request, duration_s=move))
         pitch = measure.metres_per_count(recording, distance)
         warnings += summary.warnings
         if not measure.stands_at_first(recording):
             warnings.append("the mass moved from the first sample on: the distance was counted from there")
     if ring_down:
-        _ask(f"displace the mass, release it, and do not touch it for {duration:g} s", wait)
-        summary, recording = _take(replace(request, duration_s=duration))
+        _ask_to_act(f"displace the mass, release it, and do not touch it for {duration:g} s", wait)
+        summary, recording = _record_once(replace(request, duration_s=duration))
         ring = measure.ring_down(recording)
         warnings += summary.warnings
         if ring.poor:
@@ -184,21 +184,30 @@ def calibrate(
             )
     if recording is None:
         raise ValueError("neither measurement was made")
-    made = measure.calibrated(recording.rig, pitch, ring, mass)
-    if ring is not None and made.mass is None:
+    rig = measure.calibrated(recording.rig, pitch, ring, mass)
+    if ring is not None and rig.mass is None:
         warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
-    if made.metres_per_count is None:
+    if rig.metres_per_count is None:
         warnings.append("without --distance there are no metres: lengths are counts")
     warnings = [w for w in dict.fromkeys(warnings) if pitch is None or "metres per count" not in w]
     left_out = ["belt_speed"] if measure.belt_stands(recording.rig) else []
-    text = sentences.ring_down_comment(ring) + sentences.left_out_comment(left_out) + made.to_toml() + board_toml(known)
+    text = (
+        sentences.comment_on_ring_down(ring)
+        + sentences.comment_on_left_out(left_out)
+        + rig.to_toml()
+        + format_board(settings)
+    )
     with atomic.replacing(output, force) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    data = _ring_down(made.metres_per_count, ring) | {"file": output, "rig": _values(made), "left_out": left_out}
-    return Answer(data | {"warnings": warnings}, sentences.calibrated(made, ring, left_out, warnings, output))
+    data = _format_ring_down(rig.metres_per_count, ring) | {
+        "file": output,
+        "rig": _list_values(rig),
+        "left_out": left_out,
+    }
+    return Answer(data | {"warnings": warnings}, sentences.format_calibration(rig, ring, left_out, warnings, output))
 
 
-def _reach(request: "RecordRequest") -> None:
+def _check_reachable(request: "RecordRequest") -> None:
     """Refuse what cannot be recorded, and a port that cannot be opened, before the user is asked to do anything."""
     from daq import protocols
     from daq.recorder import ports
@@ -209,7 +218,7 @@ def _reach(request: "RecordRequest") -> None:
     ports.open_port(request.port, request.baud or protocols.load(request.protocol).BAUD).close()
 
 
-def _take(
+def _record_once(
     request: "RecordRequest", progress: Callable[[float], None] = lambda seconds: None
 ) -> "tuple[RecordingQuality, Recording]":
     """Record into a temporary folder, and return the quality and the run."""
@@ -237,7 +246,7 @@ def _take(
         return summary, store.load(output)
 
 
-def _ask(line: str, wait: bool) -> None:
+def _ask_to_act(line: str, wait: bool) -> None:
     """Print what to do, and wait for Enter on a terminal."""
     if wait and sys.stdin.isatty():
         application.ask(f"{line}; press Enter to begin ")
@@ -245,18 +254,18 @@ def _ask(line: str, wait: bool) -> None:
         application.note(line)
 
 
-def _ring_down(pitch: Measured | None, ring: "RingDown | None") -> dict[str, Any]:
+def _format_ring_down(pitch: Measured | None, ring: "RingDown | None") -> dict[str, Any]:
     if ring is None:
         return {}
     metres = abs(pitch.value) if pitch is not None else None
     weakening = ring.velocity_weakening
     return {
-        **_pair("omega0", ring.omega0),
-        **_pair("damping_ratio", ring.zeta),
-        **_pair("friction_counts", ring.friction),
+        **_format_pair("omega0", ring.omega0),
+        **_format_pair("damping_ratio", ring.zeta),
+        **_format_pair("friction_counts", ring.friction),
         "friction_length": None if metres is None else ring.friction.value * metres,
         "weakening": None if weakening is None or metres is None else weakening.value / metres,
-        **_pair("rest_counts", ring.equilibrium),
+        **_format_pair("rest_counts", ring.equilibrium),
         "rms_counts": ring.rms,
         "swings": ring.swings,
         "samples": ring.samples,
@@ -264,13 +273,13 @@ def _ring_down(pitch: Measured | None, ring: "RingDown | None") -> dict[str, Any
     }
 
 
-def _pair(key: str, measured: Measured) -> dict[str, float]:
+def _format_pair(key: str, measured: Measured) -> dict[str, float]:
     return {key: measured.value, f"{key}_sd": measured.sd}
 
 
-def _values(rig: Rig) -> dict[str, Any]:
+def _list_values(rig: Rig) -> dict[str, Any]:
     values: dict[str, Any] = {"decoder": rig.decoder, "counter_bits": rig.counter_bits}
     for key in QUANTITIES:
         if (measured := getattr(rig, key)) is not None:
-            values |= _pair(key, measured)
+            values |= _format_pair(key, measured)
     return values

@@ -70,17 +70,17 @@ def import_table(
     from daq.runfile import store
     from stickslip.output import atomic, suffix
 
-    given = notes.given()
-    target = names.completed(output or file.with_suffix(".h5"))
+    written = notes.collect()
+    target = names.complete_name(output or file.with_suffix(".h5"))
     suffix.check_run(target)
     atomic.refuse_existing(target, force, file)
     with application.progress("reading", None, "lines") as show:
         imported = table_to_run.read(file, options, show.stage)
-    store.write(target, replace(imported.run, **given), force=force)
-    data = sentences.run_data(imported.run, target, imported.warnings) | {
+    store.write(target, replace(imported.run, **written), force=force)
+    data = sentences.describe_run(imported.run, target, imported.warnings) | {
         key: getattr(imported, key) for key in ("columns", "delimiter", "decimal", "even", "skipped", "assumed")
     }
-    return Answer(data, sentences.run_text("imported", imported.run, data, sentences.columns(imported)))
+    return Answer(data, sentences.format_run("imported", imported.run, data, sentences.format_columns(imported)))
 
 
 def replay(
@@ -102,16 +102,16 @@ def replay(
 
     Example: daq replay run.h5 --counts-per-rev 16384 --circumference "125.66 mm" -o calibrated.h5
     """
-    from daq.imports import replay as again
+    from daq.imports import replay as replaying
     from daq.runfile import store
-    from daq.runfile.rig import Rig, replaced
+    from daq.runfile.rig import Rig, find_replaced
     from stickslip.output import atomic, suffix
 
-    kind = again.recognise_kind(source)
-    target = output or _default_output(source, kind)
+    kind = replaying.recognise_kind(source)
+    target = output or _choose_output(source, kind)
     suffix.check_run(target)
     atomic.refuse_existing(target, force, source)
-    calibration, stated = _rig(rig), known.stated()
+    calibration, stated = _read_rig(rig), known.stated()
     if kind == "capture":
         return _replay_capture(source, target, options, (calibration or Rig()).stating(stated), force)
     for name, value in vars(options).items():
@@ -126,15 +126,15 @@ def replay(
         run, summary = finalise.run_data(journal.read(source), markers, "daq replay")
         extra = summary.as_json()
     else:
-        run = again.decode_run(source)
-        extra = again.count_faults(run) | {"warnings": [], "clock_ppm": run.clock_ppm}
+        run = replaying.decode_run(source)
+        extra = replaying.count_faults(run) | {"warnings": [], "clock_ppm": run.clock_ppm}
     if calibration is not None or stated:
         used = (calibration or run.rig).stating(stated)
-        extra["warnings"] = [*extra["warnings"], *(row.text for row in replaced(run.rig, used))]
-        run = again.recalibrate(run, used)
+        extra["warnings"] = [*extra["warnings"], *(row.text for row in find_replaced(run.rig, used))]
+        run = replaying.recalibrate(run, used)
     store.write(target, run, force=force)
-    data = sentences.run_data(run, target, extra["warnings"]) | extra | {"file": target}
-    return Answer(data, sentences.run_text(f"replayed the {kind} {source}:", run, data))
+    data = sentences.describe_run(run, target, extra["warnings"]) | extra | {"file": target}
+    return Answer(data, sentences.format_run(f"replayed the {kind} {source}:", run, data))
 
 
 def decode(
@@ -152,19 +152,19 @@ def decode(
     from daq.imports import sigrok
 
     capture = sigrok.read(file)
-    wired = decoding.choose_wiring(capture, options)
+    wiring = decoding.choose_wiring(capture, options)
     with application.progress("decoding", capture.samples, "samples") as progress:
-        totals = decoding.decode(capture, wired, progress)
-    names = [capture.probes[bit] for bit in wired.bits]
+        totals = decoding.decode(capture, wiring, progress)
+    names = [capture.probes[bit] for bit in wiring.bits]
     data = vars(totals) | {
-        "decoder": wired.decoder,
+        "decoder": wiring.decoder,
         "probes": names,
         "samples": capture.samples,
         "rate_hz": capture.rate_hz,
         "file": file,
-        "warnings": sentences.count_warnings(totals),
+        "warnings": sentences.warn_of_counts(totals),
     }
-    line = f"{sentences.counts(totals)}  ({wired.decoder} on probes {names[0]} and {names[1]})"
+    line = f"{sentences.format_counts(totals)}  ({wiring.decoder} on probes {names[0]} and {names[1]})"
     return Answer(data, "\n".join([line, *(f"warning: {warning}" for warning in data["warnings"])]))
 
 
@@ -189,11 +189,11 @@ def export(
     from stickslip.output import atomic, suffix, tables
 
     forms = {"csv": suffix.CSV, "parquet": suffix.PARQUET}
-    targets = [] if output is None else [(suffix.chosen(output, forms), output)]
-    for form, named in (("csv", csv), ("parquet", parquet)):
-        if named is not None:
-            suffix.check(named, forms[form], f"--{form}")
-            targets.append((form, named))
+    targets = [] if output is None else [(suffix.choose_form(output, forms), output)]
+    for form, path in (("csv", csv), ("parquet", parquet)):
+        if path is not None:
+            suffix.check(path, forms[form], f"--{form}")
+            targets.append((form, path))
     if not targets:
         raise InputError("nothing to write", "command line", "give -o FILE.csv or -o FILE.parquet")
     for _, target in targets:
@@ -213,32 +213,36 @@ def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: "R
     from dataclasses import replace
 
     from daq.imports import capture as decoding
-    from daq.imports import replay as again
+    from daq.imports import replay as replaying
     from daq.imports import sigrok
     from daq.runfile import store
 
     capture = sigrok.read(source)
     if options.capture_rate is not None:
         capture = replace(capture, rate_hz=options.capture_rate)
-    wired = decoding.choose_wiring(capture, options)
+    wiring = decoding.choose_wiring(capture, options)
     rate_hz = options.rate or min(1000.0, capture.rate_hz or 1000.0)
     with application.progress("replaying", capture.samples, "samples") as progress:
-        run, totals = again.sample_capture(capture, wired, rate_hz, rig, progress)
+        run, totals = replaying.sample_capture(capture, wiring, rate_hz, rig, progress)
     store.write(target, run, force=force)
-    warnings = sentences.count_warnings(totals)
+    warnings = sentences.warn_of_counts(totals)
     if run.rig.metres_per_count is None:
         warnings.append("metres per count are not known: positions are counts; give --metres-per-count or --rig")
-    data = again.count_faults(run) | {"clock_ppm": None} | sentences.run_data(run, target, warnings) | vars(totals)
-    return Answer(data, sentences.run_text(f"replayed the capture {source}:", run, data, sentences.counts(totals)))
+    data = (
+        replaying.count_faults(run) | {"clock_ppm": None} | sentences.describe_run(run, target, warnings) | vars(totals)
+    )
+    return Answer(
+        data, sentences.format_run(f"replayed the capture {source}:", run, data, sentences.format_counts(totals))
+    )
 
 
-def _default_output(source: Path, kind: str) -> Path:
+def _choose_output(source: Path, kind: str) -> Path:
     if kind == "run":
         raise InputError("no output file was given", str(source), "give -o")
     return source.with_suffix("") if source.suffix == ".part" else source.with_suffix(".h5")
 
 
-def _rig(path: Path | None) -> "Rig | None":
+def _read_rig(path: Path | None) -> "Rig | None":
     if path is None:
         return None
     from daq.runfile.rig import Rig

@@ -44,10 +44,10 @@ def firmware(
     kind = firmware_files.board(board)
     if port is None:
         # A ttyS is a port of the machine itself, without a board.
-        there = [found.port for found in list_ports() if found.port != SIMULATED_RIG and "ttyS" not in found.port]
-        port = there[0] if len(there) == 1 else SOME_PORT
+        devices = [info.port for info in list_ports() if info.port != SIMULATED_RIG and "ttyS" not in info.port]
+        port = devices[0] if len(devices) == 1 else SOME_PORT
     if isinstance(kind, firmware_files.Sketch):
-        return _sketch(kind, output, port, force)
+        return _write_sketch(kind, output, port, force)
     hexfile, source = firmware_files.write(kind, output, force=force)
     flash = firmware_files.command(kind, hexfile, port)
     data = {
@@ -72,7 +72,7 @@ def firmware(
     return Answer(data, "\n".join(lines))
 
 
-def _sketch(sketch: "Sketch", output: Path, port: str, force: bool) -> Answer:
+def _write_sketch(sketch: "Sketch", output: Path, port: str, force: bool) -> Answer:
     from daq import firmware_files
 
     main, source = firmware_files.write_sketch(sketch, output, force=force)

@@ -95,7 +95,7 @@ def open_browser(url: str) -> None:
 
 
 @contextmanager
-def viewer(journal: Path, no_browser: bool) -> Iterator[None]:
+def run_viewer(journal: Path, no_browser: bool) -> Iterator[None]:
     """Run `daq watch` of a recording that is about to begin, in a process and a session of its own.
 
     The URL of its page goes to stderr.  Nothing that happens to the viewer reaches the recording, and it ends by itself

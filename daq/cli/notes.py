@@ -19,7 +19,7 @@ WIDTH = 80  # columns of a terminal
 LONGEST_NOTE = 2 * WIDTH  # characters of a note in a list; 'daq note RUN.h5' prints all of it
 
 
-def _marker(type_: Any, tokens: Sequence[cyclopts.Token]) -> list[tuple[float, str]]:
+def _parse_markers(type_: Any, tokens: Sequence[cyclopts.Token]) -> list[tuple[float, str]]:
     from stickslip import units
 
     typed = [token.value for token in tokens]
@@ -31,7 +31,7 @@ Mark = Annotated[
     Parameter(
         name="--mark",
         negative=(),
-        converter=_marker,
+        converter=_parse_markers,
         n_tokens=2,
         consume_multiple=False,
         help="A marker: the time since the first sample, and words; repeatable.",
@@ -61,26 +61,26 @@ def note(
     """
     from daq.runfile import store
 
-    given = notes.given()
+    written = notes.collect()
     marks = mark or []
     for _, text in marks:
         check_text(text, "--mark")
-    annotated = store.annotate(run, given, marks) if given or marks else store.load(run, slice(1))
-    time = store.times(run) if "marker" in annotated.event_kind else None
+    annotated = store.annotate(run, written, marks) if written or marks else store.load(run, slice(1))
+    time = store.read_times(run) if "marker" in annotated.event_kind else None
     events = zip(annotated.event_sample, annotated.event_kind, annotated.event_note, strict=True)
     markers = [
         {"t": float(time[sample]), "text": text}
         for sample, kind, text in events
         if time is not None and kind == "marker"
     ]
-    data = {"file": run, **_notes(annotated), "markers": markers}
+    data = {"file": run, **_list_notes(annotated), "markers": markers}
     lines = [f"{run}: {annotated.title}"]
     lines += [f"{name}: {text}" for name, text in annotated.remarks().items()]
     lines += [f"{marker['t']:.3f} s: {marker['text']}" for marker in markers]
     return Answer(data, "\n".join(lines))
 
 
-def _notes(run: "Recording") -> dict[str, Any]:
+def _list_notes(run: "Recording") -> dict[str, Any]:
     return {
         "title": run.title,
         "operator": run.operator,
@@ -105,14 +105,14 @@ def list_runs(
     """
     from daq.runfile import listing
 
-    rows = listing.runs(folders or (Path(),))
+    rows = listing.list_runs(folders or (Path(),))
     if not rows:
         where = ", ".join(str(folder) for folder in folders) or "this folder"
         return Answer([], f"no runs in {where}")
-    return Answer([vars(row) for row in rows], "\n".join(line for row in rows for line in _lines(row)))
+    return Answer([vars(row) for row in rows], "\n".join(line for row in rows for line in _format_row(row)))
 
 
-def _lines(row: "RunRow") -> list[str]:
+def _format_row(row: "RunRow") -> list[str]:
     """Return the lines about one run: its facts, what people wrote, and the verdict."""
     about = [row.title, row.sample, row.operator, *(f"{name}={value}" for name, value in row.tags.items())]
     facts = [
@@ -124,7 +124,7 @@ def _lines(row: "RunRow") -> list[str]:
         (row.runs, f"{row.runs} runs fitted jointly"),
     ]
     lines = [
-        ", ".join(text for known, text in facts if known is not None),
+        ", ".join(text for fact, text in facts if fact is not None),
         ", ".join(text for text in about if text),
         textwrap.shorten(row.note or "", LONGEST_NOTE, placeholder=" ..."),
         f"fitted: {row.part}" if row.part else "",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import cyclopts
 
 from daq.cli import sentences
-from daq.cli.live import NoBrowser, viewer
+from daq.cli.live import NoBrowser, run_viewer
 from daq.cli.settings import NO_FLAGS, BoardFlags, resolve
 from daq.protocols.request import RecordRequest
 from daq.recorder.notes import NO_NOTES, NoteFlags
@@ -97,22 +97,22 @@ def record(
         realtime = realtime or "port" not in resolve(board)
     if scene is not None or set_ or realtime:
         if board.port is not None:
-            given = "--scene" if scene is not None else "--set" if set_ else "--realtime"
-            what = f"{given} is for the simulated rig, but --port {board.port} was given"
-            raise InputError(what, given, "give one of the two")
+            flag = "--scene" if scene is not None else "--set" if set_ else "--realtime"
+            what = f"{flag} is for the simulated rig, but --port {board.port} was given"
+            raise InputError(what, flag, "give one of the two")
         board = replace(board, port=rig_port(scene, set_, realtime))
-    written = notes.given()
-    target = names.completed(output)
-    wanted = RecordRequest(
+    written = notes.collect()
+    target = names.complete_name(output)
+    request = RecordRequest(
         output=target, duration_s=duration, force=force, stated=known.stated(), notes=written, **resolve(board)
     )
-    view = viewer(wanted.part, no_browser) if live else contextlib.nullcontext()
+    view = run_viewer(request.part, no_browser) if live else contextlib.nullcontext()
     with contextlib.ExitStack() as signals:
         stop = signals.enter_context(_stop_on_signal())
         with view, application.progress("recording", duration, "s") as show:
-            recorded = take(wanted, progress=show, status=show.status, say=application.note, stop=stop)
+            recorded = take(request, progress=show, status=show.status, say=application.note, stop=stop)
         code = EXIT_DATA if recorded.short or recorded.sparse else EXIT_DONE if recorded.file == target else EXIT_DEVICE
-        text = sentences.recorded("recorded", recorded)
+        text = sentences.format_recording("recorded", recorded)
         return Answer(recorded.as_json(), text, code, printed=signals.pop_all())
 
 
@@ -142,7 +142,7 @@ def recover(
     from daq.recorder import source
 
     recovered = source.recover(journal, output, force=force)
-    return Answer(recovered.as_json(), sentences.recorded("recovered", recovered))
+    return Answer(recovered.as_json(), sentences.format_recording("recovered", recovered))
 
 
 def ports(*, json: Json = False) -> Answer:
@@ -152,16 +152,16 @@ def ports(*, json: Json = False) -> Answer:
     """
     from daq.recorder.ports import list_ports
 
-    listed = list_ports()
-    width = max(len(item.port) for item in listed)
+    infos = list_ports()
+    width = max(len(item.port) for item in infos)
     lines = []
-    for item in listed:
+    for item in infos:
         lines.append(f"{item.port:<{width}}  {item.description}")
         if item.do:
             lines.append(f"{'':<{width}}  may not be opened: {item.do}")
-    if len(listed) == 1:
+    if len(infos) == 1:
         lines.append("no serial port here: plug the board in and look again")
-    data = [vars(item) for item in listed]
+    data = [vars(item) for item in infos]
     return Answer(data, "\n".join(lines))
 
 
@@ -187,8 +187,8 @@ def _stop_on_signal() -> Iterator["StopRequest"]:
             os.write(2, b"stopping, the data are kept; Ctrl-C again leaves at once\n")
 
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    heeded = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
-    before = {number: signal.signal(number, on_signal) for number in heeded}
+    handled = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, on_signal) for number in handled}
     try:
         yield stop
     finally:

@@ -27,12 +27,12 @@ KINDS = {
 }
 
 
-def warnings(texts: Sequence[str]) -> list[str]:
+def format_warnings(texts: Sequence[str]) -> list[str]:
     """Return the lines of warnings."""
     return [f"warning: {warning}" for warning in texts]
 
 
-def run_data(run: "Recording", target: Path, warned: Sequence[str]) -> dict[str, Any]:
+def describe_run(run: "Recording", target: Path, warned: Sequence[str]) -> dict[str, Any]:
     """Return the JSON of a run that was written, with the ``warned`` sentences as its warnings."""
     return {
         "samples": int(run.time.size),
@@ -44,29 +44,29 @@ def run_data(run: "Recording", target: Path, warned: Sequence[str]) -> dict[str,
     }
 
 
-def run_text(done: str, run: "Recording", data: dict[str, Any], *lines: str) -> str:
+def format_run(done: str, run: "Recording", data: dict[str, Any], *lines: str) -> str:
     """Return what is printed about a run that was written."""
     printed = [
         f"{done} {data['samples']} samples in {data['duration_s']:.4g} s at {run.rate_hz:.6g} Hz",
         *lines,
-        travel(float(run.position.min()), float(run.position.max()), run.unit),
-        *warnings(data["warnings"]),
-        *written(data["file"]),
+        format_travel(float(run.position.min()), float(run.position.max()), run.unit),
+        *format_warnings(data["warnings"]),
+        *format_written(data["file"]),
     ]
     return "\n".join(printed)
 
 
-def travel(low: float, high: float, unit: str) -> str:
+def format_travel(low: float, high: float, unit: str) -> str:
     """Return the line about the range of positions, in m or counts."""
     return f"the mass moved from {shown_range(low, high, unit)}"
 
 
-def written(file: Path | None) -> list[str]:
+def format_written(file: Path | None) -> list[str]:
     """Return the last two lines: the run file, and the command to type next."""
     return [f"-> {file}", f"next: process smooth {shlex.quote(str(file))}"]
 
 
-def recorded(done: str, quality: "RecordingQuality") -> str:
+def format_recording(done: str, quality: "RecordingQuality") -> str:
     """Return what is printed about a recording."""
     lost = f"{quality.lost} samples lost" if quality.lost else "no sample lost"
     lost += " while the port was there" if quality.port_lost else ""
@@ -74,14 +74,14 @@ def recorded(done: str, quality: "RecordingQuality") -> str:
     lines = [
         f"{done} {quality.samples} samples in {quality.duration_s:.1f} s at {quality.rate_hz:g} Hz, {lost}"
         + (f"; {clock}" if clock else ""),
-        f"{travel(*quality.travel, quality.unit)}, at most {quality.peak_edge_rate_hz:.0f} edges/s",
-        *warnings(quality.warnings),
-        *written(quality.file),
+        f"{format_travel(*quality.travel, quality.unit)}, at most {quality.peak_edge_rate_hz:.0f} edges/s",
+        *format_warnings(quality.warnings),
+        *format_written(quality.file),
     ]
     return "\n".join(lines)
 
 
-def columns(imported: "Imported") -> str:
+def format_columns(imported: "Imported") -> str:
     """Return how the columns of a table were read."""
     form = KINDS.get(imported.delimiter, f"delimiter {imported.delimiter}, decimal {imported.decimal!r}")
     line = f"read as: {form}, time from {imported.columns['time']}"
@@ -93,19 +93,19 @@ def columns(imported: "Imported") -> str:
     return line
 
 
-def counts(totals: "Totals") -> str:
+def format_counts(totals: "Totals") -> str:
     """Return what a capture decoded to."""
     return ", ".join(f"{key} {value}" for key, value in vars(totals).items())
 
 
-def count_warnings(totals: "Totals") -> list[str]:
+def warn_of_counts(totals: "Totals") -> list[str]:
     """Return the warnings about the counts of a capture."""
     if totals.illegal:
         return [f"{totals.illegal} illegal transitions: A and B changed at once; the count is uncertain by as many"]
     return [] if totals.edges else ["no edges: check that these are the right probes"]
 
 
-def ring_down_comment(ring: "RingDown | None") -> str:
+def comment_on_ring_down(ring: "RingDown | None") -> str:
     """Return the first line of a rig.toml."""
     if ring is None:
         return ""
@@ -114,12 +114,12 @@ def ring_down_comment(ring: "RingDown | None") -> str:
     return f"# ring-down of {ring.swings} half-swings: {line}\n"
 
 
-def left_out_comment(names: Sequence[str]) -> str:
+def comment_on_left_out(names: Sequence[str]) -> str:
     """Return the lines of a rig.toml about constants that a calibration leaves out."""
     return "".join(f"# {name} left out: the belt did not move (0 m/s); give that of the runs\n" for name in names)
 
 
-def calibrated(
+def format_calibration(
     rig: "Rig", ring: "RingDown | None", left_out: Sequence[str], warned: Sequence[str], output: Path
 ) -> str:
     """Return what is printed about a calibration."""
@@ -129,5 +129,5 @@ def calibrated(
         lines.append(f"damping ratio {ring.zeta.value:.4g} +- {ring.zeta.sd:.2g}, in addition to friction")
     values = {key: getattr(rig, key) for key in UNITS}
     lines += [f"{key} {v.value:.6g} +- {v.sd:.2g} {UNITS[key]}" for key, v in values.items() if v is not None]
-    lines += left_out_comment(left_out).removeprefix("# ").splitlines()
-    return "\n".join([*lines, *warnings(warned), f"-> {output}", f"next: daq record --rig {output}"])
+    lines += comment_on_left_out(left_out).removeprefix("# ").splitlines()
+    return "\n".join([*lines, *format_warnings(warned), f"-> {output}", f"next: daq record --rig {output}"])

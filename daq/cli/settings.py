@@ -18,7 +18,7 @@ from stickslip import toml, user_folders
 from stickslip.console.application import Whole
 from stickslip.console.flags import whole_rate
 from stickslip.errors import InputError, check_known
-from stickslip.toml import check_keys, quoted
+from stickslip.toml import check_keys, quote
 
 KEYS: dict[str, type] = {"port": str, "protocol": str, "columns": str, "baud": int, "rate": int, "decoder": str}
 FIELDS = {"rate": "rate_hz"}  # where a field of the request has another name than the key
@@ -62,37 +62,37 @@ def resolve(flags: BoardFlags) -> dict[str, Any]:
     Raises InputError: A file that is missing or not TOML, an unknown key (with its nearest neighbour), a value of the
         wrong kind.
     """
-    user = _user()
+    user = _read_user_settings()
     named = os.environ.get("STICKSLIP_RIG") or user.get("rig")
     rig = flags.rig or (Path(named) if named else None)
     text = None if rig is None else _read(rig, "--rig")
-    board = {} if text is None else board_section(text, str(rig))
-    found = {} if text is None else {"calibration": text}
+    board = {} if text is None else read_board_section(text, str(rig))
+    settings = {} if text is None else {"calibration": text}
     for key, kind in KEYS.items():
         value = getattr(flags, key)
         if value is None and (typed := os.environ.get(f"STICKSLIP_{key.upper()}")):
-            value = _typed(typed, kind, f"STICKSLIP_{key.upper()}")
+            value = _parse_value(typed, kind, f"STICKSLIP_{key.upper()}")
         for section in (board, user):
             value = section.get(key) if value is None else value
         if value not in (None, ""):
-            found[FIELDS.get(key, key)] = value
-    return found
+            settings[FIELDS.get(key, key)] = value
+    return settings
 
 
-def board_section(text: str, where: str) -> dict[str, Any]:
+def read_board_section(text: str, where: str) -> dict[str, Any]:
     """Return the section [board] of a TOML text; empty when there is none."""
-    return _checked(toml.parsed(text, where).get("board", {}), where)
+    return _check_section(toml.parse(text, where).get("board", {}), where)
 
 
-def board_toml(known: Mapping[str, Any]) -> str:
+def format_board(settings: Mapping[str, Any]) -> str:
     """Return a section [board] with the result of `resolve`; empty when that is empty."""
-    values = {key: known[FIELDS.get(key, key)] for key in KEYS if FIELDS.get(key, key) in known}
-    lines = [f"{key} = {quoted(value) if isinstance(value, str) else value}" for key, value in values.items()]
+    values = {key: settings[FIELDS.get(key, key)] for key in KEYS if FIELDS.get(key, key) in settings}
+    lines = [f"{key} = {quote(value) if isinstance(value, str) else value}" for key, value in values.items()]
     return "\n".join(["[board]", *lines]) + "\n" if lines else ""
 
 
-def _user() -> dict[str, Any]:
-    folder = user_folders.config()
+def _read_user_settings() -> dict[str, Any]:
+    folder = user_folders.find_config()
     if folder is None:
         return {}
     path = folder / "stickslip" / "config.toml"
@@ -102,10 +102,10 @@ def _user() -> dict[str, Any]:
     except OSError:  # a home directory without read permission
         return {}
     where = str(path)
-    content = toml.parsed(_read(path, where), where)
+    content = toml.parse(_read(path, where), where)
     for section in content:
         check_known(section, ["board", "rig"], "key", where)
-    settings = _checked(content.get("board", {}), where)
+    settings = _check_section(content.get("board", {}), where)
     if "rig" in content:
         if not isinstance(content["rig"], str):
             raise InputError(f"rig is {content['rig']!r}", where, "write the path of a rig.toml in quotes")
@@ -122,7 +122,7 @@ def _read(path: Path, where: str) -> str:
         raise InputError(f"cannot be read as text ({error})", str(path), "give a TOML file") from error
 
 
-def _checked(section: Any, where: str) -> dict[str, Any]:
+def _check_section(section: Any, where: str) -> dict[str, Any]:
     for key, value in check_keys("board", section, list(KEYS), where).items():
         if isinstance(value, bool) or not isinstance(value, KEYS[key]):
             kind = "text in quotes" if KEYS[key] is str else "a whole number"
@@ -130,7 +130,7 @@ def _checked(section: Any, where: str) -> dict[str, Any]:
     return dict(section)
 
 
-def _typed(text: str, kind: type, where: str) -> Any:
+def _parse_value(text: str, kind: type, where: str) -> Any:
     if kind is str:
         return text
     if not text.isdecimal():

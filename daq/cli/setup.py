@@ -39,7 +39,16 @@ def doctor(*, json: Json = False) -> Answer:
 
     Example: daq doctor
     """
-    checks = [_python(), *_packages(), _needs(), _commands(), _rig(), _ports(), _browser(), _folder()]
+    checks = [
+        _check_python(),
+        *_check_packages(),
+        _check_requirements(),
+        _check_commands(),
+        _check_rig(),
+        _check_ports(),
+        _check_browser(),
+        _check_folder(),
+    ]
     ok = all(check.ok for check in checks)
     lines = [f"{'ok  ' if check.ok else 'FAIL'} {check.name}: {check.detail}" for check in checks]
     lines += [f"     do: {check.do}" for check in checks if not check.ok]
@@ -48,7 +57,7 @@ def doctor(*, json: Json = False) -> Answer:
     return Answer(data, "\n".join(lines), EXIT_DONE if ok else EXIT_DEVICE)
 
 
-def _python() -> Check:
+def _check_python() -> Check:
     version = ".".join(str(part) for part in sys.version_info[:3])
     return Check(
         "python",
@@ -58,7 +67,7 @@ def _python() -> Check:
     )
 
 
-def _packages() -> list[Check]:
+def _check_packages() -> list[Check]:
     """Check that each package is that of stickslip: the package index has another `daq` and `fitting`."""
     from importlib.metadata import packages_distributions
     from importlib.util import find_spec
@@ -80,7 +89,7 @@ def _packages() -> list[Check]:
     return checks
 
 
-def _needs() -> Check:
+def _check_requirements() -> Check:
     """Check that every required distribution is installed."""
     from importlib.metadata import PackageNotFoundError, requires, version
 
@@ -101,7 +110,7 @@ def _needs() -> Check:
     )
 
 
-def _commands() -> Check:
+def _check_commands() -> Check:
     scripts = Path(sys.executable).parent
     elsewhere = []
     for command in ("stickslip", "daq", "process", "fit-friction", "rig-sim"):
@@ -112,7 +121,7 @@ def _commands() -> Check:
     return Check("commands", not elsewhere, detail, f"put {scripts} first on PATH, or activate its environment")
 
 
-def _rig() -> Check:
+def _check_rig() -> Check:
     """Ask the simulated rig for its name over the same port layer as a real board."""
     from daq.recorder import ports
     from daq.wire import frames as wire
@@ -128,14 +137,14 @@ def _rig() -> Check:
     return Check("simulated rig", bool(names), names[0] if names else "no answer", "install stickslip again")
 
 
-def _ports() -> Check:
+def _check_ports() -> Check:
     from serial.tools.list_ports import comports
 
     devices = [port.device for port in comports()]
     return Check("serial ports", True, ", ".join(devices) if devices else "none; the simulated rig needs none")
 
 
-def _browser() -> Check:
+def _check_browser() -> Check:
     import webbrowser
 
     names = ("chromium", "chromium-browser", "google-chrome", "firefox")
@@ -148,13 +157,13 @@ def _browser() -> Check:
     return Check("browser", True, browser or "none found; reports are files; open them with a browser on any machine")
 
 
-def _folder() -> Check:
+def _check_folder() -> Check:
     import os
 
-    here = Path.cwd()
-    free = shutil.disk_usage(here).free
-    writable = os.access(here, os.W_OK)
-    detail = f"{here}: {free / 1e9:.1f} GB free" + ("" if writable else ", not writable")
+    folder = Path.cwd()
+    free = shutil.disk_usage(folder).free
+    writable = os.access(folder, os.W_OK)
+    detail = f"{folder}: {free / 1e9:.1f} GB free" + ("" if writable else ", not writable")
     return Check("this folder", writable and free > 100e6, detail, "work in a folder with write permission and space")
 
 
@@ -183,14 +192,14 @@ def demo(*, json: Json = False) -> Answer:
     text = [
         f"\ndone in {wall_s:.0f} s; report: {report}",
         "next: open the report in a browser, or fit a table of times and positions of your own:",
-        f"  {_typed('daq')} import TABLE.csv -o mine.h5",
-        f"  {_typed('fit-friction')} mine.h5",
+        f"  {_locate_command('daq')} import TABLE.csv -o mine.h5",
+        f"  {_locate_command('fit-friction')} mine.h5",
         verdict,
     ]
     return Answer(data, "\n".join(text))
 
 
-def _typed(command: str) -> str:
+def _locate_command(command: str) -> str:
     """Return a command of this installation as it is typed here: its name where that finds it, else its path."""
     script = Path(sys.executable).parent / command
     path = shutil.which(command)
@@ -203,23 +212,23 @@ class _KernelsOfAFit:
     """Compiles kernels of the fit in processes beside; they end with this block."""
 
     def __init__(self) -> None:
-        self._beside = [self._begun()]
+        self._compilers = [self._start_compiler()]
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for process in self._beside:
+        for process in self._compilers:
             process.terminate()
             process.wait()
 
     def fit_waits(self) -> None:
         """Compile the others too, if the first ones are still being compiled: the fit is about to wait for them."""
-        if self._beside[0].poll() is None:
-            self._beside.append(self._begun("motion"))
+        if self._compilers[0].poll() is None:
+            self._compilers.append(self._start_compiler("motion"))
 
     @staticmethod
-    def _begun(*which: str) -> subprocess.Popen[bytes]:
+    def _start_compiler(*which: str) -> subprocess.Popen[bytes]:
         quiet = subprocess.DEVNULL
         return start_python("fitting.compile_ahead", *which, stdin=quiet, stdout=quiet, stderr=quiet)
 

@@ -23,9 +23,9 @@ def claimed(path: Path) -> Iterator[Callable[[], None]]:
         what, do = in_use(path)
         raise InputError(what, str(path), do) from error
     except FileNotFoundError as error:
-        raise journal.missing(path) from error
+        raise journal.make_missing_error(path) from error
     except IsADirectoryError as error:
-        raise journal.is_a_folder(path) from error
+        raise journal.make_folder_error(path) from error
     except OSError:  # no locks here, or no right to open it for writing
         yield path.unlink
         return
@@ -50,7 +50,7 @@ def in_use(path: Path) -> tuple[str, str]:
     """Return who holds a journal's lock, and what to do about it."""
     who = "another process"
     try:
-        started = journal.beginning(path)
+        started = journal.read_header(path)
         when = datetime.fromtimestamp(started["wall_ns"] / 1e9).astimezone()
         who = f"process {started['pid']} on {started['host']}, since {when:%Y-%m-%d %H:%M:%S}"
     except (OSError, InputError, KeyError, OverflowError, ValueError):

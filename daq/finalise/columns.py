@@ -96,7 +96,7 @@ class RunColumns:
             return None, None
         count, speed = self["belt"], Column(self._spill)
         starts = np.array(self._starts, dtype=np.int64)
-        for piece in belt_counter.velocity_pieces(count, self["time"], starts, rate_hz, pitch.value):
+        for piece in belt_counter.yield_velocities(count, self["time"], starts, rate_hz, pitch.value):
             speed.append(piece)
         return count, speed.whole()
 

@@ -59,7 +59,7 @@ def finalise(
     run, found = run_data(recorded, journal.read_markers(markers), finished_by, output)
     logger.info("%s: %d records, %d samples", part, len(recorded.records), found.samples)
     # A command that was killed after it had put the file in place left the journal: what is missing is its removal.
-    if not (exists and not recorded.damaged and store.holds(output, run)):
+    if not (exists and not recorded.damaged and store.is_same_run(output, run)):
         store.write(output, run, force=force)
         store.read_back(output)
     if not recorded.damaged:
@@ -281,7 +281,7 @@ def calibration(
     except InputError as error:
         warnings.append(f"the calibration could not be read ({error})")
     if ident is not None:
-        stated = None if warnings else toml.parsed(config, "the board's CONFIG").get("encoder", {}).get("decoder")
+        stated = None if warnings else toml.parse(config, "the board's CONFIG").get("encoder", {}).get("decoder")
         if stated not in (None, ident.decoder):
             warnings.append(
                 f"the calibration is for the decoder {stated}, and the board counts as {ident.decoder}: its metres per "

@@ -132,7 +132,7 @@ def _strip_unit(name: str) -> str:
     """Return a column's name without its unit, in lower case: ``x (cm)`` and ``x_cm`` are ``x``."""
     base, _ = split_unit(name)
     head, _, tail = base.rpartition("_")
-    if head and any(units.known(tail, dimension) for dimension in DIMENSIONS):
+    if head and any(units.is_unit(tail, dimension) for dimension in DIMENSIONS):
         base = head
     return base.strip().lower().rstrip("#").strip()
 
@@ -162,12 +162,12 @@ def _read_stated_unit(name: str) -> str | None:
     if stated is not None:
         return stated
     if (
-        any(units.known(name.strip(), dimension) for dimension in ("time", "length"))
+        any(units.is_unit(name.strip(), dimension) for dimension in ("time", "length"))
         and _strip_unit(name) not in TIME_NAMES
     ):
         return name.strip()
     head, _, tail = name.rpartition("_")
-    return tail if head and any(units.known(tail, dimension) for dimension in DIMENSIONS) else None
+    return tail if head and any(units.is_unit(tail, dimension) for dimension in DIMENSIONS) else None
 
 
 def _find_only(cells: Table, free: list[int], dimension: str, but: int | None) -> int | None:
@@ -179,7 +179,7 @@ def _find_only(cells: Table, free: list[int], dimension: str, but: int | None) -
 def find_dimension(name: str) -> str:
     """Return the dimension of a column by its unit; "" where it states none that is known."""
     stated = _read_stated_unit(name)
-    return next((each for each in DIMENSIONS if stated is not None and units.known(stated, each)), "")
+    return next((each for each in DIMENSIONS if stated is not None and units.is_unit(stated, each)), "")
 
 
 def _suggest_spring_flags(cells: Table, column: int, *others: tuple[str, str]) -> tuple[str, str]:
@@ -223,7 +223,7 @@ def read_belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[s
     """Return the dimension of a belt column, "length" or "speed", the size of its unit in SI, and its name."""
     stated = flag_value or (_read_stated_unit(cells.names[column]) if cells.names else None)
     for dimension in ("length", "speed"):
-        if stated is not None and (units.known(stated, dimension) or flag_value is not None):
+        if stated is not None and (units.is_unit(stated, dimension) or flag_value is not None):
             try:
                 return dimension, units.unit_size(stated, dimension, "--belt-unit"), stated
             except InputError:
@@ -244,16 +244,16 @@ def read_unit(
         check_length(cells, column)
     if flag_value is not None:
         size = units.unit_size(flag_value, dimension, flag)
-        if stated and units.known(stated, dimension) and units.unit_size(stated, dimension, flag) != size:
+        if stated and units.is_unit(stated, dimension) and units.unit_size(stated, dimension, flag) != size:
             warnings.append(f"{cells.label(column)} is read in {flag_value} ({flag}), not in {stated}")
         return size, flag_value
     if stated is None:
         return 1.0, units.si_unit(dimension)
     base = split_unit(cells.names[column])[0].strip()
-    if base != stated and units.known(base, dimension):
+    if base != stated and units.is_unit(base, dimension):
         what = f"column {base!r} has the name of a unit, and its unit is stated as {stated}"
         raise InputError(what, cells.locate(cells.header_line, column), f"give {flag}, for example {flag} {base}")
-    if not units.known(stated, dimension):
+    if not units.is_unit(stated, dimension):
         example = f"'0.25 mm' for {stated} of that size" if dimension == "length" else EXAMPLE_UNITS[dimension]
         what = f"{cells.label(column)} is in {source.cut(stated)!r}, which is not a known unit of {dimension}"
         do = f"give {flag}, for example {flag} {example}"

@@ -193,6 +193,6 @@ def name_columns(head: Sequence[str], delimiter: str, width: int) -> tuple[str, 
 
 def _are_units(cells: Sequence[str], above: Sequence[str]) -> bool:
     """Return whether a line holds the units of the names above it: two known ones, or one below a known name."""
-    unit_count = sum(any(units.known(cell, dimension) for dimension in LOGGED) for cell in cells)
+    unit_count = sum(any(units.is_unit(cell, dimension) for dimension in LOGGED) for cell in cells)
     names_known = any(name.lower() in TIME_NAMES + POSITION_NAMES for name in above)
     return unit_count > 1 or (unit_count == 1 and names_known)

@@ -97,7 +97,7 @@ def _build_options(keywords: dict[str, Any]) -> "ImportOptions":
             names = sorted(field_names - set(FLAGS.values())) + list(FLAGS)
             raise InputError(f"no option {keyword!r} of a table", "daq.load", nearest(keyword, names))
         if name in units.OF_QUANTITY:
-            value = units.stated(value, name)
+            value = units.read_stated(value, name)
         elif name == "circumference":
             value = units.in_si(value, "length", name)
         elif name == "frame_rate_hz" and isinstance(value, str):

@@ -6,7 +6,7 @@ Asked only of columns whose unit nobody stated, and only of tables long enough t
 import numpy as np
 
 from daq.imports.table import Table
-from daq.runfile.run_data import FEWEST_ROWS, implausible_motion
+from daq.runfile.run_data import FEWEST_ROWS, explain_implausible
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
@@ -85,7 +85,7 @@ def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
 
 def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int, force: bool) -> None:
     """Raise InputError when positions read in metres, or forces (``force``) read in newtons, are implausible."""
-    motion = implausible_motion(time, position)
+    motion = explain_implausible(time, position)
     if motion is None:
         return
     if force:

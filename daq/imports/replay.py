@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from daq.imports import capture as decode
 from daq.imports import sigrok
 from daq.runfile import belt_counter, provenance, store
-from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, SentAs, lost_samples, positions
-from daq.runfile.regular import regular_file
+from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, SentAs, count_lost, positions
+from daq.runfile.regular import open_regular
 from daq.runfile.rig import Rig
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
 from stickslip.compute.arrays import runs
 from stickslip.errors import InputError
-from stickslip.toml import quoted
+from stickslip.toml import quote
 
 HOST_FLAGS = {"illegal": counters.FLAG_ILLEGAL, "phase": counters.FLAG_PHASE, "both-moved": counters.FLAG_BOTH}
 
@@ -32,7 +32,7 @@ HOST_FLAGS = {"illegal": counters.FLAG_ILLEGAL, "phase": counters.FLAG_PHASE, "b
 def recognise_kind(source: Path) -> str:
     """Return "journal", "run" or "capture" by a file's first bytes."""
     where = str(source)
-    with regular_file(source, "give a journal, a run file or a .sr capture") as stream:
+    with open_regular(source, "give a journal, a run file or a .sr capture") as stream:
         head = stream.read(32)
     kinds = {b"stickslip journal": "journal", b"\x89HDF\r\n\x1a\n": "run", b"PK": "capture"}
     for magic, kind in kinds.items():
@@ -56,7 +56,7 @@ def decode_run(source: Path) -> Recording:
         count=count,
         truth=store.truth(source),
         provenance={key: recording.provenance[key] for key in ("port", "firmware") if key in recording.provenance}
-        | provenance.here()
+        | provenance.collect_provenance()
         | {"replay_of": source.name, "replay_of_sha256": recording.digest},
     )
     return _recount_belt(run)
@@ -74,7 +74,7 @@ def _recount_belt(run: Recording) -> Recording:
     if run.raw is None or run.raw.belt_count is None:
         return run
     starts = np.flatnonzero(np.diff(run.segment.astype(np.int64), prepend=-1))
-    count, velocity = belt_counter.decoded(run.raw.belt_count, run.time, starts, run.rate_hz, run.rig)
+    count, velocity = belt_counter.decode_belt(run.raw.belt_count, run.time, starts, run.rate_hz, run.rig)
     return replace(run, belt_count=count, belt_velocity=velocity)
 
 
@@ -83,7 +83,7 @@ def count_faults(run: Recording) -> dict[str, int]:
     counts = {"lost": 0, "illegal": 0, "phase_errors": 0}
     if run.raw is not None:
         within = np.diff(run.segment) == 0
-        counts["lost"] = lost_samples(run.raw.sample, run.segment)
+        counts["lost"] = count_lost(run.raw.sample, run.segment)
         counts["illegal"] = int(counters.increments(run.raw.illegal, 16)[within].sum())
         counts["phase_errors"] = int(np.count_nonzero(run.raw.flags & counters.FLAG_PHASE))
     return counts | {"crc_errors": run.event_kind.count("crc")}
@@ -186,8 +186,8 @@ def _build_run(
     event_sample, event_kind = _list_events(raw.flags)
     started = datetime(*capture.stamp, tzinfo=UTC)
     roles = ("step", "direction") if wiring.decoder == decode.TWO_COUNTER else ("a", "b")
-    settings = f"[replay]\nsource = {quoted(capture.path.name)}\nrate_hz = {float(rate_hz)!r}\n"
-    settings += "".join(f"{role} = {quoted(name)}\n" for role, name in zip(roles, names, strict=True))
+    settings = f"[replay]\nsource = {quote(capture.path.name)}\nrate_hz = {float(rate_hz)!r}\n"
+    settings += "".join(f"{role} = {quote(name)}\n" for role, name in zip(roles, names, strict=True))
     return Recording(
         title=f"{capture.path.name}, probes {names[0]} and {names[1]}",
         started=started.isoformat(),
@@ -202,7 +202,7 @@ def _build_run(
         config_toml=rig.to_toml() + settings,
         event_sample=event_sample,
         event_kind=event_kind,
-        provenance=provenance.here()
+        provenance=provenance.collect_provenance()
         | {"replay_of": capture.path.name, "start_time_from": "the zip's stamp, whose zone is not known"},
     )
 

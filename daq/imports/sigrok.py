@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.runfile.regular import regular_file
+from daq.runfile.regular import open_regular
 from stickslip.errors import InputError, nearest
 
 MOST_METADATA = 1 << 20  # bytes; a capture of 16 channels has 500
@@ -115,7 +115,7 @@ def read(path: Path) -> Capture:
 def _open_zip(path: Path) -> Iterator[zipfile.ZipFile]:
     where = str(path)
     try:
-        with regular_file(path, "give the .sr file in it") as file, zipfile.ZipFile(file) as archive:
+        with open_regular(path, "give the .sr file in it") as file, zipfile.ZipFile(file) as archive:
             yield archive
     except DAMAGE as error:
         if isinstance(error, OSError) and error.errno != errno.EINVAL:

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.runfile.isolation import BrokenOffError, Work, isolated
-from daq.runfile.regular import regular_file
+from daq.runfile.isolation import BrokenOffError, Work, run_isolated
+from daq.runfile.regular import open_regular
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
@@ -43,7 +43,7 @@ class Source:
 
 def read(path: Path, do: str = "give the CSV file in it") -> Source:
     """Read a file whole; ``do`` says what to give in place of a folder."""
-    with regular_file(path, do) as file:
+    with open_regular(path, do) as file:
         status = os.fstat(file.fileno())
         check_bytes(status.st_size, str(path))
         return Source(path, file.read(MOST_BYTES), status.st_mtime)
@@ -115,10 +115,10 @@ class Parsed:
 
 def parse_isolated(work: Work, path: Path, seconds: float, memory: int, kind: str, do: str) -> bytes:
     """Return what a child makes of a file; ``memory``, bytes, is what it may use in addition to the file's size."""
-    with regular_file(path, "give the file in it") as file:
+    with open_regular(path, "give the file in it") as file:
         size = os.fstat(file.fileno()).st_size
     try:
-        return isolated(work, path, seconds, memory + 3 * min(size, MOST_BYTES))
+        return run_isolated(work, path, seconds, memory + 3 * min(size, MOST_BYTES))
     except BrokenOffError as error:
         raise InputError(f"is not a {kind} that can be read: it {error}", str(path), do) from error
 

@@ -29,15 +29,15 @@ from daq.imports.columns import (
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
 from daq.runfile import provenance
-from daq.runfile.in_memory import counts, sample_rate, with_belt
-from daq.runfile.recording import FASTEST_HZ, LONGEST_S, OF_FILE, Recording, impossible_motion, positions
-from daq.runfile.rest_position import question
+from daq.runfile.in_memory import add_belt, measure_rate, read_counts
+from daq.runfile.recording import FASTEST_HZ, LONGEST_S, OF_FILE, Recording, explain_impossible, positions
+from daq.runfile.rest_position import question_rest_position
 from daq.runfile.rig import Rig
 from daq.wire.roll_over import find_roll_over, unroll
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError
-from stickslip.toml import quoted
+from stickslip.toml import quote
 from stickslip.units import Measured
 
 # Ratio of the times' rate to --frame-rate beyond which times are corrected; 1 % in time is 1 % in velocity.
@@ -107,14 +107,14 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
     time, t_unit, chosen = _read_times(values, cells, columns, options, warnings)
     values = values[:, chosen]
     cells = replace(cells, lines=cells.lines[chosen], rows=cells.rows[chosen])
-    count = counts(values[0], pitch, cells.label(columns.position)) if isinstance(pitch, Measured) else None
+    count = read_counts(values[0], pitch, cells.label(columns.position)) if isinstance(pitch, Measured) else None
     if count is not None and (roll_over := find_roll_over(count)) is not None:
         count = unroll(count, roll_over)
         warnings.append(f"the counter rolled over or restarted {roll_over}; these jumps were removed")
     rig = _build_rig(options, stated)
     position = values[0] * x_size if count is None else positions(count, replace(rig, datum=None))
     plausible.check_range(position, plausible.FARTHEST_M, cells, columns.position, "m", "its unit")
-    if (impossible := impossible_motion(time, position)) is not None:
+    if (impossible := explain_impossible(time, position)) is not None:
         do = "give the unit of the times with --t-unit" if options.frame_rate_hz is None else "check --frame-rate"
         raise InputError(impossible, str(path), do)
     has_unit = count is not None or is_stated(cells, columns.position, options.force_unit if forces else options.x_unit)
@@ -123,7 +123,9 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
     rest_position = options.x0
     if options.datum is not None:
         rest_position = replace(options.datum, value=-options.datum.value)
-    if rest_position is not None and (doubt := question(rest_position, float(position.min()), float(position.max()))):
+    if rest_position is not None and (
+        doubt := question_rest_position(rest_position, float(position.min()), float(position.max()))
+    ):
         warnings.append(doubt)
     position = position + rig.offset
     if rig.mass is not None and rig.stiffness is not None:
@@ -133,12 +135,12 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         "time": "frame rate" if columns.time is None else f"{cells.label(columns.time)}{in_unit}",
         "position": f"{cells.label(columns.position)} in {x_unit}",
     }
-    run = Recording("", "", "", sample_rate(time), rig, time, position, count)
+    run = Recording("", "", "", measure_rate(time), rig, time, position, count)
     if columns.belt is not None:
         dimension, size, name = read_belt_unit(cells, columns.belt, options.belt_unit)
         belt = values[-1] * size
         plausible.check_range(belt, plausible.FARTHEST_M, cells, columns.belt, "m", "--belt-unit")
-        run = with_belt(run, belt if dimension == "length" else _integrate_speed(time, belt))
+        run = add_belt(run, belt if dimension == "length" else _integrate_speed(time, belt))
         kind = "position" if dimension == "length" else dimension
         sources["belt"] = f"{cells.label(columns.belt)} in {name}, its {kind}"
     run = _complete_run(options, run, cells, sources, skipped)
@@ -391,7 +393,7 @@ class _Clock:
 
 def _correct_times(time: Array, rate_hz: float, warnings: list[str]) -> Array:
     # The flag is the camera's true rate; the column of times uses the rate that the tracking program assumed.
-    assumed = sample_rate(time)
+    assumed = measure_rate(time)
     ratio = assumed / rate_hz
     if 1 / FRAME_RATE_TOLERANCE <= ratio <= FRAME_RATE_TOLERANCE:
         return time
@@ -415,11 +417,11 @@ def _complete_run(
         start = _parse_start(options.started)
     settings = {"source": cells.path.name, "source_sha256": cells.sha256, "delimiter": cells.delimiter_name}
     settings |= {"decimal": cells.decimal} | columns
-    lines = [f"{key} = {quoted(value)}" for key, value in settings.items()]
+    lines = [f"{key} = {quote(value)}" for key, value in settings.items()]
     if options.frame_rate_hz is not None:
         lines.append(f"frame_rate_hz = {options.frame_rate_hz!r}")
     if cells.recorded:
-        lines.append(f"recorded = {quoted(cells.recorded)}")
+        lines.append(f"recorded = {quote(cells.recorded)}")
     if skipped:
         lines.append(f"skipped_lines = {[line.line for line in skipped]}")
     try:
@@ -434,7 +436,7 @@ def _complete_run(
         started=start.isoformat(),
         ended=end.isoformat(),
         config_toml=run.rig.to_toml() + "[import]\n" + "\n".join(lines) + "\n",
-        provenance=provenance.here() | {"start_time_from": origin},
+        provenance=provenance.collect_provenance() | {"start_time_from": origin},
     )
 
 

@@ -26,14 +26,14 @@ class RunSamples:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.counts = JournalTotals()
-        with store.reading(path) as run:
+        with store.open_reader(path) as run:
             self.times = run.times()
             self.header = run.load(slice(0, 2))
         self.counts.crc_errors = self.header.event_kind.count("crc")
 
     def pieces(self) -> Iterator[NewSamples]:
         """Yield all samples in order, and count them."""
-        with store.reading(self.path) as run:
+        with store.open_reader(self.path) as run:
             for first in range(0, self.times.size, PIECE):
                 # With the sample before: what is counted is counted between two.
                 before = min(first, 1)

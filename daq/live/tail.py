@@ -81,7 +81,7 @@ class JournalTail:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        header = journal.beginning(path)
+        header = journal.read_header(path)
         self.header: dict[str, Any] = journal_header.complete(header, path)
         self.rig = Rig()
         self.counts = JournalTotals()

@@ -25,13 +25,13 @@ from daq.recorder.record import (
     LEAVE_S,
     WAKE_S,
     RecordingInterruptedError,
-    begun,
     check_output,
+    count_samples,
     disk_error,
     journal_exists,
-    keeping,
+    keep_journal,
+    make_header,
     make_run,
-    samples_wanted,
 )
 from daq.runfile import journal
 from daq.runfile.recording import FARTHEST, LONGEST_S
@@ -68,35 +68,35 @@ def record_blocks(
     progress, stop: As of `daq.recorder.record.record`.
     """
     check_output(request)
-    samples = None if seconds is None else samples_wanted(seconds, rate_hz)
+    samples = None if seconds is None else count_samples(seconds, rate_hz)
     stop = stop or threading.Event()
-    taking = _Taking(source, rate_hz, stop, None if seconds is None else max(seconds, SILENT_S))
-    with contextlib.closing(taking.items):
-        return _record(source, taking, samples, request, warnings, progress)
+    taker = _Taking(source, rate_hz, stop, None if seconds is None else max(seconds, SILENT_S))
+    with contextlib.closing(taker.items):
+        return _write_recording(source, taker, samples, request, warnings, progress)
 
 
-def _record(
+def _write_recording(
     source: Iterable[Any],
-    taking: "_Taking",
+    taker: "_Taking",
     samples: int | None,
     request: RecordRequest,
     warnings: list[str],
     progress: Callable[[float], None],
 ) -> "RecordingQuality":
-    stop, rate_hz = taking.stop, taking.rate_hz
+    stop, rate_hz = taker.stop, taker.rate_hz
     try:
-        first = taking.next()
+        first = taker.next()
     except KeyboardInterrupt as error:
         raise RecordingInterruptedError("interrupted before the first block came", WHERE, "record again") from error
     except _SourceError as error:
-        what = f"the source failed before its first block: {_words(error)}"
+        what = f"the source failed before its first block: {_describe_failure(error)}"
         raise DeviceError(what, WHERE, "mend it") from error.__cause__
-    if first is None and taking.ended == journal.STOPPED:
+    if first is None and taker.ended == journal.STOPPED:
         raise RecordingInterruptedError("stopped before the first block came", WHERE, "record again")
     if first is None:
-        silent = f" in {taking.patience_s:g} s" if taking.ended == journal.SOURCE_SILENT else ""
+        silent = f" in {taker.patience_s:g} s" if taker.ended == journal.SOURCE_SILENT else ""
         raise DataError(f"the source gave no block with a sample{silent}", WHERE, DO)
-    how: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "protocol": blocks.NAME,
         "columns": blocks.COUNTS if first.counted else blocks.POSITIONS,
         "decoder": None,
@@ -108,35 +108,35 @@ def _record(
         "warnings": warnings,
     }
     try:
-        writer = journal.Writer(request.part, begun(how, request.notes, {"source": type(source).__name__}))
+        writer = journal.Writer(request.part, make_header(settings, request.notes, {"source": type(source).__name__}))
     except FileExistsError as error:
         raise journal_exists(request.part) from error
     except OSError as error:
         raise disk_error(request.part, error) from error
     place = JournalPlace(writer, request.output, lambda line: None)
-    with keeping(writer):
+    with keep_journal(writer):
         if request.calibration is not None:
             writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
         with _syncing(writer, place, stop) as lock:
-            failure = _take(first, taking, samples, writer, lock, progress)
+            failure = _write_blocks(first, taker, samples, writer, lock, progress)
         writer.sync()
         place.check()
         if isinstance(failure, _WrongRateError):
             writer.remove()  # it would stand in the way of the next try, which begins with the same samples
             raise failure
-        found = make_run(request, writer, place)
+        quality = make_run(request, writer, place)
     if failure is not None:
-        kept = f"the {found.samples} samples before it are in {found.file}"
+        kept = f"the {quality.samples} samples before it are in {quality.file}"
         if isinstance(failure, InputError):
             raise InputError(f"{failure.what}; {kept}", failure.where, failure.do) from failure
-        what = f"the source failed: {_words(failure)}"
+        what = f"the source failed: {_describe_failure(failure)}"
         raise DeviceError(what, WHERE, f"mend it; {kept}") from failure.__cause__
-    return found
+    return quality
 
 
-def _take(
+def _write_blocks(
     block: "_Block | None",
-    taking: "_Taking",
+    taker: "_Taking",
     samples: int | None,
     writer: journal.Writer,
     lock: threading.Lock,
@@ -152,22 +152,22 @@ def _take(
                 for data in blocks.packed(block.time, block.values):
                     writer.append(journal.RECEIVED, stamp, data)
                 if writer.tick() and writer.is_asked_to_stop():
-                    taking.stop.set()
-            progress(taking.taken_s)
-            if samples is not None and taking.taken >= samples and not taking.stop.is_set():
+                    taker.stop.set()
+            progress(taker.taken_s)
+            if samples is not None and taker.taken >= samples and not taker.stop.is_set():
                 break
-            block = taking.next()
+            block = taker.next()
         else:
-            ended_early = samples is not None or taking.ended != journal.SOURCE_ENDED
-            reason = taking.ended if ended_early else journal.COMPLETE
-        taking.items.end()
+            ended_early = samples is not None or taker.ended != journal.SOURCE_ENDED
+            reason = taker.ended if ended_early else journal.COMPLETE
+        taker.items.end()
     except KeyboardInterrupt:
         reason = journal.STOPPED
     except (InputError, _SourceError) as error:
         failure, reason = error, journal.SOURCE_FAILED
     with lock:
         if failure is not None:
-            writer.append(journal.LOST, time.monotonic_ns(), _words(failure).encode())
+            writer.append(journal.LOST, time.monotonic_ns(), _describe_failure(failure).encode())
         writer.append(journal.END, time.monotonic_ns(), json.dumps({"reason": reason}).encode())
     return failure
 
@@ -301,7 +301,7 @@ class _Taking:
                 self.ended = journal.SOURCE_ENDED
                 break
             self._number += 1
-            block = self._checked(item)
+            block = self._check_block(item)
             if len(block.time):
                 return block
         return None
@@ -316,11 +316,11 @@ class _Taking:
             self.ended = journal.SOURCE_SILENT
         return bool(self.ended)
 
-    def _checked(self, item: Any) -> _Block:
+    def _check_block(self, item: Any) -> _Block:
         try:
             times, values = item
         except (TypeError, ValueError) as error:
-            what = f"block {self._number} is {_kind(item)}, not two arrays"
+            what = f"block {self._number} is {_describe_item(item)}, not two arrays"
             do = f"{DO}; for arrays that are complete use daq.Recording.from_arrays(t, x).save(path)"
             raise InputError(what, WHERE, do) from error
         where = f"{WHERE}, block {self._number}"
@@ -351,11 +351,11 @@ class _Taking:
         steps = np.diff(time, prepend=self._last_s if self.taken else -np.inf)
         wrong = np.flatnonzero(~(steps > 0))
         if wrong.size:
-            at = int(wrong[0])
-            before = float(time[at - 1]) if at else self._last_s
-            what = f"time does not increase at sample {at} in block {self._number}"
+            sample = int(wrong[0])
+            before = float(time[sample - 1]) if sample else self._last_s
+            what = f"time does not increase at sample {sample} in block {self._number}"
             do = "give the times of one clock, in s, that go on from block to block"
-            raise InputError(f"{what}: {time[at]:.9g} s after {before:.9g} s", WHERE, do)
+            raise InputError(f"{what}: {time[sample]:.9g} s after {before:.9g} s", WHERE, do)
         if len(time) and time[-1] - (self._first_s if self.taken else time[0]) > LONGEST_S:
             raise InputError(f"its times reach {time[-1]:.3g} s", WHERE, "give times in s")
 
@@ -373,12 +373,12 @@ class _Taking:
             raise _WrongRateError(what, WHERE, f"give rate_hz={rate_hz:.4g}, or the times in s")
 
 
-def _kind(item: Any) -> str:
+def _describe_item(item: Any) -> str:
     shape = getattr(item, "shape", None)
     return f"a {type(item).__name__}" + (f" of shape {shape}" if shape is not None else "")
 
 
-def _words(error: InputError | _SourceError) -> str:
+def _describe_failure(error: InputError | _SourceError) -> str:
     if isinstance(error, InputError):
         return error.what
     cause = error.__cause__

@@ -39,7 +39,7 @@ class JournalPlace:
         renamed = self._writer.now_at()
         if renamed is not None:
             self._writer.path = renamed
-        elif not self._copied():
+        elif not self._copy_elsewhere():
             return False
         part = self._writer.path
         if not _is_same(part.parent, self.output.parent):
@@ -52,19 +52,19 @@ class JournalPlace:
         self._say(self.changes[-1])
         return True
 
-    def _copied(self) -> bool:
+    def _copy_elsewhere(self) -> bool:
         """Copy the journal to another folder; False where none takes it."""
-        refused = ""
+        reasons = ""
         for folder in self._folders():
             try:
-                self._writer.move(_free(folder / self.output.name))
+                self._writer.move(_find_free_name(folder / self.output.name))
             except OSError as error:
-                refused = f"; {folder}: {error.strerror}"
+                reasons = f"; {folder}: {error.strerror}"
                 continue
             return True
         if not self._hopeless:
             self._hopeless = True
-            self._say(f"{self._writer.path} was removed or unmounted, and no other folder takes the journal{refused}")
+            self._say(f"{self._writer.path} was removed or unmounted, and no other folder takes the journal{reasons}")
         return False
 
     def _folders(self) -> Iterator[Path]:
@@ -80,7 +80,7 @@ def _is_same(one: Path, other: Path) -> bool:
         return False
 
 
-def _free(output: Path) -> Path:
+def _find_free_name(output: Path) -> Path:
     """Return the name of a journal beside which there is no such run file, and no such journal."""
     names = itertools.chain([output.name], (f"{output.stem}-{k}{output.suffix}" for k in itertools.count(2)))
     for name in names:

@@ -11,7 +11,7 @@ FORMATS = {"n": r"(0?\d+)?d?", "date": ""}  # format of each field, as a regular
 DO = "use {n}, {n:03} or {date}, as in 'run-{n:03}.h5'; for a brace itself write it twice"
 
 
-def completed(path: Path) -> Path:
+def complete_name(path: Path) -> Path:
     """Return an output path with its fields filled in; a path without braces is returned as it is.
 
     path: ``{n}`` in the file's name becomes one more than the largest number of the run files and journals of that
@@ -31,10 +31,10 @@ def completed(path: Path) -> Path:
         if field is not None and (field not in FORMATS or conversion or not re.fullmatch(FORMATS[field], form or "")):
             raise InputError("holds a field that is not known", str(path), DO)
     date = f"{datetime.now():%Y%m%d-%H%M%S}"
-    return path.with_name(path.name.format(n=_next(path.parent, parts), date=date))
+    return path.with_name(path.name.format(n=_find_next_number(path.parent, parts), date=date))
 
 
-def _next(folder: Path, parts: list[tuple[str, str | None, str | None, str | None]]) -> int:
+def _find_next_number(folder: Path, parts: list[tuple[str, str | None, str | None, str | None]]) -> int:
     """Return one more than the largest number that a run file or a journal of this pattern has."""
     kinds = {"n": r"(\d+)", "date": r"\d{8}-\d{6}", None: ""}
     pattern = re.compile("".join(re.escape(text) + kinds[field] for text, field, _, _ in parts) + r"(?:\.part)?")

@@ -26,24 +26,24 @@ class NoteFlags:
         Parameter(negative=(), consume_multiple=False, help="A named value, NAME=VALUE; repeatable."),
     ] = None
 
-    def given(self) -> dict[str, Any]:
+    def collect(self) -> dict[str, Any]:
         """Return the notes that were given, by the attributes of `daq.runfile.recording.Recording`.
 
         Raises InputError: A tag that is not NAME=VALUE, or text that a file cannot hold.
         """
         typed = {"title": self.title, "operator": self.operator, "sample_name": self.sample, "note": self.note}
-        stated: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
-        for name, value in stated.items():
+        values: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
+        for name, value in values.items():
             check_text(value, f"--{name.removesuffix('_name')}")
         if self.tag is not None:
-            stated["tags"] = tags(self.tag)
-        return stated
+            values["tags"] = parse_tags(self.tag)
+        return values
 
 
 NO_NOTES = NoteFlags()
 
 
-def tags(typed: list[str]) -> dict[str, str]:
+def parse_tags(typed: list[str]) -> dict[str, str]:
     """Return tags typed as NAME=VALUE by name; InputError for one that is not, or a name given twice."""
     values: dict[str, str] = {}
     for text in typed:

@@ -44,7 +44,7 @@ def rig_url(scene: str, changes: list[str], realtime: bool) -> str:
     return f"rig://{quote(scene, safe='')}" + ("?" + "&".join(query) if query else "")
 
 
-def shown(url: str) -> str:
+def shorten_url(url: str) -> str:
     """Return a port for people: the changes of a simulated rig as they were typed, cut off where they are long."""
     words = unquote(url) if url.startswith("rig://") else url
     return words if len(words) <= LONGEST_SHOWN else f"{words[: LONGEST_SHOWN - 3]}..."
@@ -78,7 +78,7 @@ def open_port(url: str, baud: int = BAUD) -> Port:
     except (ValueError, LookupError) as error:  # raised by pyserial for an unknown setting in the URL
         raise InputError(f"cannot open such a port: {error}", url, do) from error
     except OSError as error:  # SerialException is a subclass
-        raise DeviceError(*explain(url, error)) from error
+        raise DeviceError(*explain_refusal(url, error)) from error
     _ask_for_low_latency(port)
     return cast(Port, port)
 
@@ -111,19 +111,19 @@ def uart_baud(url: str, port: Port) -> int | None:
     return None if "://" in url or os.path.realpath(url).startswith("/dev/pts/") else line_baud(url, port)
 
 
-def explain(url: str, error: OSError) -> tuple[str, str, str]:
+def explain_refusal(url: str, error: OSError) -> tuple[str, str, str]:
     """Return why a port could not be opened, its name, and what to do."""
     device = Path(url)
     code = error.errno
-    if code == errno.EACCES or (device.exists() and not _allowed(device)):
+    if code == errno.EACCES or (device.exists() and not _is_allowed(device)):
         return "no permission to open this port", url, permission_fix(device)
     if code == errno.EBUSY or "exclusively lock" in str(error):
         return "another program holds this port", url, "close that program (a serial monitor?) and try again"
     if code == errno.ENOENT or (url.startswith("/dev/") and not device.exists()):
-        return "no such port", url, f"connect the board; {_present()}"
+        return "no such port", url, f"connect the board; {_list_present()}"
     if "://" in url:
         return f"cannot connect: {error}", url, "check that the other end is running, and its address"
-    return f"cannot open this port: {error}", url, f"check the name; {_present()}"
+    return f"cannot open this port: {error}", url, f"check the name; {_list_present()}"
 
 
 def list_ports() -> list[PortInfo]:
@@ -133,17 +133,19 @@ def list_ports() -> list[PortInfo]:
     ports = [PortInfo(SIMULATED_RIG, "the simulated rig; 'daq record' takes it when no --port is given", True)]
     for info in sorted(comports()):
         device = Path(info.device)
-        usable = os.name == "nt" or _allowed(device)
+        usable = os.name == "nt" or _is_allowed(device)
         if info.description in ("n/a", "", None) and info.hwid in ("n/a", "", None) and not usable:
             continue  # a port of the machine itself with nothing behind it
-        described = info.description if info.description not in ("n/a", None) else "serial port, no further information"
-        ports.append(PortInfo(info.device, described, usable, "" if usable else permission_fix(device)))
+        description = (
+            info.description if info.description not in ("n/a", None) else "serial port, no further information"
+        )
+        ports.append(PortInfo(info.device, description, usable, "" if usable else permission_fix(device)))
     return ports
 
 
 def permission_fix(device: Path) -> str:
     """Return the exact command that gives this user the right to open ``device``."""
-    user = _user()
+    user = _get_user()
     try:
         import grp
 
@@ -157,11 +159,11 @@ def permission_fix(device: Path) -> str:
     return f"run 'sudo chmod a+rw {device}' (until it is unplugged)"
 
 
-def _allowed(device: Path) -> bool:
+def _is_allowed(device: Path) -> bool:
     return os.access(device, os.R_OK | os.W_OK)
 
 
-def _user() -> str:
+def _get_user() -> str:
     import getpass
 
     try:
@@ -170,6 +172,6 @@ def _user() -> str:
         return "$USER"
 
 
-def _present() -> str:
-    devices = [found.port for found in list_ports() if found.port != SIMULATED_RIG]
+def _list_present() -> str:
+    devices = [info.port for info in list_ports() if info.port != SIMULATED_RIG]
     return f"ports here: {', '.join(devices)}" if devices else "no serial port is connected; see 'daq ports'"

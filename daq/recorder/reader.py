@@ -134,7 +134,7 @@ class Reader(threading.Thread):
                 silence.begin()
                 heard = self.heard
             elif silence.step() > SILENT_S:
-                if not self._recover(began, self._silent(self.heard - heard)):
+                if not self._recover(began, self._explain_silence(self.heard - heard)):
                     return
                 silence.begin()
                 heard = self.heard
@@ -147,7 +147,7 @@ class Reader(threading.Thread):
                 break
         self._finish()
 
-    def _silent(self, heard: int) -> str:
+    def _explain_silence(self, heard: int) -> str:
         """Return what is wrong with a board that gave so many bytes in `SILENT_S`, and no new sample."""
         if heard:
             return f"no new sample in the {heard} bytes that came in {SILENT_S:g} s"

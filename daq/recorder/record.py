@@ -30,7 +30,7 @@ from daq.recorder.journal_place import JournalPlace
 from daq.recorder.reader import Reader
 from daq.runfile import journal, provenance
 from daq.runfile.journal_header import MOST_SAMPLES
-from daq.runfile.rig import Rig, replaced
+from daq.runfile.rig import Rig, find_replaced
 from daq.wire import frames
 from stickslip.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
 from stickslip.output import disk
@@ -78,7 +78,7 @@ def check_request(request: RecordRequest) -> None:
             "give 1 or more samples per second",
             python="give rate_hz=1 or more",
         )
-    samples_wanted(request.duration_s, request.rate_hz or 1000)
+    count_samples(request.duration_s, request.rate_hz or 1000)
     protocols.load(request.protocol).check(request)
     if request.calibration is not None:
         Rig.from_toml(request.calibration, "--rig")
@@ -109,7 +109,7 @@ def journal_exists(part: Path) -> InputError:
     )
 
 
-def samples_wanted(duration_s: float, rate_hz: float) -> int:
+def count_samples(duration_s: float, rate_hz: float) -> int:
     if not 1 <= duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
         what = f"the duration is {duration_s:g} s, {duration_s * rate_hz:g} samples at {rate_hz:g} Hz"
         raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples", python="give seconds of it")
@@ -145,11 +145,11 @@ def record(
     if stop.is_set():
         board.close()
         raise RecordingInterruptedError("interrupted before the recording began", request.port, "record again")
-    say(f"{identity.ident.name or 'a board'} on {ports.shown(request.port)}, decoder {identity.ident.decoder}")
+    say(f"{identity.ident.name or 'a board'} on {ports.shorten_url(request.port)}, decoder {identity.ident.decoder}")
     logger.info("%s at %g Hz, blocks of %d, journal %s", request.port, plan.rate_hz, plan.block, request.part)
     try:
-        samples = samples_wanted(request.duration_s, plan.rate_hz)
-        writer = journal.Writer(request.part, _header(request, board, identity, plan, samples, warnings))
+        samples = count_samples(request.duration_s, plan.rate_hz)
+        writer = journal.Writer(request.part, _make_board_header(request, board, identity, plan, samples, warnings))
     except FileExistsError as error:
         board.close()
         raise journal_exists(request.part) from error
@@ -163,7 +163,7 @@ def record(
         say(f"{writer.path} cannot be locked on this file system: run no 'daq recover' on it before the recording ends")
     place = JournalPlace(writer, request.output, say)
     reader = Reader(board, lambda: _connect(request).board, plan.rate_hz, samples, say)
-    with keeping(writer):
+    with keep_journal(writer):
         try:
             if calibration is not None:
                 writer.append(journal.CONFIGURATION, time.monotonic_ns(), calibration.encode())
@@ -173,7 +173,7 @@ def record(
                 progress(min(reached, samples) / plan.rate_hz)
                 status(reader.tally.words(time.monotonic() - began))
 
-            _take(reader, writer, place, show, stop)
+            _write_records(reader, writer, place, show, stop)
             logger.info("ended: %s; %s", reader.ended, reader.tally.words(time.monotonic() - began))
             if reader.failure is not None:
                 if not reader.heard:
@@ -194,7 +194,7 @@ def record(
 
 
 @contextmanager
-def keeping(writer: journal.Writer) -> Iterator[None]:
+def keep_journal(writer: journal.Writer) -> Iterator[None]:
     """Close a journal at the end, and say where it is kept after an interrupt or when a disk refuses."""
     try:
         yield
@@ -220,7 +220,7 @@ def make_run(request: RecordRequest, writer: journal.Writer, place: JournalPlace
 
     while True:
         try:
-            found = finalise(
+            quality = finalise(
                 writer.path, place.output, finished_by="daq record", force=request.force, remove=writer.remove
             )
         except InputError as error:
@@ -232,7 +232,7 @@ def make_run(request: RecordRequest, writer: journal.Writer, place: JournalPlace
             if not place.check():
                 raise
         else:
-            return replace(found, warnings=(*found.warnings, *place.changes))
+            return replace(quality, warnings=(*quality.warnings, *place.changes))
 
 
 class _Connected(NamedTuple):
@@ -254,11 +254,11 @@ def _connect(request: RecordRequest) -> _Connected:
         identity = board.identify()
         plan = board.plan(identity)
         baud = ports.line_baud(request.port, port)
-        calibration = _calibration(request, identity)
-        known = _known(calibration or identity.config or "", identity)
-        stored = _known(request.calibration or identity.config or "", identity)
-        warnings = [*plan.notes, *link_budget.check(identity.ident, known, plan, baud)]
-        warnings += [row.text for row in replaced(stored, stored.stating(request.stated))]
+        calibration = _replace_calibration(request, identity)
+        rig = _read_rig(calibration or identity.config or "", identity)
+        stored = _read_rig(request.calibration or identity.config or "", identity)
+        warnings = [*plan.notes, *link_budget.check(identity.ident, rig, plan, baud)]
+        warnings += [row.text for row in find_replaced(stored, stored.stating(request.stated))]
         identity = board.prepare(plan)
     except OSError as error:
         port.close()
@@ -269,24 +269,24 @@ def _connect(request: RecordRequest) -> _Connected:
     return _Connected(board, identity, plan, warnings, calibration)
 
 
-def _calibration(request: RecordRequest, identity: Identity) -> str | None:
+def _replace_calibration(request: RecordRequest, identity: Identity) -> str | None:
     """Return the calibration that replaces the one sent by the board; None where nothing replaces it.
 
     Where the board sends measured numbers, a count is metres by their unit, of a force by the spring's stiffness.
 
     Raises InputError: for forces of a spring of unknown stiffness, and metres per count beside numbers with a unit.
     """
-    of, size = identity.measured or ("", 0.0)
-    if not request.stated and not of:
+    dimension, size = identity.measured or ("", 0.0)
+    if not request.stated and not dimension:
         return request.calibration
-    rig = _known(request.calibration or identity.config or "", identity).stating(request.stated)
-    if not of:
+    rig = _read_rig(request.calibration or identity.config or "", identity).stating(request.stated)
+    if not dimension:
         return rig.to_toml()
     if "metres_per_count" in request.stated:
         what = "the columns give positions with a unit, and metres per count are given"
         raise InputError(what, "--metres-per-count", "leave it out: it is for counts")
     pitch = Measured(size)
-    if of == FORCE:
+    if dimension == FORCE:
         if rig.stiffness is None:
             what = "the columns give a force, and the stiffness of its spring is not known"
             raise InputError(what, "--columns", "give --stiffness '10.5 N/m', or stiffness in the rig.toml")
@@ -294,7 +294,7 @@ def _calibration(request: RecordRequest, identity: Identity) -> str | None:
     return replace(rig, metres_per_count=pitch, counts_per_revolution=None).to_toml()
 
 
-def _known(calibration: str, identity: Identity) -> Rig:
+def _read_rig(calibration: str, identity: Identity) -> Rig:
     try:
         rig = Rig.from_toml(calibration, "the board's CONFIG")
     except InputError:
@@ -302,7 +302,7 @@ def _known(calibration: str, identity: Identity) -> Rig:
     return replace(rig, decoder=identity.ident.decoder)
 
 
-def _header(
+def _make_board_header(
     request: RecordRequest, board: Session, identity: Identity, plan: Plan, samples: int, warnings: list[str]
 ) -> dict[str, Any]:
     how = {name: getattr(board.request, name) for name in ("protocol", "columns", "decoder", "port")} | {
@@ -312,10 +312,10 @@ def _header(
         "title": f"{identity.ident.name or 'stick-slip'}, {plan.rate_hz:g} Hz",
         "warnings": warnings,
     }
-    return begun(how, request.notes, {"port": request.port, "firmware": _version(identity.ident)})
+    return make_header(how, request.notes, {"port": request.port, "firmware": _format_version(identity.ident)})
 
 
-def begun(how: Mapping[str, Any], notes: Mapping[str, Any], origin: Mapping[str, str]) -> dict[str, Any]:
+def make_header(how: Mapping[str, Any], notes: Mapping[str, Any], origin: Mapping[str, str]) -> dict[str, Any]:
     """Return the header of a journal that begins now: ``how`` it is recorded, notes, and where its samples are from."""
     now = datetime.now().astimezone()
     offset = now.utcoffset()
@@ -329,15 +329,15 @@ def begun(how: Mapping[str, Any], notes: Mapping[str, Any], origin: Mapping[str,
         "pid": os.getpid(),
         "host": platform.node(),
         "utc_offset_s": int(offset.total_seconds()) if offset else 0,
-        "provenance": provenance.here() | dict(origin),
+        "provenance": provenance.collect_provenance() | dict(origin),
     }
 
 
-def _version(ident: frames.Ident) -> str:
+def _format_version(ident: frames.Ident) -> str:
     return ".".join(str(number) for number in ident.firmware)
 
 
-def _take(
+def _write_records(
     reader: Reader,
     writer: journal.Writer,
     place: JournalPlace,
@@ -378,8 +378,8 @@ def _take(
 
 def _dismiss(reader: Reader) -> None:
     """Let the reader end: empty its queue, so that it never waits for this thread, until it is gone."""
-    until = time.monotonic() + LEAVE_S
-    while reader.is_alive() and time.monotonic() < until:
+    deadline = time.monotonic() + LEAVE_S
+    while reader.is_alive() and time.monotonic() < deadline:
         try:
             reader.items.get(timeout=WAKE_S)
         except queue.Empty:
@@ -392,6 +392,6 @@ def disk_error(part: Path, error: OSError) -> StickslipError:
         do = f"correct that, then get the data with 'daq recover {part}'"
     else:
         do = "record into a folder you may write to, with -o"
-    refused = disk.refusal(part, error)
+    refused = disk.describe_refusal(part, error)
     kept = "; the journal is kept as far as it got" if part.exists() else ""
     return disk.RefusedError(refused.what + kept, refused.where, do)

@@ -15,10 +15,10 @@ from daq.recorder.blocks import WHERE, record_blocks
 from daq.recorder.notes import NoteFlags
 from daq.recorder.record import record as record_board
 from daq.runfile.journal_header import FASTEST_HZ, SLOWEST_HZ
-from daq.runfile.rig import Rig, replaced
+from daq.runfile.rig import Rig, find_replaced
 from stickslip.compute.interpreter import start_python
 from stickslip.errors import InputError, check_type
-from stickslip.units import Stated, in_si, stated
+from stickslip.units import Stated, in_si, read_stated
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
@@ -131,21 +131,21 @@ def record(
     check_type(stop, threading.Event, "stop", WHERE, "a threading.Event")
     rate = None if rate_hz is None else in_si(rate_hz, "rate", "rate_hz").value
     length_s = None if seconds is None else in_si(seconds, "time", "seconds").value
-    target = names.completed(Path(output))
-    typed = [f"{name}={value}" for name, value in (tags or {}).items()]
-    notes = NoteFlags(title, operator, sample, note, typed or None).given()
+    target = names.complete_name(Path(output))
+    typed_tags = [f"{name}={value}" for name, value in (tags or {}).items()]
+    notes = NoteFlags(title, operator, sample, note, typed_tags or None).collect()
     values = {
-        "mass": stated(mass, "mass"),
-        "stiffness": stated(stiffness, "stiffness"),
-        "damping": stated(damping, "damping"),
-        "belt_speed": stated(belt_speed, "belt_speed"),
-        "x0": stated(x0, "x0"),
-        "metres_per_count": stated(metres_per_count, "metres_per_count"),
+        "mass": read_stated(mass, "mass"),
+        "stiffness": read_stated(stiffness, "stiffness"),
+        "damping": read_stated(damping, "damping"),
+        "belt_speed": read_stated(belt_speed, "belt_speed"),
+        "x0": read_stated(x0, "x0"),
+        "metres_per_count": read_stated(metres_per_count, "metres_per_count"),
     }
     request = RecordRequest(
         output=target,
         force=force,
-        calibration=None if rig is None else _text(Path(rig)),
+        calibration=None if rig is None else _read_text(Path(rig)),
         stated={name: value for name, value in values.items() if value is not None},
         notes=notes,
     )
@@ -154,7 +154,7 @@ def record(
             request = replace(
                 request,
                 port=source,
-                rate_hz=_whole(rate),
+                rate_hz=_check_whole(rate),
                 duration_s=DURATION_S if length_s is None else length_s,
                 protocol=protocol,
                 columns=columns,
@@ -169,7 +169,7 @@ def record(
             raise InputError(f"rate_hz is {rate_hz}", WHERE, "give the samples per second of the source")
         stored = Rig.from_toml(request.calibration or "", str(rig))
         used = stored.stating(request.stated)
-        warnings = [row.text for row in replaced(stored, used)]
+        warnings = [row.text for row in find_replaced(stored, used)]
         request = replace(request, calibration=used.to_toml())
         return record_blocks(source, request, rate, length_s, warnings, progress=progress, stop=stop)
 
@@ -215,13 +215,13 @@ def recover(
     return finalise(part, target, finished_by="daq recover", force=force)
 
 
-def _whole(rate_hz: float | None) -> int | None:
+def _check_whole(rate_hz: float | None) -> int | None:
     if rate_hz is not None and not rate_hz.is_integer():  # nor are infinity and NaN
         raise InputError(f"rate_hz is {rate_hz}", WHERE, "a port takes whole Hz, such as rate_hz=1000")
     return None if rate_hz is None else int(rate_hz)
 
 
-def _text(rig: Path) -> str:
+def _read_text(rig: Path) -> str:
     try:
         return rig.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

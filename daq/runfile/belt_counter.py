@@ -21,14 +21,14 @@ from daq.wire import counters
 SPAN_S = 0.02
 
 
-def decoded(
+def decode_belt(
     values: NDArray[np.integer] | None,
     time: NDArray[np.float64],
     starts: NDArray[np.int64],
     rate_hz: float,
     rig: Rig,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]] | tuple[None, None]:
-    """Return the belt's count and speed, as `unwrapped` and `velocity` do.
+    """Return the belt's count and speed, as `unwrap_count` and `compute_velocity` do.
 
     Both are None if the board sends no belt counts, or if their metres per count are unknown; the data sent remain in
     the raw columns.
@@ -36,8 +36,8 @@ def decoded(
     pitch = rig.belt_metres_per_count
     if values is None or pitch is None:
         return None, None
-    count = unwrapped(values, rig.counter_bits, starts)
-    return count, velocity(count, time, starts, rate_hz, pitch.value)
+    count = unwrap_count(values, rig.counter_bits, starts)
+    return count, compute_velocity(count, time, starts, rate_hz, pitch.value)
 
 
 class BeltCount:
@@ -53,20 +53,20 @@ class BeltCount:
 
         ``bits`` is the width of the counter at each of them, (n,).
         """
-        whole = values.astype(np.int64)
-        first, begins = whole.copy(), begins.copy()
+        readings = values.astype(np.int64)
+        first, begins = readings.copy(), begins.copy()
         if self._last is not None:
-            whole, begins = np.concatenate(([self._last[0]], whole)), np.concatenate(([True], begins))
+            readings, begins = np.concatenate(([self._last[0]], readings)), np.concatenate(([True], begins))
             first, bits = np.concatenate(([self._last[1]], first)), np.concatenate((bits[:1], bits))
-        if len(whole) == 0:
-            return whole
-        count = counters.running_sum(begins, counters.moves(whole, bits[1:]), first)
-        own = count[0 if self._last is None else 1 :]
-        self._last = int(whole[-1]), int(count[-1])
-        return own
+        if len(readings) == 0:
+            return readings
+        count = counters.running_sum(begins, counters.moves(readings, bits[1:]), first)
+        new_counts = count[0 if self._last is None else 1 :]
+        self._last = int(readings[-1]), int(count[-1])
+        return new_counts
 
 
-def unwrapped(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64]) -> NDArray[np.int64]:
+def unwrap_count(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the belt's count without roll-over, (n,), each segment beginning at its own first reading.
 
     values: (n,) As sent, modulo 2^bits.
@@ -78,7 +78,7 @@ def unwrapped(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64])
     return BeltCount().take(values, begins, np.full(len(values), bits))
 
 
-def velocity(
+def compute_velocity(
     count: NDArray[np.int64],
     time: NDArray[np.float64],
     starts: NDArray[np.int64],
@@ -89,11 +89,11 @@ def velocity(
 
     At the ends of a segment the span is cut short; a segment of one sample has speed 0.
     """
-    pieces = list(velocity_pieces(count, time, starts, rate_hz, metres_per_count))
+    pieces = list(yield_velocities(count, time, starts, rate_hz, metres_per_count))
     return np.concatenate([np.zeros(0), *pieces])
 
 
-def velocity_pieces(
+def yield_velocities(
     count: NDArray[np.int64],
     time: NDArray[np.float64],
     starts: NDArray[np.int64],
@@ -107,8 +107,8 @@ def velocity_pieces(
             yield np.zeros(last - first)
             continue
         for begin in range(first, last, BLOCK):
-            at = np.arange(begin, min(begin + BLOCK, last))
-            low, high = np.maximum(at - half, first), np.minimum(at + half, last - 1)
+            samples = np.arange(begin, min(begin + BLOCK, last))
+            low, high = np.maximum(samples - half, first), np.minimum(samples + half, last - 1)
             base = int(low[0])
             counts, times = count[base : int(high[-1]) + 1], time[base : int(high[-1]) + 1]
             low, high = low - base, high - base

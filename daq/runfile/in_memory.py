@@ -10,10 +10,10 @@ import numpy as np
 
 from daq.runfile import belt_counter
 from daq.runfile.rig import Rig
-from daq.runfile.run_data import FARTHEST, RunData, implausible_motion, impossible_motion, positions
+from daq.runfile.run_data import FARTHEST, RunData, explain_implausible, explain_impossible, positions
 from stickslip.compute.arrays import Array, Integers, numbers
 from stickslip.errors import InputError, check_type
-from stickslip.units import Measured, Stated, stated
+from stickslip.units import Measured, Stated, read_stated
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -53,35 +53,35 @@ def from_arrays(
         raise InputError(f"time and position hold {len(times)} sample(s)", "from_arrays", "give two or more")
     seconds = times.astype(np.float64)
     seconds = seconds - seconds[0]
-    pitch = stated(metres_per_count, "metres_per_count")
+    pitch = read_stated(metres_per_count, "metres_per_count")
     metres = values.astype(np.float64)
     for name, column in (("time", seconds), ("position", metres)):
         _check_finite(column, name)
-    count = counts(values, pitch, "position")
-    if (wrong := impossible_motion(seconds, metres)) is not None:
+    count = read_counts(values, pitch, "position")
+    if (wrong := explain_impossible(seconds, metres)) is not None:
         raise InputError(wrong, "from_arrays", "give times in s that increase, and positions in m or counts")
-    if count is None and (moved := implausible_motion(seconds, metres)) is not None:
+    if count is None and (moved := explain_implausible(seconds, metres)) is not None:
         warnings.warn(f"are the positions in m? {moved}; if they are in mm, give x / 1000", UserWarning, stacklevel=3)
     rig = Rig(
         metres_per_count=pitch,
-        mass=stated(mass, "mass"),
-        stiffness=stated(stiffness, "stiffness"),
-        belt_speed=stated(belt_speed, "belt_speed"),
-        x0=stated(x0, "x0"),
-        damping=stated(damping, "damping"),
+        mass=read_stated(mass, "mass"),
+        stiffness=read_stated(stiffness, "stiffness"),
+        belt_speed=read_stated(belt_speed, "belt_speed"),
+        x0=read_stated(x0, "x0"),
+        damping=read_stated(damping, "damping"),
     )
-    begun = datetime.now(UTC)
+    started = datetime.now(UTC)
     run = make(
         title=title or "arrays",
-        started=begun.isoformat(),
-        ended=(begun + timedelta(seconds=float(seconds[-1]))).isoformat(),
-        rate_hz=sample_rate(seconds),
+        started=started.isoformat(),
+        ended=(started + timedelta(seconds=float(seconds[-1]))).isoformat(),
+        rate_hz=measure_rate(seconds),
         rig=rig,
         time=seconds,
         position=metres if count is None else positions(count, rig),
         count=count,
         config_toml=rig.to_toml(),
-        provenance=provenance.here(),
+        provenance=provenance.collect_provenance(),
     )
     if belt_position is None:
         return run
@@ -91,10 +91,10 @@ def from_arrays(
             f"belt_position holds {len(belt)} values and time {len(seconds)}", "from_arrays", "give one each"
         )
     _check_finite(belt, "belt_position")
-    return with_belt(run, belt)
+    return add_belt(run, belt)
 
 
-def counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: str) -> Integers | None:
+def read_counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: str) -> Integers | None:
     """Return positions as counts: whole numbers of any type with a pitch, integers without; None where they are metres.
 
     Raises InputError: there is a pitch, and the values are no whole numbers.
@@ -111,7 +111,7 @@ def counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: str) ->
     return np.asarray(whole, np.int64)
 
 
-def with_belt(run: Made, belt: Array) -> Made:
+def add_belt(run: Made, belt: Array) -> Made:
     """Return a run with the positions of its belt as counts.
 
     The count is the last decimal of the positions, `FINEST_DECIMALS` at most, so that rounded readings are counts of
@@ -120,14 +120,14 @@ def with_belt(run: Made, belt: Array) -> Made:
     run: Of n samples.
     belt: (n,) Positions of the belt, m, positive towards +x.
     """
-    pitch = last_decimal(belt)
+    pitch = find_last_decimal(belt)
     count = np.rint(belt / pitch).astype(np.int64)
-    speed = belt_counter.velocity(count, run.time, np.array([0]), run.rate_hz, pitch)
+    speed = belt_counter.compute_velocity(count, run.time, np.array([0]), run.rate_hz, pitch)
     rig = replace(run.rig, belt_metres_per_count=Measured(pitch))
     return replace(run, rig=rig, belt_count=count, belt_velocity=speed, config_toml=rig.to_toml())
 
 
-def last_decimal(values: Array) -> float:
+def find_last_decimal(values: Array) -> float:
     """Return the largest power of ten of which all values are multiples, 1e-9 (`FINEST_DECIMALS`) at least."""
     for decimals in range(FINEST_DECIMALS):
         number = values * 10.0**decimals
@@ -136,7 +136,7 @@ def last_decimal(values: Array) -> float:
     return float(10.0**-FINEST_DECIMALS)
 
 
-def sample_rate(time: Array) -> float:
+def measure_rate(time: Array) -> float:
     """Return the rate of samples at times in s, Hz: that of the steps in which no sample is missing."""
     step = np.diff(time)  # their mean: the median alone carries the rounding of printed times
     return float(1 / step[step < 1.5 * np.median(step)].mean())

@@ -35,7 +35,7 @@ class BrokenOffError(Exception):
     """The child ended without an answer; the text says how: it crashed, or took too much time or memory."""
 
 
-def isolated(work: Work, path: Path, seconds: float, memory: int) -> bytes:
+def run_isolated(work: Work, path: Path, seconds: float, memory: int) -> bytes:
     """Return ``work(path)``, done in a child process.
 
     work: A function of a module, which takes the path and returns bytes.
@@ -46,8 +46,8 @@ def isolated(work: Work, path: Path, seconds: float, memory: int) -> bytes:
     Raises BrokenOffError: the child crashed, or was ended by one of the limits.
     Raises RuntimeError: any other exception of ``work``, as text.
     """
-    sent = (_fork if sys.platform == "linux" else _spawn)(work, path, seconds, memory)
-    kind, content = sent[:1], sent[1:]
+    answer = (_fork if sys.platform == "linux" else _spawn)(work, path, seconds, memory)
+    kind, content = answer[:1], answer[1:]
     if kind == DONE:
         return content
     if kind == REFUSED:
@@ -61,10 +61,10 @@ def isolated(work: Work, path: Path, seconds: float, memory: int) -> bytes:
     raise BrokenOffError(CRASHED)
 
 
-def _answer(work: Work, path: Path, seconds: float, memory: int) -> bytes:
+def _do_work(work: Work, path: Path, seconds: float, memory: int) -> bytes:
     """Do the work in the child."""
     faulthandler.disable()
-    _limit(seconds, memory)
+    _limit_resources(seconds, memory)
     try:
         return DONE + work(path)
     except InputError as error:
@@ -75,20 +75,20 @@ def _answer(work: Work, path: Path, seconds: float, memory: int) -> bytes:
         return FAULT + traceback.format_exc().encode()
 
 
-def _limit(seconds: float, memory: int) -> None:
+def _limit_resources(seconds: float, memory: int) -> None:
     try:
         import resource
     except ImportError:  # Windows
         return
     used = time.process_time()
-    wanted = {resource.RLIMIT_CPU: int(used + seconds) + 1, resource.RLIMIT_CORE: 0}
+    limits = {resource.RLIMIT_CPU: int(used + seconds) + 1, resource.RLIMIT_CORE: 0}
     if sys.platform == "linux":
         pages = int(Path("/proc/self/statm").read_text().split()[0])
-        wanted[resource.RLIMIT_AS] = pages * resource.getpagesize() + memory
-    for what, most in wanted.items():
-        hard = resource.getrlimit(what)[1]
-        soft = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(what, (soft, hard))
+        limits[resource.RLIMIT_AS] = pages * resource.getpagesize() + memory
+    for kind, limit in limits.items():
+        hard = resource.getrlimit(kind)[1]
+        soft = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(kind, (soft, hard))
 
 
 def _fork(work: Work, path: Path, seconds: float, memory: int) -> bytes:
@@ -105,16 +105,16 @@ def _fork(work: Work, path: Path, seconds: float, memory: int) -> bytes:
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     os.close(writing)
-    sent: bytes | None = None
+    answer: bytes | None = None
     try:
-        sent = _received(reading, time.monotonic() + PATIENCE * seconds)
+        answer = _read_until_closed(reading, time.monotonic() + PATIENCE * seconds)
     finally:
         os.close(reading)
-        if not sent:  # it is too late, or this process is interrupted
+        if not answer:  # it is too late, or this process is interrupted
             os.kill(child, signal.SIGKILL)
         status = os.waitpid(child, 0)[1]
-    late = sent is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU)
-    return TOO_LONG if late else sent or b""
+    late = answer is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU)
+    return TOO_LONG if late else answer or b""
 
 
 def _be_child(
@@ -127,12 +127,12 @@ def _be_child(
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # the last words of a crashing library
         with open(writing, "wb") as pipe:
-            pipe.write(_answer(work, path, seconds, memory))
+            pipe.write(_do_work(work, path, seconds, memory))
     finally:
         os._exit(0)
 
 
-def _received(reading: int, until: float) -> bytes | None:
+def _read_until_closed(reading: int, until: float) -> bytes | None:
     """Return what comes through a pipe until it is closed; None past a time of the monotonic clock."""
     poll = select.poll()
     poll.register(reading, select.POLLIN)
@@ -148,22 +148,22 @@ def _received(reading: int, until: float) -> bytes | None:
 def _spawn(work: Work, path: Path, seconds: float, memory: int) -> bytes:
     """Return what `_fork` returns, of a new interpreter."""
     words = (work.__module__, work.__qualname__, str(path), repr(seconds), str(memory))
-    nowhere = subprocess.DEVNULL
-    with start_python(__name__, *words, stdin=nowhere, stdout=subprocess.PIPE, stderr=nowhere) as child:
+    null = subprocess.DEVNULL
+    with start_python(__name__, *words, stdin=null, stdout=subprocess.PIPE, stderr=null) as child:
         try:
-            sent: bytes = child.communicate(timeout=PATIENCE * seconds)[0]
+            answer: bytes = child.communicate(timeout=PATIENCE * seconds)[0]
         except subprocess.TimeoutExpired:
             return TOO_LONG
         finally:
             child.kill()  # it is too late, or this process is interrupted
     if child.returncode < 0 and child.returncode == -getattr(signal, "SIGXCPU", 0):
         return TOO_LONG
-    return sent
+    return answer
 
 
 def _main(module: str, name: str, path: str, seconds: str, memory: str) -> None:
     work: Work = getattr(importlib.import_module(module), name)
-    sys.stdout.buffer.write(_answer(work, Path(path), float(seconds), int(memory)))
+    sys.stdout.buffer.write(_do_work(work, Path(path), float(seconds), int(memory)))
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ class FittedRun:
     started: str
 
 
-def beside(files: Sequence[Path], suffix: str = SUFFIX) -> Path:
+def name_output(files: Sequence[Path], suffix: str = SUFFIX) -> Path:
     """Return the name of an output of several runs, beside the first: ``run1+2.fit.h5`` for three runs."""
     return files[0].with_name(f"{files[0].stem}+{len(files) - 1}{suffix}")
 
@@ -45,11 +45,11 @@ def refuse_foreign_file(path: Path, runs: Sequence[FittedRun], *, force: bool = 
     if not path.exists() or force:
         return
     try:
-        with opened(path) as entry:
-            found = nexus.read_texts(entry, "runs/sha256_raw", path)
+        with open_joint_fit(path) as entry:
+            digests = nexus.read_texts(entry, "runs/sha256_raw", path)
     except (InputError, *trust.DAMAGE) as error:
         raise InputError("exists and is no joint fit", str(path), KEPT) from error
-    if sorted(found) != sorted(run.digest for run in runs):
+    if sorted(digests) != sorted(run.digest for run in runs):
         raise InputError("exists and is the joint fit of other runs", str(path), KEPT)
 
 
@@ -62,7 +62,7 @@ def write(path: Path, runs: Sequence[FittedRun], writer: Callable[[h5py.Group], 
     Raises RefusedError: the disk refuses; an older file still stands.
     """
     refuse_foreign_file(path, runs, force=force)
-    with atomic.replacing(path, force=True) as temporary, disk.hdf5(temporary, "w") as file:
+    with atomic.replacing(path, force=True) as temporary, disk.open_hdf5(temporary, "w") as file:
         file.attrs.update({"NX_class": "NXroot", "default": "entry", "creator": f"stickslip {VERSION}"})
         file.attrs.update({"file_name": path.name, "NeXus_version": "2024.02"})
         entry = nexus.group(file, "entry", "NXentry", default="fit")
@@ -70,23 +70,23 @@ def write(path: Path, runs: Sequence[FittedRun], writer: Callable[[h5py.Group], 
         nexus.field(entry, "title", f"joint fit of {', '.join(run.file.name for run in runs)}")
         nexus.field(entry, "start_time", min(run.started for run in runs))
         nexus.field(entry, "program_name", "fit-friction", version=VERSION)
-        about = nexus.group(entry, "runs", "NXcollection", **{trust.JOINT: np.int64(trust.JOINT_SCHEMA)})
-        nexus.field(about, "file", names)
-        nexus.field(about, "sha256_raw", [run.digest for run in runs])
-        nexus.field(about, "title", [run.title for run in runs])
-        nexus.field(about, "start_time", [run.started for run in runs])
+        group = nexus.group(entry, "runs", "NXcollection", **{trust.JOINT: np.int64(trust.JOINT_SCHEMA)})
+        nexus.field(group, "file", names)
+        nexus.field(group, "sha256_raw", [run.digest for run in runs])
+        nexus.field(group, "title", [run.title for run in runs])
+        nexus.field(group, "start_time", [run.started for run in runs])
         writer(entry)
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[h5py.Group]:
+def open_joint_fit(path: Path) -> Iterator[h5py.Group]:
     """Open the file of a joint fit for reading, and give its /entry.
 
     Raises InputError: for a file that is none, of another schema, or not to be trusted.
     """
     wrong = InputError("is not the file of a joint fit", str(path), "give one that fit-friction wrote")
     try:
-        file = trust.opened(path)
+        file = trust.open_trusted(path)
     except OSError as error:
         raise wrong from error
     with file:
@@ -95,10 +95,10 @@ def opened(path: Path) -> Iterator[h5py.Group]:
         yield nexus.read_group(file, "entry", path)
 
 
-def recognised(path: Path) -> bool:
+def is_joint_fit(path: Path) -> bool:
     """Return whether a file is that of a joint fit, of the schema that this version reads."""
     try:
-        with trust.opened(path) as file:
+        with trust.open_trusted(path) as file:
             return trust.is_joint(file)
     except (OSError, InputError):
         return False

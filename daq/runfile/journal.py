@@ -44,7 +44,7 @@ from daq.runfile.journal_records import (
     Place,
     Record,
 )
-from daq.runfile.regular import regular_file
+from daq.runfile.regular import open_regular
 from stickslip.errors import InputError
 from stickslip.output import disk
 from stickslip.output.lock import FileLock
@@ -85,7 +85,7 @@ class Records:
         with self.path.open("rb", buffering=0) as file:
             content = Content(file)
             for number in numbers:
-                record = journal_records.record_at(content, self._places[number], whole=False)
+                record = journal_records.read_record(content, self._places[number], whole=False)
                 if record is None:
                     raise OSError(errno.EIO, "has changed while it was read", str(self.path))
                 yield record
@@ -139,7 +139,7 @@ class Writer:
 
     def append(self, kind: int, stamp_ns: int, data: bytes) -> None:
         """Append one record; at most a second later it is on the disk."""
-        parts = journal_records.packed(kind, stamp_ns, data)
+        parts = journal_records.pack(kind, stamp_ns, data)
         for part in parts:
             self._file.write(part)
         self._since_header += sum(map(len, parts))
@@ -159,11 +159,11 @@ class Writer:
 
     def is_asked_to_stop(self) -> bool:
         """Return whether somebody has put a file beside the journal that asks to stop (`stop_path`), and remove it."""
-        asked = stop_path(self.path)
-        if not asked.exists():
+        stop_file = stop_path(self.path)
+        if not stop_file.exists():
             return False
         with contextlib.suppress(OSError):
-            asked.unlink()
+            stop_file.unlink()
         return True
 
     def sync(self) -> None:
@@ -175,10 +175,10 @@ class Writer:
     def is_at(self, path: Path) -> bool:
         """Return whether the journal is the file of this name; it is not after its folder was renamed or removed."""
         try:
-            found, own = path.stat(), os.fstat(self._file.fileno())
+            named, opened = path.stat(), os.fstat(self._file.fileno())
         except OSError:
             return False
-        return os.path.samestat(found, own)
+        return os.path.samestat(named, opened)
 
     def now_at(self) -> Path | None:
         """Return the journal's name after it was renamed; None where it has none any more, or cannot be known."""
@@ -267,14 +267,14 @@ def _has_no_record(content: bytes | Content) -> bool:
     return len(content) <= len(MAGIC) and MAGIC.startswith(content[:])
 
 
-def beginning(path: Path) -> dict[str, Any]:
+def read_header(path: Path) -> dict[str, Any]:
     """Return the header of a journal that is being written; InputError as for `read`."""
     with _open(path) as file:
         content = Content(file.read(2 * HEADER_EVERY))
-    found = journal_records.header(content, journal_records.scan(content))
-    if journal_records.wrong_in_magic(content) is None or found is None:
+    header_record = journal_records.header(content, journal_records.scan(content))
+    if journal_records.wrong_in_magic(content) is None or header_record is None:
         raise InputError("is not a journal of daq", str(path), "give the RUN.h5.part that a recording writes")
-    return journal_header.parse(found.data, path)
+    return journal_header.parse(header_record.data, path)
 
 
 def read(path: Path) -> Journal:
@@ -289,10 +289,10 @@ def read(path: Path) -> Journal:
 
 def _open(path: Path) -> BinaryIO:
     if not path.exists():
-        raise missing(path)
+        raise make_missing_error(path)
     if path.is_dir():
-        raise is_a_folder(path)
-    return regular_file(path, "give a journal")
+        raise make_folder_error(path)
+    return open_regular(path, "give a journal")
 
 
 def _read(path: Path, content: Content) -> Journal:
@@ -317,7 +317,7 @@ def _read(path: Path, content: Content) -> Journal:
             kinds.append(kind)
     header = journal_records.header(content, marks)
     if header is None:
-        raise _without_header(path, len(content), received)
+        raise _make_header_error(path, len(content), received)
     tail = len(content) - whole
     cut = journal_records.is_cut_short(content, whole)
     records = Records(path, places, bytes(kinds))
@@ -329,23 +329,23 @@ def _read(path: Path, content: Content) -> Journal:
 def end_reason(record: Record) -> str:
     """Return how a recording ended, by its last record; "" where that does not say it."""
     try:
-        found = json.loads(record.data)["reason"]
+        reason = json.loads(record.data)["reason"]
     except (ValueError, KeyError, TypeError, RecursionError):
         return ""
-    return found if isinstance(found, str) else ""
+    return reason if isinstance(reason, str) else ""
 
 
-def missing(path: Path) -> InputError:
+def make_missing_error(path: Path) -> InputError:
     """Return the error of a journal that does not exist."""
     return InputError("no such journal", str(path), "give the .part file that the recording left")
 
 
-def is_a_folder(path: Path) -> InputError:
+def make_folder_error(path: Path) -> InputError:
     """Return the error of a folder in a journal's place."""
     return InputError("is a folder", str(path), "give the .part file that the recording left")
 
 
-def _without_header(path: Path, size: int, received: int) -> InputError:
+def _make_header_error(path: Path, size: int, received: int) -> InputError:
     if received:
         what = f"its header is damaged, in every copy; {received} records of received bytes follow it"
         return InputError(what, str(path), "keep it: the bytes are there, only how they were recorded is not known")

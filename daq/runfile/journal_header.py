@@ -20,24 +20,24 @@ DIGEST = "sha256_raw"  # a field of the provenance that is made with the run fil
 DO = "keep it: its samples are there, but how they were recorded is not known"
 
 
-def _text(value: Any) -> bool:
+def _is_text(value: Any) -> bool:
     return isinstance(value, str)
 
 
-def _whole(least: int, most: int) -> Callable[[Any], bool]:
+def _make_whole_check(least: int, most: int) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
 
 
-def _rate(value: Any) -> bool:
+def _is_rate(value: Any) -> bool:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return number and SLOWEST_HZ <= value <= FASTEST_HZ
 
 
-def _texts(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_text, value))
+def _is_texts(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_text, value))
 
 
-def _named(value: Any, kind: Callable[[Any], bool]) -> bool:
+def _is_mapping_of(value: Any, kind: Callable[[Any], bool]) -> bool:
     return isinstance(value, dict) and all(_is_name(name) and kind(item) for name, item in value.items())
 
 
@@ -46,30 +46,39 @@ def _is_name(name: str) -> bool:
     return storable(name) == name and name not in ("", ".", "..", DIGEST) and "/" not in name
 
 
-def _or_none(kind: Callable[[Any], bool]) -> Callable[[Any], bool]:
+def _allow_none(kind: Callable[[Any], bool]) -> Callable[[Any], bool]:
     return lambda value: value is None or kind(value)
 
 
-_NS = _whole(0, LAST_NS)
-_I8 = _whole(-(1 << 63), (1 << 63) - 1)
+_NS = _make_whole_check(0, LAST_NS)
+_I8 = _make_whole_check(-(1 << 63), (1 << 63) - 1)
+
+
+def _is_provenance(value: Any) -> bool:
+    return _is_mapping_of(value, lambda item: _is_text(item) or _I8(item))
+
+
 _FIELDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
-    "protocol": ("a text", _text),
-    "columns": ("a text or nothing", _or_none(_text)),
-    "decoder": ("a text or nothing", _or_none(_text)),
-    "port": ("a text", _text),
-    "baud": ("a rate in bits per second or nothing", _or_none(_whole(1, 1 << 31))),
-    "rate_hz": (f"a rate of {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz", _rate),
-    "samples": (f"1 to {MOST_SAMPLES} or nothing", _or_none(_whole(1, MOST_SAMPLES))),
-    "title": ("a text", _text),
-    "operator": ("a text", _text),
-    "sample_name": ("a text", _text),
-    "note": ("a text", _text),
-    "tags": ("texts with names", lambda value: _named(value, _text)),
+    "protocol": ("a text", _is_text),
+    "columns": ("a text or nothing", _allow_none(_is_text)),
+    "decoder": ("a text or nothing", _allow_none(_is_text)),
+    "port": ("a text", _is_text),
+    "baud": ("a rate in bits per second or nothing", _allow_none(_make_whole_check(1, 1 << 31))),
+    "rate_hz": (f"a rate of {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz", _is_rate),
+    "samples": (f"1 to {MOST_SAMPLES} or nothing", _allow_none(_make_whole_check(1, MOST_SAMPLES))),
+    "title": ("a text", _is_text),
+    "operator": ("a text", _is_text),
+    "sample_name": ("a text", _is_text),
+    "note": ("a text", _is_text),
+    "tags": ("texts with names", lambda value: _is_mapping_of(value, _is_text)),
     "wall_ns": ("nanoseconds since 1970, before 2100", _NS),
     "monotonic_ns": ("nanoseconds", _NS),
-    "utc_offset_s": ("seconds, less than a day", _whole(-86399, 86399)),
-    "warnings": ("texts", _texts),
-    "provenance": ("texts or whole numbers with names", lambda value: _named(value, lambda x: _text(x) or _I8(x))),
+    "utc_offset_s": ("seconds, less than a day", _make_whole_check(-86399, 86399)),
+    "warnings": ("texts", _is_texts),
+    "provenance": (
+        "texts or whole numbers with names",
+        _is_provenance,
+    ),
 }
 # Fields that a journal may lack, with what stands for them: those of version 0.1.0 have no notes.
 _DEFAULTS: dict[str, Any] = {
@@ -94,9 +103,9 @@ def parse(text: bytes, path: Path) -> dict[str, Any]:
         raise InputError("its header holds no fields", str(path), DO)
     for name, (what, may_be) in _FIELDS.items():
         if name in header and not may_be(header[name]):
-            found = repr(header[name])
-            found = found if len(found) <= 40 else found[:37] + "..."
-            raise InputError(f"its header gives {name} as {found}, not {what}", str(path), DO)
+            shown_value = repr(header[name])
+            shown_value = shown_value if len(shown_value) <= 40 else shown_value[:37] + "..."
+            raise InputError(f"its header gives {name} as {shown_value}, not {what}", str(path), DO)
     return {name: _storable(value) for name, value in header.items()}
 
 

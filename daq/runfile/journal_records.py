@@ -57,7 +57,7 @@ class Place(NamedTuple):
     holds: bool
 
 
-def packed(kind: int, stamp_ns: int, data: bytes) -> tuple[bytes, bytes, bytes]:
+def pack(kind: int, stamp_ns: int, data: bytes) -> tuple[bytes, bytes, bytes]:
     """Return a record's bytes in three parts: before its data, its data, and after them."""
     head = _HEAD.pack(kind, len(data), stamp_ns)
     return head, data, _CRC.pack(crc32(data, crc32(head)))
@@ -90,39 +90,39 @@ class Content:
             self._window, self._begin = self._file.read(max(last - first, _WINDOW)), first
         return self._window[first - self._begin : last - self._begin]
 
-    def head(self, at: int) -> tuple[int, int, int] | None:
+    def head(self, offset: int) -> tuple[int, int, int] | None:
         """Return kind, length and stamp of the record that may begin at a place; None where none fits."""
-        if at + _HEAD.size > self._size:
+        if offset + _HEAD.size > self._size:
             return None
-        kind, length, stamp = _HEAD.unpack(self[at : at + _HEAD.size])
-        if kind not in _KINDS or length > _LONGEST or at + _HEAD.size + length + _CRC.size > self._size:
+        kind, length, stamp = _HEAD.unpack(self[offset : offset + _HEAD.size])
+        if kind not in _KINDS or length > _LONGEST or offset + _HEAD.size + length + _CRC.size > self._size:
             return None
         return kind, length, stamp
 
-    def holds(self, at: int, end: int) -> bool:
+    def holds(self, begin: int, end: int) -> bool:
         """Return whether the CRC after a range is that of the range.
 
         Every range is summed byte by byte until that has failed too often; then by what the sums of the bytes before
         its two ends differ in.
         """
         stated: int = _CRC.unpack(self[end : end + _CRC.size])[0]
-        if end - at <= _SUM_EVERY or self._in_vain + end - at <= _FREE_BYTES + at:
-            right = self._sum(0, at, end) == stated
-            self._in_vain += 0 if right else end - at
+        if end - begin <= _SUM_EVERY or self._in_vain + end - begin <= _FREE_BYTES + begin:
+            right = self._sum(0, begin, end) == stated
+            self._in_vain += 0 if right else end - begin
             return right
-        return self._before(end) ^ _with_zeros(self._before(at), end - at) == stated
+        return self._sum_before(end) ^ _append_zeros(self._sum_before(begin), end - begin) == stated
 
-    def _sum(self, crc: int, at: int, end: int) -> int:
-        for first in range(at, end, _WINDOW):
+    def _sum(self, crc: int, begin: int, end: int) -> int:
+        for first in range(begin, end, _WINDOW):
             crc = crc32(self[first : min(end, first + _WINDOW)], crc)
         return crc
 
-    def _before(self, at: int) -> int:
+    def _sum_before(self, offset: int) -> int:
         """Return the CRC of all bytes before a place."""
-        while (known := len(self._sums) * _SUM_EVERY) <= at:
-            self._sums.append(crc32(self[known - _SUM_EVERY : known], self._sums[-1]))
-        mark = at // _SUM_EVERY
-        return crc32(self[mark * _SUM_EVERY : at], self._sums[mark])
+        while (summed := len(self._sums) * _SUM_EVERY) <= offset:
+            self._sums.append(crc32(self[summed - _SUM_EVERY : summed], self._sums[-1]))
+        mark = offset // _SUM_EVERY
+        return crc32(self[mark * _SUM_EVERY : offset], self._sums[mark])
 
 
 def wrong_in_magic(content: Content) -> int | None:
@@ -133,83 +133,83 @@ def wrong_in_magic(content: Content) -> int | None:
 
 def scan(content: Content) -> Iterator[Place]:
     """Yield the records in a journal's bytes, passing over what is none."""
-    at: int | None = len(MAGIC)
-    while at is not None and at + _HEAD.size <= len(content):
-        record = record_at(content, at)
+    offset: int | None = len(MAGIC)
+    while offset is not None and offset + _HEAD.size <= len(content):
+        record = read_record(content, offset)
         holds = record is not None
         if record is None:
-            record = _received_at(content, at)
+            record = _read_damaged(content, offset)
         if record is not None:
-            yield Place(at, record, holds)
-            at += record.size
+            yield Place(offset, record, holds)
+            offset += record.size
             continue
-        at = _following(content, at + 1)
+        offset = _find_next(content, offset + 1)
 
 
-def _following(content: Content, at: int) -> int | None:
+def _find_next(content: Content, begin: int) -> int | None:
     """Return the first place from ``at`` on at which a whole record begins; None where there is none.
 
     A record begins with its kind: only bytes that are one are looked at.
     """
-    for first in range(at, len(content), _WINDOW):
-        for found in _KIND.finditer(content[first : first + _WINDOW]):
-            if _is_record(content, first + found.start()):
-                return first + found.start()
+    for first in range(begin, len(content), _WINDOW):
+        for match in _KIND.finditer(content[first : first + _WINDOW]):
+            if _is_record(content, first + match.start()):
+                return first + match.start()
     return None
 
 
-def header(content: Content, found: Iterable[Place]) -> Record | None:
+def header(content: Content, places: Iterable[Place]) -> Record | None:
     """Return a journal's header: the first copy that holds, or a single copy in which one byte was wrong.
 
     content: The journal.
     found: Its records; the first one that holds and the first header are enough.
     """
     following = len(content)
-    for place in found:
+    for place in places:
         if place.record.kind == HEADER:
             return place.record
         if place.holds:
             following = min(following, place.at)
     if following > _HEAD.size + _LONGEST_HEADER:
         return None
-    return _corrected(content[len(MAGIC) : following])
+    return _correct_byte(content[len(MAGIC) : following])
 
 
-def is_cut_short(content: Content, at: int) -> bool:
+def is_cut_short(content: Content, offset: int) -> bool:
     """Return whether what begins at a place, and holds no record, is a record whose end is missing."""
-    if at + _HEAD.size > len(content):
+    if offset + _HEAD.size > len(content):
         return True
-    kind, length, _ = _HEAD.unpack(content[at : at + _HEAD.size])
-    return kind in _KINDS and length <= _LONGEST and at + _HEAD.size + length + _CRC.size > len(content)
+    kind, length, _ = _HEAD.unpack(content[offset : offset + _HEAD.size])
+    return kind in _KINDS and length <= _LONGEST and offset + _HEAD.size + length + _CRC.size > len(content)
 
 
-def _received_at(content: Content, at: int) -> Record | None:
+def _read_damaged(content: Content, offset: int) -> Record | None:
     """Return a damaged record of received bytes whose length is right: the end, or another record, follows it."""
-    head = content.head(at)
+    head = content.head(offset)
     if head is None or head[0] != RECEIVED:
         return None
     kind, length, stamp = head
-    end = at + _HEAD.size + length
+    end = offset + _HEAD.size + length
     if end + _CRC.size < len(content) and not _is_record(content, end + _CRC.size):
         return None
-    return Record(kind, stamp, content[at + _HEAD.size : end])
+    return Record(kind, stamp, content[offset + _HEAD.size : end])
 
 
-def record_at(content: Content, at: int, *, whole: bool = True) -> Record | None:
+def read_record(content: Content, offset: int, *, whole: bool = True) -> Record | None:
     """Return the record that begins at a place, or None when none does; ``whole``: its CRC must hold."""
-    head = content.head(at)
-    if head is None or (whole and not content.holds(at, at + _HEAD.size + head[1])):
+    head = content.head(offset)
+    if head is None or (whole and not content.holds(offset, offset + _HEAD.size + head[1])):
         return None
     kind, length, stamp = head
-    return Record(kind, stamp, content[at + _HEAD.size : at + _HEAD.size + length])
+    return Record(kind, stamp, content[offset + _HEAD.size : offset + _HEAD.size + length])
 
 
-def _is_record(content: Content, at: int) -> bool:
-    head = content.head(at)
-    return head is not None and content.holds(at, at + _HEAD.size + head[1])
+def _is_record(content: Content, offset: int) -> bool:
+    head = content.head(offset)
+    return head is not None and content.holds(offset, offset + _HEAD.size + head[1])
 
 
-def _corrected(damaged: bytes) -> Record | None:
+def _correct_byte(damaged: bytes) -> Record | None:
     """Return the header that these bytes are, but for one wrong byte; None where more is wrong.
 
     A CRC is linear: what it is off by is the CRC of the error alone.  The register is run backwards from there, byte by
@@ -218,38 +218,38 @@ def _corrected(damaged: bytes) -> Record | None:
     end = len(damaged) - _CRC.size
     if not _HEAD.size <= end <= _LONGEST_HEADER:
         return None
-    text, off = damaged[:end], crc32(damaged[:end]) ^ _CRC.unpack_from(damaged, end)[0]
-    if any(off & ~(0xFF << shift) == 0 for shift in (0, 8, 16, 24)):
+    text, error = damaged[:end], crc32(damaged[:end]) ^ _CRC.unpack_from(damaged, end)[0]
+    if any(error & ~(0xFF << shift) == 0 for shift in (0, 8, 16, 24)):
         return _as_header(text)  # the wrong byte is one of the CRC itself
-    table = [_shifted(byte) for byte in range(256)]
+    table = [_shift_byte(byte) for byte in range(256)]
     from_top = {value >> 24: byte for byte, value in enumerate(table)}
     single = {value: byte for byte, value in enumerate(table)}
-    for at in reversed(range(end)):
-        if off in single:
-            return _as_header(text[:at] + bytes([text[at] ^ single[off]]) + text[at + 1 :])
-        byte = from_top[off >> 24]
-        off = ((off ^ table[byte]) << 8 | byte) & 0xFFFFFFFF
+    for offset in reversed(range(end)):
+        if error in single:
+            return _as_header(text[:offset] + bytes([text[offset] ^ single[error]]) + text[offset + 1 :])
+        byte = from_top[error >> 24]
+        error = ((error ^ table[byte]) << 8 | byte) & 0xFFFFFFFF
     return None
 
 
 def _as_header(text: bytes) -> Record | None:
     """Return the record of these bytes, its CRC left out; None where they are no header."""
-    record = record_at(Content(text + _CRC.pack(crc32(text))), 0)
+    record = read_record(Content(text + _CRC.pack(crc32(text))), 0)
     if record is None or record.kind != HEADER or record.size != len(text) + _CRC.size:
         return None
     return record
 
 
-def _shifted(register: int) -> int:
+def _shift_byte(register: int) -> int:
     """Return CRC-32's register after eight zero bits."""
     for _ in range(8):
         register = register >> 1 ^ (0xEDB88320 if register & 1 else 0)
     return register
 
 
-def _with_zeros(register: int, count: int) -> int:
+def _append_zeros(register: int, count: int) -> int:
     """Return what bytes of this CRC add to the CRC of themselves and ``count`` more (zlib's crc32_combine)."""
-    for power, tables in enumerate(_zeros()):
+    for power, tables in enumerate(_make_zero_tables()):
         if count >> power & 1:
             a, b, c, d = tables
             register = a[register & 255] ^ b[register >> 8 & 255] ^ c[register >> 16 & 255] ^ d[register >> 24]
@@ -257,22 +257,25 @@ def _with_zeros(register: int, count: int) -> int:
 
 
 @cache
-def _zeros() -> list[list[list[int]]]:
+def _make_zero_tables() -> list[list[list[int]]]:
     """Return, for 1, 2, 4 ... zero bytes up to the longest record, what each byte of the register becomes."""
 
     def tables(bit: list[int]) -> list[list[int]]:
-        made = []
+        by_byte = []
         for byte in range(4):
             table = [0]
-            for place in range(8):
-                table += [value ^ bit[8 * byte + place] for value in table]
-            made.append(table)
-        return made
+            for position in range(8):
+                table += [value ^ bit[8 * byte + position] for value in table]
+            by_byte.append(table)
+        return by_byte
 
-    powers = [tables([_shifted(1 << place) for place in range(32)])]
+    powers = [tables([_shift_byte(1 << position) for position in range(32)])]
     while len(powers) < (_LONGEST + _HEAD.size).bit_length():
         a, b, c, d = powers[-1]
-        once = [a[1 << place] if place < 8 else (b, c, d)[place // 8 - 1][1 << place % 8] for place in range(32)]
+        once = [
+            a[1 << position] if position < 8 else (b, c, d)[position // 8 - 1][1 << position % 8]
+            for position in range(32)
+        ]
         twice = [a[r & 255] ^ b[r >> 8 & 255] ^ c[r >> 16 & 255] ^ d[r >> 24] for r in once]
         powers.append(tables(twice))
     return powers

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from daq.runfile import joint, nexus, schema, store, tree, trust
-from daq.runfile.recording import OF_FILE, lost_samples
+from daq.runfile.recording import OF_FILE, count_lost
 from stickslip.errors import InputError
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
@@ -42,7 +42,7 @@ class RunRow:
     problem: str | None = None  # why nothing else is known: not a run, damaged, not finished
 
 
-def runs(folders: Sequence[Path]) -> list[RunRow]:
+def list_runs(folders: Sequence[Path]) -> list[RunRow]:
     """Return the runs and unfinished recordings in folders, oldest first; those without a date last.
 
     A joint fit comes after its first run.
@@ -56,23 +56,23 @@ def runs(folders: Sequence[Path]) -> list[RunRow]:
         except OSError as error:
             what = "is a file" if folder.is_file() else f"cannot be listed: {error.strerror}"
             raise InputError(what, str(folder), "give a folder of runs") from error
-        rows += [RunRow(file, problem=UNFINISHED) if file.suffix == ".part" else _run(file) for file in files]
+        rows += [RunRow(file, problem=UNFINISHED) if file.suffix == ".part" else _read_run(file) for file in files]
     return sorted(rows, key=lambda row: (row.date is None, row.date or "", row.runs or 0, str(row.file)))
 
 
-def _run(file: Path) -> RunRow:
+def _read_run(file: Path) -> RunRow:
     try:
         with trust.damage(file):
-            if file.name.endswith(joint.SUFFIX) and joint.recognised(file):
-                with joint.opened(file) as entry:
-                    return _joint_row(entry, file)
-            with store.opened(file) as opened:
-                return _row(nexus.read_group(opened, "entry", file), file)
+            if file.name.endswith(joint.SUFFIX) and joint.is_joint_fit(file):
+                with joint.open_joint_fit(file) as entry:
+                    return _make_joint_row(entry, file)
+            with store.open_run(file) as run_file:
+                return _make_row(nexus.read_group(run_file, "entry", file), file)
     except InputError as error:
         return RunRow(file, problem=error.what)
 
 
-def _joint_row(entry: h5py.Group, file: Path) -> RunRow:
+def _make_joint_row(entry: h5py.Group, file: Path) -> RunRow:
     return RunRow(
         file=file,
         title=nexus.read_text(entry, "title", file),
@@ -83,27 +83,27 @@ def _joint_row(entry: h5py.Group, file: Path) -> RunRow:
     )
 
 
-def _row(entry: h5py.Group, file: Path) -> RunRow:
-    known = tree.read(entry, LISTED, file)
+def _make_row(entry: h5py.Group, file: Path) -> RunRow:
+    values = tree.read(entry, LISTED, file)
     time = nexus.read_dataset(entry, f"{schema.ENCODER_LOG}/time", file)
     lost = None
     if "raw" in entry:
         sample = nexus.read_array(entry, "raw/sample", np.uint32, file)
-        lost = lost_samples(sample, nexus.read_array(entry, "raw/segment", np.uint32, file))
+        lost = count_lost(sample, nexus.read_array(entry, "raw/segment", np.uint32, file))
     sticks = "smooth/statistics/sticks"
     return RunRow(
         file=file,
-        title=known["title"],
-        date=known["started"],
-        duration=float(time[-1] - time[0]) + 1 / known["rate_hz"],
-        rate=known["rate_hz"],
+        title=values["title"],
+        date=values["started"],
+        duration=float(time[-1] - time[0]) + 1 / values["rate_hz"],
+        rate=values["rate_hz"],
         lost=lost,
         sticks=int(nexus.read_number(entry, sticks, file)) if sticks in entry else None,
         verdict=nexus.read_text(entry, VERDICT, file) if VERDICT in entry else None,
         part=nexus.read_text(entry, PART, file) if PART in entry else None,
-        operator=known.get("operator"),
-        sample=known.get("sample_name"),
-        note=known.get("note"),
-        tags=known.get("tags", {}),
-        of_file=known.get("provenance", {}).get("start_time_from") == OF_FILE,
+        operator=values.get("operator"),
+        sample=values.get("sample_name"),
+        note=values.get("note"),
+        tags=values.get("tags", {}),
+        of_file=values.get("provenance", {}).get("start_time_from") == OF_FILE,
     )

@@ -27,11 +27,11 @@ AGAIN = "the file was damaged or made by another program; record or import it ag
 
 def group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -> h5py.Group:
     """Make the group ``name`` of NeXus class ``nx_class`` in ``parent``, with further attributes."""
-    made = parent.create_group(name)
-    made.attrs["NX_class"] = nx_class
+    group_made = parent.create_group(name)
+    group_made.attrs["NX_class"] = nx_class
     for key, value in attributes.items():
-        made.attrs[key] = storable(value) if isinstance(value, str) else value
-    return made
+        group_made.attrs[key] = storable(value) if isinstance(value, str) else value
+    return group_made
 
 
 def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **attributes: Any) -> h5py.Dataset:
@@ -46,13 +46,13 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
     Raises ValueError: for a float field without units.
     """
     if isinstance(data, str):
-        made = parent.create_dataset(name, data=storable(data), dtype=h5py.string_dtype())
+        dataset = parent.create_dataset(name, data=storable(data), dtype=h5py.string_dtype())
     elif isinstance(data, list | tuple) and data and isinstance(data[0], str):
-        made = parent.create_dataset(name, data=[storable(text) for text in data], dtype=h5py.string_dtype())
+        dataset = parent.create_dataset(name, data=[storable(text) for text in data], dtype=h5py.string_dtype())
     elif isinstance(data, Column):
-        made = column(parent, name, len(data), data.dtype.str, units)
+        dataset = column(parent, name, len(data), data.dtype.str, units)
         for first in range(0, len(data), BLOCK):
-            made[first : first + BLOCK] = data[first : first + BLOCK]
+            dataset[first : first + BLOCK] = data[first : first + BLOCK]
     else:
         values = np.asarray(data)
         if values.dtype.kind == "f" and units is None:
@@ -61,27 +61,27 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
         if values.ndim and values.size:
             filters = {"chunks": (min(values.shape[0], CHUNK), *values.shape[1:]), **FILTERS}
         # An array of an HDF5 enum carries its names in the dtype's metadata, which h5py reads here.
-        made = parent.create_dataset(name, data=values, dtype=values.dtype, track_times=False, **filters)
+        dataset = parent.create_dataset(name, data=values, dtype=values.dtype, track_times=False, **filters)
     if units is not None:
-        made.attrs["units"] = units
+        dataset.attrs["units"] = units
     for key, value in attributes.items():
-        made.attrs[key] = storable(value) if isinstance(value, str) else value
-    return made
+        dataset.attrs[key] = storable(value) if isinstance(value, str) else value
+    return dataset
 
 
 def column(
     parent: h5py.Group, name: str, n: int, dtype: str, units: str | None, *, growing: bool = False, **attributes: Any
 ) -> h5py.Dataset:
     """Make a column of ``n`` numbers yet to be written, stored as `field` stores one; a growing one begins empty."""
-    shape, most = ((0,), (None,)) if growing else ((n,), None)
-    made = parent.create_dataset(
-        name, shape, dtype, maxshape=most, chunks=(min(n, CHUNK),), track_times=False, **FILTERS
+    shape, maximum = ((0,), (None,)) if growing else ((n,), None)
+    dataset = parent.create_dataset(
+        name, shape, dtype, maxshape=maximum, chunks=(min(n, CHUNK),), track_times=False, **FILTERS
     )
-    made.attrs.update(attributes if units is None else {"units": units, **attributes})
-    return made
+    dataset.attrs.update(attributes if units is None else {"units": units, **attributes})
+    return dataset
 
 
-def scale(parent: h5py.Group, axis: str) -> None:
+def attach_scale(parent: h5py.Group, axis: str) -> None:
     """Make ``axis`` the dimension scale of every other one-dimensional field of its length in ``parent``."""
     coordinate = parent[axis]
     coordinate.make_scale(axis)
@@ -90,7 +90,7 @@ def scale(parent: h5py.Group, axis: str) -> None:
             item.dims[0].attach_scale(coordinate)
 
 
-def link(parent: h5py.Group, name: str, target: h5py.Dataset) -> None:
+def add_link(parent: h5py.Group, name: str, target: h5py.Dataset) -> None:
     """Give ``target`` a second name: a hard link, no copy."""
     parent[name] = target
 
@@ -117,13 +117,13 @@ def read_dataset(entry: h5py.Group, name: str, where: Path) -> h5py.Dataset:
     return item
 
 
-def read_array(entry: h5py.Group, name: str, dtype: Any, where: Path, own: slice = EVERY) -> Any:
+def read_array(entry: h5py.Group, name: str, dtype: Any, where: Path, selected: slice = EVERY) -> Any:
     """Return a column of numbers, or ``own`` rows of it, as ``dtype``; integers are never read out of floats."""
     item = read_dataset(entry, name, where)
     if item.ndim != 1 or item.dtype.kind not in "iuf" or not np.can_cast(item.dtype, dtype, "same_kind"):
         form = f"{item.ndim}-dimensional {item.dtype}"
         raise InputError(f"/entry/{name} is {form}, not one column of {np.dtype(dtype)}", str(where), AGAIN)
-    return item[own].astype(dtype, copy=False)
+    return item[selected].astype(dtype, copy=False)
 
 
 def read_number(entry: h5py.Group, name: str, where: Path) -> float:
@@ -139,7 +139,7 @@ def read_text(entry: h5py.Group, name: str, where: Path) -> str:
     item = read_dataset(entry, name, where)
     if item.shape != () or h5py.check_string_dtype(item.dtype) is None:
         raise InputError(f"/entry/{name} is not text", str(where), AGAIN)
-    return text(item[()])
+    return decode_text(item[()])
 
 
 def read_text_or_whole(parent: h5py.Group, name: str, where: Path) -> str | int:
@@ -155,9 +155,9 @@ def read_texts(entry: h5py.Group, name: str, where: Path) -> tuple[str, ...]:
     item = read_dataset(entry, name, where)
     if item.ndim != 1 or h5py.check_string_dtype(item.dtype) is None:
         raise InputError(f"/entry/{name} is not a column of text", str(where), AGAIN)
-    return tuple(text(value) for value in item[()])
+    return tuple(decode_text(value) for value in item[()])
 
 
-def text(value: Any) -> str:
+def decode_text(value: Any) -> str:
     """Return an HDF5 string, however h5py delivered it."""
     return value.decode() if isinstance(value, bytes) else str(value)

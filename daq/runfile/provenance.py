@@ -14,7 +14,7 @@ from stickslip.text import storable
 from stickslip.version import VERSION
 
 
-def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
+def collect_provenance(command: Sequence[str] | None = None) -> dict[str, str | int]:
     """Return the provenance of a file made now by this process.
 
     command: The command line; the process's own by default.
@@ -29,20 +29,20 @@ def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
         "numpy": np.__version__,
         "platform": platform.platform(),
         "hostname": platform.node(),
-        "command_line": shlex.join(_typed() if command is None else command),
+        "command_line": shlex.join(_get_command_line() if command is None else command),
     }
-    known = facts | _commit(Path(__file__).resolve().parents[2])
-    return {name: storable(value) if isinstance(value, str) else value for name, value in known.items()}
+    entries = facts | _find_commit(Path(__file__).resolve().parents[2])
+    return {name: storable(value) if isinstance(value, str) else value for name, value in entries.items()}
 
 
-def _typed() -> list[str]:
+def _get_command_line() -> list[str]:
     """Return the process's command line as a person would type it, without the folder the program lives in."""
     program = Path(sys.argv[0])
     name = f"python -m {program.parent.name}.{program.stem}" if program.suffix == ".py" else program.name
     return [*name.split(), *sys.argv[1:]]
 
 
-def _commit(folder: Path) -> dict[str, str | int]:
+def _find_commit(folder: Path) -> dict[str, str | int]:
     # Only our own checkout: an installed package inside somebody else's repository has no commit of ours.
     if not (folder / ".git").exists():
         return {}

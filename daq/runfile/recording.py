@@ -18,9 +18,8 @@ from daq.runfile.run_data import (
     RunData,
     SentAs,
     Truth,
-    first_disorder,
-    impossible_motion,
-    lost_samples,
+    count_lost,
+    explain_impossible,
     positions,
 )
 from stickslip.output.lengths import shown_length, shown_range
@@ -47,9 +46,8 @@ __all__ = [
     "Recording",
     "SentAs",
     "Truth",
-    "first_disorder",
-    "impossible_motion",
-    "lost_samples",
+    "count_lost",
+    "explain_impossible",
     "positions",
 ]
 
@@ -262,8 +260,8 @@ class Recording(RunData):
     def markers(self) -> tuple[tuple[float, str], ...]:
         """The markers that a person set: time, s, and words."""
         events = zip(self.event_sample, self.event_kind, self.event_note, strict=True)
-        own = ((int(at), words) for at, kind, words in events if kind == "marker")
-        return tuple((float(self.time[at]), words) for at, words in own if at < self.time.size)
+        marks = ((int(sample), words) for sample, kind, words in events if kind == "marker")
+        return tuple((float(self.time[sample]), words) for sample, words in marks if sample < self.time.size)
 
     def plot(self, ax: "Axes | None" = None) -> "Figure":
         """Draw position against time, with the markers that a person set.
@@ -279,12 +277,12 @@ class Recording(RunData):
             ``figure.savefig(path)`` writes it, a notebook shows it.
         """
         from stickslip.compute.arrays import pieces
-        from stickslip.output.plot import lines_over_time
+        from stickslip.output.plot import draw_over_time
 
         factor, unit = shown_length(self.unit)
-        whole = pieces(self.time, self.segment, 1 / self.rate_hz) if self.time.size > 1 else (slice(None),)
-        return lines_over_time(
-            [(self.time[part], factor * self.position[part]) for part in whole],
+        parts = pieces(self.time, self.segment, 1 / self.rate_hz) if self.time.size > 1 else (slice(None),)
+        return draw_over_time(
+            [(self.time[part], factor * self.position[part]) for part in parts],
             f"position ({unit})",
             self.markers,
             f"{self.name}: {self.title}",
@@ -300,7 +298,7 @@ class Recording(RunData):
             "duration": f"{span:.4g} s",
             "rate": f"{self.rate_hz:g} Hz",
             "segments": str(segments) if segments > 1 else "",
-            "samples lost": "" if self.raw is None else str(lost_samples(self.raw.sample, self.segment)),
+            "samples lost": "" if self.raw is None else str(count_lost(self.raw.sample, self.segment)),
             "position": shown_range(self.position.min(), self.position.max(), self.unit) if self.time.size else "",
             "belt": "with an encoder of its own" if self.belt_velocity is not None else "",
             "events": ", ".join(f"{self.event_kind.count(kind)} {kind}" for kind in sorted(set(self.event_kind))),

@@ -8,7 +8,7 @@ from typing import BinaryIO
 from stickslip.errors import InputError
 
 
-def regular_file(path: Path, do: str) -> BinaryIO:
+def open_regular(path: Path, do: str) -> BinaryIO:
     """Open a file for reading; ``do`` says what to give in place of a folder.
 
     Raises InputError: it is missing, a folder, a pipe or a device, or may not be read.

@@ -19,7 +19,7 @@ FAR = 4.0
 X0_ERRORS = 4.0  # standard deviations of x0 that are granted first, as for any contradiction of a calibration
 
 
-def question(x0: Measured, low: float, high: float) -> str:
+def question_rest_position(x0: Measured, low: float, high: float) -> str:
     """Return what to ask about a rest position; empty where there is nothing to ask.
 
     Asked is about one that lies `FAR` travels outside the travel, and about one outside whose negative lies inside it.
@@ -32,33 +32,33 @@ def question(x0: Measured, low: float, high: float) -> str:
         return ""
     if low <= -x0.value <= high:
         return (
-            f"{_where(x0, outside, low, high)}, and {format_length(-x0.value)} lies inside it; is its sign right? "
-            "x0 is the reading at the spring's rest (--x0), a datum is -x0"
+            f"{_describe_outside(x0, outside, low, high)}, and {format_length(-x0.value)} lies inside it; is its sign "
+            "right? x0 is the reading at the spring's rest (--x0), a datum is -x0"
         )
     if outside - X0_ERRORS * x0.sd <= FAR * (high - low):
         return ""
     fall = 50 * (high - low) / (outside + (high - low))
     return (
-        f"{_where(x0, outside, low, high)}; are its sign and its unit right? Friction would fall by {fall:.2g} % of Fs "
-        "in a slip"
+        f"{_describe_outside(x0, outside, low, high)}; are its sign and its unit right? "
+        f"Friction would fall by {fall:.2g} % of Fs in a slip"
     )
 
 
-def impossible(x0: Measured, low: float, high: float, direction: float) -> str:
+def explain_impossible(x0: Measured, low: float, high: float, direction: float) -> str:
     """Return why a rest position cannot be that of a mass which the belt draws in a direction; empty where it can.
 
-    x0, low, high: As of `question`.
+    x0, low, high: As of `question_rest_position`.
     direction: The sign of the belt's speed; 0 where it is not known.
     """
     beyond = direction * x0.value - max(direction * low, direction * high)
     if not direction or beyond <= X0_ERRORS * x0.sd:
         return ""
     return (
-        f"{_where(x0, beyond, low, high)}, on the side to which the belt runs: the spring would pull the mass along "
-        "with the belt, and friction would hold it back"
+        f"{_describe_outside(x0, beyond, low, high)}, on the side to which the belt runs: the spring would pull the "
+        "mass along with the belt, and friction would hold it back"
     )
 
 
-def _where(x0: Measured, outside: float, low: float, high: float) -> str:
+def _describe_outside(x0: Measured, outside: float, low: float, high: float) -> str:
     travel = shown_range(low, high, "m")
     return f"x0 ({format_length(x0.value)}) is {format_length(outside)} outside the travel of {travel}"

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 
 from stickslip import toml
 from stickslip.errors import InputError, nearest
-from stickslip.toml import check_keys, quoted
-from stickslip.units import OF_QUANTITY, QUANTITIES, Measured, checked, si_unit, with_error
+from stickslip.toml import check_keys, quote
+from stickslip.units import OF_QUANTITY, QUANTITIES, Measured, check_measured, si_unit, with_error
 
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")
 COUNTER_BITS = (8, 16, 24, 32)
@@ -88,12 +88,12 @@ class Rig:
             value.
         """
         values: dict[str, Any] = {}
-        for section, content in toml.parsed(text, where).items():
+        for section, content in toml.parse(text, where).items():
             if section == "board":
                 continue  # how to reach the board: `daq.cli.settings`
             if section not in SECTIONS:
                 raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
-            values |= _section(section, content, where)
+            values |= _read_section(section, content, where)
         if "datum" in values and "x0" in values:
             raise InputError("encoder.datum and rig.x0 are both given", where, "give x0 alone: datum is -x0")
         return cls(**values)
@@ -110,7 +110,7 @@ class Rig:
                     if value.sd:
                         lines.append(f"{key}_sd = {float(value.sd)!r}")
                 elif isinstance(value, str):
-                    lines.append(f"{key} = {quoted(value)}")
+                    lines.append(f"{key} = {quote(value)}")
                 elif value is not None:
                     lines.append(f"{key} = {value}")
         return "\n".join(lines) + "\n"
@@ -125,25 +125,25 @@ class Replaced(NamedTuple):
     sigmas: float
 
 
-def replaced(stored: Rig, used: Rig) -> list[Replaced]:
+def find_replaced(stored: Rig, used: Rig) -> list[Replaced]:
     """Return the stored quantities that others replace which lie outside both errors (`with_error`)."""
-    found = []
+    replacements = []
     for name in QUANTITIES:
         if name == "datum":
             continue  # is -x0
-        before, now = (_x0(rig) if name == "x0" else getattr(rig, name) for rig in (stored, used))
+        before, now = (_get_x0(rig) if name == "x0" else getattr(rig, name) for rig in (stored, used))
         if before is None or now is None:
             continue
-        apart, errors = abs(now.value - before.value), (with_error(before).sd, with_error(now).sd)
-        if apart > sum(errors):
+        difference, errors = abs(now.value - before.value), (with_error(before).sd, with_error(now).sd)
+        if difference > sum(errors):
             unit = si_unit(OF_QUANTITY[name])
             text = f"{name}: {now.value:g} {unit} replaces the stored {before.value:g} {unit}, beyond their errors"
-            sigmas = apart / math.hypot(*errors) if any(errors) else math.nan
-            found.append(Replaced(text, now.value, before.value, sigmas))
-    return found
+            sigmas = difference / math.hypot(*errors) if any(errors) else math.nan
+            replacements.append(Replaced(text, now.value, before.value, sigmas))
+    return replacements
 
 
-def _x0(rig: Rig) -> Measured | None:
+def _get_x0(rig: Rig) -> Measured | None:
     return Measured(-rig.datum.value, rig.datum.sd) if rig.datum is not None else rig.x0
 
 
@@ -160,38 +160,38 @@ SECTIONS: dict[str, tuple[str, ...]] = {
 }
 
 
-def _section(section: str, content: Any, where: str) -> dict[str, Any]:
-    known = [*SECTIONS[section], *(f"{key}_sd" for key in SECTIONS[section] if key in QUANTITIES)]
+def _read_section(section: str, content: Any, where: str) -> dict[str, Any]:
+    allowed = [*SECTIONS[section], *(f"{key}_sd" for key in SECTIONS[section] if key in QUANTITIES)]
     if isinstance(content, dict):
         for other, keys in SECTIONS.items():
             for key in content:
-                if key not in known and key.removesuffix("_sd") in keys:
+                if key not in allowed and key.removesuffix("_sd") in keys:
                     raise InputError(f"unknown key {section}.{key}", where, f"write it in the section [{other}]")
-    check_keys(section, content, known, where)
+    check_keys(section, content, allowed, where)
     values: dict[str, Any] = {}
     for key in SECTIONS[section]:
         if key in QUANTITIES:
             if f"{key}_sd" in content and key not in content:
                 raise InputError(f"{section}.{key}_sd is given without {section}.{key}", where, f"add {key} or drop it")
             if key in content:
-                values[key] = checked(
+                values[key] = check_measured(
                     key,
-                    _number(content[key], f"{section}.{key}", where),
-                    _number(content.get(f"{key}_sd", 0.0), f"{section}.{key}_sd", where),
+                    _read_number(content[key], f"{section}.{key}", where),
+                    _read_number(content.get(f"{key}_sd", 0.0), f"{section}.{key}_sd", where),
                     where,
                 )
         elif key in content:
-            values[key] = _setting(key, content[key], section, where)
+            values[key] = _check_setting(key, content[key], section, where)
     return values
 
 
-def _number(value: Any, key: str, where: str) -> float:
+def _read_number(value: Any, key: str, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{key} is {value!r}", where, "write a bare number in SI units")
     return float(value)
 
 
-def _setting(key: str, value: Any, section: str, where: str) -> Any:
+def _check_setting(key: str, value: Any, section: str, where: str) -> Any:
     if key == "name":
         if not isinstance(value, str):
             raise InputError(f"{section}.{key} is {value!r}", where, "write text in quotes")

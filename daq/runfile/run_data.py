@@ -77,7 +77,7 @@ class Truth:
     scene: str = ""
 
 
-def _none(dtype: type[np.generic]) -> Callable[[], NDArray[Any]]:
+def _make_empty(dtype: type[np.generic]) -> Callable[[], NDArray[Any]]:
     return lambda: np.empty(0, dtype)
 
 
@@ -94,14 +94,14 @@ class RunData:
     position: NDArray[np.float64]
     count: NDArray[np.int64] | None = None
     raw: Raw | None = None
-    segment: NDArray[np.uint16] | NDArray[np.uint32] = field(default_factory=_none(np.uint16))
+    segment: NDArray[np.uint16] | NDArray[np.uint32] = field(default_factory=_make_empty(np.uint16))
     config_toml: str = ""
-    clock_sample: NDArray[np.uint32] = field(default_factory=_none(np.uint32))
-    clock_offset: NDArray[np.float64] = field(default_factory=_none(np.float64))
+    clock_sample: NDArray[np.uint32] = field(default_factory=_make_empty(np.uint32))
+    clock_offset: NDArray[np.float64] = field(default_factory=_make_empty(np.float64))
     clock_ppm: float | None = None
     clock_ppm_error: float | None = None
-    clock_offset_error: NDArray[np.float64] = field(default_factory=_none(np.float64))
-    event_sample: NDArray[np.uint32] = field(default_factory=_none(np.uint32))
+    clock_offset_error: NDArray[np.float64] = field(default_factory=_make_empty(np.float64))
+    event_sample: NDArray[np.uint32] = field(default_factory=_make_empty(np.uint32))
     event_kind: tuple[str, ...] = ()
     event_note: tuple[str, ...] = ()
     belt_velocity: NDArray[np.float64] | None = None
@@ -129,13 +129,13 @@ class RunData:
         return "count" if self.count is not None and self.rig.metres_per_count is None else "m"
 
 
-def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.unsignedinteger]) -> int:
+def count_lost(sample: NDArray[np.uint32], segment: NDArray[np.unsignedinteger]) -> int:
     """Return how many samples the sequence numbers skip within segments; both arguments have shape (n,)."""
     within = np.diff(segment) == 0
     return int((np.diff(sample.astype(np.int64))[within] - 1).sum())
 
 
-def first_disorder(time: NDArray[np.float64]) -> int | None:
+def find_disorder(time: NDArray[np.float64]) -> int | None:
     """Return the first sample whose time is not finite or not after the one before; None when there is none."""
     before = -np.inf
     for number, block in enumerate(blocks(time)):
@@ -146,14 +146,14 @@ def first_disorder(time: NDArray[np.float64]) -> int | None:
     return None
 
 
-def impossible_motion(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:
+def explain_impossible(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:
     """Return why times, s, and positions, m or counts, both of shape (n,), are not those of a run; None if they are."""
-    if (at := first_disorder(time)) is not None:
-        return f"time does not increase at sample {at}"
-    if not (wrong := np.abs(position) <= FARTHEST).all():
-        at = int(np.argmin(wrong))
-        what = f"{position[at]:.3g}, too large" if np.isfinite(position[at]) else "not finite"
-        return f"position is {what} at sample {at}"
+    if (sample := find_disorder(time)) is not None:
+        return f"time does not increase at sample {sample}"
+    if not (in_range := np.abs(position) <= FARTHEST).all():
+        sample = int(np.argmin(in_range))
+        what = f"{position[sample]:.3g}, too large" if np.isfinite(position[sample]) else "not finite"
+        return f"position is {what} at sample {sample}"
     if max(-time[0], time[-1]) > LONGEST_S:
         return f"its times reach {max(time[0], time[-1], key=abs):.3g} s"
     if (time[-1] - time[0]) * FASTEST_HZ < time.size - 1:
@@ -161,7 +161,7 @@ def impossible_motion(time: NDArray[np.float64], position: NDArray[np.float64]) 
     return None
 
 
-def implausible_motion(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:
+def explain_implausible(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:
     """Return how far and fast times, s, and positions, m, move, where no mass on a spring does; None where one may."""
     if time.size < FEWEST_ROWS:
         return None

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.runfile import nexus, tree
-from daq.runfile.run_data import EVENTS, RunData, first_disorder
+from daq.runfile.run_data import EVENTS, RunData, find_disorder
 from daq.runfile.spill import blocks
 from daq.runfile.tree import LENGTH, Field, Group
 from stickslip.text import storable
@@ -29,35 +29,35 @@ from stickslip.version import VERSION
 SCHEMA = 1
 
 
-def _counted(of: str) -> Callable[[RunData], Any]:
+def _if_counted(of: str) -> Callable[[RunData], Any]:
     """Return what gives an attribute of a run with counts, None of an import."""
     return lambda run: None if run.count is None else attrgetter(of)(run)
 
 
-def _sensor(counted: str, imported: str) -> Callable[[RunData], str]:
+def _name_sensor(counted: str, imported: str) -> Callable[[RunData], str]:
     return lambda run: imported if run.count is None else counted
 
 
-def _duration(run: RunData) -> int:
+def _compute_duration(run: RunData) -> int:
     span = datetime.fromisoformat(run.ended) - datetime.fromisoformat(run.started)
     return round(span.total_seconds())
 
 
-def _identity(run: RunData) -> str:
+def _derive_identity(run: RunData) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{run.started} {storable(run.title)} {run.digest}"))
 
 
-def _sample(run: RunData) -> str:
+def _name_sample(run: RunData) -> str:
     return run.sample_name or run.rig.name or "mass"
 
 
-def _segment(run: RunData) -> NDArray[np.uint16] | NDArray[np.uint32] | None:
+def _get_segment(run: RunData) -> NDArray[np.uint16] | NDArray[np.uint32] | None:
     return None if run.raw is None else run.segment
 
 
-def _belt(run: RunData) -> str | None:
-    known = (run.rig.belt_speed, run.rig.belt_metres_per_count, run.belt_velocity)
-    return "belt" if any(item is not None for item in known) else None
+def _name_belt(run: RunData) -> str | None:
+    signs = (run.rig.belt_speed, run.rig.belt_metres_per_count, run.belt_velocity)
+    return "belt" if any(item is not None for item in signs) else None
 
 
 DATA = {"signal": "value", "axes": "time", "time_indices": np.int64(0)}
@@ -72,13 +72,13 @@ TREE: tree.Tree = (
     Field("title", "text", "", "title of the run", "title"),
     Field("start_time", "text", "", "first sample, ISO 8601 with zone", "started"),
     Field("end_time", "text", "", "last sample, ISO 8601 with zone", "ended"),
-    Field("duration", "i8", "s", "end minus start, rounded", value=_duration),
-    Field("entry_identifier_uuid", "text", "", "derived from start, title and raw data", value=_identity),
+    Field("duration", "i8", "s", "end minus start, rounded", value=_compute_duration),
+    Field("entry_identifier_uuid", "text", "", "derived from start, title and raw data", value=_derive_identity),
     Field("program_name", "text", "", "`daq`; @version, @configuration", value=lambda run: "daq"),
     Group("operator", "NXuser", optional=True),
     Field("operator/name", "text", "", "who recorded", "operator", optional=True),
     Group("sample", "NXsample"),
-    Field("sample/name", "text", "", "of the sample, else of the rig, else `mass`", value=_sample),
+    Field("sample/name", "text", "", "of the sample, else of the rig, else `mass`", value=_name_sample),
     Field("sample/description", "text", "", "what was measured, as stated", "sample_name", optional=True),
     Field("sample/mass", "measured", "kg", "moving mass", "rig.mass", optional=True),
     Group("notes", "NXnote", optional=True),
@@ -88,7 +88,7 @@ TREE: tree.Tree = (
     Field("tags/*", "text or i8", "", "named values that a person gave the run", "tags", lambda run: run.tags or None),
     Group("instrument", "NXinstrument"),
     Group("instrument/encoder", "NXsensor"),
-    Field("instrument/encoder/name", "text", "", "of the sensor", value=_sensor("encoder", "position track")),
+    Field("instrument/encoder/name", "text", "", "of the sensor", value=_name_sensor("encoder", "position track")),
     Field(
         "instrument/encoder/model",
         "text",
@@ -101,7 +101,7 @@ TREE: tree.Tree = (
         "text",
         "",
         "of sensor",
-        value=_sensor("incremental encoder", "position against time"),
+        value=_name_sensor("incremental encoder", "position against time"),
     ),
     Group(ENCODER_LOG, "NXlog", scale="time"),
     Field(f"{ENCODER_LOG}/time", "f8[n]", "s", "since the first sample by the device's clock; @start", "time"),
@@ -116,10 +116,10 @@ TREE: tree.Tree = (
     Field(f"{CALIBRATION}/stiffness", "measured", "N/m", "of the spring", "rig.stiffness", optional=True),
     Field(f"{CALIBRATION}/damping", "measured", "N*s/m", "viscous damping", "rig.damping", optional=True),
     Field(f"{CALIBRATION}/counts_per_revolution", "i8", "", "one turn", "rig.counts_per_revolution", optional=True),
-    Field(f"{CALIBRATION}/counter_bits", "i8", "", "width", "rig.counter_bits", _counted("rig.counter_bits"), True),
-    Field(f"{CALIBRATION}/decoder", "text", "", "how edges count", "rig.decoder", _counted("rig.decoder"), True),
+    Field(f"{CALIBRATION}/counter_bits", "i8", "", "width", "rig.counter_bits", _if_counted("rig.counter_bits"), True),
+    Field(f"{CALIBRATION}/decoder", "text", "", "how edges count", "rig.decoder", _if_counted("rig.decoder"), True),
     Group("instrument/belt", "NXpositioner", optional=True),
-    Field("instrument/belt/name", "text", "", "`belt`", value=_belt),
+    Field("instrument/belt/name", "text", "", "`belt`", value=_name_belt),
     Field("instrument/belt/velocity", "measured", "m/s", "positive towards +x", "rig.belt_speed", optional=True),
     Group(BELT_LOG, "NXlog", optional=True),
     Field(f"{BELT_LOG}/time", "link", "s", f"{ENCODER_LOG}/time", value=lambda run: run.belt_velocity),
@@ -129,7 +129,7 @@ TREE: tree.Tree = (
     Field("instrument/belt/calibration/metres_per_count", "measured", "m", "pitch", "rig.belt_metres_per_count"),
     Group("raw", "NXdata", optional=True, attributes=RAW),
     Field("raw/sample", "u4[n]", "", "sequence number: skips lost samples, restarts in each segment", "raw.sample"),
-    Field("raw/segment", "u2 or u4[n]", "", "a new one after every unplug and restart", "segment", _segment),
+    Field("raw/segment", "u2 or u4[n]", "", "a new one after every unplug and restart", "segment", _get_segment),
     Field("raw/count_up", "u2 or u4[n]", "", "counter of steps up, rolling over at its width", "raw.count_up"),
     Field("raw/count_down", "u2 or u4[n]", "", "counter of steps down", "raw.count_down"),
     Field("raw/device_time", "u4[n]", "us", "device time, rolling over at 2^32", "raw.device_time"),
@@ -171,10 +171,10 @@ TREE: tree.Tree = (
     Field("data/value", "link", LENGTH, f"{ENCODER_LOG}/value", value=lambda run: run.position),
 )
 NOTES = ("title", "operator/", "sample/name", "sample/description", "notes/", "tags/", "events/")  # of `rewrite_notes`
-FIELDS = tree.fields(TREE)
+FIELDS = tree.list_fields(TREE)
 
 
-def digest(run: RunData) -> str:
+def compute_digest(run: RunData) -> str:
     """Return the sha256 of the raw columns, or of time and position when there are none."""
     columns: dict[str, Any] = {"time": run.time, "position": run.position}
     if run.raw is not None:
@@ -214,7 +214,7 @@ def rewrite_notes(file: h5py.File, run: RunData) -> None:
     entry = file["entry"]
     rows = [row for row in TREE if f"{row.path}/".startswith(NOTES)]
     optional = {row.path for row in rows if isinstance(row, Group) and row.optional}
-    for name in {row.path.partition("/")[0] if row.parent in optional else row.path for row in tree.fields(rows)}:
+    for name in {row.path.partition("/")[0] if row.parent in optional else row.path for row in tree.list_fields(rows)}:
         if name in entry:
             del entry[name]
     tree.write(entry, rows, run, {LENGTH: run.unit})
@@ -230,8 +230,8 @@ def check(run: RunData) -> None:
     tree.check([row for row in FIELDS if row.axis], run)
     if not all(np.isfinite(block).all() for values in (run.time, run.position) for block in blocks(values)):
         raise ValueError("times and positions must be finite")
-    if (at := first_disorder(run.time)) is not None:
-        raise ValueError(f"time does not increase at sample {at}")
+    if (sample := find_disorder(run.time)) is not None:
+        raise ValueError(f"time does not increase at sample {sample}")
     if unknown := sorted(set(run.event_kind) - set(EVENTS)):
         raise ValueError(f"event kinds {unknown} are unknown")
     if run.belt_count is not None and run.belt_velocity is None:

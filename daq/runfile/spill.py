@@ -53,20 +53,20 @@ class Spill:
 
     def put(self, values: NDArray[Any]) -> Aside:
         """Put an array aside."""
-        stored = np.ascontiguousarray(values, _narrowest(values))
+        stored = np.ascontiguousarray(values, _find_narrowest(values))
         if stored.nbytes <= self._left:
             self._left -= stored.nbytes
             # A view would keep the whole array that it is a part of.
-            own = stored.copy() if stored.base is not None or stored is values else stored
-            return Aside(values.dtype, stored.dtype, values.shape, own, 0)
+            kept = stored.copy() if stored.base is not None or stored is values else stored
+            return Aside(values.dtype, stored.dtype, values.shape, kept, 0)
         with disk.writing(self._output or Path(tempfile.gettempdir())):
             if self._file is None:
                 folder = None if self._output is None else self._output.absolute().parent
                 self._file = tempfile.TemporaryFile(dir=folder, prefix=".stickslip.")
             self._file.seek(self._end)
             self._file.write(stored.reshape(-1).view(np.uint8).data)
-        at, self._end = self._end, self._end + stored.nbytes
-        return Aside(values.dtype, stored.dtype, values.shape, None, at)
+        offset, self._end = self._end, self._end + stored.nbytes
+        return Aside(values.dtype, stored.dtype, values.shape, None, offset)
 
     def get(self, aside: Aside, first: int = 0, last: int | None = None) -> NDArray[Any]:
         """Return some rows of an array that was put aside, by default all."""
@@ -78,13 +78,13 @@ class Spill:
         row = aside.stored.itemsize * int(np.prod(aside.shape[1:], dtype=np.int64))
         self._file.seek(aside.at + first * row)
         values = np.empty((last - first, *aside.shape[1:]), aside.stored)
-        got = self._file.readinto(values.reshape(-1).view(np.uint8).data)  # type: ignore[attr-defined]
-        if got != values.nbytes:
-            raise OSError(f"{values.nbytes} bytes were put aside, {got} came back")
+        bytes_read = self._file.readinto(values.reshape(-1).view(np.uint8).data)  # type: ignore[attr-defined]
+        if bytes_read != values.nbytes:
+            raise OSError(f"{values.nbytes} bytes were put aside, {bytes_read} came back")
         return values.astype(aside.dtype, copy=False)
 
 
-def _narrowest(values: NDArray[Any]) -> np.dtype[Any]:
+def _find_narrowest(values: NDArray[Any]) -> np.dtype[Any]:
     """Return the type to store an array in: of int64, the narrowest one that holds its values."""
     if values.dtype != np.int64 or values.size == 0:
         return values.dtype
@@ -163,8 +163,8 @@ class Shelf(Generic[T]):
 
     def append(self, value: T) -> None:
         """Put a value aside."""
-        found = dict(vars(value))
-        arrays = {name: item for name, item in found.items() if isinstance(item, np.ndarray)}
+        fields = dict(vars(value))
+        arrays = {name: item for name, item in fields.items() if isinstance(item, np.ndarray)}
         self._arrays.append({name: self._spill.put(item) for name, item in arrays.items()})
         empty = {name: item[:0].copy() for name, item in arrays.items()}
         self.labels.append(cast(T, replace(cast(Any, value), **empty)))

@@ -19,8 +19,8 @@ import h5py
 import numpy as np
 
 from daq.runfile import nexus, schema, tree, trust
-from daq.runfile.recording import Raw, Recording, SentAs, Truth, impossible_motion
-from daq.runfile.regular import regular_file
+from daq.runfile.recording import Raw, Recording, SentAs, Truth, explain_impossible
+from daq.runfile.regular import open_regular
 from daq.runfile.rig import Rig
 from daq.runfile.write import write
 from stickslip.compute.arrays import Array
@@ -30,15 +30,15 @@ from stickslip.output import atomic, disk
 __all__ = [
     "RunReader",
     "annotate",
-    "between",
+    "count_samples",
     "extend",
-    "holds",
+    "is_same_run",
     "load",
-    "opened",
+    "open_reader",
+    "open_run",
     "read_back",
-    "reading",
-    "samples",
-    "times",
+    "read_times",
+    "select_between",
     "truth",
     "write",
 ]
@@ -57,13 +57,13 @@ SAMPLE_STAGE = (  # with which `extend` is rehearsed
 RECORDING = [row for row in schema.TREE if not row.path.startswith("truth")]
 
 
-def samples(path: str | os.PathLike[str]) -> int:
+def count_samples(path: str | os.PathLike[str]) -> int:
     """Return how many samples a run holds; InputError as for `load`."""
-    with reading(path) as run:
+    with open_reader(path) as run:
         return run.samples
 
 
-def load(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> Recording:
+def load(path: str | os.PathLike[str], selected: slice = nexus.EVERY) -> Recording:
     """Read a run.
 
     path: A run file.
@@ -71,92 +71,92 @@ def load(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> Recording:
     Raises InputError: when the file is missing, cut short, not HDF5, not a run file, of another schema, or holds
         something else where a run has its samples.
     """
-    with reading(path) as run:
-        return run.load(own)
+    with open_reader(path) as run:
+        return run.load(selected)
 
 
 def read_back(path: str | os.PathLike[str]) -> None:
     """Raise InputError, as `load` does, for a run that cannot be loaded; a stretch at a time, which needs no memory."""
-    with reading(path) as run:
+    with open_reader(path) as run:
         for first in range(0, run.samples, STRETCH):
             run.load(slice(first, first + STRETCH + 1))  # with the first sample of the next stretch, for the order
 
 
-def times(path: str | os.PathLike[str]) -> Array:
+def read_times(path: str | os.PathLike[str]) -> Array:
     """Return the times of a run's samples, s, shape (n,); InputError as for `load`."""
-    with reading(path) as run:
+    with open_reader(path) as run:
         return run.times()
 
 
-def between(path: str | os.PathLike[str], begin: float | None, end: float | None) -> slice:
+def select_between(path: str | os.PathLike[str], begin: float | None, end: float | None) -> slice:
     """Return the samples of a run from time ``begin`` to ``end``, s on its own time axis; None: from or to its end.
 
     Raises InputError: as `load`; and for times between which the run has fewer than two samples.
     """
     if begin is None and end is None:
         return nexus.EVERY
-    time = times(path)
+    time = read_times(path)
     first = 0 if begin is None else int(np.searchsorted(time, begin))
     last = time.size if end is None else int(np.searchsorted(time, end, side="right"))
     if last - first < 2:
-        asked = f"{time[0] if begin is None else begin:g} to {time[-1] if end is None else end:g} s"
-        what = f"fewer than two samples from {asked}; the run lasts from {time[0]:.6g} to {time[-1]:.6g} s"
+        requested = f"{time[0] if begin is None else begin:g} to {time[-1] if end is None else end:g} s"
+        what = f"fewer than two samples from {requested}; the run lasts from {time[0]:.6g} to {time[-1]:.6g} s"
         raise InputError(what, str(path), "give other times with --from and --to")
     return slice(first, last)
 
 
 @contextmanager
-def reading(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> "Iterator[RunReader]":
+def open_reader(path: str | os.PathLike[str], selected: slice = nexus.EVERY) -> "Iterator[RunReader]":
     """Open a run, or some of its samples, for reading parts one after the other; InputError as for `load`."""
     where = Path(path)
-    with opened(where) as file:
+    with open_run(where) as file:
         with trust.damage(where):
-            reader = RunReader(nexus.read_group(file, "entry", where), where, own)
+            reader = RunReader(nexus.read_group(file, "entry", where), where, selected)
         yield reader
 
 
 class RunReader:
     """A run file that stays open; of the samples ``own`` alone, where they are given, numbered from the first."""
 
-    def __init__(self, entry: h5py.Group, where: Path, own: slice = nexus.EVERY) -> None:
+    def __init__(self, entry: h5py.Group, where: Path, selected: slice = nexus.EVERY) -> None:
         self._entry, self._where = entry, where
         n = int(nexus.read_dataset(entry, f"{schema.ENCODER_LOG}/time", where).size)
-        self._own, self._whole = range(n)[own], own == nexus.EVERY
-        self.samples = len(self._own)
+        self._selected, self._whole = range(n)[selected], selected == nexus.EVERY
+        self.samples = len(self._selected)
 
-    def _in_file(self, own: slice) -> slice:
-        if self._whole and own == nexus.EVERY:
-            return own  # a column of another length shows
-        part = self._own[own]
+    def _in_file(self, selected: slice) -> slice:
+        if self._whole and selected == nexus.EVERY:
+            return selected  # a column of another length shows
+        part = self._selected[selected]
         return slice(part.start, part.stop)
 
-    def load(self, own: slice = nexus.EVERY) -> Recording:
+    def load(self, selected: slice = nexus.EVERY) -> Recording:
         """Return the run, or some of its samples (`load`)."""
         with trust.damage(self._where):
-            found = tree.read(self._entry, RECORDING, self._where, self._in_file(own))
-            _check_motion(found["time"], found["position"], self._where)
-            raw, sent_as = tree.part(found, "raw"), tree.part(found, "sent_as")
+            values = tree.read(self._entry, RECORDING, self._where, self._in_file(selected))
+            _check_motion(values["time"], values["position"], self._where)
+            raw, sent_as = tree.select_part(values, "raw"), tree.select_part(values, "sent_as")
             return Recording(
-                **{key: value for key, value in found.items() if "." not in key},
-                rig=Rig(**tree.part(found, "rig")),
+                **{key: value for key, value in values.items() if "." not in key},
+                rig=Rig(**tree.select_part(values, "rig")),
                 raw=Raw(**raw) if raw else None,
                 sent_as=SentAs(**sent_as) if sent_as else None,
                 source=self._where,
-                default=nexus.text(self._entry.attrs.get("default", "data")),
+                default=nexus.decode_text(self._entry.attrs.get("default", "data")),
             )
 
     def times(self) -> Array:
         """Return the times of all samples, s."""
         return self._column("time", nexus.EVERY)
 
-    def positions(self, own: slice) -> Array:
+    def positions(self, selected: slice) -> Array:
         """Return the positions of some samples, m or counts."""
-        return self._column("value", own)
+        return self._column("value", selected)
 
-    def _column(self, name: str, own: slice) -> Array:
+    def _column(self, name: str, selected: slice) -> Array:
         path = f"{schema.ENCODER_LOG}/{name}"
         with trust.damage(self._where):
-            return np.asarray(nexus.read_array(self._entry, path, np.float64, self._where, self._in_file(own)))
+            return np.asarray(nexus.read_array(self._entry, path, np.float64, self._where, self._in_file(selected)))
 
 
 def truth(path: str | os.PathLike[str]) -> Truth | None:
@@ -165,10 +165,10 @@ def truth(path: str | os.PathLike[str]) -> Truth | None:
     Only comparisons and benchmarks may call this: processing and fitting know no more than a real rig shows.
     """
     where = Path(path)
-    with opened(where) as file, trust.damage(where):
+    with open_run(where) as file, trust.damage(where):
         entry = nexus.read_group(file, "entry", where)
-        found = tree.part(tree.read(entry, tree.below(schema.TREE, "truth"), where), "truth")
-        return Truth(**found) if found else None
+        columns = tree.select_part(tree.read(entry, tree.select_groups(schema.TREE, "truth"), where), "truth")
+        return Truth(**columns) if columns else None
 
 
 def extend(
@@ -193,13 +193,13 @@ def extend(
     for name in wanted:
         if not name.startswith(STAGES[1:]):
             raise ValueError(f"{name!r} is no stage; extend writes {' or '.join(STAGES[1:])} groups, never the record")
-    with opened(target):
+    with open_run(target):
         pass
     trust.check(target, _add_stage)
     stage = min(STAGES.index(name.split("_")[0]) for name in wanted)
     with atomic.replacing(target, force=True) as temporary:
         shutil.copyfile(target, temporary)
-        with disk.hdf5(temporary, "r+") as file:
+        with disk.open_hdf5(temporary, "r+") as file:
             with trust.damage(target):
                 entry = file["entry"]
                 for name in list(entry):
@@ -211,18 +211,18 @@ def extend(
     trust.trust_own(target)
 
 
-def holds(path: str | os.PathLike[str], run: Recording) -> bool:
+def is_same_run(path: str | os.PathLike[str], run: Recording) -> bool:
     """Return whether a file is this recording: the same start and raw data, with all events of ``run``."""
     try:
-        with reading(path) as reader:
-            found = reader.load(slice(1))
+        with open_reader(path) as reader:
+            stored = reader.load(slice(1))
     except InputError:
         return False
-    same = (found.started, found.digest) == (run.started, schema.digest(run))
-    return same and set(_events(run)) <= set(_events(found))
+    same = (stored.started, stored.digest) == (run.started, schema.compute_digest(run))
+    return same and set(_list_events(run)) <= set(_list_events(stored))
 
 
-def _events(run: Recording) -> Iterator[tuple[int, str, str]]:
+def _list_events(run: Recording) -> Iterator[tuple[int, str, str]]:
     return zip(run.event_sample.tolist(), run.event_kind, run.event_note, strict=True)
 
 
@@ -240,7 +240,7 @@ def annotate(
     """
     target = Path(path)
     with atomic.replacing(target, force=True) as temporary:  # from here on no other command changes the run
-        with reading(target) as reader:
+        with open_reader(target) as reader:
             run, time = reader.load(slice(1)), reader.times()
         trust.check(target, _change_notes)
         tags = {name: value for name, value in {**run.tags, **notes.get("tags", {})}.items() if value}
@@ -249,9 +249,9 @@ def annotate(
             if not 0 <= seconds <= time[-1]:
                 what = f"the marker at {seconds:g} s is outside the run, which lasts {time[-1]:.6g} s"
                 raise InputError(what, "--mark", "give a time since the first sample")
-            run = _marked(run, int(np.argmin(np.abs(time - seconds))), text)
+            run = _add_marker(run, int(np.argmin(np.abs(time - seconds))), text)
         shutil.copyfile(target, temporary)
-        with disk.hdf5(temporary, "r+") as file, trust.damage(target):
+        with disk.open_hdf5(temporary, "r+") as file, trust.damage(target):
             schema.rewrite_notes(file, run)
     trust.trust_own(target)
     return run
@@ -259,7 +259,7 @@ def annotate(
 
 def _add_stage(path: Path) -> bytes:
     """Do to a copy in memory what `extend` will do to the file."""
-    with trust.damage(path), disk.rehearsed(path) as file:
+    with trust.damage(path), disk.open_rehearsal(path) as file:
         entry = file["entry"]
         for name in list(entry):
             if name.split("_")[0] in STAGES[1:]:
@@ -271,58 +271,58 @@ def _add_stage(path: Path) -> bytes:
 
 def _change_notes(path: Path) -> bytes:
     """Do to a copy in memory what `annotate` will do to the file."""
-    with trust.damage(path), disk.rehearsed(path) as file:
+    with trust.damage(path), disk.open_rehearsal(path) as file:
         run = RunReader(file["entry"], path).load(slice(1))
         schema.rewrite_notes(file, replace(run, note="text", operator="text", tags={"name": "text"}))
     return b""
 
 
-def _marked(run: Recording, sample: int, text: str) -> Recording:
+def _add_marker(run: Recording, sample: int, text: str) -> Recording:
     """Return the run with one more marker, after the events of the same sample."""
-    at = int(np.searchsorted(run.event_sample, sample, side="right"))
+    index = int(np.searchsorted(run.event_sample, sample, side="right"))
     return replace(
         run,
-        event_sample=np.insert(run.event_sample, at, sample).astype(np.uint32),
-        event_kind=(*run.event_kind[:at], "marker", *run.event_kind[at:]),
-        event_note=(*run.event_note[:at], text, *run.event_note[at:]),
+        event_sample=np.insert(run.event_sample, index, sample).astype(np.uint32),
+        event_kind=(*run.event_kind[:index], "marker", *run.event_kind[index:]),
+        event_note=(*run.event_note[:index], text, *run.event_note[index:]),
     )
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[h5py.File]:
+def open_run(path: Path) -> Iterator[h5py.File]:
     """Open a run file for reading, or raise an InputError that names what the file is instead."""
     where = str(path)
-    regular_file(path, "give the run file in it").close()
+    open_regular(path, "give the run file in it").close()
     with _open(path) as file:
-        found = trust.mark(file)
-        if found is None and trust.is_joint(file):
+        mark = trust.read_mark(file)
+        if mark is None and trust.is_joint(file):
             raise InputError("is the file of a joint fit, not of a run", where, "give the runs that were fitted")
-        if found is None:
+        if mark is None:
             raise InputError(
                 "is HDF5 but not a run file (it has no @stickslip_schema)",
                 where,
                 "give a file made by daq record, daq import or daq replay",
             )
-        if not isinstance(found, int | np.integer) or isinstance(found, np.bool_):
-            raise InputError(f"@stickslip_schema is {found!r}, not a whole number", where, "record or import again")
-        what = f"has schema {int(found)}; this version reads only schema {schema.SCHEMA}"
-        if found > schema.SCHEMA:
+        if not isinstance(mark, int | np.integer) or isinstance(mark, np.bool_):
+            raise InputError(f"@stickslip_schema is {mark!r}, not a whole number", where, "record or import again")
+        what = f"has schema {int(mark)}; this version reads only schema {schema.SCHEMA}"
+        if mark > schema.SCHEMA:
             raise InputError(what, where, "install a newer stickslip")
-        if found < schema.SCHEMA:
+        if mark < schema.SCHEMA:
             raise InputError(what, where, "make it again: daq recover on its journal, or daq import on its CSV")
         yield file
 
 
 def _open(path: Path) -> h5py.File:
     try:
-        return trust.opened(path)
+        return trust.open_trusted(path)
     except PermissionError as error:
         raise InputError("cannot be read", str(path), "check its permissions") from error
     except OSError as error:
-        raise _unopened(path, error) from error
+        raise _explain_unopened(path, error) from error
 
 
-def _unopened(path: Path, error: OSError) -> InputError:
+def _explain_unopened(path: Path, error: OSError) -> InputError:
     with path.open("rb") as stream:
         head = stream.read(32)
     if head.startswith(b"stickslip journal"):
@@ -345,6 +345,6 @@ def _unopened(path: Path, error: OSError) -> InputError:
 
 
 def _check_motion(time: Array, position: Array, where: Path) -> None:
-    what = impossible_motion(time, position) if time.size else "holds no samples"
+    what = explain_impossible(time, position) if time.size else "holds no samples"
     if what is not None:
         raise InputError(what, str(where), nexus.AGAIN)

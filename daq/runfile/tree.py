@@ -67,18 +67,18 @@ class Field:
 
     def of_source(self, source: Any) -> Any:
         """Return the value to write of ``source``, None where that has none."""
-        found = self.value(source) if self.value is not None else self._attribute(source)
-        if found is None or not self.optional:
-            return found
-        empty = not any(found) if self.dtype == "text" else np.size(found) == 0
-        return None if empty else found
+        value = self.value(source) if self.value is not None else self._attribute(source)
+        if value is None or not self.optional:
+            return value
+        empty = not any(value) if self.dtype == "text" else np.size(value) == 0
+        return None if empty else value
 
     def _attribute(self, source: Any) -> Any:
         owner, _, name = self.of.rpartition(".")
-        held = attrgetter(owner)(source) if owner else source
-        if isinstance(held, tuple):
-            return [getattr(row, name) for row in held] or None
-        return None if held is None else getattr(held, name)
+        holder = attrgetter(owner)(source) if owner else source
+        if isinstance(holder, tuple):
+            return [getattr(row, name) for row in holder] or None
+        return None if holder is None else getattr(holder, name)
 
 
 @dataclass(frozen=True)
@@ -124,12 +124,12 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def fields(tree: Tree) -> list[Field]:
+def list_fields(tree: Tree) -> list[Field]:
     """Return the fields of a table."""
     return [row for row in tree if isinstance(row, Field)]
 
 
-def below(tree: Tree, *paths: str) -> list[Row]:
+def select_groups(tree: Tree, *paths: str) -> list[Row]:
     """Return the rows of the groups at these paths."""
     return [row for row in tree if f"{row.path}/".startswith(tuple(f"{path}/" for path in paths))]
 
@@ -139,7 +139,7 @@ def check(tree: Tree, source: Any) -> list[tuple[Field, Any]]:
 
     Raises ValueError: where the columns of one axis differ in length.
     """
-    filled = [(row, value) for row in fields(tree) if (value := row.of_source(source)) is not None]
+    filled = [(row, value) for row in list_fields(tree) if (value := row.of_source(source)) is not None]
     first: dict[str, tuple[str, int]] = {}
     for row, value in filled:
         if row.axis and row.dtype != "link":
@@ -163,41 +163,41 @@ def write(entry: h5py.Group, tree: Tree, source: Any, units: Mapping[str, str] |
     groups = [row for row in tree if isinstance(row, Group)]
     for group in groups:
         if group.path not in entry and (group.path in inside or not group.optional):
-            _make(entry, group)
+            _make_group(entry, group)
     for row, value in filled:
-        _write_field(entry, row, value, _unit(row, units))
+        _write_field(entry, row, value, _resolve_unit(row, units))
     for group in groups:
         if group.scale and group.path in inside:
-            nexus.scale(entry[group.path], group.scale)
+            nexus.attach_scale(entry[group.path], group.scale)
 
 
 def empty(entry: h5py.Group, tree: Tree, n: int, units: Mapping[str, str]) -> None:
     """Make groups, and columns of ``n`` numbers yet to be written; ``units`` as for `write`."""
     for row in tree:
         if isinstance(row, Group):
-            _make(entry, row)
+            _make_group(entry, row)
         else:
-            nexus.column(entry, row.path, n, row.dtype, _unit(row, units))
+            nexus.column(entry, row.path, n, row.dtype, _resolve_unit(row, units))
     for row in tree:
         if isinstance(row, Group) and row.scale:
-            nexus.scale(entry[row.path], row.scale)
+            nexus.attach_scale(entry[row.path], row.scale)
 
 
-def _make(entry: h5py.Group, row: Group) -> None:
+def _make_group(entry: h5py.Group, row: Group) -> None:
     nexus.group(entry, row.path, row.nx_class, **row.attributes)
 
 
-def _unit(row: Field, units: Mapping[str, str] | None) -> str:
+def _resolve_unit(row: Field, units: Mapping[str, str] | None) -> str:
     unit = row.unit
-    for name, own in (units or {}).items():
-        unit = unit.replace(name, own)
+    for name, replacement in (units or {}).items():
+        unit = unit.replace(name, replacement)
     return unit
 
 
 def _write_field(entry: h5py.Group, row: Field, value: Any, unit: str) -> None:
     match row.dtype:
         case "link":
-            nexus.link(entry, row.path, entry[row.text])
+            nexus.add_link(entry, row.path, entry[row.text])
         case "text":
             nexus.field(entry, row.path, value if isinstance(value, str) else list(value))
         case "text or i8":
@@ -205,7 +205,7 @@ def _write_field(entry: h5py.Group, row: Field, value: Any, unit: str) -> None:
                 nexus.field(entry, f"{row.parent}/{name}", item if isinstance(item, str) else np.int64(item))
         case "enum":
             kind = h5py.enum_dtype(row.codes, basetype="u1")
-            entry.create_dataset(row.path, data=_coded(row, value), dtype=kind, track_times=False)
+            entry.create_dataset(row.path, data=_encode(row, value), dtype=kind, track_times=False)
         case "parameters":
             for name, item in value.items():
                 nexus.field(entry, f"{row.parent}/{name}", np.float64(item.value), item.unit)
@@ -218,54 +218,55 @@ def _write_field(entry: h5py.Group, row: Field, value: Any, unit: str) -> None:
                 nexus.field(entry, f"{row.path}_errors", np.float64(value.sd), unit)
         case dtype:
             if row.codes is not None:
-                value = _coded(row, value)
+                value = _encode(row, value)
             stored = value if dtype == "u2 or u4" or isinstance(value, Column) else np.asarray(value, dtype)
             bare = row.axis and not unit and stored.dtype.kind != "f"
             nexus.field(entry, row.path, stored, None if bare else unit)
 
 
-def _coded(row: Field, names: Iterable[str]) -> NDArray[np.uint8]:
+def _encode(row: Field, names: Iterable[str]) -> NDArray[np.uint8]:
     codes = row.codes or {}
     return np.array([codes[name] for name in names], np.uint8)
 
 
-def read(entry: h5py.Group, tree: Tree, where: Path, own: slice = nexus.EVERY) -> dict[str, Any]:
+def read(entry: h5py.Group, tree: Tree, where: Path, selected: slice = nexus.EVERY) -> dict[str, Any]:
     """Read fields into a mapping from attribute (``rig.mass``) to value.
 
     ``own`` are the samples to read of columns over the samples.  An absent optional field is absent in the mapping.
 
     Raises InputError: for a field that is missing, of another type, or not as long as the others of its axis.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     lengths: dict[str, int] = {}
     optional = {row.path for row in tree if isinstance(row, Group) and row.optional}
-    for row in fields(tree):
+    for row in list_fields(tree):
         absent_group = row.parent in optional and row.parent not in entry
         if not row.of or absent_group or (row.optional and row.path not in entry):
             continue
-        value = _read_field(entry, row, where, own)
+        value = _read_field(entry, row, where, selected)
         if row.axis:
             nexus.check_length(len(value), lengths.setdefault(row.axis, len(value)), row.path, where)
-        found[row.of] = value
-    return found
+        values[row.of] = value
+    return values
 
 
-def part(found: Mapping[str, Any], name: str) -> dict[str, Any]:
+def select_part(values: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Return what was read of one part: ``rig.mass`` as ``mass``."""
-    inside = {key.removeprefix(f"{name}."): value for key, value in found.items() if key.startswith(f"{name}.")}
+    inside = {key.removeprefix(f"{name}."): value for key, value in values.items() if key.startswith(f"{name}.")}
     return {key: value for key, value in inside.items() if "." not in key}
 
 
-def rows(found: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+def rows(values_read: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
     """Return the rows of a table that was read, each by attribute; none of an absent one."""
     columns = {
-        key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in part(found, name).items()
+        key: value.tolist() if isinstance(value, np.ndarray) else value
+        for key, value in select_part(values_read, name).items()
     }
     return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
-def _read_field(entry: h5py.Group, row: Field, where: Path, own: slice) -> Any:
-    own = own if row.axis == "n" else nexus.EVERY
+def _read_field(entry: h5py.Group, row: Field, where: Path, selected: slice) -> Any:
+    selected = selected if row.axis == "n" else nexus.EVERY
     match row.dtype:
         case "text":
             return (nexus.read_texts if row.axis else nexus.read_text)(entry, row.path, where)
@@ -278,7 +279,7 @@ def _read_field(entry: h5py.Group, row: Field, where: Path, own: slice) -> Any:
             return Measured(nexus.read_number(entry, row.path, where), sd)
         case "u2 or u4":
             wide = nexus.read_dataset(entry, row.path, where).dtype.itemsize > 2
-            return nexus.read_array(entry, row.path, np.uint32 if wide else np.uint16, where, own)
+            return nexus.read_array(entry, row.path, np.uint32 if wide else np.uint16, where, selected)
     if not row.axis:
         number = nexus.read_number(entry, row.path, where)
         return number if row.dtype == "f8" else int(number)
@@ -286,4 +287,4 @@ def _read_field(entry: h5py.Group, row: Field, where: Path, own: slice) -> Any:
         names = {code: name for name, code in row.codes.items()}
         codes = nexus.read_array(entry, row.path, np.uint8, where)
         return tuple(names.get(int(code), f"kind {code}") for code in codes)
-    return nexus.read_array(entry, row.path, "f8" if row.dtype == "f4" else row.dtype, where, own)
+    return nexus.read_array(entry, row.path, "f8" if row.dtype == "f4" else row.dtype, where, selected)

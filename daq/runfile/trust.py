@@ -16,7 +16,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.runfile.isolation import BrokenOffError, isolated
+from daq.runfile.isolation import BrokenOffError, run_isolated
 from stickslip.errors import InputError
 
 DO = "do not trust this file; ask who made it"
@@ -37,7 +37,7 @@ DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError)
 _done: set[tuple[object, ...]] = set()  # what children of this process have done to which files
 
 
-def opened(path: Path) -> h5py.File:
+def open_trusted(path: Path) -> h5py.File:
     """Open a file for reading, which a child process could read.
 
     Raises InputError: an external link, external storage, a virtual dataset, a dataset larger than the file can hold, a
@@ -67,14 +67,14 @@ def damage(path: Path) -> Iterator[None]:
 def check(path: Path, work: Callable[[Path], bytes]) -> None:
     """Let a child process do to a file, or to a copy of it, what this process will do; once for each file.
 
-    Raises InputError: as `opened`, and what ``work`` raises.
+    Raises InputError: as `open_trusted`, and what ``work`` raises.
     """
-    key = _key(path, work)
+    key = _make_key(path, work)
     if key in _done:
         return
     try:
         size = path.stat().st_size
-        isolated(work, path, SECONDS + SECONDS_PER_BYTE * size, MEMORY + size)
+        run_isolated(work, path, SECONDS + SECONDS_PER_BYTE * size, MEMORY + size)
     except BrokenOffError as error:
         raise InputError(f"is damaged: it {error}", str(path), AGAIN) from error
     _done.add(key)
@@ -83,10 +83,10 @@ def check(path: Path, work: Callable[[Path], bytes]) -> None:
 def trust_own(path: Path) -> None:
     """Let no child read a file that this process has just written."""
     with suppress(OSError):  # it is gone again
-        _done.add(_key(path, _visit))
+        _done.add(_make_key(path, _visit))
 
 
-def _key(path: Path, work: Callable[[Path], bytes]) -> tuple[object, ...]:
+def _make_key(path: Path, work: Callable[[Path], bytes]) -> tuple[object, ...]:
     status = path.stat()
     return work, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
@@ -106,10 +106,10 @@ def _visit(path: Path) -> bytes:
 
 def is_marked(file: h5py.File) -> bool:
     """Return whether a file says that it is a run or a joint fit."""
-    return mark(file) is not None or is_joint(file)
+    return read_mark(file) is not None or is_joint(file)
 
 
-def mark(file: h5py.File) -> Any:
+def read_mark(file: h5py.File) -> Any:
     """Return the schema number that a run states, of whatever type it is; None of every other file."""
     # On the root it would be found too, and heeded first: that is where a person looks for it.
     provenance = file.get("entry/provenance")
@@ -138,53 +138,53 @@ class _Visit:
         for name in names:
             # Of what cannot be read whoever needs it finds out.  Of the attributes none but the marks is ever read.
             with suppress(*DAMAGE):
-                found = h5py.h5o.open(self._file, name)
-                if isinstance(found, h5py.h5d.DatasetID):
-                    self._read(found, f"/{name.decode(errors='replace')}")
+                item = h5py.h5o.open(self._file, name)
+                if isinstance(item, h5py.h5d.DatasetID):
+                    self._read(item, f"/{name.decode(errors='replace')}")
 
     def check_links(self) -> None:
         """Refuse a file that leads to others, or holds more objects than any run."""
         external: list[bytes] = []
-        seen: list[bytes] = []
+        names: list[bytes] = []
 
-        def one(name: bytes, info: h5py.h5l.LinkInfo) -> bool | None:
-            seen.append(name)
+        def note_link(name: bytes, info: h5py.h5l.LinkInfo) -> bool | None:
+            names.append(name)
             if info.type == h5py.h5l.TYPE_EXTERNAL:
                 external.append(name)
-            return True if external or len(seen) > MOST_OBJECTS else None
+            return True if external or len(names) > MOST_OBJECTS else None
 
-        self._file.links.visit(one, info=True)
+        self._file.links.visit(note_link, info=True)
         if external:
             raise self._refusal(f"/{external[0].decode(errors='replace')} is a link to another file")
-        if len(seen) > MOST_OBJECTS:
+        if len(names) > MOST_OBJECTS:
             raise self._refusal(f"holds more than {MOST_OBJECTS} objects")
 
     def _read(self, dataset: h5py.h5d.DatasetID, place: str) -> None:
-        made, kind = dataset.get_create_plist(), dataset.dtype
-        layout = made.get_layout()
+        creation, kind = dataset.get_create_plist(), dataset.dtype
+        layout = creation.get_layout()
         refuse_stored_elsewhere(dataset, place, self._path)
-        chunk = math.prod(made.get_chunk()) * kind.itemsize if layout == h5py.h5d.CHUNKED else 0
-        held = max(math.prod(dataset.shape) * kind.itemsize, chunk)
-        self._declared += held
+        chunk = math.prod(creation.get_chunk()) * kind.itemsize if layout == h5py.h5d.CHUNKED else 0
+        size = max(math.prod(dataset.shape) * kind.itemsize, chunk)
+        self._declared += size
         if self._declared > max(FREE_BYTES, MOST_EXPANSION * self._size):
-            raise self._refusal(f"{place} declares {held} bytes in a file of {self._size}")
+            raise self._refusal(f"{place} declares {size} bytes in a file of {self._size}")
         if chunk and not kind.hasobject:
-            self._check_chunks(dataset, made, chunk, place)
+            self._check_chunks(dataset, creation, chunk, place)
         else:
             dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, np.empty(dataset.shape, kind))
 
-    def _check_chunks(self, dataset: h5py.h5d.DatasetID, made: h5py.h5p.PropDCID, whole: int, place: str) -> None:
+    def _check_chunks(self, dataset: h5py.h5d.DatasetID, creation: h5py.h5p.PropDCID, whole: int, place: str) -> None:
         """Refuse a dataset with a chunk that does not hold ``whole`` bytes."""
-        used = [made.get_filter(index)[0] for index in range(made.get_nfilters())]
-        if used != [one for one in FILTERS if one in used]:
+        filters = [creation.get_filter(index)[0] for index in range(creation.get_nfilters())]
+        if filters != [code for code in FILTERS if code in filters]:
             raise self._refusal(f"{place} is packed in a way that no run is")
-        trailer = 4 if h5py.h5z.FILTER_FLETCHER32 in used else 0
+        trailer = 4 if h5py.h5z.FILTER_FLETCHER32 in filters else 0
         offsets: list[tuple[int, ...]] = []
         dataset.chunk_iter(lambda chunk: offsets.append(chunk.chunk_offset))
         for offset in offsets:
             skipped, content = dataset.read_direct_chunk(offset)
             content = content[: len(content) - trailer]
-            if h5py.h5z.FILTER_DEFLATE in used and not skipped:
+            if h5py.h5z.FILTER_DEFLATE in filters and not skipped:
                 try:
                     content = zlib.decompressobj().decompress(content, whole + 1)
                 except zlib.error:
@@ -199,8 +199,8 @@ class _Visit:
 
 def refuse_stored_elsewhere(dataset: h5py.h5d.DatasetID, place: str, path: Path) -> None:
     """Raise InputError for a dataset whose data lie in another file."""
-    made = dataset.get_create_plist()
-    if made.get_layout() == h5py.h5d.VIRTUAL or made.get_external_count():
+    creation = dataset.get_create_plist()
+    if creation.get_layout() == h5py.h5d.VIRTUAL or creation.get_external_count():
         raise InputError(f"{place} reads its data from another file", str(path), DO)
 
 

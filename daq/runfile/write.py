@@ -21,7 +21,7 @@ def write(path: str | os.PathLike[str], run: RunData, *, force: bool = False) ->
     target = Path(path)
     atomic.refuse_existing(target, force)
     schema.check(run)
-    run = replace(run, digest=schema.digest(run))
-    with atomic.replacing(target, force) as temporary, disk.hdf5(temporary, "w") as file:
+    run = replace(run, digest=schema.compute_digest(run))
+    with atomic.replacing(target, force) as temporary, disk.open_hdf5(temporary, "w") as file:
         schema.write(file, run, target.name)
     trust.trust_own(target)

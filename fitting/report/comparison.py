@@ -78,7 +78,7 @@ def _parameter(item: Mapping[str, Any]) -> Parameter:
 
 def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = False) -> None:
     """Raise InputError when ``path`` cannot be written, or without ``force`` is no comparison of just these runs."""
-    atomic.refuse_existing(path, force, own=MARK, kind="comparison of runs", flag="--report")
+    atomic.refuse_existing(path, force, mark=MARK, kind="comparison of runs", flag="--report")
     if path.exists() and not force and _mark(files) not in path.read_text(encoding="utf-8", errors="replace"):
         do = "give another name (--report), or --force to replace it"
         raise InputError("exists and is the comparison of other runs", str(path), do)

@@ -62,7 +62,7 @@ def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[P
     A report of any release contains the sha256 of each raw record that it was made from.  The report that bears the
     name of one run, of ``files``, may be that of an earlier run of this name: one that no run in the folder holds.
     """
-    atomic.refuse_existing(path, force, own=MARK, kind="report", flag="--report")
+    atomic.refuse_existing(path, force, mark=MARK, kind="report", flag="--report")
     if not path.exists() or force:
         return
     text = path.read_text(encoding="utf-8", errors="replace")
@@ -84,7 +84,7 @@ def _holder(digests: set[str], file: Path) -> Path | None:
         if other.name == file.name:
             continue
         try:
-            with store.reading(other) as reader:
+            with store.open_reader(other) as reader:
                 digest = reader.load(slice(1)).digest
         except (InputError, OSError):  # no run
             continue

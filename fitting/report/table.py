@@ -24,7 +24,7 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
 
     Theirs is a ranking that names no other runs than ``files``.
     """
-    atomic.refuse_existing(path, force, *files, own=HEAD, kind="ranking", flag="--csv")
+    atomic.refuse_existing(path, force, *files, mark=HEAD, kind="ranking", flag="--csv")
     if path.exists() and not force:
         with path.open(newline="", encoding="utf-8", errors="surrogateescape") as file:
             others = {Path(row["file"]).name for row in csv.DictReader(file)} - {run.name for run in files}

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.runfile.rest_position import impossible
+from daq.runfile.rest_position import explain_impossible
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import REST_SPEED, SLIP_SPEED, MeasuredMotion
 from fitting.driver.passes import first_pass, regressed_start
@@ -161,7 +161,7 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
         return
     rest = replace(motion.datum_prior, value=motion.sign * motion.datum_prior.value)
     low, high = sorted((motion.sign * float(motion.position.min()), motion.sign * float(motion.position.max())))
-    wrong = impossible(rest, low, high, motion.sign)
+    wrong = explain_impossible(rest, low, high, motion.sign)
     if wrong:
         do = 'check its sign: x0 is the reading at the spring\'s rest, --x0 "60 mm +- 1 mm"'
         raise InputError(wrong, record.recording.where, do)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from daq.runfile.rest_position import question
+from daq.runfile.rest_position import question_rest_position
 from fitting.adequacy.result import Adequacy
 from fitting.competitors import Given
 from fitting.data.cycles import CycleSegmentation
@@ -80,7 +80,7 @@ class JudgedRun:
         if rest is None:
             return ""
         stated = replace(rest, value=self.motion.sign * rest.value)
-        return question(stated, float(place.min()), float(place.max()))
+        return question_rest_position(stated, float(place.min()), float(place.max()))
 
     @property
     def left_out(self) -> str:

@@ -54,7 +54,7 @@ def entries(file: str, figures: Mapping[str, Callable[[], Computed]]) -> tuple[E
 @cache
 def figures_of(file: str) -> dict[str, Any]:
     """Return the tables of a chapter's file by the figures' numbers, each with what it takes from another one."""
-    held: dict[str, Any] = on_one_line(toml.parsed((CHAPTERS / file).read_text(encoding="utf-8"), file))
+    held: dict[str, Any] = on_one_line(toml.parse((CHAPTERS / file).read_text(encoding="utf-8"), file))
     for figure in held.values():
         like = held.get(figure.pop("like", ""), {})
         figure |= {key: value for key, value in like.items() if key not in figure}

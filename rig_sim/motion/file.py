@@ -86,7 +86,7 @@ def write(
     RefusedError
         The disk refuses.
     """
-    form = suffix.chosen(path, FORMS, "--output")
+    form = suffix.choose_form(path, FORMS, "--output")
     atomic.refuse_existing(path, force)
     samples = _number(until, rate)
     player = _player(scene, phases, max_steps)
@@ -116,7 +116,7 @@ def names(scene: Scene) -> tuple[str, ...]:
 
 def read(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """Return the columns of a file that `write` has written."""
-    if suffix.chosen(path, FORMS) == "csv":
+    if suffix.choose_form(path, FORMS) == "csv":
         rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
         return {name: rows[:, place] for place, name in enumerate(names)}
     import h5py
@@ -184,7 +184,7 @@ def _write_csv(player: _Player, target: Path, samples: int, rate: float) -> int:
 def _write_h5(player: _Player, target: Path, samples: int, rate: float, method: str) -> int:
     from daq.runfile import nexus
 
-    with disk.hdf5(target, "w") as file:
+    with disk.open_hdf5(target, "w") as file:
         file.attrs.update({"NX_class": "NXroot", "default": "entry"})
         entry = nexus.group(file, "entry", "NXentry", default="motion")
         nexus.field(entry, "title", player.scene.title or player.scene.name)

@@ -193,7 +193,7 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
 def _parsed(held: bytes, where: str) -> dict[str, Any]:
     from stickslip import toml
 
-    return toml.parsed(held.decode(), where)
+    return toml.parse(held.decode(), where)
 
 
 def _listed() -> str:

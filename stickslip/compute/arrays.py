@@ -28,8 +28,8 @@ HOLE = 3.5  # sample intervals: longer than any jitter or a missing sample or tw
 
 def rows(columns: Columns, where: NDArray[Any] | slice) -> Columns:
     """Return a dataclass with some rows of its arrays; what is no array stays as it is."""
-    own = {name: value[where] for name, value in vars(columns).items() if isinstance(value, np.ndarray)}
-    return replace(columns, **own)
+    selected = {name: value[where] for name, value in vars(columns).items() if isinstance(value, np.ndarray)}
+    return replace(columns, **selected)
 
 
 def joined(pieces: Sequence[Columns]) -> Columns:
@@ -61,7 +61,7 @@ def numbers(values: Any, name: str, where: str, do: str, *, single: bool = False
         try:
             column = column.astype(np.float64)
         except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{name} holds {_not_a_number(column)!r:.40}, not numbers", where, do) from error
+            raise InputError(f"{name} holds {_find_non_number(column)!r:.40}, not numbers", where, do) from error
     if column.dtype.kind in "mM":
         do = "give seconds: (t - t[0]) / np.timedelta64(1, 's')"
         raise InputError(f"{name} holds dates or durations", where, do)
@@ -76,7 +76,7 @@ def numbers(values: Any, name: str, where: str, do: str, *, single: bool = False
     return column
 
 
-def _not_a_number(column: "NDArray[Any]") -> Any:
+def _find_non_number(column: "NDArray[Any]") -> Any:
     for value in column:
         try:
             float(value)
@@ -107,9 +107,9 @@ def autocorrelation_time(pieces: Iterable[Array]) -> float:
     pieces: Residuals of zero mean, evenly sampled; the autocorrelation is pooled over the pieces.  Nothing but zeros:
         1.
     """
-    kept = list(pieces)
-    lags = np.zeros(max((r.size for r in kept), default=1))
-    for r in kept:
+    residuals = list(pieces)
+    lags = np.zeros(max((r.size for r in residuals), default=1))
+    for r in residuals:
         size = 1 << (2 * r.size - 1).bit_length()
         spectrum = np.fft.rfft(r, size)
         lags[: r.size] += np.fft.irfft(spectrum * np.conj(spectrum), size)[: r.size]

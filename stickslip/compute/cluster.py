@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from typing import Any
 from urllib.parse import urlsplit
 
-from stickslip.compute.ordered import AHEAD, Map, ordered
+from stickslip.compute.ordered import AHEAD, Map, yield_in_order
 from stickslip.errors import DeviceError, InputError
 from stickslip.version import VERSION
 
@@ -19,13 +19,13 @@ PATIENCE_S = 10
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[Map]:
+def connect_cluster(address: str) -> Iterator[Map]:
     """Give ``map`` on a dask scheduler's workers."""
     if find_spec("distributed") is None:
         raise InputError("dask.distributed is not installed", FLAG, "pip install 'stickslip[cluster]'")
     from distributed import Client
 
-    _knock(address)
+    _check_address(address)
     try:
         client = Client(address, timeout=PATIENCE_S, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -34,15 +34,15 @@ def cluster(address: str) -> Iterator[Map]:
         ) from None
     futures: list[Any] = []
 
-    def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+    def map_items(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
         _check_workers(client, address, function)
         with _cluster_errors(address):
-            sent = client.scatter(function, hash=False)  # with what all items share, once
+            shared = client.scatter(function, hash=False)  # with what all items share, once
             ahead = AHEAD * max(len(client.nthreads()), 1)
 
         def submit(item: Any) -> Any:
             with _cluster_errors(address):
-                future = client.submit(_call, sent, item, pure=False)
+                future = client.submit(_call_work, shared, item, pure=False)
             futures.append(future)
             return future
 
@@ -53,18 +53,18 @@ def cluster(address: str) -> Iterator[Map]:
                 raise error
             return value
 
-        return ordered(submit, result, items, ahead)
+        return yield_in_order(submit, result, items, ahead)
 
-    with _quiet():
+    with _silence_dask():
         try:
-            yield each
+            yield map_items
         finally:
             with suppress(OSError, TimeoutError, CancelledError):  # of a scheduler that is gone
                 client.cancel(futures)
                 client.close()
 
 
-def _call(function: Callable[[Any], Any], item: Any) -> tuple[Any, Exception | None]:
+def _call_work(function: Callable[[Any], Any], item: Any) -> tuple[Any, Exception | None]:
     """Return the result and None, or None and the function's own error: any other one is the cluster's."""
     try:
         return function(item), None
@@ -92,7 +92,7 @@ def _cluster_errors(address: str) -> Iterator[None]:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _silence_dask() -> Iterator[None]:
     """Keep dask's own messages, tracebacks of lost connections, off the terminal: the error here says what failed."""
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     before = [logger.level for logger in loggers]
@@ -105,7 +105,7 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def _knock(address: str) -> None:
+def _check_address(address: str) -> None:
     """Raise InputError, at once and quietly, when nothing listens at a scheduler's address."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
     try:
@@ -130,7 +130,7 @@ def _check_workers(client: Any, address: str, function: Callable[[Any], Any]) ->
     except TimeoutError:
         raise InputError("the scheduler has no worker", where, f"start one: dask worker {address}") from None
     try:
-        versions = set(client.run(_version).values())
+        versions = set(client.run(_get_version).values())
     except ImportError as error:
         raise InputError(f"the workers lack {error.name}", where, do) from None
     if other := sorted(versions - {VERSION}):
@@ -150,7 +150,7 @@ def check_sendable(work: Callable[..., Any]) -> None:
         raise InputError(f"cannot be handed to another process ({error})", "--jobs", do, python=do) from None
 
 
-def _version() -> str:
+def _get_version() -> str:
     return VERSION
 
 

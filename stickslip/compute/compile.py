@@ -86,15 +86,15 @@ def _give_stacks() -> None:
 
         return memory
 
-    one, two = reserve(1), reserve(2)
+    line_memory, square_memory = reserve(1), reserve(2)
 
     @overload(stack)
     def line(order):  # type: ignore[no-untyped-def]
-        return lambda order: one(order)
+        return lambda order: line_memory(order)
 
     @overload(stack_square)
     def square(order):  # type: ignore[no-untyped-def]
-        return lambda order: two(order)
+        return lambda order: square_memory(order)
 
 
 def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> Callable[..., Any]:
@@ -184,29 +184,29 @@ def _compile_in_one_process(entry: Any, folder: Path) -> None:
     """
     machine_code = entry._cache  # noqa: SLF001 - numba has no public way to say that a cache is optional or shared
     load, save = machine_code.load_overload, machine_code.save_overload
-    held: list[FileLock] = []
+    locks: list[FileLock] = []
 
-    def load_or_lock(*what: Any) -> Any:
-        found = load(*what)
-        if found is None and not held:
+    def load_or_lock(*signature: Any) -> Any:
+        overload = load(*signature)
+        if overload is None and not locks:
             lock = _wait_for_lock(folder / f"{entry.__name__}.lock")
             if lock is not None:
-                held.append(lock)
-                found = load(*what)  # another process may have kept it while this one waited
-                if found is not None:
-                    held.pop().release()
-        return found
+                locks.append(lock)
+                overload = load(*signature)  # another process may have kept it while this one waited
+                if overload is not None:
+                    locks.pop().release()
+        return overload
 
-    def attempt(*what: Any) -> None:
+    def try_save(*signature: Any) -> None:
         try:
-            save(*what)
+            save(*signature)
         except OSError as error:
             sys.stderr.write(printable(f"machine code is not kept: {folder}: {error.strerror or error}\n"))
         finally:
-            while held:
-                held.pop().release()
+            while locks:
+                locks.pop().release()
 
-    machine_code.load_overload, machine_code.save_overload = load_or_lock, attempt
+    machine_code.load_overload, machine_code.save_overload = load_or_lock, try_save
 
 
 def _wait_for_lock(path: Path) -> FileLock | None:
@@ -232,10 +232,10 @@ def register(module: str, **options: Any) -> None:
     """
     from numba.extending import register_jitable
 
-    found = vars(import_module(module))
-    for name, function in found.items():
+    members = vars(import_module(module))
+    for name, function in members.items():
         if inspect.isfunction(function) and function.__module__ == module:
-            inlined = {"forceinline": True} if name in found.get("INLINED", ()) else {}
+            inlined = {"forceinline": True} if name in members.get("INLINED", ()) else {}
             # no kernel is handed to C: a wrapper less to compile
             register_jitable(no_cfunc_wrapper=True, **options, **inlined)(function)
 
@@ -269,14 +269,14 @@ def _is_own(folder: Path) -> bool:
     """
     if sys.platform == "win32":
         return True
-    found = folder.stat()
-    if found.st_uid != os.geteuid():
+    status = folder.stat()
+    if status.st_uid != os.geteuid():
         return False
     others = stat.S_IWGRP | stat.S_IWOTH
-    if found.st_mode & others:
-        if any(inside.lstat().st_uid != found.st_uid for inside in folder.rglob("*")):
+    if status.st_mode & others:
+        if any(entry.lstat().st_uid != status.st_uid for entry in folder.rglob("*")):
             return False
-        folder.chmod(stat.S_IMODE(found.st_mode) & ~others)
+        folder.chmod(stat.S_IMODE(status.st_mode) & ~others)
     return True
 
 
@@ -285,5 +285,5 @@ def cache_root() -> Path | None:
 
     Numba's index of it is a pickle, so who writes there has this user run it: a relative path does not count.
     """
-    base = user_folders.absolute("NUMBA_CACHE_DIR") or user_folders.cache()
+    base = user_folders.read_absolute("NUMBA_CACHE_DIR") or user_folders.find_cache()
     return None if base is None else base / "stickslip"

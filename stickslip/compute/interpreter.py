@@ -66,7 +66,7 @@ class _WithoutSettings:
         load, home = spec.loader.exec_module, os.path.dirname(spec.origin)
 
         def load_without_settings(module: ModuleType) -> None:
-            with _hidden(SETTINGS[name], home):
+            with _hide_file(SETTINGS[name], home):
                 load(module)
             if hasattr(module, "_config_fname"):  # numba reads it again whenever it compiles
                 vars(module)["_config_fname"] = os.devnull
@@ -76,7 +76,7 @@ class _WithoutSettings:
 
 
 @contextmanager
-def _hidden(file: str, home: str) -> Iterator[None]:
+def _hide_file(file: str, home: str) -> Iterator[None]:
     """Let no file of this name outside a folder exist for who asks `os.path.exists`."""
     exists = os.path.exists
 

@@ -10,7 +10,7 @@ Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 AHEAD = 3
 
 
-def ordered(
+def yield_in_order(
     submit: Callable[[Any], Any], result: Callable[[Any], Any], items: Iterable[Any], ahead: int
 ) -> Iterator[Any]:
     """Yield the results in order; of the items only so many are made, and held, at a time."""

@@ -18,9 +18,9 @@ from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any
 
-from stickslip.compute.cluster import cluster
+from stickslip.compute.cluster import connect_cluster
 from stickslip.compute.interpreter import ignore_settings, safe_path, settings_are_ignored
-from stickslip.compute.ordered import AHEAD, Map, ordered
+from stickslip.compute.ordered import AHEAD, Map, yield_in_order
 from stickslip.errors import DeviceError
 
 # Results held, for each process, while an earlier item is still in the work.
@@ -40,7 +40,7 @@ def workers(jobs: int = 1, scheduler: str | None = None, *, join: bool = False) 
     Raises DeviceError: when a process or worker was killed, or the scheduler lost.
     """
     if scheduler is not None:
-        with cluster(scheduler) as each:
+        with connect_cluster(scheduler) as each:
             yield each
     elif jobs > 1:
         with _processes(jobs, join) as each:
@@ -59,17 +59,17 @@ def _processes(number: int, join: bool) -> Iterator[Map]:
             fresh, get_context("spawn"), initializer=_follow_parent, initargs=(settings_are_ignored(),)
         )
 
-    def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+    def map_items(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
         def submit(work: Callable[[Any], Any], item: Any) -> Future[Any]:
             with _starting_processes():
                 return pool.submit(work, item)
 
         if join:
-            return _joined(submit, function, items, number)
-        return ordered(partial(submit, function), lambda done: done.result(), items, AHEAD * number)
+            return _map_with_parent(submit, function, items, number)
+        return yield_in_order(partial(submit, function), lambda done: done.result(), items, AHEAD * number)
 
     try:
-        yield each
+        yield map_items
     except BaseException as error:
         for child in set(active_children()) - others:
             child.terminate()
@@ -110,31 +110,31 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _joined(
+def _map_with_parent(
     submit: Callable[[Callable[[Any], Any], Any], "Future[Any]"],
     function: Callable[[Any], Any],
     items: Iterable[Any],
     number: int,
 ) -> Iterator[Any]:
     """Yield the results in order; this process works wherever it would wait, at first for another process to start."""
-    ready = submit(_nothing, None)
+    ready = submit(_report_ready, None)
     waiting: deque[Future[Any]] = deque()
-    there = iter(items)
+    remaining = iter(items)
     while True:
         if ready.done():
             ready.result()
             busy = sum(not future.done() for future in waiting)
-            waiting.extend(submit(function, item) for item in islice(there, max(AHEAD * (number - 1) - busy, 0)))
+            waiting.extend(submit(function, item) for item in islice(remaining, max(AHEAD * (number - 1) - busy, 0)))
         if not waiting or (not waiting[0].done() and len(waiting) < MOST_HELD * number):
-            if own := list(islice(there, 1)):
-                waiting.append(_done(function, own[0]))
+            if next_item := list(islice(remaining, 1)):
+                waiting.append(_work_here(function, next_item[0]))
                 continue
             if not waiting:
                 return
         yield waiting.popleft().result()
 
 
-def _done(function: Callable[[Any], Any], item: Any) -> "Future[Any]":
+def _work_here(function: Callable[[Any], Any], item: Any) -> "Future[Any]":
     """Return the result of an item that this process works on, or its error, for when its turn comes."""
     future: Future[Any] = Future()
     try:
@@ -144,5 +144,5 @@ def _done(function: Callable[[Any], Any], item: Any) -> "Future[Any]":
     return future
 
 
-def _nothing(_: None) -> None:
+def _report_ready(_: None) -> None:
     """Return at once: the process that does is ready."""

@@ -66,7 +66,7 @@ SetChanges = Annotated[
 ]
 
 
-def whole(type_: type, tokens: Sequence[cyclopts.Token]) -> int:
+def read_whole(type_: type, tokens: Sequence[cyclopts.Token]) -> int:
     """Read a whole number for a flag (`1000`, `1e3`); a cyclopts converter.  ValueError for anything else."""
     value = float(tokens[0].value)
     if not value.is_integer():
@@ -74,7 +74,7 @@ def whole(type_: type, tokens: Sequence[cyclopts.Token]) -> int:
     return int(value)
 
 
-Whole = cyclopts.Parameter(converter=whole)
+Whole = cyclopts.Parameter(converter=read_whole)
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Answer:
     printed: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
 
-def shown_default(value: Any) -> str | None:
+def format_default(value: Any) -> str | None:
     """Return the default of a flag as the help shows it; None for one that is off or empty."""
     return None if value is None or value is False or value in ("", ()) else str(value)
 
@@ -103,7 +103,7 @@ def application(name: str, summary: str = "", example: str = "", usage: str | No
     """
     from stickslip.version import VERSION
 
-    made = cyclopts.App(
+    app = cyclopts.App(
         name=name,
         help=f"{summary}\n\nExample: {example}" if summary else None,
         usage=usage,
@@ -112,10 +112,10 @@ def application(name: str, summary: str = "", example: str = "", usage: str | No
         help_format="plaintext",
         result_action="return_value",
         suppress_keyboard_interrupt=False,
-        default_parameter=cyclopts.Parameter(show_default=shown_default),
+        default_parameter=cyclopts.Parameter(show_default=format_default),
     )
-    made.register_install_completion_command(help="Install completion of this command's words in your shell, and exit.")
-    return made
+    app.register_install_completion_command(help="Install completion of this command's words in your shell, and exit.")
+    return app
 
 
 def plain(value: Any) -> Any:
@@ -135,7 +135,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def shown(value: float, form: str) -> str:
+def format_number(value: float, form: str) -> str:
     """Return a number as text in a format such as '.4g'; ``-`` where `plain` makes it null."""
     return format(value, form) if math.isfinite(value) else "-"
 
@@ -161,7 +161,7 @@ def ask(line: str) -> None:
 
 def _write(text: str, stream: TextIO) -> None:
     """Write text, from wherever it came, on a stream that may be a terminal."""
-    stream.write(_wrapped(printable(text, stream.encoding), stream))
+    stream.write(_wrap_lines(printable(text, stream.encoding), stream))
 
 
 def _console(stderr: bool = False, markup: bool = False) -> "Console":
@@ -178,7 +178,7 @@ def _console(stderr: bool = False, markup: bool = False) -> "Console":
     return Printing(stderr=stderr, markup=markup, emoji=False, soft_wrap=False)
 
 
-def _wrapped(text: str, stream: TextIO) -> str:
+def _wrap_lines(text: str, stream: TextIO) -> str:
     """Return a text with its long lines broken between words where ``stream`` is a terminal: others read whole lines.
 
     A line that is to be copied into a shell (after ``next:``) stays whole.
@@ -227,20 +227,20 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     if as_json and "--version" in arguments:
         from stickslip.version import VERSION
 
-        return _printed(name, Answer({"command": name, "version": VERSION}), as_json)
+        return _print_answer(name, Answer({"command": name, "version": VERSION}), as_json)
     try:
-        rest, flags = log.taken_off(arguments)
+        rest, flags = log.take_log_flags(arguments)
         if any(flag in rest for flag in app.help_flags):
             _reflow_help(app, rest)
         if any(flag in rest for flag in (*app.help_flags, *app.version_flags)):
             app.console = _console(markup=True)
-        with log.logging_to(flags, name, arguments):
+        with log.log_to(flags, name, arguments):
             answer = app(rest, exit_on_error=False, print_error=False)
     except StickslipError as error:
         return _fail(name, error, error.exit_code, as_json)
     except cyclopts.CycloptsError as error:
-        forgotten = _without_command(error, name, rest)
-        what = _unused(error) or " ".join(str(error).split()).removesuffix(".")
+        forgotten = _suggest_command(error, name, rest)
+        what = _describe_unused(error) or " ".join(str(error).split()).removesuffix(".")
         command = " ".join([name, *(error.command_chain or ())])
         usage = forgotten or StickslipError(what, "command line", f"see '{command} --help'")
         return _fail(name, usage, EXIT_INPUT, as_json)
@@ -258,17 +258,17 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
             raise
         do = "this is a bug: run it again without --json and report it"
         return _fail(name, StickslipError(f"{type(error).__name__}: {error}", name, do), EXIT_BUG, as_json)
-    return _printed(name, answer, as_json)
+    return _print_answer(name, answer, as_json)
 
 
-def _unused(error: cyclopts.CycloptsError) -> str:
+def _describe_unused(error: cyclopts.CycloptsError) -> str:
     """Return that a command takes no more words, and which; "" of another error."""
     if not isinstance(error, cyclopts.UnusedCliTokensError):
         return ""
     return f"nothing takes {', '.join(repr(word) for word in error.unused_tokens or ())}"
 
 
-def _without_command(error: cyclopts.CycloptsError, name: str, words: Sequence[str]) -> StickslipError | None:
+def _suggest_command(error: cyclopts.CycloptsError, name: str, words: Sequence[str]) -> StickslipError | None:
     """Return that a file stands where a command should, and the line that was most likely meant; else None."""
     import shlex
 
@@ -277,16 +277,16 @@ def _without_command(error: cyclopts.CycloptsError, name: str, words: Sequence[s
     file = next((word for word in words if os.path.splitext(word)[1].lower() in COMMAND_OF_FILE), None)
     if file is None or not (error.unused_tokens[0] == file or error.unused_tokens[0].startswith("-")):
         return None
-    meant = COMMAND_OF_FILE[os.path.splitext(file)[1].lower()].split()
-    line = " ".join(map(shlex.quote, [*meant, *(words if meant[0] == name else [file])]))
+    words_meant = COMMAND_OF_FILE[os.path.splitext(file)[1].lower()].split()
+    line = " ".join(map(shlex.quote, [*words_meant, *(words if words_meant[0] == name else [file])]))
     return StickslipError(f"{file!r} is a file, not a command", "command line", f"did you mean '{line}'?")
 
 
-def _printed(name: str, answer: object, as_json: bool) -> int:
+def _print_answer(name: str, answer: object, as_json: bool) -> int:
     """Print what a command returned; return the exit code, also of a stdout that does not take it."""
     try:
         with answer.printed if isinstance(answer, Answer) else contextlib.nullcontext():
-            return _shown(answer, as_json)
+            return _show_answer(answer, as_json)
     except OSError as error:
         _discard_stdout()
         if error.errno in (errno.EPIPE, errno.EIO):  # the reader has gone: a pipe, or a terminal that was closed
@@ -303,7 +303,7 @@ def _discard_stdout() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _shown(answer: object, as_json: bool) -> int:
+def _show_answer(answer: object, as_json: bool) -> int:
     """Print what a command returned; return its exit code (help and version return no Answer)."""
     if not isinstance(answer, Answer):
         return EXIT_DONE
@@ -319,14 +319,14 @@ def _reflow_help(app: cyclopts.App, words: Sequence[str]) -> None:
 
     A command that is imported on use has a summary until then, and its docstring on its own page.
     """
-    for asked in app.parse_commands(words)[1]:
-        loaded = [command for command in asked._commands.values() if isinstance(command, cyclopts.App)]  # noqa: SLF001
-        for page in (asked, *loaded):
-            own = None if page.default_command is None else page.default_command.__doc__
-            page.help = reflowed(own or page.help)
+    for requested in app.parse_commands(words)[1]:
+        loaded = [command for command in requested._commands.values() if isinstance(command, cyclopts.App)]  # noqa: SLF001
+        for page in (requested, *loaded):
+            docstring = None if page.default_command is None else page.default_command.__doc__
+            page.help = reflow(docstring or page.help)
 
 
-def reflowed(text: str) -> str:
+def reflow(text: str) -> str:
     """Return a docstring with each paragraph on one line, its section of parameters as it is."""
     import inspect
 
@@ -394,10 +394,10 @@ def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    made = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
-    for place, heading in enumerate(headings):
-        made.add_column(heading, justify="left" if place < left else "right", no_wrap=place > 0)
-    return made
+    empty = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    for column, heading in enumerate(headings):
+        empty.add_column(heading, justify="left" if column < left else "right", no_wrap=column > 0)
+    return empty
 
 
 class Progress:

@@ -8,7 +8,7 @@ import cyclopts
 from cyclopts import Parameter
 
 from stickslip.errors import InputError
-from stickslip.units import checked
+from stickslip.units import check_measured
 
 Force = Annotated[bool, Parameter(name="--force", negative=(), help="Replace an existing output file.")]
 Plot = Annotated[Path | None, Parameter(name="--plot", help="Draw the result into this file (.png, .svg, .pdf).")]
@@ -34,10 +34,10 @@ def measured(name: str, dimension: str, text: str, key: str = "", word: str = ""
 
         if word and typed == word:
             return word
-        found = units.measured(typed, dimension, name)
-        return checked(key, found.value, found.sd, name) if key else found
+        value = units.measured(typed, dimension, name)
+        return check_measured(key, value.value, value.sd, name) if key else value
 
-    return _valued(name, convert, text)
+    return _make_flag(name, convert, text)
 
 
 def quantity(name: str, dimension: str, text: str) -> Parameter:
@@ -48,7 +48,7 @@ def quantity(name: str, dimension: str, text: str) -> Parameter:
 
         return units.quantity(typed, dimension, name)
 
-    return _valued(name, convert, text)
+    return _make_flag(name, convert, text)
 
 
 def whole_rate(name: str, text: str) -> Parameter:
@@ -57,12 +57,12 @@ def whole_rate(name: str, text: str) -> Parameter:
     def convert(typed: str) -> int:
         from stickslip import units
 
-        found = units.quantity(typed, "rate", name)
-        if not found.is_integer():
+        rate_hz = units.quantity(typed, "rate", name)
+        if not rate_hz.is_integer():
             raise InputError(f"{typed!r} is not a whole number of Hz", name, "give one such as 1000")
-        return int(found)
+        return int(rate_hz)
 
-    return _valued(name, convert, text)
+    return _make_flag(name, convert, text)
 
 
 def rate(name: str, text: str) -> Parameter:
@@ -71,20 +71,20 @@ def rate(name: str, text: str) -> Parameter:
     def convert(typed: str) -> float:
         from stickslip import units
 
-        found = units.quantity(typed, "rate", name)
-        if found <= 0:
+        rate_hz = units.quantity(typed, "rate", name)
+        if rate_hz <= 0:
             raise InputError(f"{typed!r} is not positive", name, "give a rate like '400 fps'")
-        return found
+        return rate_hz
 
-    return _valued(name, convert, text)
+    return _make_flag(name, convert, text)
 
 
 def word(name: str, text: str) -> Parameter:
     """Return the flag ``name`` whose value is the word that was typed."""
-    return _valued(name, str, text)
+    return _make_flag(name, str, text)
 
 
-def _valued(name: str, convert: Callable[[str], Any], text: str) -> Parameter:
+def _make_flag(name: str, convert: Callable[[str], Any], text: str) -> Parameter:
     """Return a flag whose value is one word of the command line, converted by ``convert``.
 
     cyclopts takes a word with a minus before it for a flag unless the whole of it is a number: '-60 mm' was one.  Here

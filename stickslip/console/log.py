@@ -39,20 +39,20 @@ class LogFlags:
     file: Path | None = None
 
 
-def taken_off(arguments: Sequence[str]) -> tuple[list[str], LogFlags]:
+def take_log_flags(arguments: Sequence[str]) -> tuple[list[str], LogFlags]:
     """Return the command line without ``--verbose`` and ``--log FILE``, and their values.
 
     Raises InputError: ``--log`` without a file, or given twice.
     """
     rest, verbose, files = [], False, []
-    waiting = iter(arguments)
-    for argument in waiting:
+    remaining = iter(arguments)
+    for argument in remaining:
         if argument == "--":
-            rest += [argument, *waiting]
+            rest += [argument, *remaining]
         elif argument == "--verbose":
             verbose = True
         elif argument == "--log" or argument.startswith("--log="):
-            name = argument.removeprefix("--log").removeprefix("=") or next(waiting, "")
+            name = argument.removeprefix("--log").removeprefix("=") or next(remaining, "")
             if not name or (name.startswith("-") and name != "-"):
                 raise InputError("--log without a file", "command line", "write --log FILE")
             files.append(Path(name))
@@ -64,7 +64,7 @@ def taken_off(arguments: Sequence[str]) -> tuple[list[str], LogFlags]:
 
 
 @contextmanager
-def logging_to(flags: LogFlags, name: str, arguments: Sequence[str]) -> Iterator[None]:
+def log_to(flags: LogFlags, name: str, arguments: Sequence[str]) -> Iterator[None]:
     """Log what happens in the block: stderr gets INFO and above, the file everything; nothing without flags.
 
     Raises InputError: the file is no log of ours, which is not added to.
@@ -88,41 +88,41 @@ def logging_to(flags: LogFlags, name: str, arguments: Sequence[str]) -> Iterator
 
         logger.info("%s %s on Python %s, %s", name, VERSION, platform.python_version(), platform.platform())
         logger.info("in %s: %s", Path.cwd(), " ".join([name, *arguments]))
-        begun, cpu = time.monotonic(), time.process_time()
+        started, cpu = time.monotonic(), time.process_time()
         try:
             yield
         except BaseException:
             logger.debug("ended by an exception", exc_info=True)
             raise
         finally:
-            spent = time.monotonic() - begun, time.process_time() - cpu
+            spent = time.monotonic() - started, time.process_time() - cpu
             logger.info("done after %.2f s, %.2f s of CPU time", *spent)
 
 
 def _handlers(flags: LogFlags, stack: contextlib.ExitStack) -> Iterator[tuple[logging.Handler, int]]:
     if flags.verbose:
-        shown = _StderrHandler()
-        shown.setFormatter(_Printable("%(message)s"))
-        yield shown, logging.INFO
+        console_handler = _StderrHandler()
+        console_handler.setFormatter(_Printable("%(message)s"))
+        yield console_handler, logging.INFO
     if flags.file is not None:
         import queue
         from logging.handlers import QueueHandler, QueueListener
 
         _refuse_foreign(flags.file)
-        stream = _opened(flags.file)
+        stream = _open_log(flags.file)
         if stream is None:
             return
         stack.callback(_close, stream)
-        written = logging.StreamHandler(stream)
-        written.setFormatter(_Printable("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%F %T"))
-        waiting: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
-        listener = QueueListener(waiting, written)
+        file_handler = logging.StreamHandler(stream)
+        file_handler.setFormatter(_Printable("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%F %T"))
+        records: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
+        listener = QueueListener(records, file_handler)
         listener.start()
         stack.callback(listener.stop)
-        yield QueueHandler(waiting), logging.DEBUG
+        yield QueueHandler(records), logging.DEBUG
 
 
-def _opened(file: Path) -> TextIO | None:
+def _open_log(file: Path) -> TextIO | None:
     """Return a log, with its first line; None where the disk takes nothing."""
     try:
         stream = file.open("a", encoding="utf-8")

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from stickslip.console import flags
 from stickslip.console.application import Whole
 from stickslip.errors import InputError
-from stickslip.units import Measured, checked
+from stickslip.units import Measured, check_measured
 
 Mass = Annotated[
     Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
@@ -55,14 +55,14 @@ class PitchFlags:
             return {} if self.metres_per_count is None else {"metres_per_count": self.metres_per_count}
         if turn is None or travel is None:
             missing = "--counts-per-rev" if turn is None else "--circumference"
-            given = "--circumference" if turn is None else "--counts-per-rev"
-            raise InputError(f"{given} without {missing}", "command line", f"give {missing} too, or --metres-per-count")
+            flag = "--circumference" if turn is None else "--counts-per-rev"
+            raise InputError(f"{flag} without {missing}", "command line", f"give {missing} too, or --metres-per-count")
         if self.metres_per_count is not None:
             what = "--metres-per-count beside --counts-per-rev and --circumference"
             raise InputError(what, "command line", "give one or the other")
         if turn <= 0:
             raise InputError(f"is {turn}", "--counts-per-rev", "give a positive whole number")
-        pitch = checked("metres_per_count", travel.value / turn, abs(travel.sd / turn), "--circumference")
+        pitch = check_measured("metres_per_count", travel.value / turn, abs(travel.sd / turn), "--circumference")
         return {"metres_per_count": pitch, "counts_per_revolution": turn}
 
 

@@ -17,8 +17,8 @@ class TerminatedError(KeyboardInterrupt):
         self.number = number
 
 
-_came: list[int] = []
-_done: list[bool] = []
+_signals: list[int] = []
+_ending: list[bool] = []
 
 
 def heed_signals() -> None:
@@ -31,8 +31,8 @@ def heed_signals() -> None:
 
 def terminate(number: int, frame: FrameType | None) -> None:
     """Raise `TerminatedError`, unless the command clears away already: a terminal and `timeout` may signal twice."""
-    _came.append(number)
-    if _done or isinstance(sys.exc_info()[1], KeyboardInterrupt):
+    _signals.append(number)
+    if _ending or isinstance(sys.exc_info()[1], KeyboardInterrupt):
         return
     if callable(signal.getsignal(signal.SIGINT)):
         signal.signal(signal.SIGINT, lambda number, frame: None)  # not SIG_IGN, of which Python complains if one waits
@@ -41,11 +41,11 @@ def terminate(number: int, frame: FrameType | None) -> None:
 
 def end_by_signal() -> None:
     """End the process by the signal that ended the command, as its caller expects; heed no more where none came."""
-    _done.append(True)
-    if not _came:
+    _ending.append(True)
+    if not _signals:
         return
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    signal.signal(_came[0], signal.SIG_DFL)
-    os.kill(os.getpid(), _came[0])
+    signal.signal(_signals[0], signal.SIG_DFL)
+    os.kill(os.getpid(), _signals[0])

@@ -34,7 +34,7 @@ LOOK_EVERY_S = 0.02
 
 
 def refuse_existing(
-    path: Path, force: bool = False, *sources: Path, own: str = "", kind: str = "", flag: str = "-o"
+    path: Path, force: bool = False, *sources: Path, mark: str = "", kind: str = "", flag: str = "-o"
 ) -> None:
     """Raise InputError when ``path`` may not be written: the one rule about files that exist.
 
@@ -55,10 +55,10 @@ def refuse_existing(
     if path.exists() and not force:
         do = f"{other} ({flag}), or --force to replace it"
         python = f"{other}, or force=True to replace it"
-        if not own:
+        if not mark:
             raise InputError("the output file exists", where, do, python=python)
         with path.open("rb") as file:
-            if own.encode() not in file.read(2000):
+            if mark.encode() not in file.read(2000):
                 raise InputError(f"exists and is no {kind}", where, do, python=python)
     if not path.absolute().parent.is_dir():
         raise InputError("its folder does not exist", where, f"make {path.absolute().parent} first")
@@ -77,48 +77,50 @@ def replacing(target: Path, force: bool) -> Iterator[Path]:
     """
     with disk.writing(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target
-        made: list[tuple[Path, FileLock | None]] = []
+        temporaries: list[tuple[Path, FileLock | None]] = []
         try:
-            _make_temporary(target, made)
-            temporary, lock = made[0]
+            _make_temporary(target, temporaries)
+            temporary, lock = temporaries[0]
             yield temporary
-            _take_its_place(temporary, lock, target, force)
+            _move_into_place(temporary, lock, target, force)
         finally:
-            for temporary, lock in made:
+            for temporary, lock in temporaries:
                 if lock is None:
                     temporary.unlink(missing_ok=True)
                 elif lock.held:  # else its name may be another command's by now
                     lock.remove(temporary)
 
 
-def _make_temporary(target: Path, made: list[tuple[Path, FileLock | None]]) -> None:
-    """Create a file beside ``target`` and lock it, as soon as no other command writes one; ``made`` gets both.
+def _make_temporary(target: Path, temporaries: list[tuple[Path, FileLock | None]]) -> None:
+    """Create a file beside ``target`` and lock it, as soon as no other command writes one; ``temporaries`` gets both.
 
-    A signal that comes between finds it in ``made``.
+    A signal that comes between finds it in ``temporaries``.
     """
-    own = target.with_name(f".{target.name}.partial")  # relative as the target is: a folder may be renamed meanwhile
+    temporary = target.with_name(
+        f".{target.name}.partial"
+    )  # relative as the target is: a folder may be renamed meanwhile
     until = time.monotonic() + WAIT_S
     while True:
-        if not _is_being_written(target, own):
+        if not _is_being_written(target, temporary):
             try:
-                with disk.interrupts_later():
-                    made.append((own, FileLock(own, new=True)))
+                with disk.defer_interrupts():
+                    temporaries.append((temporary, FileLock(temporary, new=True)))
                 return
             except BlockingIOError:
                 pass
             except FileExistsError:
-                if not _can_be_locked(own):
-                    made.append((_unlocked(target), None))
+                if not _can_be_locked(temporary):
+                    temporaries.append((_make_unlocked(target), None))
                     return
             except OSError:  # no locks here, or no file can be made
-                made.append((_unlocked(target), None))
+                temporaries.append((_make_unlocked(target), None))
                 return
         if time.monotonic() > until:
             raise InputError("another command is writing this file", str(target), "wait until that one has ended")
         time.sleep(LOOK_EVERY_S)
 
 
-def _unlocked(target: Path) -> Path:
+def _make_unlocked(target: Path) -> Path:
     """Create a file beside ``target`` under a name that no other command takes."""
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=target.absolute().parent)
     os.close(handle)
@@ -138,29 +140,29 @@ def _can_be_locked(path: Path) -> bool:
     return True
 
 
-def _is_being_written(target: Path, own: Path) -> bool:
+def _is_being_written(target: Path, temporary: Path) -> bool:
     """Return whether another command writes this target; remove the files of those that were killed over it."""
     locked = False
-    for left in (own, *target.parent.glob(f".{glob.escape(target.name)}.*.partial")):
-        if left != own and "." in left.name[len(target.name) + 2 : -len(".partial")]:
+    for candidate in (temporary, *target.parent.glob(f".{glob.escape(target.name)}.*.partial")):
+        if candidate != temporary and "." in candidate.name[len(target.name) + 2 : -len(".partial")]:
             continue  # of another target, NAME.x
         try:
-            lock = FileLock(left)
+            lock = FileLock(candidate)
         except BlockingIOError:
             locked = True
         except OSError:  # no locks here, another user's, or another command has removed it
             with contextlib.suppress(OSError):
-                if left.lstat().st_mtime < time.time() - ABANDONED_S:
-                    left.unlink()
+                if candidate.lstat().st_mtime < time.time() - ABANDONED_S:
+                    candidate.unlink()
         else:
-            if lock.is_of(left):
-                lock.remove(left)
+            if lock.is_of(candidate):
+                lock.remove(candidate)
             else:
                 lock.release()
     return locked
 
 
-def _take_its_place(temporary: Path, lock: FileLock | None, target: Path, force: bool) -> None:
+def _move_into_place(temporary: Path, lock: FileLock | None, target: Path, force: bool) -> None:
     mask = os.umask(0)
     os.umask(mask)
     temporary.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~mask)

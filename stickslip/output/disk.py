@@ -4,7 +4,7 @@ HDF5 must not meet such a disk: where a write fails as a file is closed it leave
 process with a segmentation fault.  So a file is written through a `Sink`, which keeps the first refusal to itself, goes
 on in memory, and raises it when HDF5 is done.
 
-Changes can be tried without a disk: `rehearsed`.
+Changes can be tried without a disk: `open_rehearsal`.
 """
 
 import errno
@@ -38,7 +38,7 @@ class RefusedError(DeviceError):
     """The disk refuses a file."""
 
 
-def refusal(path: Path, error: OSError) -> RefusedError:
+def describe_refusal(path: Path, error: OSError) -> RefusedError:
     """Return what an error of the operating system means for a file that was to be written."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return RefusedError("the disk is full", str(path), "free space, or choose a folder on another disk")
@@ -53,49 +53,49 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise refusal(path, error) from error
+        raise describe_refusal(path, error) from error
 
 
 @contextmanager
-def interrupts_later() -> Iterator[None]:
+def defer_interrupts() -> Iterator[None]:
     """Hold Ctrl-C and its like back until the block has ended: within HDF5 their exception would be lost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     handlers = {number: handler for number in numbers if callable(handler := signal.getsignal(number))}
-    came: list[tuple[int, FrameType | None]] = []
+    received: list[tuple[int, FrameType | None]] = []
     try:
         for number in handlers:
-            signal.signal(number, lambda number, frame: came.append((number, frame)))
+            signal.signal(number, lambda number, frame: received.append((number, frame)))
         yield
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    for number, frame in came:
+    for number, frame in received:
         handlers[number](number, frame)
 
 
 @contextmanager
-def hdf5(path: Path, mode: str) -> "Iterator[h5py.File]":
+def open_hdf5(path: Path, mode: str) -> "Iterator[h5py.File]":
     """Open an HDF5 file for writing, "w" or "r+"; OSError at the end if the disk refused any of it."""
     import h5py
 
     with path.open("w+b" if mode == "w" else "r+b", buffering=0) as file:
         sink = Sink(file)
-        with interrupts_later(), h5py.File(sink, mode) as made:
-            yield made
+        with defer_interrupts(), h5py.File(sink, mode) as hdf5_file:
+            yield hdf5_file
         if sink.error is not None:
             raise sink.error
 
 
 @contextmanager
-def rehearsed(path: Path) -> "Iterator[h5py.File]":
+def open_rehearsal(path: Path) -> "Iterator[h5py.File]":
     """Open an HDF5 file for changes that stay in memory."""
     import h5py
 
-    with h5py.File(io.BytesIO(path.read_bytes()), "r+") as made:
-        yield made
+    with h5py.File(io.BytesIO(path.read_bytes()), "r+") as hdf5_file:
+        yield hdf5_file
 
 
 class Sink(io.RawIOBase):
@@ -122,11 +122,11 @@ class Sink(io.RawIOBase):
         rest = memoryview(data).cast("B")
         while len(rest):
             try:
-                done = self._file.write(rest) or 0
+                written = self._file.write(rest) or 0
             except OSError as error:
                 self._go_on_in_memory(error)
                 continue
-            rest = rest[done:]
+            rest = rest[written:]
         return len(memoryview(data).cast("B"))
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
@@ -139,22 +139,22 @@ class Sink(io.RawIOBase):
 
     def truncate(self, size: int | None = None) -> int:
         """Cut, or lengthen by zeros."""
-        wanted = self.tell() if size is None else size
+        new_size = self.tell() if size is None else size
         if not isinstance(self._file, io.BytesIO):
             try:
-                return self._file.truncate(wanted)
+                return self._file.truncate(new_size)
             except OSError as error:
                 self._go_on_in_memory(error)
-        place = self.tell()
-        short = wanted - self.seek(0, os.SEEK_END)
+        offset = self.tell()
+        short = new_size - self.seek(0, os.SEEK_END)
         self._file.write(bytes(max(0, short)))  # BytesIO only cuts
-        self._file.truncate(wanted)
-        self.seek(place)
-        return wanted
+        self._file.truncate(new_size)
+        self.seek(offset)
+        return new_size
 
     def _go_on_in_memory(self, error: OSError) -> None:
         self.error = self.error or error
-        place = self._file.tell()
+        offset = self._file.tell()
         self._file.seek(0)
         self._file = io.BytesIO(self._file.read())
-        self._file.seek(place)
+        self._file.seek(offset)

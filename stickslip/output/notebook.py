@@ -13,10 +13,12 @@ def table(caption: str, rows: Iterable[Sequence[str]], header: Sequence[str] = (
     """
     parts = [f'<table><caption style="text-align: left"><b>{escape(caption)}</b></caption>']
     if header:
-        parts.append(f"<tr>{''.join(_cell('th', name) for name in header)}</tr>")
-    parts += [f"<tr>{_cell('th', row[0])}{''.join(_cell('td', cell) for cell in row[1:])}</tr>" for row in rows]
+        parts.append(f"<tr>{''.join(_format_cell('th', name) for name in header)}</tr>")
+    parts += [
+        f"<tr>{_format_cell('th', row[0])}{''.join(_format_cell('td', cell) for cell in row[1:])}</tr>" for row in rows
+    ]
     return "\n".join([*parts, "</table>"])
 
 
-def _cell(kind: str, text: str) -> str:
+def _format_cell(kind: str, text: str) -> str:
     return f'<{kind} style="text-align: left">{escape(text)}</{kind}>'

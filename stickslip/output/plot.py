@@ -40,7 +40,7 @@ def figure(width: float, height: float) -> PngFigure:
     return PngFigure(figsize=(width, height), layout="constrained")
 
 
-def lines_over_time(
+def draw_over_time(
     parts: Iterable[tuple[NDArray[np.float64], NDArray[np.float64]]],
     ylabel: str,
     markers: Iterable[tuple[float, str]],
@@ -67,11 +67,13 @@ def lines_over_time(
 
 def draw_markers(axes: "Axes", markers: Iterable[tuple[float, str]]) -> None:
     """Draw markers, (time in s, words), as lines across a picture over time."""
-    for at, words in markers:
-        axes.axvline(at, color=MARKER, lw=1.0, ls=(0, (5, 3)))
+    for time, words in markers:
+        axes.axvline(time, color=MARKER, lw=1.0, ls=(0, (5, 3)))
         box = {"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0}
-        place = axes.get_xaxis_transform()
-        axes.text(at, 0.97, f" {printable(words)}", transform=place, va="top", color=MARKER, bbox=box, parse_math=False)
+        transform = axes.get_xaxis_transform()
+        axes.text(
+            time, 0.97, f" {printable(words)}", transform=transform, va="top", color=MARKER, bbox=box, parse_math=False
+        )
 
 
 def check_place(target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:
@@ -82,8 +84,8 @@ def check_place(target: Path, *sources: Path, force: bool = False, digest: str =
     force: Replace an existing file.
     digest: The sha256 of the run that is drawn: an older picture of it is replaced without ``force`` (not a PDF).
     """
-    own = MARK + digest if digest else ""
-    atomic.refuse_existing(target, force, *sources, own=own, kind="picture of this run", flag="--plot")
+    mark = MARK + digest if digest else ""
+    atomic.refuse_existing(target, force, *sources, mark=mark, kind="picture of this run", flag="--plot")
     if target.suffix.lower() not in FORMATS:
         kind = target.suffix or "file without an ending"
         raise InputError(f"cannot draw a {kind}", str(target), "use .png, .svg or .pdf")
@@ -98,6 +100,6 @@ def save(figure: Figure, target: Path, *sources: Path, force: bool = False, dige
     """
     check_place(target, *sources, force=force, digest=digest)
     form = target.suffix.lower()[1:]
-    named = {NAMED_IN[form]: MARK + digest} if digest else {}
+    metadata = {NAMED_IN[form]: MARK + digest} if digest else {}
     with atomic.replacing(target, force=True) as temporary, mpl.rc_context(fname=STYLE):
-        figure.savefig(temporary, format=form, metadata=named)
+        figure.savefig(temporary, format=form, metadata=metadata)

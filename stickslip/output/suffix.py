@@ -55,10 +55,10 @@ def check(path: Path, form: Format, flag: str = "-o", do: Mapping[Format, str] |
     promised = NAMED.get(path.suffix.lower())
     if promised is None or path.suffix.lower() in form.suffixes:
         return
-    told = f"name it {path.with_suffix(form.suffixes[0]).name} ({flag})"
+    advice = f"name it {path.with_suffix(form.suffixes[0]).name} ({flag})"
     other = (do or {}).get(promised)
     what = f"{path.suffix} is the suffix of {promised.name}; this is {form.name}"
-    raise InputError(what, str(path), f"{told}; {other}" if other else told)
+    raise InputError(what, str(path), f"{advice}; {other}" if other else advice)
 
 
 def check_run(path: Path, flag: str = "-o") -> None:
@@ -68,7 +68,7 @@ def check_run(path: Path, flag: str = "-o") -> None:
     check(path, RUN, flag, {CSV: export, TEXT: export, PARQUET: export})
 
 
-def chosen(path: Path, forms: Mapping[str, Format], flag: str = "-o") -> str:
+def choose_form(path: Path, forms: Mapping[str, Format], flag: str = "-o") -> str:
     """Return the key of the format that the suffix of an output names, of those that can be written.
 
     Raises InputError: for any other suffix, naming those that can be written.

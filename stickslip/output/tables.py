@@ -38,9 +38,9 @@ def write(
         if form == "csv":
             with temporary.open("w", encoding="utf-8", newline="") as file:
                 for begin in range(0, max(len(rows), 1), TOGETHER):
-                    some = rows.iloc[begin : begin + TOGETHER]
-                    some.to_csv(file, index=False, header=begin == 0, lineterminator="\n")
-                    progress(begin + len(some))
+                    chunk = rows.iloc[begin : begin + TOGETHER]
+                    chunk.to_csv(file, index=False, header=begin == 0, lineterminator="\n")
+                    progress(begin + len(chunk))
         else:
             try:
                 rows.to_parquet(temporary, index=False)

@@ -138,7 +138,7 @@ def test_the_list_says_which_part_of_a_run_was_fitted_and_its_table_is_replaced(
     parts, lines = [], []
     for options in ({"end": "9 s"}, {"laws": "1-6"}):
         command.fit(path, **{"laws": "5"} | options, no_report=True, csv=out)
-        parts += [row.part for row in listing.runs([tmp_path])]
+        parts += [row.part for row in listing.list_runs([tmp_path])]
         lines.append(len(out.read_text().splitlines()))
     assert parts == ["0 to 9 s; law 5", None]
     assert lines == [2, 7]

@@ -62,7 +62,7 @@ def test_a_part_of_a_run_is_smoothed_and_read_back(path):
     cli.smooth(path, method="sg", window="21", begin="1.5", end="4 s")
     found = stage.load(path)
     assert found.time[[0, -1]] == pytest.approx([1.5, 4.0], abs=2e-3)
-    own = store.between(path, 1.5, 4.0)
+    own = store.select_between(path, 1.5, 4.0)
     assert np.array_equal(found.position, smooth(store.load(path, own), "sg", 21).position)
     assert found.recording.time.size == own.stop - own.start
     assert raw_bytes(path) == before

@@ -76,5 +76,5 @@ def _tried(name: str, size: Size, folder: Path) -> Result:
 
 
 def _one(name: str, seed: int, number: int, folder: Path) -> None:
-    provenance._commit = lambda folder: {}  # the one program that a command starts: git, for the commit of a checkout
+    provenance._find_commit = lambda folder: {}  # git, the only program that a command starts
     (STREAMS | FILES)[name].one(random.Random(f"{seed} {name} {number}"), folder)

@@ -90,7 +90,7 @@ def _journal(path: Path, sent: list[bytes], stamps: NDArray[np.int64], **header:
     config = "[encoder]\nbelt_metres_per_count = 1.0\n"
     records = [(journal.HEADER, 0, json.dumps(known | header).encode()), (journal.CONFIGURATION, 0, config.encode())]
     records += [(journal.RECEIVED, stamp, data) for stamp, data in zip(stamps.tolist(), sent, strict=True)]
-    path.write_bytes(journal.MAGIC + b"".join(b"".join(journal_records.packed(*record)) for record in records))
+    path.write_bytes(journal.MAGIC + b"".join(b"".join(journal_records.pack(*record)) for record in records))
     return journal.read(path)
 
 

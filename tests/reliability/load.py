@@ -232,7 +232,7 @@ def _run(program: str, *arguments: object) -> dict[str, Any]:
 def _wrong(output: Path, samples: int, rate_hz: int) -> list[str]:
     """Return what is wrong in a run whose sample k has the count k at the time k / rate."""
     step = 1 << 20
-    with store.reading(output) as run:
+    with store.open_reader(output) as run:
         if run.samples != samples:
             return [f"{run.samples} of {samples} samples in the file"]
         for first in range(0, samples, step):

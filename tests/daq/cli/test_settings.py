@@ -89,8 +89,13 @@ def test_a_missing_rig_file_and_a_word_for_a_number_are_named(tmp_path, monkeypa
 
 
 def test_a_section_that_is_written_is_read_back():
-    text = settings.board_toml({"port": 'C:\\"x"', "protocol": "qsb", "baud": 230_400, "rate_hz": 500})
-    assert settings.board_section(text, "x") == {"port": 'C:\\"x"', "protocol": "qsb", "baud": 230_400, "rate": 500}
+    text = settings.format_board({"port": 'C:\\"x"', "protocol": "qsb", "baud": 230_400, "rate_hz": 500})
+    assert settings.read_board_section(text, "x") == {
+        "port": 'C:\\"x"',
+        "protocol": "qsb",
+        "baud": 230_400,
+        "rate": 500,
+    }
 
 
 @pytest.mark.parametrize("value", ["", "config", "."])

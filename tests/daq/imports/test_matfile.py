@@ -31,7 +31,7 @@ def test_vectors_become_columns_bit_for_bit(path):
 
 def test_vectors_are_not_described_as_text_with_a_delimiter(path):
     # It was "read as: delimiter tab, decimal '.'".
-    words = sentences.columns(table_to_run.read(path[0], ImportOptions(time="t", position="qm")))
+    words = sentences.format_columns(table_to_run.read(path[0], ImportOptions(time="t", position="qm")))
     assert words.startswith("read as: vectors of a MATLAB file, time from column 't' in s")
 
 

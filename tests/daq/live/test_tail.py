@@ -47,7 +47,7 @@ def damaged(part: Path, share: float) -> None:
             for at in range(200 if len(data) > 400 else len(data), len(data)):
                 if draw.random() < share:
                     data[at] ^= 1 << draw.randrange(8)
-        for piece in journal_records.packed(place.record.kind, place.record.stamp_ns, bytes(data)):
+        for piece in journal_records.pack(place.record.kind, place.record.stamp_ns, bytes(data)):
             made += piece
     part.write_bytes(made)
 
@@ -132,7 +132,7 @@ def test_a_stream_without_lines_is_not_kept(tmp_path: Path) -> None:
     tail = JournalTail(part)
     tail.poll()
     for k in range(30):
-        writer.write(b"".join(journal_records.packed(journal.RECEIVED, k, b"\xff" * 5000)))
+        writer.write(b"".join(journal_records.pack(journal.RECEIVED, k, b"\xff" * 5000)))
         writer.flush()
         assert tail.poll() == []
     assert sum(len(data) for _, data in tail._reads) <= 1 << 15

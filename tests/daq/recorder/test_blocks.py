@@ -442,7 +442,7 @@ def test_a_rig_toml_is_taken_and_what_is_stated_replaces_it(tmp_path):
 def test_the_clock_of_a_source_is_compared_with_this_machines(tmp_path):
     held = []  # the header as the recorder makes it
     daq.record(
-        card(after=lambda k: held.append(journal.beginning(tmp_path / "run.h5.part")) if k == 1 else None),
+        card(after=lambda k: held.append(journal.read_header(tmp_path / "run.h5.part")) if k == 1 else None),
         tmp_path / "run.h5",
         rate_hz=RATE,
     )

@@ -61,7 +61,7 @@ def test_a_wrong_scene_reaches_the_user_as_its_own_error():
 def test_a_port_without_permission_says_the_command_that_helps(tmp_path):
     device = tmp_path / "ttyACM0"
     device.touch()
-    what, where, do = ports.explain(str(device), PermissionError(errno.EACCES, "Permission denied"))
+    what, where, do = ports.explain_refusal(str(device), PermissionError(errno.EACCES, "Permission denied"))
     assert "permission" in what
     assert where == str(device)
     assert do.startswith("run 'sudo ")
@@ -78,7 +78,7 @@ def test_the_group_is_the_cure_only_where_it_has_the_right(tmp_path, monkeypatch
 
 
 def test_a_busy_port_is_not_a_missing_one():
-    what, _, do = ports.explain("/dev/null", OSError(errno.EBUSY, "Device or resource busy"))
+    what, _, do = ports.explain_refusal("/dev/null", OSError(errno.EBUSY, "Device or resource busy"))
     assert "another program" in what
     assert "close" in do
 
@@ -214,6 +214,6 @@ def test_a_port_is_opened_once_under_whatever_name(tmp_path):
 
 def test_a_port_is_shown_readable_and_short():
     # The first line of a recording of a measured curve was 3000 percent signs long.
-    assert ports.shown("/dev/ttyACM0") == "/dev/ttyACM0"
-    assert ports.shown(ports.rig_url("rig", ["belt.speed=0.15"], False)) == "rig://rig?set=belt.speed=0.15"
-    assert len(ports.shown(ports.rig_url("rig", [f"friction.curve={[[0.0, 1.0]] * 99}"], False))) == 100
+    assert ports.shorten_url("/dev/ttyACM0") == "/dev/ttyACM0"
+    assert ports.shorten_url(ports.rig_url("rig", ["belt.speed=0.15"], False)) == "rig://rig?set=belt.speed=0.15"
+    assert len(ports.shorten_url(ports.rig_url("rig", [f"friction.curve={[[0.0, 1.0]] * 99}"], False))) == 100

@@ -254,7 +254,7 @@ def test_an_identification_that_cannot_be_true_is_refused_and_a_journal_with_one
     for place in journal_records.scan(journal.Content(part.read_bytes())):
         kind, stamp, data = place.record.kind, place.record.stamp_ns, place.record.data
         sent = data.replace(frames.encode_ident(sound), frames.encode_ident(replace(sound, **wrong)))
-        spoilt += b"".join(journal_records.packed(kind, stamp, sent))
+        spoilt += b"".join(journal_records.pack(kind, stamp, sent))
     assert bytes(spoilt) != part.read_bytes()
     part.write_bytes(spoilt)
     found = finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")

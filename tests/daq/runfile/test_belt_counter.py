@@ -35,22 +35,22 @@ DELTA = 0.12566 / 4096 / 4
 def test_an_up_and_down_counter_unwraps_either_way(bits: int, start: int, steps: list[int]) -> None:
     true = start + np.cumsum([0, *steps])
     np.testing.assert_array_equal(counters.moves(true % (1 << bits), bits), np.diff(true))
-    found = belt_counter.unwrapped(true % (1 << bits), bits, np.array([0]))
+    found = belt_counter.unwrap_count(true % (1 << bits), bits, np.array([0]))
     np.testing.assert_array_equal(found - found[0], true - true[0])
 
 
 def test_each_segment_begins_at_its_own_reading() -> None:
     values = np.array([65530, 65535, 4, 9, 500, 490, 480], np.uint16)
-    found = belt_counter.unwrapped(values, 16, np.array([0, 4]))
+    found = belt_counter.unwrap_count(values, 16, np.array([0, 4]))
     assert found.tolist() == [65530, 65535, 65540, 65545, 500, 490, 480]
 
 
 def test_the_speed_is_the_mean_over_its_span_and_knows_no_other_segment() -> None:
     time = np.arange(200) * 1e-3 + np.where(np.arange(200) >= 100, 5.0, 0.0)
     count = np.where(np.arange(200) < 100, 30 * np.arange(200), -20 * np.arange(200))
-    found = belt_counter.velocity(count, time, np.array([0, 100]), 1000.0, 1e-5)
+    found = belt_counter.compute_velocity(count, time, np.array([0, 100]), 1000.0, 1e-5)
     np.testing.assert_allclose(found, np.where(np.arange(200) < 100, 0.3, -0.2), rtol=1e-12)
-    assert belt_counter.velocity(count[:1], time[:1], np.array([0]), 1000.0, 1e-5).tolist() == [0.0]
+    assert belt_counter.compute_velocity(count[:1], time[:1], np.array([0]), 1000.0, 1e-5).tolist() == [0.0]
 
 
 def samples(belt_column: np.ndarray | None, gap_s: float) -> Samples:
@@ -83,7 +83,7 @@ def test_a_gap_the_belts_counter_may_have_gone_round_in_is_not_joined() -> None:
     assert short.starts.tolist() == [0]
     sent = samples(run, 0.3).belt
     assert sent is not None
-    assert belt_counter.unwrapped(sent, 16, short.starts)[-1] == 29 * 698
+    assert belt_counter.unwrap_count(sent, 16, short.starts)[-1] == 29 * 698
     assert long.starts.tolist() == [0, 200]
     assert long.reasons[1] == "invalid"
 

@@ -8,7 +8,7 @@ import pytest
 
 import daq
 import processing
-from daq.runfile.in_memory import last_decimal
+from daq.runfile.in_memory import find_last_decimal
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
@@ -79,7 +79,7 @@ def test_positions_of_a_belt_become_counts_of_their_last_decimal():
     np.testing.assert_allclose(found.belt_count * 1e-5, belt, atol=1e-12)
     np.testing.assert_allclose(found.belt_velocity, 0.0513, atol=1e-3)
     assert run(belt_position=0.05 * TIME + 1e-7 * X).rig.belt_metres_per_count == Measured(1e-9)
-    assert [last_decimal(np.array([0.0, value])) for value in (3.0, 0.25, 0.0012)] == [1.0, 0.01, 1e-4]
+    assert [find_last_decimal(np.array([0.0, value])) for value in (3.0, 0.25, 0.0012)] == [1.0, 0.01, 1e-4]
 
 
 def test_a_belt_that_was_measured_is_used_by_the_smoothing():

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.runfile.isolation import BrokenOffError, isolated
+from daq.runfile.isolation import BrokenOffError, run_isolated
 from stickslip.errors import InputError
 
 MB = 1 << 20
@@ -47,9 +47,9 @@ def has_a_fault(path: Path) -> bytes:
 
 
 def test_an_answer_and_a_refusal_come_back_as_they_are():
-    assert isolated(answers, Path("a"), 5, 100 * MB) == b"a" * 100_000
+    assert run_isolated(answers, Path("a"), 5, 100 * MB) == b"a" * 100_000
     with pytest.raises(InputError, match=r"^a: is wrong; mend it$"):
-        isolated(refuses, Path("a"), 5, 100 * MB)
+        run_isolated(refuses, Path("a"), 5, 100 * MB)
 
 
 @pytest.mark.parametrize(
@@ -63,12 +63,12 @@ def test_an_answer_and_a_refusal_come_back_as_they_are():
 )
 def test_what_breaks_off_ends_the_child_alone(work, what):
     with pytest.raises(BrokenOffError, match=what):
-        isolated(work, Path("a"), 0.05, 100 * MB)
+        run_isolated(work, Path("a"), 0.05, 100 * MB)
 
 
 def test_a_fault_of_ours_is_no_fault_of_the_file():
     with pytest.raises(RuntimeError, match="ZeroDivisionError"):
-        isolated(has_a_fault, Path("a"), 5, 100 * MB)
+        run_isolated(has_a_fault, Path("a"), 5, 100 * MB)
 
 
 def test_no_child_and_no_descriptor_stays_behind(monkeypatch):
@@ -77,7 +77,7 @@ def test_no_child_and_no_descriptor_stays_behind(monkeypatch):
     monkeypatch.setattr(os, "fork", lambda: children.append(fork()) or children[-1])
     before = os.listdir("/proc/self/fd") if Path("/proc/self/fd").is_dir() else []
     for _ in range(20):
-        isolated(answers, Path("a"), 5, 100 * MB)
+        run_isolated(answers, Path("a"), 5, 100 * MB)
     assert not before or os.listdir("/proc/self/fd") == before
     assert sys.platform != "linux" or len(children) == 20
     for child in children:

@@ -139,7 +139,7 @@ def test_the_commands_record_note_and_list(
 
 def test_the_list_names_sticks_and_verdict_of_a_finished_run() -> None:
     samples = Path(__file__).parents[3] / "data_samples"
-    for row in listing.runs([samples]):
+    for row in listing.list_runs([samples]):
         with h5py.File(row.file) as file:
             stages = set(file["entry"])
         assert (row.sticks is not None) == ("smooth" in stages), row
@@ -169,16 +169,16 @@ def test_notes_that_cannot_be_kept_are_refused(
 def test_output_names_are_completed(tmp_path: Path) -> None:
     for name in ("run-001.h5", "run-007.h5.part", "run-12x.h5", "other-99.h5"):
         (tmp_path / name).touch()
-    assert names.completed(tmp_path / "run-{n:03}.h5") == tmp_path / "run-008.h5"
-    assert names.completed(tmp_path / "new{n}.h5") == tmp_path / "new1.h5"
-    assert names.completed(tmp_path / "plain.h5") == tmp_path / "plain.h5"
-    assert re.fullmatch(r"r-\d{8}-\d{6}\.h5", names.completed(tmp_path / "r-{date}.h5").name)
+    assert names.complete_name(tmp_path / "run-{n:03}.h5") == tmp_path / "run-008.h5"
+    assert names.complete_name(tmp_path / "new{n}.h5") == tmp_path / "new1.h5"
+    assert names.complete_name(tmp_path / "plain.h5") == tmp_path / "plain.h5"
+    assert re.fullmatch(r"r-\d{8}-\d{6}\.h5", names.complete_name(tmp_path / "r-{date}.h5").name)
 
 
 @pytest.mark.parametrize("name", ["{m}.h5", "{n", "{n:x}.h5", "{n!r}.h5", "{0}.h5", "{date.year}.h5", "{n}/run.h5"])
 def test_other_fields_in_an_output_name_are_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError):
-        names.completed(tmp_path / name)
+        names.complete_name(tmp_path / name)
 
 
 def test_every_note_is_a_row_of_the_table() -> None:

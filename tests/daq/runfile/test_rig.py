@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.runfile.rig import DECODERS, Rig, replaced
+from daq.runfile.rig import DECODERS, Rig, find_replaced
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
@@ -105,6 +105,6 @@ def test_numbers_survive_to_the_last_bit() -> None:
     ],
 )
 def test_a_stored_value_that_another_replaces_beyond_their_errors_is_said(stored, used, texts):
-    rows = replaced(stored, used)
+    rows = find_replaced(stored, used)
     assert len(rows) == len(texts)
     assert all(text in row.text for row, text in zip(rows, texts, strict=True))

@@ -140,8 +140,8 @@ def test_damage_without_words_is_listed(run: Path, monkeypatch: pytest.MonkeyPat
     def damaged(*_: Any) -> None:
         raise ValueError
 
-    monkeypatch.setattr(listing, "_row", damaged)
-    assert [row.problem for row in listing.runs([run.parent])] == ["is damaged: ValueError"]
+    monkeypatch.setattr(listing, "_make_row", damaged)
+    assert [row.problem for row in listing.list_runs([run.parent])] == ["is damaged: ValueError"]
 
 
 def test_links_within_the_file_hang_nothing(run: Path) -> None:
@@ -166,9 +166,9 @@ def test_a_child_reads_each_state_of_a_file_once_and_none_that_this_process_wrot
 
     def counted(work: Callable[[Path], bytes], *arguments: Any) -> bytes:
         works.append(work.__name__)
-        return isolation.isolated(work, *arguments)
+        return isolation.run_isolated(work, *arguments)
 
-    monkeypatch.setattr(trust, "isolated", counted)
+    monkeypatch.setattr(trust, "run_isolated", counted)
     store.load(run)
     assert works == []
     run.write_bytes(run.read_bytes())

@@ -196,7 +196,7 @@ def test_the_file_of_a_joint_fit_passes_the_nexus_validator(fitted):
 
 def test_a_joint_fit_is_listed_and_is_no_run(files, fitted, tmp_path, capsys):
     joint_file = fitted[0].data["joint_file"]
-    (row,) = [row for row in listing.runs([files[0].parent]) if row.runs]
+    (row,) = [row for row in listing.list_runs([files[0].parent]) if row.runs]
     assert (row.file, row.runs, row.problem) == (joint_file, 3, None)
     assert row.verdict.startswith("law 5 ")
     with pytest.raises(InputError, match="joint fit, not of a run"):
@@ -213,7 +213,7 @@ def test_a_joint_fit_is_listed_and_is_no_run(files, fitted, tmp_path, capsys):
 def test_a_foreign_file_is_refused_before_a_joint_fit_and_replaced_by_force(files, tmp_path, content):
     copies = [Path(shutil.copy(path, tmp_path)) for path in files]
     named = [joint.FittedRun(path, store.load(path).digest, "", "") for path in copies]
-    place = joint.beside(copies[:2])
+    place = joint.name_output(copies[:2])
     if content == "mine":
         place.write_text(content)
     elif content == "run":

@@ -244,7 +244,7 @@ def test_files_hold_a_formula_whose_names_a_scene_changes_where_its_section_has_
         assert list(opened["entry/fit/formulas/law_name"].asstr()) == ["mine"]
         assert opened["entry/fit_law_mine/parameters/static"][()] == found["static"]["value"]
         assert "friction_curve" in opened["entry/fit_law_mine"]
-    (row,) = listing.runs([run.parent])
+    (row,) = listing.list_runs([run.parent])
     assert row.part == "law 5; with law mine"
     friction = tomllib.loads(file.read_text())["friction"]
     assert friction["formula"] == "Fc + d_*exp(-s/static_) + Fv*s"

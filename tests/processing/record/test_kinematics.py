@@ -73,7 +73,7 @@ def test_markers_are_drawn_at_their_times_and_of_a_part_those_within_it(tmp_path
     whole = processing.smooth(daq.load(path))
     assert [words for _, words in whole.drawing().markers] == ["early", "hand on the guide"]
     assert [text.get_text().strip() for text in whole.plot().axes[0].texts] == ["early", "hand on the guide"]
-    own = store.between(path, 4.0, 11.0)
+    own = store.select_between(path, 4.0, 11.0)
     stage.save(processing.smooth(store.load(path, own)), path, own)
     ((at, words),) = stage.load(path).drawing().markers
     assert words == "hand on the guide"

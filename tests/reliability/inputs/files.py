@@ -42,7 +42,7 @@ def damaged_toml(draw: random.Random, folder: Path) -> None:
         section = draw.choice(("mass.m", "friction", "friction.law", "seed", "belt.speed", "start.x", "friction.curve"))
         scene("base", **parse_changes([f"{section}={value}"]))
     elif kind == 2:
-        settings.board_section(content.decode(errors="replace"), "input")
+        settings.read_board_section(content.decode(errors="replace"), "input")
     else:
         rig = Rig.from_toml(content.decode(errors="replace"), "input")
         if Rig.from_toml(rig.to_toml(), "again") != rig:
@@ -203,7 +203,7 @@ def _use(draw: random.Random, path: Path) -> None:
         case 5 | 6:
             replay.decode_run(path)
         case 7 | 8:
-            listing.runs([path.parent])
+            listing.list_runs([path.parent])
         case 9 | 10:
             stage.load_statistics(path)
         case _:

@@ -45,8 +45,8 @@ def test_the_doctor_advises_only_what_is_needed_and_names_it(capsys):
     application.run(app, ["doctor", "--json"])
     found = json.loads(capsys.readouterr().out)
     assert all(check["do"] == "" for check in found["checks"] if check["ok"])
-    assert setup._needs().do == ""
-    assert all("uninstall ;" not in check.do for check in setup._packages())
+    assert setup._check_requirements().do == ""
+    assert all("uninstall ;" not in check.do for check in setup._check_packages())
 
 
 def test_help_shows_the_defaults_that_say_something(capsys):

@@ -55,12 +55,12 @@ def test_a_failure_is_in_the_log_with_its_traceback(tmp_path, capsys):
 @pytest.mark.parametrize("typed", [["--log"], ["--log", "--json"], ["--log", "a", "--log=b"]])
 def test_a_log_needs_one_file(typed):
     with pytest.raises(InputError) as refused:
-        log.taken_off(["record", *typed])
+        log.take_log_flags(["record", *typed])
     assert "--log" in refused.value.as_line()
 
 
 def test_what_follows_two_dashes_is_no_flag_of_the_log():
-    assert log.taken_off(["note", "--", "--verbose"]) == (["note", "--", "--verbose"], log.LogFlags())
+    assert log.take_log_flags(["note", "--", "--verbose"]) == (["note", "--", "--verbose"], log.LogFlags())
 
 
 def test_a_disk_that_takes_no_log_ends_no_command(tmp_path, capsys, monkeypatch):
@@ -72,7 +72,7 @@ def test_a_disk_that_takes_no_log_ends_no_command(tmp_path, capsys, monkeypatch)
     with monkeypatch.context() as patch:
         patch.setattr(log.Path, "open", full)
         patch.setattr(log.Path, "exists", lambda path: False)
-        with log.logging_to(log.LogFlags(file=file), "daq", []):
+        with log.log_to(log.LogFlags(file=file), "daq", []):
             pass
     assert capsys.readouterr().err == f"no log is written: {file}: No space left on device\n"
 

@@ -41,12 +41,12 @@ def test_every_help_page_fills_80_columns_and_shows_an_example(app, capsys, monk
 def test_a_long_line_is_broken_between_words_in_a_terminal_alone(monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
     line = "fit-friction: run.h5: exists and is the report of another run; give another name (--report)"
-    shown = application._wrapped(line, Terminal())
+    shown = application._wrap_lines(line, Terminal())
     assert max(map(len, shown.splitlines())) <= 40
     assert shown.split() == line.split()
-    assert application._wrapped(line, io.StringIO()) == line
+    assert application._wrap_lines(line, io.StringIO()) == line
     command = f"next: process smooth '{'long name ' * 5}.h5'"
-    assert application._wrapped(command, Terminal()) == command  # it is copied into a shell
+    assert application._wrap_lines(command, Terminal()) == command  # it is copied into a shell
 
 
 def test_progress_shows_amount_rate_losses_and_eta_in_a_terminal_alone(monkeypatch):

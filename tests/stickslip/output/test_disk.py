@@ -188,9 +188,9 @@ def test_a_file_through_a_sink_is_the_one_that_was_written(tmp_path):
     import h5py
 
     path = Path(tmp_path / "x.h5")
-    with disk.hdf5(path, "w") as file:
+    with disk.open_hdf5(path, "w") as file:
         file["x"] = np.arange(5000.0)
-    with disk.hdf5(path, "r+") as file:
+    with disk.open_hdf5(path, "r+") as file:
         file["y"] = 2.0
     with h5py.File(path) as file:
         assert np.array_equal(file["x"], np.arange(5000.0))
@@ -218,7 +218,7 @@ def test_ctrl_c_while_hdf5_writes_comes_when_the_file_is_closed(tmp_path, monkey
         return then(sink, data)
 
     def make():
-        with disk.hdf5(path, "w") as file:
+        with disk.open_hdf5(path, "w") as file:
             file.create_dataset("values", data=values, chunks=(1000,), compression="gzip")
 
     monkeypatch.setattr(disk.Sink, "write", write)
