@@ -300,7 +300,7 @@ def _are(values: Sequence[Any], kind: Any) -> bool:
 
 
 def _time(value: float | str | None, name: str) -> float | None:
-    return None if value is None else units.in_si(value, "time", name).value
+    return units.exact_in_si(value, "time", name)
 
 
 def _loaded(run: Run, rig: Rig | None, options: FitOptions) -> LoadedRun:

@@ -84,11 +84,11 @@ def smooth(
     """
     where = "processing.smooth"
     if not isinstance(position, str):
-        check_type(method, str, "method", where, "a name, such as 'auto'")
+        check_type(method, str, "method", where, "a name, such as 'auto'", required=True)
     form = "'auto', an odd number of samples, or a time such as '20ms'"
-    check_type(window, (str, Real), "window", where, form)
+    check_type(window, (str, Real), "window", where, form, required=True)
     check_type(order, Integral, "order", where, "a whole number")
-    check_type(repair_counts, str, "repair_counts", where, "'off', 'flag' or 'fix'")
+    check_type(repair_counts, str, "repair_counts", where, "'off', 'flag' or 'fix'", required=True)
     check_type(model, Mapping, "model", where, "Kinematics.model of an earlier smoothing")
     if isinstance(window, Real) and not math.isfinite(window):
         raise InputError(f"window is {window}", where, f"give {form}")

@@ -70,12 +70,12 @@ class StickslipError(Exception):
         self.lines: list[str] = []
 
     def add_result(self, data: Mapping[str, Any], lines: Sequence[str]) -> None:
-        """Add what was found out in spite of the error, as JSON keys and in words."""
+        """Add what was computed before the error, as JSON keys and as text."""
         self.data |= data
         self.lines += lines
 
     def as_json(self) -> dict[str, str]:
-        """Return what a JSON document has under ``error``."""
+        """Return the content of ``error`` in a JSON document."""
         return {"what": self.what, "where": self.where, "do": self.do}
 
     def as_line(self) -> str:
@@ -106,11 +106,7 @@ class DataError(StickslipError):
 
 
 def in_python(text: str) -> str:
-    """Return a text in which flags are the keywords that functions take: ``--max-steps`` is ``max_steps``.
-
-    A value that follows an equals sign is Python's: ``--method=dop853`` is ``method='dop853'``; numbers and names in
-    capital letters (``--until=T``) stay as they are.  So do values in quotes: ``--mass '1 kg'`` is ``mass='1 kg'``.
-    """
+    """Write flags as keywords: ``--method=dop853`` as ``method='dop853'``; numbers and CAPITALS stay bare."""
     return _FLAG.sub(_format_keyword, text)
 
 
@@ -136,21 +132,25 @@ def _join_parts(what: str, where: str, do: str) -> str:
     return f"{line}; {do}" if do else line
 
 
-def check_type(value: object, kind: "type | tuple[type, ...]", name: str, where: str, form: str) -> None:
-    """Raise InputError when an argument from Python is not of a type, None aside; ``form`` is what to give."""
-    if value is not None and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
+def check_type(
+    value: object, kind: "type | tuple[type, ...]", name: str, where: str, form: str, *, required: bool = False
+) -> None:
+    """Raise InputError for an argument from Python of a wrong type, None if ``required``; ``form`` is what to give."""
+    if (required or value is not None) and (
+        not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)
+    ):
         raise InputError(f"{name} is a {type(value).__name__}", where, f"give {form}")
 
 
 def check_known(name: str, names: "list[str] | tuple[str, ...]", what: str, where: str) -> None:
-    """Raise InputError, which names the nearest known word, when ``name`` is unknown; ``what`` is its kind."""
+    """Raise InputError, which names the nearest word, when ``name`` is unknown; ``what`` is its kind."""
     if name not in names:
         raise InputError(f"unknown {what} {name!r}", where, nearest(name, names))
 
 
-def nearest(word: str, names: "list[str] | tuple[str, ...]") -> str:
-    """Return ``'; did you mean X?'`` for the closest known word, or an empty string."""
+def nearest(word: object, names: "list[str] | tuple[str, ...]") -> str:
+    """Return "did you mean 'X'?" for the closest name, or all names where none is close."""
     from difflib import get_close_matches
 
-    similar = get_close_matches(word, names, n=1, cutoff=0.5)
+    similar = get_close_matches(str(word), names, n=1, cutoff=0.5)
     return f"did you mean {similar[0]!r}?" if similar else f"known: {', '.join(names)}"

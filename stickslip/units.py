@@ -74,13 +74,7 @@ _PLUS_MINUS = re.compile(r"±|\+-|\+/-")
 
 
 def quantity(text: str, dimension: str, where: str) -> float:
-    """Return a typed quantity in SI.
-
-    text: A number with a unit of that dimension, or a bare SI number.
-    dimension: One of `UNITS`.
-    where: The flag or column it came from, for the message.
-    Raises InputError: for what is not a number, a unit unknown for this dimension, or a value with an error (+-).
-    """
+    """Return a typed quantity in SI; a bare number is SI, and an error (+-) is an InputError."""
     if _PLUS_MINUS.search(text):
         raise InputError(f"{text!r} has an error, of which no use is made here", where, "give the value alone")
     value, unit = _split_unit(text, dimension, where)
@@ -88,7 +82,7 @@ def quantity(text: str, dimension: str, where: str) -> float:
 
 
 def time_or_none(text: str | None, where: str) -> float | None:
-    """Return a typed time in seconds, None where none was typed; raises as `quantity`."""
+    """Return a typed time in seconds, None where none was typed."""
     return None if text is None else quantity(text, "time", where)
 
 
@@ -107,7 +101,7 @@ def measured(text: str, dimension: str, where: str) -> Measured:
 
 
 def check_measured(key: str, value: float, sd: float, where: str) -> Measured:
-    """Return the measured quantity ``key``, or raise InputError when its value or error is impossible."""
+    """Return the measured quantity ``key``; InputError when its value or error is impossible."""
     rule = QUANTITIES[key]
     if not math.isfinite(value) or (rule is not None and not _RULES[rule](value)):
         raise InputError(f"{key} is {value:g}", where, f"it must be {rule or 'a finite number'}")
@@ -125,12 +119,7 @@ def with_error(stated: Measured) -> Measured:
 
 
 def read_stated(value: Stated | None, key: str) -> Measured | None:
-    """Return a quantity of a rig as Python code states it; None where it states none.
-
-    value: A number in SI; value and standard deviation in SI; or text with a unit, such as ``"500 g +- 1 g"``.
-    key: Which quantity, one of `stickslip.units.QUANTITIES`.
-    Raises InputError: it is none of these, or a value that this quantity cannot have.
-    """
+    """Return the rig's quantity ``key`` from Python: a number in SI, (value, sd), or text with a unit."""
     if value is None:
         return None
     measurement = in_si(value, OF_QUANTITY[key], key)
@@ -138,7 +127,7 @@ def read_stated(value: Stated | None, key: str) -> Measured | None:
 
 
 def in_si(value: Stated, dimension: str, key: str) -> Measured:
-    """Return a quantity as Python code states it (`read_stated`), of any dimension; ``key`` is its name."""
+    """Return a quantity of any dimension from Python, as `read_stated` does; ``key`` is its name."""
     if isinstance(value, Measured):
         return value
     if isinstance(value, str):
@@ -148,6 +137,16 @@ def in_si(value: Stated, dimension: str, key: str) -> Measured:
         do = f"give a number in {si_unit(dimension)}, (value, sd), or text such as {EXAMPLES[dimension]!r}"
         raise InputError(f"{key} is {value!r:.60}", key, do)
     return Measured(*map(float, parts))
+
+
+def exact_in_si(value: Stated | None, dimension: str, key: str) -> float | None:
+    """Return a number in SI from Python, None where there is none; a standard deviation is an InputError."""
+    if value is None:
+        return None
+    measurement = in_si(value, dimension, key)
+    if measurement.sd or (isinstance(value, str) and _PLUS_MINUS.search(value)):
+        raise InputError(f"{value!r} has an error, of which no use is made here", key, "give the value alone")
+    return measurement.value
 
 
 def unit_size(text: str, dimension: str, where: str) -> float:
@@ -162,7 +161,6 @@ def unit_size(text: str, dimension: str, where: str) -> float:
 
 
 def is_unit(unit: str, dimension: str) -> bool:
-    """Return whether ``unit`` is a unit of that dimension."""
     return _spell_latin(unit) in UNITS[dimension]
 
 

@@ -18,7 +18,7 @@ from daq.runfile.journal_header import FASTEST_HZ, SLOWEST_HZ
 from daq.runfile.rig import Rig, find_replaced
 from stickslip.compute.interpreter import start_python
 from stickslip.errors import InputError, check_type
-from stickslip.units import Stated, in_si, read_stated
+from stickslip.units import Stated, exact_in_si, read_stated
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
@@ -129,8 +129,7 @@ def record(
     check_type(tags, Mapping, "tags", WHERE, "a mapping of texts, such as {'humidity': '45 %'}")
     check_type(baud, Integral, "baud", WHERE, "a whole number, such as 115200")
     check_type(stop, threading.Event, "stop", WHERE, "a threading.Event")
-    rate = None if rate_hz is None else in_si(rate_hz, "rate", "rate_hz").value
-    length_s = None if seconds is None else in_si(seconds, "time", "seconds").value
+    rate, length_s = exact_in_si(rate_hz, "rate", "rate_hz"), exact_in_si(seconds, "time", "seconds")
     target = names.complete_name(Path(output))
     typed_tags = [f"{name}={value}" for name, value in (tags or {}).items()]
     notes = NoteFlags(title, operator, sample, note, typed_tags or None).collect()
