@@ -24,11 +24,7 @@ def storable(text: str) -> str:
 
 
 def printable(text: str, encoding: str | None = None) -> str:
-    """Return a text that does nothing to a terminal but stand there.
-
-    text: Line feeds and tabs stay.
-    encoding: That of the stream: characters that it lacks are spelled in ASCII (``...``, ``+-``), or escaped.
-    """
+    """Escape control characters, except line feeds and tabs; spell in ASCII characters that ``encoding`` lacks."""
     escaped = _NOT_PRINTABLE.sub(_escape, text)
     return escaped if encoding is None else escaped.encode(encoding, SPELLED).decode(encoding)
 

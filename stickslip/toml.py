@@ -7,11 +7,7 @@ from stickslip.errors import InputError, nearest
 
 
 def parse(text: str, where: str) -> dict[str, Any]:
-    """Return the content of a TOML text.
-
-    Raises InputError: the text is not TOML (with the line), is nested too deeply, or holds a whole number of more than
-        64 bits.
-    """
+    """Parse a TOML text of limited depth and whole numbers of 64 bits."""
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -38,7 +34,7 @@ def has_wide_number(content: Any) -> bool:
 
 
 def check_keys(section: str, content: Any, allowed: list[str], where: str) -> dict[str, Any]:
-    """Return the content of a TOML section; InputError when it is no section or has an unknown key (nearest named)."""
+    """Return the content of a TOML section; InputError for another type or an unknown key (the nearest is named)."""
     if not isinstance(content, dict):
         raise InputError(f"{section} is a value, not a section", where, f"write [{section}] above its keys")
     for key in content:

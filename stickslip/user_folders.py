@@ -10,12 +10,10 @@ from pathlib import Path
 
 
 def find_config() -> Path | None:
-    """Return the folder of this user's configurations; None where there is none."""
     return read_absolute("XDG_CONFIG_HOME") or _find_home(".config")
 
 
 def find_cache() -> Path | None:
-    """Return the folder of what this user's programs can make again; None where there is none."""
     if sys.platform == "win32":
         return read_absolute("LOCALAPPDATA") or _find_home("AppData", "Local")
     if sys.platform == "darwin":
@@ -24,7 +22,7 @@ def find_cache() -> Path | None:
 
 
 def read_absolute(variable: str) -> Path | None:
-    """Return the absolute path in an environment variable; None where it is not set, or holds anything else."""
+    """Return the absolute path in an environment variable; None where it is unset or not absolute."""
     path = Path(os.environ.get(variable, ""))
     return path if path.is_absolute() else None
 

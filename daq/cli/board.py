@@ -208,7 +208,7 @@ def calibrate(
 
 
 def _check_reachable(request: "RecordRequest") -> None:
-    """Refuse what cannot be recorded, and a port that cannot be opened, before the user is asked to do anything."""
+    """Refuse what cannot be recorded, and a port that cannot be opened, before the user has to do anything."""
     from daq import protocols
     from daq.recorder import ports
     from daq.recorder.record import check_request

@@ -88,7 +88,7 @@ def _wait_for(journal: Path, wait: float) -> None:
 
 
 def open_browser(url: str) -> None:
-    """Open the user's browser on a page; what it prints goes nowhere."""
+    """Open the user's browser on a page; its output is discarded."""
     nowhere = subprocess.DEVNULL
     with contextlib.suppress(OSError):
         start_python("webbrowser", "-t", url, stdin=nowhere, stdout=nowhere, stderr=nowhere)
@@ -96,11 +96,7 @@ def open_browser(url: str) -> None:
 
 @contextmanager
 def run_viewer(journal: Path, no_browser: bool) -> Iterator[None]:
-    """Run `daq watch` of a recording that is about to begin, in a process and a session of its own.
-
-    The URL of its page goes to stderr.  Nothing that happens to the viewer reaches the recording, and it ends by itself
-    soon after the recording has ended.
-    """
+    """Run `daq watch` of a recording that is about to begin in a separate session, and print the URL on stderr."""
     words = ("watch", str(journal), "--wait", str(APPEARS_S), "--no-browser")
     streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     try:

@@ -167,11 +167,7 @@ def ports(*, json: Json = False) -> Answer:
 
 @contextlib.contextmanager
 def _stop_on_signal() -> Iterator["StopRequest"]:
-    """Yield a request that the first Ctrl-C, SIGTERM or the end of the session sets; a second Ctrl-C interrupts.
-
-    A signal that is ignored when the command starts stays ignored: nohup does that to SIGHUP, and a shell to the SIGINT
-    of what it runs in the background.
-    """
+    """Yield a request set by the first Ctrl-C, SIGTERM or SIGHUP, unless ignored; a second Ctrl-C interrupts."""
     from daq.recorder.record import StopRequest
     from daq.runfile import journal
 

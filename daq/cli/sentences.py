@@ -28,7 +28,6 @@ KINDS = {
 
 
 def format_warnings(texts: Sequence[str]) -> list[str]:
-    """Return the lines of warnings."""
     return [f"warning: {warning}" for warning in texts]
 
 
@@ -45,7 +44,6 @@ def describe_run(run: "Recording", target: Path, warned: Sequence[str]) -> dict[
 
 
 def format_run(done: str, run: "Recording", data: dict[str, Any], *lines: str) -> str:
-    """Return what is printed about a run that was written."""
     printed = [
         f"{done} {data['samples']} samples in {data['duration_s']:.4g} s at {run.rate_hz:.6g} Hz",
         *lines,
@@ -67,7 +65,6 @@ def format_written(file: Path | None) -> list[str]:
 
 
 def format_recording(done: str, quality: "RecordingQuality") -> str:
-    """Return what is printed about a recording."""
     lost = f"{quality.lost} samples lost" if quality.lost else "no sample lost"
     lost += " while the port was there" if quality.port_lost else ""
     clock = quality.clock_drift
@@ -82,7 +79,6 @@ def format_recording(done: str, quality: "RecordingQuality") -> str:
 
 
 def format_columns(imported: "Imported") -> str:
-    """Return how the columns of a table were read."""
     form = KINDS.get(imported.delimiter, f"delimiter {imported.delimiter}, decimal {imported.decimal!r}")
     line = f"read as: {form}, time from {imported.columns['time']}"
     line += f", position from {imported.columns['position']}"
@@ -94,12 +90,10 @@ def format_columns(imported: "Imported") -> str:
 
 
 def format_counts(totals: "Totals") -> str:
-    """Return what a capture decoded to."""
     return ", ".join(f"{key} {value}" for key, value in vars(totals).items())
 
 
 def warn_of_counts(totals: "Totals") -> list[str]:
-    """Return the warnings about the counts of a capture."""
     if totals.illegal:
         return [f"{totals.illegal} illegal transitions: A and B changed at once; the count is uncertain by as many"]
     return [] if totals.edges else ["no edges: check that these are the right probes"]
@@ -122,7 +116,6 @@ def comment_on_left_out(names: Sequence[str]) -> str:
 def format_calibration(
     rig: "Rig", ring: "RingDown | None", left_out: Sequence[str], warned: Sequence[str], output: Path
 ) -> str:
-    """Return what is printed about a calibration."""
     lines = []
     if ring is not None:
         lines.append(f"omega0 {ring.omega0.value:.6g} +- {ring.omega0.sd:.2g} rad/s, from {ring.swings} half-swings")

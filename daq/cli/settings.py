@@ -55,13 +55,7 @@ NO_FLAGS = BoardFlags()
 
 
 def resolve(flags: BoardFlags) -> dict[str, Any]:
-    """Return the settings given by any source, by the fields of `daq.protocols.request.RecordRequest`.
-
-    ``calibration`` is the text of the rig.toml.
-
-    Raises InputError: A file that is missing or not TOML, an unknown key (with its nearest neighbour), a value of the
-        wrong kind.
-    """
+    """Return the settings from any source, by the fields of `daq.protocols.request.RecordRequest`."""
     user = _read_user_settings()
     named = os.environ.get("STICKSLIP_RIG") or user.get("rig")
     rig = flags.rig or (Path(named) if named else None)

@@ -20,7 +20,7 @@ DEMO_FOLDER = "stickslip-demo"
 
 @dataclass(frozen=True)
 class Check:
-    """One check of the installation: its name, whether it passed, what was found, what to do."""
+    """One check of the installation: its name, whether it passed, the details, what to do."""
 
     name: str
     ok: bool
@@ -90,7 +90,6 @@ def _check_packages() -> list[Check]:
 
 
 def _check_requirements() -> Check:
-    """Check that every required distribution is installed."""
     from importlib.metadata import PackageNotFoundError, requires, version
 
     seen, missing = [], []
@@ -209,7 +208,7 @@ def _locate_command(command: str) -> str:
 
 
 class _KernelsOfAFit:
-    """Compiles kernels of the fit in processes beside; they end with this block."""
+    """Compiles kernels of the fit in other processes, which end with this block."""
 
     def __init__(self) -> None:
         self._compilers = [self._start_compiler()]

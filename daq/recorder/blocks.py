@@ -58,15 +58,7 @@ def record_blocks(
     progress: Callable[[float], None] = lambda seconds: None,
     stop: threading.Event | None = None,
 ) -> "RecordingQuality":
-    """Record the blocks of a source into ``request.output``; see `daq.recorder.source.record`.
-
-    source: Its items are blocks.
-    request: Output, calibration and notes; what concerns a board is not looked at.
-    rate_hz: Nominal rate.
-    seconds: How long; None: until the source ends.
-    warnings: What is to be said of the calibration.
-    progress, stop: As of `daq.recorder.record.record`.
-    """
+    """Record blocks of a source at a nominal rate for ``seconds`` (None: all); see `daq.recorder.source.record`."""
     check_output(request)
     samples = None if seconds is None else count_samples(seconds, rate_hz)
     stop = stop or threading.Event()
@@ -142,7 +134,7 @@ def _write_blocks(
     lock: threading.Lock,
     progress: Callable[[float], None],
 ) -> "InputError | _SourceError | None":
-    """Write block after block until there are enough, or the source ends; return what it failed with."""
+    """Write blocks until there are enough, or the source ends; return the error that ended it."""
     failure: InputError | _SourceError | None = None
     reason = journal.COMPLETE
     try:
@@ -174,7 +166,7 @@ def _write_blocks(
 
 @contextlib.contextmanager
 def _syncing(writer: journal.Writer, place: JournalPlace, stop: threading.Event) -> Iterator[threading.Lock]:
-    """Sync a journal every second while a source is waited for; yield the lock that its writers take."""
+    """Sync a journal every second while waiting for a source; yield the lock that its writers take."""
     lock, ended = threading.Lock(), threading.Event()
 
     def sync() -> None:
@@ -203,7 +195,7 @@ class _WrongRateError(InputError):
 
 
 class _Items:
-    """The items of a source, which a thread takes, one whenever it is asked."""
+    """Takes the items of a source in a thread, one at each request."""
 
     def __init__(self, source: Iterable[Any]) -> None:
         self.asked = False  # for an item that has not come yet
@@ -228,7 +220,7 @@ class _Items:
             self._answers.put((None, error))
 
     def ask(self) -> None:
-        """Ask for the next item, unless one is waited for."""
+        """Request the next item, unless one is pending."""
         if not self.asked:
             self.asked = True
             self._questions.put(True)
@@ -244,13 +236,13 @@ class _Items:
         return item
 
     def close(self) -> None:
-        """Let the thread close a generator that has not ended by itself, as soon as it waits for no item."""
+        """Let the thread close a generator that has not ended by itself, as soon as no item is pending."""
         if not self._closed:
             self._closed = True
             self._questions.put(False)
 
     def end(self) -> None:
-        """Close the source, and wait until it is; not for one that still owes an item."""
+        """Close the source and wait for it, but not for one with a pending item."""
         blocked = self.asked
         self.close()
         if not blocked:
@@ -271,7 +263,7 @@ class _Block:
 
 
 class _Taking:
-    """Takes the blocks of a source, checked; after the last one ``ended`` is the reason, as in a journal."""
+    """Takes the blocks of a source and checks them; after the last one ``ended`` is the reason, as in a journal."""
 
     def __init__(self, source: Iterable[Any], rate_hz: float, stop: threading.Event, patience_s: float | None) -> None:
         self.taken = 0  # samples
@@ -285,7 +277,6 @@ class _Taking:
 
     @property
     def taken_s(self) -> float:
-        """Seconds taken."""
         return self._last_s - self._first_s + 1 / self.rate_hz
 
     def next(self) -> _Block | None:
@@ -307,7 +298,7 @@ class _Taking:
         return None
 
     def _is_over(self, began: float) -> bool:
-        """Return whether to wait no longer; a block that was asked for before the stop has `LEAVE_S` to come."""
+        """Return whether to stop waiting; a block that was requested before the stop has `LEAVE_S` to come."""
         if self.stop.is_set():
             self._stopped_s = self._stopped_s or time.monotonic()
             if not self.items.asked or time.monotonic() - self._stopped_s > LEAVE_S:

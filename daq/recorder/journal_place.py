@@ -14,14 +14,7 @@ from daq.runfile import journal
 
 
 class JournalPlace:
-    """The place of a journal while it is written, and of the run file that is made of it.
-
-    writer: The journal.
-    output: The run file that was asked for.
-    say: Called with a line of text when the place has changed, or could not.
-    output: The run file as it will be called now.
-    changes: What happened, one sentence each.
-    """
+    """Follows the journal and its run file (``output``) while it is written; ``changes`` are sentences about moves."""
 
     def __init__(self, writer: journal.Writer, output: Path, say: Callable[[str], None]) -> None:
         self.output = output
@@ -53,7 +46,7 @@ class JournalPlace:
         return True
 
     def _copy_elsewhere(self) -> bool:
-        """Copy the journal to another folder; False where none takes it."""
+        """Copy the journal to another folder; False where none accepts it."""
         reasons = ""
         for folder in self._folders():
             try:
@@ -81,7 +74,7 @@ def _is_same(one: Path, other: Path) -> bool:
 
 
 def _find_free_name(output: Path) -> Path:
-    """Return the name of a journal beside which there is no such run file, and no such journal."""
+    """Return the name of a journal in a folder that has neither that journal nor its run file."""
     names = itertools.chain([output.name], (f"{output.stem}-{k}{output.suffix}" for k in itertools.count(2)))
     for name in names:
         run = output.with_name(name)

@@ -12,13 +12,7 @@ DO = "use {n}, {n:03} or {date}, as in 'run-{n:03}.h5'; for a brace itself write
 
 
 def complete_name(path: Path) -> Path:
-    """Return an output path with its fields filled in; a path without braces is returned as it is.
-
-    path: ``{n}`` in the file's name becomes one more than the largest number of the run files and journals of that
-        pattern in the folder, from 1, with a format such as ``{n:03}``; ``{date}`` becomes the local date and time,
-        ``20240501-143000``.
-    Raises InputError: A field of another name, a format that numbers do not have, or a field in the name of the folder.
-    """
+    """Fill in the fields of a file name: {n} is the next free number in the folder, {date} the local time."""
     if "{" not in path.name and "}" not in path.name:
         if "{" in str(path.parent):
             raise InputError("a field stands in the folder's name", str(path), "use fields in the file's name alone")

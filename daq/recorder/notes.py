@@ -27,10 +27,7 @@ class NoteFlags:
     ] = None
 
     def collect(self) -> dict[str, Any]:
-        """Return the notes that were given, by the attributes of `daq.runfile.recording.Recording`.
-
-        Raises InputError: A tag that is not NAME=VALUE, or text that a file cannot hold.
-        """
+        """Return the notes that were given, by the attributes of `daq.runfile.recording.Recording`."""
         typed = {"title": self.title, "operator": self.operator, "sample_name": self.sample, "note": self.note}
         values: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
         for name, value in values.items():
@@ -44,7 +41,6 @@ NO_NOTES = NoteFlags()
 
 
 def parse_tags(typed: list[str]) -> dict[str, str]:
-    """Return tags typed as NAME=VALUE by name; InputError for one that is not, or a name given twice."""
     values: dict[str, str] = {}
     for text in typed:
         name, equals, value = text.partition("=")
@@ -60,7 +56,6 @@ def parse_tags(typed: list[str]) -> dict[str, str]:
 
 
 def check_text(text: str, flag: str) -> None:
-    """Raise InputError for text that a file or a page cannot show, or that is too long."""
     if not all(character.isprintable() or character in "\n\t" for character in text):
         raise InputError("the text has characters that cannot be printed", flag, "leave them out")
     if len(text) > LONGEST:

@@ -56,11 +56,7 @@ def waits_for_reader(url: str) -> bool:
 
 
 def open_port(url: str, baud: int = BAUD) -> Port:
-    """Open a port for reading and writing; reads return after `READ_TIMEOUT_S` with what came.
-
-    Raises DeviceError: the port does not exist, is held by another program, or may not be opened.
-    Raises InputError: the URL has an unknown scheme, or the simulated rig's scene is wrong.
-    """
+    """Open a port for reading and writing; reads return after `READ_TIMEOUT_S` with the bytes that came."""
     import serial
 
     do = "give a device ('daq ports' lists them), rig://SCENE, socket://HOST:PORT, rfc2217://HOST:PORT or loop://"
@@ -84,10 +80,7 @@ def open_port(url: str, baud: int = BAUD) -> Port:
 
 
 def _ask_for_low_latency(port: object) -> None:
-    """Ask the driver of a USB serial chip to pass bytes on within 1 ms, where it would collect them for 16 ms.
-
-    Linux only, and not with every driver.  Without it only the clock comparison is less precise.
-    """
+    """Ask the driver of a USB serial chip (on Linux) to pass bytes on within 1 ms, not 16 ms."""
     ask = getattr(port, "set_low_latency_mode", None)
     if ask is not None:
         with contextlib.suppress(ValueError, OSError, NotImplementedError):
@@ -95,11 +88,7 @@ def _ask_for_low_latency(port: object) -> None:
 
 
 def line_baud(url: str, port: Port) -> int | None:
-    """Return the baud rate that limits a port, or None for a URL, which has none.
-
-    A /dev/ttyACM has one, too: on most boards a second chip forwards its bytes through a serial line.  So has the
-    serial line at the other end of rfc2217://.
-    """
+    """Return the baud rate that limits a port, also of a ttyACM, often a second chip's line; None for a URL."""
     if "://" in url and not url.lower().startswith(REMOTE_LINE):
         return None
     baud: int | None = getattr(port, "baudrate", None)

@@ -42,7 +42,6 @@ class Waiting:
         self.begin()
 
     def begin(self) -> None:
-        """Wait from now on."""
         self._waited, self._last = 0.0, time.monotonic()
 
     def step(self) -> float:
@@ -54,19 +53,7 @@ class Waiting:
 
 
 class Reader(threading.Thread):
-    """Start the board, read until enough samples came or `stop` is called, stop the board, read the rest.
-
-    board: Prepared, not started.
-    reopen: Opens the port again and returns a prepared session; raises StickslipError or OSError while it cannot.
-    rate_hz, samples: Samples per second, and in all.
-    say: Called with a line of text when the port is lost and when it is available again.
-    items: Journal records in order; None ends them.
-    tally: Progress of the stream.
-    heard: Bytes received since the start.
-    failure: Error that ended the thread early.
-    ended: One of the words in `daq.runfile.journal`: "complete", "stopped", "board stopped" (with a NOTICE), "port
-        lost".
-    """
+    """Starts the board, reads until enough samples came or `stop` is called, stops the board, reads the rest."""
 
     def __init__(
         self,
@@ -148,7 +135,6 @@ class Reader(threading.Thread):
         self._finish()
 
     def _explain_silence(self, heard: int) -> str:
-        """Return what is wrong with a board that gave so many bytes in `SILENT_S`, and no new sample."""
         if heard:
             return f"no new sample in the {heard} bytes that came in {SILENT_S:g} s"
         return f"nothing came for {SILENT_S:g} s"

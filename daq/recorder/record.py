@@ -51,10 +51,7 @@ class RecordingInterruptedError(StickslipError):
 
 
 class StopRequest(threading.Event):
-    """Ends a recording when it is set.
-
-    reason: For the journal: "stopped" for a person who has enough, else the name of the signal.
-    """
+    """Ends a recording when it is set; ``reason`` is "stopped" or the name of a signal, for the journal."""
 
     reason = journal.STOPPED
     _asked = False
@@ -97,7 +94,7 @@ def check_output(request: RecordRequest) -> None:
 
 
 def journal_exists(part: Path) -> InputError:
-    """Return the error of a journal that is there already: another recorder's, or one that was left."""
+    """Return the error of a journal that exists already: another recorder's, or an unfinished one."""
     if claim.is_locked(part):
         what, do = claim.in_use(part)
         return InputError(what, str(part), f"give another -o, or {do}", python="give another output, or wait for it")
@@ -124,21 +121,7 @@ def record(
     say: Callable[[str], None] = lambda line: None,
     stop: threading.Event | None = None,
 ) -> "RecordingQuality":
-    """Record a run into ``request.output``, or where its folder has gone meanwhile (`daq.recorder.journal_place`).
-
-    progress: Called with the seconds recorded so far, many times a second.
-    status: Called with the rate at which samples come, and those lost and illegal, in words, as often.
-    say: Called with a line of text for the user: the identity of the board, a lost port.
-    stop: Ends the recording when it is set (a `StopRequest` gives the reason); the data received so far become the
-        file.
-    Raises InputError: the request is wrong, the file exists, or board and line cannot carry it; nothing has been
-        touched.  Or the file exists by the end of the recording, and the journal stays. The simulated rig's scene
-        cannot be played; nothing is left behind.
-    Raises DeviceError: the port cannot be opened or does not answer; or the disk refuses, and the journal stays.
-    Raises DataError: not one sample came.
-    Raises RecordingInterruptedError: keyboardInterrupt came, and the journal stays; or ``stop`` was set before the
-        first sample came, and nothing is left behind.
-    """
+    """Record a run into ``request.output``, or where its folder was moved meanwhile, until ``stop``."""
     check_request(request)
     board, identity, plan, warnings, calibration = _connect(request)
     stop = stop or threading.Event()
@@ -195,7 +178,7 @@ def record(
 
 @contextmanager
 def keep_journal(writer: journal.Writer) -> Iterator[None]:
-    """Close a journal at the end, and say where it is kept after an interrupt or when a disk refuses."""
+    """Close a journal at the end; after an interrupt or a refusing disk the error says where it is kept."""
     try:
         yield
     except KeyboardInterrupt as error:
@@ -215,7 +198,7 @@ def keep_journal(writer: journal.Writer) -> Iterator[None]:
 
 
 def make_run(request: RecordRequest, writer: journal.Writer, place: JournalPlace) -> "RecordingQuality":
-    """Make the run file; once more where the folder goes away meanwhile."""
+    """Make the run file; once more where the folder is moved meanwhile."""
     from daq.finalise.run import finalise
 
     while True:
@@ -270,12 +253,7 @@ def _connect(request: RecordRequest) -> _Connected:
 
 
 def _replace_calibration(request: RecordRequest, identity: Identity) -> str | None:
-    """Return the calibration that replaces the one sent by the board; None where nothing replaces it.
-
-    Where the board sends measured numbers, a count is metres by their unit, of a force by the spring's stiffness.
-
-    Raises InputError: for forces of a spring of unknown stiffness, and metres per count beside numbers with a unit.
-    """
+    """Return the calibration that replaces the board's, with a pitch from measured units or forces; else None."""
     dimension, size = identity.measured or ("", 0.0)
     if not request.stated and not dimension:
         return request.calibration
@@ -377,7 +355,7 @@ def _write_records(
 
 
 def _dismiss(reader: Reader) -> None:
-    """Let the reader end: empty its queue, so that it never waits for this thread, until it is gone."""
+    """Empty the reader's queue until it ends, so that it never waits for this thread."""
     deadline = time.monotonic() + LEAVE_S
     while reader.is_alive() and time.monotonic() < deadline:
         try:

@@ -28,11 +28,7 @@ def decode_belt(
     rate_hz: float,
     rig: Rig,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]] | tuple[None, None]:
-    """Return the belt's count and speed, as `unwrap_count` and `compute_velocity` do.
-
-    Both are None if the board sends no belt counts, or if their metres per count are unknown; the data sent remain in
-    the raw columns.
-    """
+    """Return the belt's count and speed; both None if the board sends no belt counts or their pitch is unknown."""
     pitch = rig.belt_metres_per_count
     if values is None or pitch is None:
         return None, None
@@ -41,7 +37,7 @@ def decode_belt(
 
 
 class BeltCount:
-    """The belt's count without roll-over, each segment beginning at its own first reading, piece by piece."""
+    """The belt's count without roll-over, each segment starting at its own first reading, piece by piece."""
 
     def __init__(self) -> None:
         self._last: tuple[int, int] | None = None  # reading and count
@@ -49,10 +45,7 @@ class BeltCount:
     def take(
         self, values: NDArray[np.integer], begins: NDArray[np.bool_], bits: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Return the count of the next readings, (n,), each as sent modulo 2^bits; ``begins``: the first of a segment.
-
-        ``bits`` is the width of the counter at each of them, (n,).
-        """
+        """Return the count of the next readings, (n,), sent modulo 2^bits; ``begins`` marks the first of a segment."""
         readings = values.astype(np.int64)
         first, begins = readings.copy(), begins.copy()
         if self._last is not None:
@@ -67,12 +60,7 @@ class BeltCount:
 
 
 def unwrap_count(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the belt's count without roll-over, (n,), each segment beginning at its own first reading.
-
-    values: (n,) As sent, modulo 2^bits.
-    bits: Width of the counter.
-    starts: (s,) First sample of each segment: nothing is carried over.
-    """
+    """Return the belt's count without roll-over, (n,); each segment starts at its own first reading."""
     begins = np.zeros(len(values), dtype=np.bool_)
     begins[starts] = True
     return BeltCount().take(values, begins, np.full(len(values), bits))
@@ -85,10 +73,7 @@ def compute_velocity(
     rate_hz: float,
     metres_per_count: float,
 ) -> NDArray[np.float64]:
-    """Return the belt's mean speed over `SPAN_S` about each sample, m/s, signed, (n,).
-
-    At the ends of a segment the span is cut short; a segment of one sample has speed 0.
-    """
+    """Return the belt's mean speed over `SPAN_S` around each sample, m/s, shorter at the ends of a segment, (n,)."""
     pieces = list(yield_velocities(count, time, starts, rate_hz, metres_per_count))
     return np.concatenate([np.zeros(0), *pieces])
 
@@ -100,7 +85,7 @@ def yield_velocities(
     rate_hz: float,
     metres_per_count: float,
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield the same piece by piece; count and time may be columns (`daq.runfile.spill.Column`)."""
+    """Yield the speeds of `compute_velocity` piece by piece; count and time may be `daq.runfile.spill.Column`."""
     half = max(1, round(SPAN_S * rate_hz / 2))
     for first, last in pairwise([*starts.tolist(), len(count)]):
         if last - first < 2:

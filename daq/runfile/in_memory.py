@@ -42,7 +42,7 @@ def from_arrays(
     belt_position: "ArrayLike | None" = None,
     title: str = "",
 ) -> Made:
-    """Return a run made of arrays by ``make``, its class; see `daq.runfile.recording.Recording.from_arrays`."""
+    """Make a run of arrays by ``make``, its class; see `daq.runfile.recording.Recording.from_arrays`."""
     from daq.runfile import provenance
 
     check_type(title, str, "title", "from_arrays", "text")
@@ -95,10 +95,7 @@ def from_arrays(
 
 
 def read_counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: str) -> Integers | None:
-    """Return positions as counts: whole numbers of any type with a pitch, integers without; None where they are metres.
-
-    Raises InputError: there is a pitch, and the values are no whole numbers.
-    """
+    """Return positions as counts: whole numbers with a pitch, integers without; None where they are metres."""
     if values.dtype.kind in "iu":
         return np.asarray(values, np.int64)
     if pitch is None:
@@ -112,14 +109,7 @@ def read_counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: st
 
 
 def add_belt(run: Made, belt: Array) -> Made:
-    """Return a run with the positions of its belt as counts.
-
-    The count is the last decimal of the positions, `FINEST_DECIMALS` at most, so that rounded readings are counts of
-    their own rounding.
-
-    run: Of n samples.
-    belt: (n,) Positions of the belt, m, positive towards +x.
-    """
+    """Return a run with positions of its belt, (n,) m, as counts of their last decimal: of their own rounding."""
     pitch = find_last_decimal(belt)
     count = np.rint(belt / pitch).astype(np.int64)
     speed = belt_counter.compute_velocity(count, run.time, np.array([0]), run.rate_hz, pitch)

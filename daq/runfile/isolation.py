@@ -32,20 +32,11 @@ PATIENCE = 10
 
 
 class BrokenOffError(Exception):
-    """The child ended without an answer; the text says how: it crashed, or took too much time or memory."""
+    """The child ended without an answer; the text says how: it crashed, or exceeded its time or memory."""
 
 
 def run_isolated(work: Work, path: Path, seconds: float, memory: int) -> bytes:
-    """Return ``work(path)``, done in a child process.
-
-    work: A function of a module, which takes the path and returns bytes.
-    path: The file that it works on.
-    seconds: CPU time that it may take, s.
-    memory: Bytes that it may take (on Linux).
-    Raises InputError: what ``work`` raises.
-    Raises BrokenOffError: the child crashed, or was ended by one of the limits.
-    Raises RuntimeError: any other exception of ``work``, as text.
-    """
+    """Return ``work(path)`` from a child limited in CPU time, s, and (on Linux) in memory, bytes."""
     answer = (_fork if sys.platform == "linux" else _spawn)(work, path, seconds, memory)
     kind, content = answer[:1], answer[1:]
     if kind == DONE:
@@ -62,7 +53,6 @@ def run_isolated(work: Work, path: Path, seconds: float, memory: int) -> bytes:
 
 
 def _do_work(work: Work, path: Path, seconds: float, memory: int) -> bytes:
-    """Do the work in the child."""
     faulthandler.disable()
     _limit_resources(seconds, memory)
     try:
@@ -133,7 +123,7 @@ def _be_child(
 
 
 def _read_until_closed(reading: int, until: float) -> bytes | None:
-    """Return what comes through a pipe until it is closed; None past a time of the monotonic clock."""
+    """Return the bytes of a pipe; None past ``until`` on the monotonic clock."""
     poll = select.poll()
     poll.register(reading, select.POLLIN)
     parts: list[bytes] = []
@@ -146,7 +136,7 @@ def _read_until_closed(reading: int, until: float) -> bytes | None:
 
 
 def _spawn(work: Work, path: Path, seconds: float, memory: int) -> bytes:
-    """Return what `_fork` returns, of a new interpreter."""
+    """Return what `_fork` returns, from a new interpreter."""
     words = (work.__module__, work.__qualname__, str(path), repr(seconds), str(memory))
     null = subprocess.DEVNULL
     with start_python(__name__, *words, stdin=null, stdout=subprocess.PIPE, stderr=null) as child:

@@ -32,15 +32,12 @@ class FittedRun:
 
 
 def name_output(files: Sequence[Path], suffix: str = SUFFIX) -> Path:
-    """Return the name of an output of several runs, beside the first: ``run1+2.fit.h5`` for three runs."""
+    """Return the name of an output of several runs, next to the first: ``run1+2.fit.h5`` for three runs."""
     return files[0].with_name(f"{files[0].stem}+{len(files) - 1}{suffix}")
 
 
 def refuse_foreign_file(path: Path, runs: Sequence[FittedRun], *, force: bool = False) -> None:
-    """Raise InputError when ``path`` may not be written: not without ``force``, unless it is the fit of these runs.
-
-    Which of the runs is named first does not matter.
-    """
+    """Raise InputError for a file that exists, unless with ``force`` or if it is the fit of these runs in any order."""
     atomic.refuse_existing(path, True, *(run.file for run in runs))
     if not path.exists() or force:
         return
@@ -54,13 +51,7 @@ def refuse_foreign_file(path: Path, runs: Sequence[FittedRun], *, force: bool = 
 
 
 def write(path: Path, runs: Sequence[FittedRun], writer: Callable[[h5py.Group], None], *, force: bool = False) -> None:
-    """Write the fit of several runs; an older one of the same runs is replaced.
-
-    writer: Takes /entry, open for writing, and adds the group ``fit`` and those beside it.
-    force: Replace any other file too, except the runs themselves.
-    Raises InputError: as `refuse_foreign_file`.
-    Raises RefusedError: the disk refuses; an older file still stands.
-    """
+    """Write the fit of several runs in place of an older one; ``writer`` takes /entry and adds the group ``fit``."""
     refuse_foreign_file(path, runs, force=force)
     with atomic.replacing(path, force=True) as temporary, disk.open_hdf5(temporary, "w") as file:
         file.attrs.update({"NX_class": "NXroot", "default": "entry", "creator": f"stickslip {VERSION}"})
@@ -80,10 +71,7 @@ def write(path: Path, runs: Sequence[FittedRun], writer: Callable[[h5py.Group], 
 
 @contextmanager
 def open_joint_fit(path: Path) -> Iterator[h5py.Group]:
-    """Open the file of a joint fit for reading, and give its /entry.
-
-    Raises InputError: for a file that is none, of another schema, or not to be trusted.
-    """
+    """Open the file of a joint fit for reading, and yield its /entry."""
     wrong = InputError("is not the file of a joint fit", str(path), "give one that fit-friction wrote")
     try:
         file = trust.open_trusted(path)

@@ -68,7 +68,7 @@ SOURCE_ENDED, SOURCE_FAILED, SOURCE_SILENT = "source ended", "source failed", "s
 
 
 class Records:
-    """Records of a journal, read from its file each time they are looked at: their bytes are in no memory."""
+    """Records of a journal, read from its file each time they are used."""
 
     def __init__(self, path: Path, places: "array[int]", kinds: bytes) -> None:
         self.path, self.kinds = path, kinds
@@ -81,7 +81,6 @@ class Records:
         return self.at(range(len(self)))
 
     def at(self, numbers: Iterable[int]) -> Iterator[Record]:
-        """Yield the records of these numbers."""
         with self.path.open("rb", buffering=0) as file:
             content = Content(file)
             for number in numbers:
@@ -91,33 +90,22 @@ class Records:
                 yield record
 
     def of_kind(self, *kinds: int) -> Iterator[Record]:
-        """Yield the records of these kinds."""
         return self.at(number for number, kind in enumerate(self.kinds) if kind in kinds)
 
 
 @dataclass(frozen=True)
 class Journal:
-    """A journal as read: its header and the records after it.
-
-    ``lost_tail`` is the bytes of a last record that was cut short, ``damaged`` those of everything else that did not
-    hold.
-    """
+    """A journal as read: its header and the records after it."""
 
     path: Path
     header: dict[str, Any]
     records: Records
-    lost_tail: int
-    damaged: int = 0
+    lost_tail: int  # bytes of a last record that was cut short
+    damaged: int = 0  # bytes of everything else that is not a whole record
 
 
 class Writer:
-    """Append records to a new journal; synced to disk each second.
-
-    path: Where the journal is; `move` changes it.
-    locked: False where the file system has no locks: nothing then keeps another process from finishing the journal.
-    Raises FileExistsError: when the file exists: a journal is never overwritten.
-    Raises OSError: when the disk refuses: full, read-only, gone.
-    """
+    """Appends records to a new journal, synced to disk each second."""
 
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
         self.path = path
@@ -134,7 +122,7 @@ class Writer:
 
     @property
     def locked(self) -> bool:
-        """Whether the journal is locked."""
+        """Whether the journal is locked; False where the file system has no locks."""
         return self._lock is not None
 
     def append(self, kind: int, stamp_ns: int, data: bytes) -> None:
@@ -147,10 +135,7 @@ class Writer:
             self._append_header()
 
     def tick(self) -> bool:
-        """Hand what was appended to the system; sync when the last time is a second ago.  Called often.
-
-        Returns: Whether it was synced.
-        """
+        """Flush; sync when the last sync was a second ago, and return whether it was synced."""
         self._file.flush()
         due = time.monotonic() - self._synced >= SYNC_EVERY_S
         if due:
@@ -158,7 +143,7 @@ class Writer:
         return due
 
     def is_asked_to_stop(self) -> bool:
-        """Return whether somebody has put a file beside the journal that asks to stop (`stop_path`), and remove it."""
+        """Return whether the file that asks to stop (`stop_path`) exists, and remove it."""
         stop_file = stop_path(self.path)
         if not stop_file.exists():
             return False
@@ -167,7 +152,6 @@ class Writer:
         return True
 
     def sync(self) -> None:
-        """Put everything appended so far on the disk."""
         self._file.flush()
         os.fsync(self._file.fileno())
         self._synced = time.monotonic()
@@ -181,7 +165,7 @@ class Writer:
         return os.path.samestat(named, opened)
 
     def now_at(self) -> Path | None:
-        """Return the journal's name after it was renamed; None where it has none any more, or cannot be known."""
+        """Return the journal's name after it was renamed; None where it has no name any more, or it is unknown."""
         try:  # Linux
             path = Path(os.readlink(f"/proc/self/fd/{self._file.fileno()}"))
         except OSError:
@@ -189,10 +173,7 @@ class Writer:
         return path if self.is_at(path) else None
 
     def move(self, path: Path) -> None:
-        """Write on in another file, a copy of this one: for a journal whose name is gone.
-
-        Raises OSError: the new file exists or cannot be written; the journal stays what it was.
-        """
+        """Continue in another file, a copy of this one, for a journal whose name is gone; OSError changes nothing."""
         file, lock = _create(path)
         try:
             self._file.seek(0)
@@ -278,11 +259,7 @@ def read_header(path: Path) -> dict[str, Any]:
 
 
 def read(path: Path) -> Journal:
-    """Read a journal, whole or cut short.
-
-    Raises InputError: when the file is missing, is no journal, has no header that can be read, or one that cannot be
-        true.
-    """
+    """Read a journal, whole or cut short."""
     with _open(path) as file:
         return _read(path, Content(file))
 
@@ -327,7 +304,7 @@ def _read(path: Path, content: Content) -> Journal:
 
 
 def end_reason(record: Record) -> str:
-    """Return how a recording ended, by its last record; "" where that does not say it."""
+    """Return how a recording ended, by its last record; "" where that is unknown."""
     try:
         reason = json.loads(record.data)["reason"]
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -336,12 +313,10 @@ def end_reason(record: Record) -> str:
 
 
 def make_missing_error(path: Path) -> InputError:
-    """Return the error of a journal that does not exist."""
     return InputError("no such journal", str(path), "give the .part file that the recording left")
 
 
 def make_folder_error(path: Path) -> InputError:
-    """Return the error of a folder in a journal's place."""
     return InputError("is a folder", str(path), "give the .part file that the recording left")
 
 
@@ -354,7 +329,7 @@ def _make_header_error(path: Path, size: int, received: int) -> InputError:
 
 
 def markers_path(run: Path) -> Path:
-    """Return where the markers of ``run`` (the .h5 or its .part) are."""
+    """Return the file of the markers of ``run`` (the .h5 or its .part)."""
     return run.with_name(run.name.removesuffix(".part") + ".markers")
 
 
@@ -364,10 +339,7 @@ def stop_path(run: Path) -> Path:
 
 
 def read_markers(path: Path) -> tuple[tuple[int, str], ...]:
-    """Return the markers, stamp in monotonic ns and text, in order of time; none when there is no such file.
-
-    A line that is not a marker (its writer was killed within it) is left out.
-    """
+    """Return the markers, stamp in monotonic ns and text, by time; damaged lines are left out."""
     if not path.exists():
         return ()
     markers = []

@@ -89,12 +89,7 @@ _DEFAULTS: dict[str, Any] = {
 
 
 def parse(text: bytes, path: Path) -> dict[str, Any]:
-    """Return a header; its texts are `stickslip.text.storable`.
-
-    text: JSON.
-    path: The journal, for the message.
-    Raises InputError: it is no JSON object, or one of its fields cannot be true.
-    """
+    """Parse a header from JSON; its texts are `stickslip.text.storable`."""
     try:
         header = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -110,7 +105,6 @@ def parse(text: bytes, path: Path) -> dict[str, Any]:
 
 
 def _storable(value: Any) -> Any:
-    """Return a field with its texts as a run file can hold them (`stickslip.text.storable`)."""
     if isinstance(value, str):
         return storable(value)
     if isinstance(value, list):
@@ -119,7 +113,7 @@ def _storable(value: Any) -> Any:
 
 
 def complete(header: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return a header with every field that a run file needs; InputError where one is missing."""
+    """Return a header with every field that a run file needs."""
     header = _DEFAULTS | header
     for name in _FIELDS:
         if name not in header:

@@ -50,7 +50,7 @@ class Record:
 
 
 class Place(NamedTuple):
-    """A record in a journal's bytes: where it begins, the record, and whether its CRC holds."""
+    """A record in a journal's bytes: its offset, the record, and whether its CRC holds."""
 
     at: int
     record: Record
@@ -64,10 +64,7 @@ def pack(kind: int, stamp_ns: int, data: bytes) -> tuple[bytes, bytes, bytes]:
 
 
 class Content:
-    """The bytes of a journal, of which a window is in memory; slices of it are bytes.
-
-    source: The file must be open for reading; its length is that of this moment.
-    """
+    """The bytes of a journal open for reading, of which a window is in memory; slices of it are bytes."""
 
     def __init__(self, source: bytes | IO[bytes]) -> None:
         self._file = None if isinstance(source, bytes) else source
@@ -91,7 +88,7 @@ class Content:
         return self._window[first - self._begin : last - self._begin]
 
     def head(self, offset: int) -> tuple[int, int, int] | None:
-        """Return kind, length and stamp of the record that may begin at a place; None where none fits."""
+        """Return kind, length and stamp of the record that may begin at an offset; None where none fits."""
         if offset + _HEAD.size > self._size:
             return None
         kind, length, stamp = _HEAD.unpack(self[offset : offset + _HEAD.size])
@@ -100,11 +97,7 @@ class Content:
         return kind, length, stamp
 
     def holds(self, begin: int, end: int) -> bool:
-        """Return whether the CRC after a range is that of the range.
-
-        Every range is summed byte by byte until that has failed too often; then by what the sums of the bytes before
-        its two ends differ in.
-        """
+        """Return whether the CRC after a range is right; after many failures by sums of the bytes before."""
         stated: int = _CRC.unpack(self[end : end + _CRC.size])[0]
         if end - begin <= _SUM_EVERY or self._in_vain + end - begin <= _FREE_BYTES + begin:
             right = self._sum(0, begin, end) == stated
@@ -118,7 +111,7 @@ class Content:
         return crc
 
     def _sum_before(self, offset: int) -> int:
-        """Return the CRC of all bytes before a place."""
+        """Return the CRC of all bytes before an offset."""
         while (summed := len(self._sums) * _SUM_EVERY) <= offset:
             self._sums.append(crc32(self[summed - _SUM_EVERY : summed], self._sums[-1]))
         mark = offset // _SUM_EVERY
@@ -126,13 +119,13 @@ class Content:
 
 
 def wrong_in_magic(content: Content) -> int | None:
-    """Return how many bytes of the magic line are damaged; None where the content is no journal."""
+    """Return how many bytes of the magic line are damaged; None where the content is not a journal."""
     right = sum(byte == wanted for byte, wanted in zip(content[: len(MAGIC)], MAGIC, strict=False))
     return len(MAGIC) - right if right >= _MAGIC_HOLDS else None
 
 
 def scan(content: Content) -> Iterator[Place]:
-    """Yield the records in a journal's bytes, passing over what is none."""
+    """Yield the records in a journal's bytes, skipping everything else."""
     offset: int | None = len(MAGIC)
     while offset is not None and offset + _HEAD.size <= len(content):
         record = read_record(content, offset)
@@ -147,10 +140,7 @@ def scan(content: Content) -> Iterator[Place]:
 
 
 def _find_next(content: Content, begin: int) -> int | None:
-    """Return the first place from ``at`` on at which a whole record begins; None where there is none.
-
-    A record begins with its kind: only bytes that are one are looked at.
-    """
+    """Return the first offset from ``offset`` on at which a whole record begins; only bytes of a kind are tried."""
     for first in range(begin, len(content), _WINDOW):
         for match in _KIND.finditer(content[first : first + _WINDOW]):
             if _is_record(content, first + match.start()):
@@ -159,11 +149,7 @@ def _find_next(content: Content, begin: int) -> int | None:
 
 
 def header(content: Content, places: Iterable[Place]) -> Record | None:
-    """Return a journal's header: the first copy that holds, or a single copy in which one byte was wrong.
-
-    content: The journal.
-    found: Its records; the first one that holds and the first header are enough.
-    """
+    """Return a journal's header: the first copy whose CRC holds, or a single copy in which one byte was wrong."""
     following = len(content)
     for place in places:
         if place.record.kind == HEADER:
@@ -176,7 +162,7 @@ def header(content: Content, places: Iterable[Place]) -> Record | None:
 
 
 def is_cut_short(content: Content, offset: int) -> bool:
-    """Return whether what begins at a place, and holds no record, is a record whose end is missing."""
+    """Return whether the bytes at an offset, which hold no record, are a record whose end is missing."""
     if offset + _HEAD.size > len(content):
         return True
     kind, length, _ = _HEAD.unpack(content[offset : offset + _HEAD.size])
@@ -196,7 +182,7 @@ def _read_damaged(content: Content, offset: int) -> Record | None:
 
 
 def read_record(content: Content, offset: int, *, whole: bool = True) -> Record | None:
-    """Return the record that begins at a place, or None when none does; ``whole``: its CRC must hold."""
+    """Return the record that begins at an offset, or None when none does; ``whole``: its CRC must hold."""
     head = content.head(offset)
     if head is None or (whole and not content.holds(offset, offset + _HEAD.size + head[1])):
         return None
@@ -210,11 +196,7 @@ def _is_record(content: Content, offset: int) -> bool:
 
 
 def _correct_byte(damaged: bytes) -> Record | None:
-    """Return the header that these bytes are, but for one wrong byte; None where more is wrong.
-
-    A CRC is linear: what it is off by is the CRC of the error alone.  The register is run backwards from there, byte by
-    byte, until it is that of a single byte.
-    """
+    """Return the header with one wrong byte corrected, by running the CRC's register, which is linear, backwards."""
     end = len(damaged) - _CRC.size
     if not _HEAD.size <= end <= _LONGEST_HEADER:
         return None
@@ -233,7 +215,7 @@ def _correct_byte(damaged: bytes) -> Record | None:
 
 
 def _as_header(text: bytes) -> Record | None:
-    """Return the record of these bytes, its CRC left out; None where they are no header."""
+    """Return the record of these bytes, its CRC left out; None where they are not a header."""
     record = read_record(Content(text + _CRC.pack(crc32(text))), 0)
     if record is None or record.kind != HEADER or record.size != len(text) + _CRC.size:
         return None

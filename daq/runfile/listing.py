@@ -20,7 +20,7 @@ VERDICT, PART = "fit/parameters/verdict", "fit/parameters/part"
 
 @dataclass(frozen=True)
 class RunRow:
-    """One run, or the joint fit of several; None where the file does not say."""
+    """One run, or the joint fit of several; None where the file does not contain it."""
 
     file: Path  # the run file, the journal of a recording that has not ended, or the file of a joint fit
     # Title, time of the first sample (ISO 8601 with zone; of a joint fit, of its first run), who recorded, what was
@@ -43,12 +43,7 @@ class RunRow:
 
 
 def list_runs(folders: Sequence[Path]) -> list[RunRow]:
-    """Return the runs and unfinished recordings in folders, oldest first; those without a date last.
-
-    A joint fit comes after its first run.
-
-    Raises InputError: for a folder that is not there or cannot be read.
-    """
+    """Return the runs and unfinished recordings in folders, oldest first; a joint fit after its first run."""
     rows = []
     for folder in folders:
         try:

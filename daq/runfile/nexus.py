@@ -35,16 +35,7 @@ def group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -> h5
 
 
 def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **attributes: Any) -> h5py.Dataset:
-    """Write one field.
-
-    parent: Where it goes.
-    name: Its name.
-    data: What HDF5 cannot hold of a text is escaped (`stickslip.text.storable`). Arrays are stored in their own type,
-        chunked by 16384, with gzip, shuffle and a checksum per chunk.
-    units: Stored as ``@units``; a float without units is refused; "" means dimensionless.
-    **attributes: Further attributes.
-    Raises ValueError: for a float field without units.
-    """
+    """Write one field, arrays chunked and compressed; a float without ``units`` ("": dimensionless) is a ValueError."""
     if isinstance(data, str):
         dataset = parent.create_dataset(name, data=storable(data), dtype=h5py.string_dtype())
     elif isinstance(data, list | tuple) and data and isinstance(data[0], str):
@@ -72,7 +63,7 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
 def column(
     parent: h5py.Group, name: str, n: int, dtype: str, units: str | None, *, growing: bool = False, **attributes: Any
 ) -> h5py.Dataset:
-    """Make a column of ``n`` numbers yet to be written, stored as `field` stores one; a growing one begins empty."""
+    """Make a column of ``n`` numbers yet to be written, stored as `field` stores one; a growing one starts empty."""
     shape, maximum = ((0,), (None,)) if growing else ((n,), None)
     dataset = parent.create_dataset(
         name, shape, dtype, maxshape=maximum, chunks=(min(n, CHUNK),), track_times=False, **FILTERS
@@ -96,13 +87,11 @@ def add_link(parent: h5py.Group, name: str, target: h5py.Dataset) -> None:
 
 
 def check_length(length: int, n: int, name: str, where: Path) -> None:
-    """Refuse a column of ``length`` values where ``n`` belong."""
     if length != n:
         raise InputError(f"/entry/{name} has {length} values where {n} belong", str(where), AGAIN)
 
 
 def read_group(parent: h5py.Group, name: str, where: Path) -> h5py.Group:
-    """Return the group ``name``."""
     item = parent.get(name)
     if not isinstance(item, h5py.Group):
         raise InputError(f"has no group /{name}", str(where), AGAIN)
@@ -110,7 +99,6 @@ def read_group(parent: h5py.Group, name: str, where: Path) -> h5py.Group:
 
 
 def read_dataset(entry: h5py.Group, name: str, where: Path) -> h5py.Dataset:
-    """Return the dataset ``name``."""
     item = entry.get(name)
     if not isinstance(item, h5py.Dataset):
         raise InputError(f"has no /entry/{name}", str(where), AGAIN)
@@ -118,7 +106,7 @@ def read_dataset(entry: h5py.Group, name: str, where: Path) -> h5py.Dataset:
 
 
 def read_array(entry: h5py.Group, name: str, dtype: Any, where: Path, selected: slice = EVERY) -> Any:
-    """Return a column of numbers, or ``own`` rows of it, as ``dtype``; integers are never read out of floats."""
+    """Return a column of numbers, or ``selected`` rows, as ``dtype``; integers are never read out of floats."""
     item = read_dataset(entry, name, where)
     if item.ndim != 1 or item.dtype.kind not in "iuf" or not np.can_cast(item.dtype, dtype, "same_kind"):
         form = f"{item.ndim}-dimensional {item.dtype}"
@@ -127,7 +115,6 @@ def read_array(entry: h5py.Group, name: str, dtype: Any, where: Path, selected: 
 
 
 def read_number(entry: h5py.Group, name: str, where: Path) -> float:
-    """Return a single number."""
     item = read_dataset(entry, name, where)
     if item.shape != () or item.dtype.kind not in "iuf":
         raise InputError(f"/entry/{name} is not a number", str(where), AGAIN)
@@ -135,7 +122,6 @@ def read_number(entry: h5py.Group, name: str, where: Path) -> float:
 
 
 def read_text(entry: h5py.Group, name: str, where: Path) -> str:
-    """Return a single text."""
     item = read_dataset(entry, name, where)
     if item.shape != () or h5py.check_string_dtype(item.dtype) is None:
         raise InputError(f"/entry/{name} is not text", str(where), AGAIN)
@@ -143,7 +129,6 @@ def read_text(entry: h5py.Group, name: str, where: Path) -> str:
 
 
 def read_text_or_whole(parent: h5py.Group, name: str, where: Path) -> str | int:
-    """Return a single text or whole number."""
     item = read_dataset(parent, name, where)
     if item.shape == () and item.dtype.kind in "iu":
         return int(item[()])
@@ -151,7 +136,6 @@ def read_text_or_whole(parent: h5py.Group, name: str, where: Path) -> str | int:
 
 
 def read_texts(entry: h5py.Group, name: str, where: Path) -> tuple[str, ...]:
-    """Return a column of texts."""
     item = read_dataset(entry, name, where)
     if item.ndim != 1 or h5py.check_string_dtype(item.dtype) is None:
         raise InputError(f"/entry/{name} is not a column of text", str(where), AGAIN)
@@ -159,5 +143,5 @@ def read_texts(entry: h5py.Group, name: str, where: Path) -> tuple[str, ...]:
 
 
 def decode_text(value: Any) -> str:
-    """Return an HDF5 string, however h5py delivered it."""
+    """Return an HDF5 string, in whichever type h5py returned it."""
     return value.decode() if isinstance(value, bytes) else str(value)

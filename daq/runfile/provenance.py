@@ -15,12 +15,7 @@ from stickslip.version import VERSION
 
 
 def collect_provenance(command: Sequence[str] | None = None) -> dict[str, str | int]:
-    """Return the provenance of a file made now by this process.
-
-    command: The command line; the process's own by default.
-    Returns: ``software, python, numpy, platform, hostname, command_line`` and, in a checkout with git, ``git_commit``
-        and ``git_dirty`` (1 when the checkout had changes). Bytes of a path that are no UTF-8 are escaped.
-    """
+    """Return software, versions, host, command line and commit of a file made now by this process."""
     import numpy as np
 
     facts: dict[str, str | int] = {
@@ -36,7 +31,7 @@ def collect_provenance(command: Sequence[str] | None = None) -> dict[str, str | 
 
 
 def _get_command_line() -> list[str]:
-    """Return the process's command line as a person would type it, without the folder the program lives in."""
+    """Return the process's command line as a person would type it, without the folder of the program."""
     program = Path(sys.argv[0])
     name = f"python -m {program.parent.name}.{program.stem}" if program.suffix == ".py" else program.name
     return [*name.split(), *sys.argv[1:]]

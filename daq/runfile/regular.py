@@ -9,10 +9,7 @@ from stickslip.errors import InputError
 
 
 def open_regular(path: Path, do: str) -> BinaryIO:
-    """Open a file for reading; ``do`` says what to give in place of a folder.
-
-    Raises InputError: it is missing, a folder, a pipe or a device, or may not be read.
-    """
+    """Open a file for reading, not a folder, pipe or device; ``do`` says what to give in place of a folder."""
     where = str(path)
     try:
         number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))

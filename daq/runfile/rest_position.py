@@ -20,13 +20,7 @@ X0_ERRORS = 4.0  # standard deviations of x0 that are granted first, as for any 
 
 
 def question_rest_position(x0: Measured, low: float, high: float) -> str:
-    """Return what to ask about a rest position; empty where there is nothing to ask.
-
-    Asked is about one that lies `FAR` travels outside the travel, and about one outside whose negative lies inside it.
-
-    x0: Rest position, m, with the sign of the positions.
-    low, high: The travel of the mass: its smallest and largest position, m.
-    """
+    """Ask about an x0 `FAR` travels outside the travel, m, or outside it with -x0 inside it; else ""."""
     outside = max(low - x0.value, x0.value - high)
     if outside <= X0_ERRORS * x0.sd or high <= low:
         return ""
@@ -45,11 +39,7 @@ def question_rest_position(x0: Measured, low: float, high: float) -> str:
 
 
 def explain_impossible(x0: Measured, low: float, high: float, direction: float) -> str:
-    """Return why a rest position cannot be that of a mass which the belt draws in a direction; empty where it can.
-
-    x0, low, high: As of `question_rest_position`.
-    direction: The sign of the belt's speed; 0 where it is not known.
-    """
+    """Return why an x0 is impossible for a belt of this direction (0: unknown); "" where it is possible."""
     beyond = direction * x0.value - max(direction * low, direction * high)
     if not direction or beyond <= X0_ERRORS * x0.sd:
         return ""

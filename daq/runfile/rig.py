@@ -64,7 +64,7 @@ class Rig:
 
     @property
     def offset(self) -> float:
-        """What was added to readings in m to make positions, m: the datum, and nothing without one."""
+        """What was added to readings in m to make positions, m: the datum, or 0."""
         return 0.0 if self.datum is None else self.datum.value
 
     def resting_at(self, x0: Measured) -> "Rig":
@@ -72,7 +72,7 @@ class Rig:
         return replace(self, datum=None, x0=x0)
 
     def stating(self, values: Mapping[str, Measured | int]) -> "Rig":
-        """Return the rig with some quantities stated anew, by their attributes; an x0 takes the place of a datum."""
+        """Return the rig with some quantities replaced, by their attributes; an x0 takes the place of a datum."""
         changes: dict[str, Any] = dict(values)
         if "x0" in values:
             changes["datum"] = None
@@ -80,13 +80,7 @@ class Rig:
 
     @classmethod
     def from_toml(cls, text: str, where: str) -> "Rig":
-        """Read a rig from TOML.
-
-        text: The TOML text.
-        where: Its file or frame, for the messages.
-        Raises InputError: for invalid TOML, an unknown section or key (naming its nearest neighbour), or an impossible
-            value.
-        """
+        """Read a rig from TOML; ``where`` is its file or frame, for the messages."""
         values: dict[str, Any] = {}
         for section, content in toml.parse(text, where).items():
             if section == "board":
@@ -117,7 +111,7 @@ class Rig:
 
 
 class Replaced(NamedTuple):
-    """A stored value that another one replaces: words, both values in SI, and the standard deviations between them."""
+    """A stored value that another one replaces: text, both values in SI, and their distance in standard deviations."""
 
     text: str
     value: float

@@ -147,7 +147,7 @@ def find_disorder(time: NDArray[np.float64]) -> int | None:
 
 
 def explain_impossible(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:
-    """Return why times, s, and positions, m or counts, both of shape (n,), are not those of a run; None if they are."""
+    """Return why times, s, and positions, m or counts, (n,), are not those of a run; None if they are."""
     if (sample := find_disorder(time)) is not None:
         return f"time does not increase at sample {sample}"
     if not (in_range := np.abs(position) <= FARTHEST).all():
@@ -162,7 +162,7 @@ def explain_impossible(time: NDArray[np.float64], position: NDArray[np.float64])
 
 
 def explain_implausible(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:
-    """Return how far and fast times, s, and positions, m, move, where no mass on a spring does; None where one may."""
+    """Return how far and fast times, s, and positions, m, move, if too far or fast for a mass on a spring."""
     if time.size < FEWEST_ROWS:
         return None
     low, high = np.percentile(position, [1, 99])  # a single wild sample is a fault, not a unit
@@ -175,10 +175,7 @@ def explain_implausible(time: NDArray[np.float64], position: NDArray[np.float64]
 
 
 def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:
-    """Return ``position = count * metres_per_count + datum``, m, or the bare count of an uncalibrated rig.
-
-    The product is exact to one rounding; counts below 2^53 are exact as f8.
-    """
+    """Return ``count * metres_per_count + datum``, m, exact to one rounding; counts without calibration."""
     if rig.metres_per_count is None:
         return count.astype(np.float64)
     return np.asarray(count * rig.metres_per_count.value + rig.offset, np.float64)

@@ -30,7 +30,7 @@ SCHEMA = 1
 
 
 def _if_counted(of: str) -> Callable[[RunData], Any]:
-    """Return what gives an attribute of a run with counts, None of an import."""
+    """Return a function that reads an attribute of a run with counts, None of an import."""
     return lambda run: None if run.count is None else attrgetter(of)(run)
 
 
@@ -189,10 +189,7 @@ def compute_digest(run: RunData) -> str:
 
 
 def write(file: h5py.File, run: RunData, file_name: str) -> None:
-    """Write the whole tree of ``run`` into the empty ``file``.
-
-    No clock is read: ``@file_time`` is the end of the run, the entry's identifier is derived from the raw data.
-    """
+    """Write the tree of ``run`` into the empty ``file``, without reading a clock."""
     file.attrs["NX_class"] = "NXroot"
     file.attrs["default"] = "entry"
     file.attrs["creator"] = f"stickslip {VERSION}"

@@ -34,12 +34,7 @@ class Aside:
 
 
 class Spill:
-    """Where arrays are put aside.
-
-    output: The file that is made of them: its folder takes what does not fit into memory, until nothing refers to it
-        any more; errors name it.
-    Raises RefusedError: the disk refuses.
-    """
+    """Puts arrays aside; what does not fit into memory goes into a file in the folder of ``output``."""
 
     def __init__(self, output: Path | None = None) -> None:
         self._output = output
@@ -52,7 +47,6 @@ class Spill:
             self._file.close()
 
     def put(self, values: NDArray[Any]) -> Aside:
-        """Put an array aside."""
         stored = np.ascontiguousarray(values, _find_narrowest(values))
         if stored.nbytes <= self._left:
             self._left -= stored.nbytes
@@ -106,24 +100,21 @@ class Column:
         self._ends: list[int] = []
 
     def append(self, values: NDArray[Any]) -> None:
-        """Append numbers, all of one type; none change nothing."""
+        """Append numbers, all of one type; an empty array changes nothing."""
         if len(values) or not self._pieces:
             self._pieces.append(self._spill.put(values))
             self._ends.append(len(self) + len(values))
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type of the numbers."""
         return self._pieces[0].dtype
 
     @property
     def size(self) -> int:
-        """How many there are."""
         return len(self)
 
     @property
     def shape(self) -> tuple[int]:
-        """The same, as of an array."""
         return (len(self),)
 
     def __len__(self) -> int:
@@ -144,17 +135,14 @@ class Column:
         return self[:].astype(dtype or self.dtype, copy=False)
 
     def whole(self) -> NDArray[Any]:
-        """Return an array where the numbers are in memory; else this, which reads them when they are looked at."""
+        """Return an array where the numbers are in memory; else this, which reads them on use."""
         if all(piece.values is not None for piece in self._pieces):
             return self[:]
         return cast(NDArray[Any], self)
 
 
 class Shelf(Generic[T]):
-    """Values of a dataclass, in order; their arrays are put aside.
-
-    labels: The values without their arrays: these are empty.
-    """
+    """Values of a dataclass, in order; their arrays are put aside, those of ``labels`` are empty."""
 
     def __init__(self, spill: Spill) -> None:
         self.labels: list[T] = []
@@ -162,7 +150,6 @@ class Shelf(Generic[T]):
         self._arrays: list[dict[str, Aside]] = []
 
     def append(self, value: T) -> None:
-        """Put a value aside."""
         fields = dict(vars(value))
         arrays = {name: item for name, item in fields.items() if isinstance(item, np.ndarray)}
         self._arrays.append({name: self._spill.put(item) for name, item in arrays.items()})

@@ -58,41 +58,31 @@ RECORDING = [row for row in schema.TREE if not row.path.startswith("truth")]
 
 
 def count_samples(path: str | os.PathLike[str]) -> int:
-    """Return how many samples a run holds; InputError as for `load`."""
     with open_reader(path) as run:
         return run.samples
 
 
 def load(path: str | os.PathLike[str], selected: slice = nexus.EVERY) -> Recording:
-    """Read a run.
-
-    path: A run file.
-    own: Samples to read; by default all.  Events and clock are those of the whole run, numbered as there.
-    Raises InputError: when the file is missing, cut short, not HDF5, not a run file, of another schema, or holds
-        something else where a run has its samples.
-    """
+    """Read a run, or ``selected`` samples of it with the events and the clock of all."""
     with open_reader(path) as run:
         return run.load(selected)
 
 
 def read_back(path: str | os.PathLike[str]) -> None:
-    """Raise InputError, as `load` does, for a run that cannot be loaded; a stretch at a time, which needs no memory."""
+    """Raise InputError, as `load` does, for a run that cannot be loaded; a stretch at a time, to save memory."""
     with open_reader(path) as run:
         for first in range(0, run.samples, STRETCH):
             run.load(slice(first, first + STRETCH + 1))  # with the first sample of the next stretch, for the order
 
 
 def read_times(path: str | os.PathLike[str]) -> Array:
-    """Return the times of a run's samples, s, shape (n,); InputError as for `load`."""
+    """Return the times of a run's samples, s, (n,)."""
     with open_reader(path) as run:
         return run.times()
 
 
 def select_between(path: str | os.PathLike[str], begin: float | None, end: float | None) -> slice:
-    """Return the samples of a run from time ``begin`` to ``end``, s on its own time axis; None: from or to its end.
-
-    Raises InputError: as `load`; and for times between which the run has fewer than two samples.
-    """
+    """Return the samples of a run from time ``begin`` to ``end``, s on its own time axis; None: from or to its end."""
     if begin is None and end is None:
         return nexus.EVERY
     time = read_times(path)
@@ -107,7 +97,7 @@ def select_between(path: str | os.PathLike[str], begin: float | None, end: float
 
 @contextmanager
 def open_reader(path: str | os.PathLike[str], selected: slice = nexus.EVERY) -> "Iterator[RunReader]":
-    """Open a run, or some of its samples, for reading parts one after the other; InputError as for `load`."""
+    """Open a run, or some of its samples, for reading parts one after the other."""
     where = Path(path)
     with open_run(where) as file:
         with trust.damage(where):
@@ -116,7 +106,7 @@ def open_reader(path: str | os.PathLike[str], selected: slice = nexus.EVERY) -> 
 
 
 class RunReader:
-    """A run file that stays open; of the samples ``own`` alone, where they are given, numbered from the first."""
+    """A run file that stays open, or its ``selected`` samples, numbered from the first."""
 
     def __init__(self, entry: h5py.Group, where: Path, selected: slice = nexus.EVERY) -> None:
         self._entry, self._where = entry, where
@@ -146,7 +136,6 @@ class RunReader:
             )
 
     def times(self) -> Array:
-        """Return the times of all samples, s."""
         return self._column("time", nexus.EVERY)
 
     def positions(self, selected: slice) -> Array:
@@ -160,10 +149,7 @@ class RunReader:
 
 
 def truth(path: str | os.PathLike[str]) -> Truth | None:
-    """Read the exact motion of a simulated run that was asked for it; None for every other run.
-
-    Only comparisons and benchmarks may call this: processing and fitting know no more than a real rig shows.
-    """
+    """Read the exact motion of a simulated run, if it was stored; only comparisons and benchmarks may use it."""
     where = Path(path)
     with open_run(where) as file, trust.damage(where):
         entry = nexus.read_group(file, "entry", where)
@@ -178,16 +164,7 @@ def extend(
     *,
     default: str | None = None,
 ) -> None:
-    """Add a stage to a run: copy the file, write into the copy, sync it, move it into place.
-
-    path: The run file.
-    names: The groups of /entry that ``writer`` writes; groups of these names are removed first, and so is every later
-        stage ("fit", "fit_law1" ... when "smooth" is written again).
-    writer: Takes /entry of the copy, open for writing.
-    default: The new ``/entry/@default``: the group that viewers open on.
-    Raises InputError: as `load`, for a file that is no run.
-    Raises ValueError: when a name belongs to the recording itself.
-    """
+    """Add a stage: ``writer`` writes groups ``names`` into a copy without them and later stages."""
     target = Path(path)
     wanted = (names,) if isinstance(names, str) else tuple(names)
     for name in wanted:
@@ -229,15 +206,7 @@ def _list_events(run: Recording) -> Iterator[tuple[int, str, str]]:
 def annotate(
     path: str | os.PathLike[str], notes: Mapping[str, Any], marks: Sequence[tuple[float, str]] = ()
 ) -> Recording:
-    """Change the notes on a finished run and add markers; the file is copied, changed and moved into place.
-
-    path: The run file.
-    notes: New values of ``title``, ``operator``, ``sample_name``, ``note`` and ``tags`` of `Recording`; the others
-        stay. Tags are added to those of the run, and one of an empty value is removed.
-    marks: Markers: seconds since the first sample, and words.  Each becomes an event of the nearest sample.
-    Returns: The run as it is now, with its first sample alone but all its events.
-    Raises InputError: as `load`; or for a marker outside the run.
-    """
+    """Change the notes on a finished run and add markers (s, words); return it with its first sample and all events."""
     target = Path(path)
     with atomic.replacing(target, force=True) as temporary:  # from here on no other command changes the run
         with open_reader(target) as reader:
@@ -290,7 +259,7 @@ def _add_marker(run: Recording, sample: int, text: str) -> Recording:
 
 @contextmanager
 def open_run(path: Path) -> Iterator[h5py.File]:
-    """Open a run file for reading, or raise an InputError that names what the file is instead."""
+    """Open a run file for reading; InputError says what the file is instead."""
     where = str(path)
     open_regular(path, "give the run file in it").close()
     with _open(path) as file:

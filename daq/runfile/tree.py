@@ -57,12 +57,10 @@ class Field:
 
     @property
     def parent(self) -> str:
-        """The path of the group that it stands in."""
         return self.path.rpartition("/")[0]
 
     @property
     def name(self) -> str:
-        """Its name in the group."""
         return self.path.rpartition("/")[2]
 
     def of_source(self, source: Any) -> Any:
@@ -107,10 +105,7 @@ def table(
 
 
 def process(path: str, program: str, step: int, default: str) -> Tree:
-    """Return the rows of the group of a stage, an NXprocess: which program made it, of which version, when.
-
-    ``step`` is its place among the steps of the evaluation, ``default`` the group in it that a viewer draws.
-    """
+    """Return the rows of a stage's NXprocess; ``default`` is the group in it that a viewer draws."""
     return (
         Group(path, "NXprocess", attributes={"default": default}),
         Field(f"{path}/program", "text", "", f"`{program}`", value=lambda source: program),
@@ -125,20 +120,15 @@ def _now() -> str:
 
 
 def list_fields(tree: Tree) -> list[Field]:
-    """Return the fields of a table."""
     return [row for row in tree if isinstance(row, Field)]
 
 
 def select_groups(tree: Tree, *paths: str) -> list[Row]:
-    """Return the rows of the groups at these paths."""
     return [row for row in tree if f"{row.path}/".startswith(tuple(f"{path}/" for path in paths))]
 
 
 def check(tree: Tree, source: Any) -> list[tuple[Field, Any]]:
-    """Return the fields that ``source`` has a value for, each with it.
-
-    Raises ValueError: where the columns of one axis differ in length.
-    """
+    """Return the fields that ``source`` has a value for; ValueError where columns of an axis differ in length."""
     filled = [(row, value) for row in list_fields(tree) if (value := row.of_source(source)) is not None]
     first: dict[str, tuple[str, int]] = {}
     for row, value in filled:
@@ -150,14 +140,7 @@ def check(tree: Tree, source: Any) -> list[tuple[Field, Any]]:
 
 
 def write(entry: h5py.Group, tree: Tree, source: Any, units: Mapping[str, str] | None = None) -> None:
-    """Write those of the fields that ``source`` has a value for, and the groups they stand in.
-
-    entry: /entry, open for writing.
-    tree: The rows; one group may be there already.
-    source: Has the attributes that the fields name.
-    units: The unit for a name in the units of fields, as for `LENGTH`.
-    Raises ValueError: as `check`.
-    """
+    """Write the fields that ``source`` has a value for; ``units`` replaces names such as `LENGTH`."""
     filled = check(tree, source)
     inside = {row.parent for row, _ in filled}
     groups = [row for row in tree if isinstance(row, Group)]
@@ -230,12 +213,7 @@ def _encode(row: Field, names: Iterable[str]) -> NDArray[np.uint8]:
 
 
 def read(entry: h5py.Group, tree: Tree, where: Path, selected: slice = nexus.EVERY) -> dict[str, Any]:
-    """Read fields into a mapping from attribute (``rig.mass``) to value.
-
-    ``own`` are the samples to read of columns over the samples.  An absent optional field is absent in the mapping.
-
-    Raises InputError: for a field that is missing, of another type, or not as long as the others of its axis.
-    """
+    """Read fields into a mapping from attribute (``rig.mass``) to value, without absent optional ones."""
     values: dict[str, Any] = {}
     lengths: dict[str, int] = {}
     optional = {row.path for row in tree if isinstance(row, Group) and row.optional}
@@ -251,7 +229,7 @@ def read(entry: h5py.Group, tree: Tree, where: Path, selected: slice = nexus.EVE
 
 
 def select_part(values: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return what was read of one part: ``rig.mass`` as ``mass``."""
+    """Return the values of one part: ``rig.mass`` as ``mass``."""
     inside = {key.removeprefix(f"{name}."): value for key, value in values.items() if key.startswith(f"{name}.")}
     return {key: value for key, value in inside.items() if "." not in key}
 

@@ -38,13 +38,7 @@ _done: set[tuple[object, ...]] = set()  # what children of this process have don
 
 
 def open_trusted(path: Path) -> h5py.File:
-    """Open a file for reading, which a child process could read.
-
-    Raises InputError: an external link, external storage, a virtual dataset, a dataset larger than the file can hold, a
-        chunk that is not what it should be, more objects than any run has; or the child crashed, or took too much time
-        or memory.
-    Raises OSError: as h5py, for what is no HDF5 file.
-    """
+    """Open a file for reading that a child process could read; OSError for what is not HDF5."""
     check(path, _visit)
     return _read_only(path)
 
@@ -65,10 +59,7 @@ def damage(path: Path) -> Iterator[None]:
 
 
 def check(path: Path, work: Callable[[Path], bytes]) -> None:
-    """Let a child process do to a file, or to a copy of it, what this process will do; once for each file.
-
-    Raises InputError: as `open_trusted`, and what ``work`` raises.
-    """
+    """Let a child process do ``work`` to a file, or a copy, before this process does; once for each file."""
     key = _make_key(path, work)
     if key in _done:
         return
@@ -81,7 +72,7 @@ def check(path: Path, work: Callable[[Path], bytes]) -> None:
 
 
 def trust_own(path: Path) -> None:
-    """Let no child read a file that this process has just written."""
+    """Mark a file that this process has just written, so that no child need read it."""
     with suppress(OSError):  # it is gone again
         _done.add(_make_key(path, _visit))
 
@@ -105,7 +96,6 @@ def _visit(path: Path) -> bytes:
 
 
 def is_marked(file: h5py.File) -> bool:
-    """Return whether a file says that it is a run or a joint fit."""
     return read_mark(file) is not None or is_joint(file)
 
 
@@ -132,7 +122,6 @@ class _Visit:
         self._declared = 0
 
     def everything(self) -> None:
-        """Read it all; InputError as `check`."""
         names: list[bytes] = []
         h5py.h5o.visit(self._file, names.append)
         for name in names:
@@ -143,7 +132,7 @@ class _Visit:
                     self._read(item, f"/{name.decode(errors='replace')}")
 
     def check_links(self) -> None:
-        """Refuse a file that leads to others, or holds more objects than any run."""
+        """Refuse a file that links to others, or holds more objects than any run."""
         external: list[bytes] = []
         names: list[bytes] = []
 
@@ -198,13 +187,13 @@ class _Visit:
 
 
 def refuse_stored_elsewhere(dataset: h5py.h5d.DatasetID, place: str, path: Path) -> None:
-    """Raise InputError for a dataset whose data lie in another file."""
+    """Raise InputError for a dataset whose data are in another file."""
     creation = dataset.get_create_plist()
     if creation.get_layout() == h5py.h5d.VIRTUAL or creation.get_external_count():
         raise InputError(f"{place} reads its data from another file", str(path), DO)
 
 
 def refuse_external_link(group: h5py.Group, name: str, path: Path) -> None:
-    """Raise InputError for a name in a group that leads to another file."""
+    """Raise InputError for a name in a group that links to another file."""
     if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
         raise InputError(f"{name} is a link to another file", str(path), DO)

@@ -10,14 +10,7 @@ from stickslip.output import atomic, disk
 
 
 def write(path: str | os.PathLike[str], run: RunData, *, force: bool = False) -> None:
-    """Write a run into a new file: build it beside ``path``, sync it to disk, move it into place.
-
-    path: The run file.
-    run: The run.
-    force: Replace an existing file.
-    Raises InputError: when ``path`` exists and ``force`` was not given, or its folder does not exist.
-    Raises ValueError: when the arrays of ``run`` do not belong together.
-    """
+    """Write a run into a new file: build it next to ``path``, sync it to disk, move it into place."""
     target = Path(path)
     atomic.refuse_existing(target, force)
     schema.check(run)

@@ -27,13 +27,13 @@ HOLE = 3.5  # sample intervals: longer than any jitter or a missing sample or tw
 
 
 def rows(columns: Columns, where: NDArray[Any] | slice) -> Columns:
-    """Return a dataclass with some rows of its arrays; what is no array stays as it is."""
+    """Return a dataclass with some rows of its arrays; its other fields stay as they are."""
     selected = {name: value[where] for name, value in vars(columns).items() if isinstance(value, np.ndarray)}
     return replace(columns, **selected)
 
 
 def joined(pieces: Sequence[Columns]) -> Columns:
-    """Return dataclasses as one, their arrays one behind the other; what is no array is that of the first one."""
+    """Concatenate the arrays of dataclasses; other fields are those of the first one."""
     names = [name for name, value in vars(pieces[0]).items() if isinstance(value, np.ndarray)]
     return replace(pieces[0], **{name: np.concatenate([vars(piece)[name] for piece in pieces]) for name in names})
 
@@ -45,10 +45,7 @@ def end_to_end(parts: Sequence[slice]) -> tuple[slice, ...]:
 
 
 def numbers(values: Any, name: str, where: str, do: str, *, single: bool = False) -> "NDArray[Any]":
-    """Return what a caller gives as integers or floats of shape (n,), the door of all arrays from Python.
-
-    A ``single`` number becomes an array.  Nothing is dropped silently: masked samples are refused.
-    """
+    """Check numbers from Python, of shape (n,) or with ``single`` one alone; masked samples are errors."""
     if np.ma.is_masked(values):
         masked = np.flatnonzero(np.ma.getmaskarray(values))
         what = f"{name} is masked at sample {masked[0]}" + (f" and {masked.size - 1} more" if masked.size > 1 else "")
@@ -102,11 +99,7 @@ def pieces(time: Array, segment: NDArray[np.integer], interval: float) -> tuple[
 
 
 def autocorrelation_time(pieces: Iterable[Array]) -> float:
-    """Return the integrated autocorrelation time in samples, at least 1: 1 + 2 sum rho(lag), up to the first rho < 0.
-
-    pieces: Residuals of zero mean, evenly sampled; the autocorrelation is pooled over the pieces.  Nothing but zeros:
-        1.
-    """
+    """Return 1 + 2 sum rho(lag) up to the first rho < 0, in samples; rho is pooled over residuals of zero mean."""
     residuals = list(pieces)
     lags = np.zeros(max((r.size for r in residuals), default=1))
     for r in residuals:

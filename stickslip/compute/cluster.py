@@ -20,7 +20,7 @@ PATIENCE_S = 10
 
 @contextmanager
 def connect_cluster(address: str) -> Iterator[Map]:
-    """Give ``map`` on a dask scheduler's workers."""
+    """Yield a ``map`` on a dask scheduler's workers."""
     if find_spec("distributed") is None:
         raise InputError("dask.distributed is not installed", FLAG, "pip install 'stickslip[cluster]'")
     from distributed import Client
@@ -65,7 +65,7 @@ def connect_cluster(address: str) -> Iterator[Map]:
 
 
 def _call_work(function: Callable[[Any], Any], item: Any) -> tuple[Any, Exception | None]:
-    """Return the result and None, or None and the function's own error: any other one is the cluster's."""
+    """Return the result and None, or None and the function's own error: any other error is the cluster's."""
     try:
         return function(item), None
     except Exception as error:
@@ -93,7 +93,7 @@ def _cluster_errors(address: str) -> Iterator[None]:
 
 @contextmanager
 def _silence_dask() -> Iterator[None]:
-    """Keep dask's own messages, tracebacks of lost connections, off the terminal: the error here says what failed."""
+    """Keep dask's messages and tracebacks off the terminal: the error raised here says what failed."""
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     before = [logger.level for logger in loggers]
     for logger in loggers:
@@ -122,7 +122,7 @@ def _check_address(address: str) -> None:
 
 
 def _check_workers(client: Any, address: str, function: Callable[[Any], Any]) -> None:
-    """Raise InputError unless there are workers, and all hold this version and can load the function."""
+    """Raise InputError unless there are workers, all of this version, which can load the function."""
     where = f"{FLAG} {address}"
     do = f"install stickslip {VERSION} there, as here"
     try:
@@ -142,7 +142,7 @@ def _check_workers(client: Any, address: str, function: Callable[[Any], Any]) ->
 
 
 def check_sendable(work: Callable[..., Any]) -> None:
-    """Refuse work that no other process can be handed: a function within a function, or a lambda."""
+    """Refuse work that cannot be sent to another process: a function within a function, or a lambda."""
     try:
         pickle.dumps(work)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
@@ -155,7 +155,7 @@ def _get_version() -> str:
 
 
 def _load_error(pickled: bytes) -> str:
-    """Return why this process cannot load what was pickled; "" when it can."""
+    """Return why this process cannot load a pickled object; "" when it can."""
     try:
         pickle.loads(pickled)
     except Exception as error:

@@ -33,15 +33,7 @@ LONGEST_WAIT_S = 120.0  # for another process that compiles the same kernel; the
 
 @cache
 def compiled(function: Callable[..., Any], modules: tuple[str, ...], **options: Any) -> Callable[..., Any]:
-    """Return ``function`` compiled; called like the plain one.
-
-    Where its machine code is not yet kept, the first call compiles it, and stderr says so once per installation.
-
-    function: A plain function; numba's nopython subset.
-    modules: Names of the modules whose functions it may call, its own included.
-    **options: Passed to numba, for the entry and for every function of the modules.  Division by zero gives an infinity
-        or NaN, as numpy's: to check every divisor takes about a tenth more time to compile.
-    """
+    """Return ``function`` compiled with numba's ``options``; ``modules`` are those whose functions it may call."""
     from numba import config
 
     if vars(config)["DISABLE_JIT"]:  # by a program that imports this package; commands read no such setting
@@ -54,15 +46,12 @@ def compiled(function: Callable[..., Any], modules: tuple[str, ...], **options: 
 
 
 def stack(order: tuple[float, ...]) -> Any:
-    """Return an array for a kernel's own use, of as many numbers as the tuple has; its contents are not set.
-
-    Compiled code gets memory on the stack, which costs nothing and may stay in registers.
-    """
+    """Return an unset array of len(order) numbers for a kernel, in compiled code on the stack."""
     return [0.0] * len(order)
 
 
 def stack_square(order: tuple[float, ...]) -> Any:
-    """As `stack`, of n n numbers where the tuple has n."""
+    """Return an array as `stack` does, of n n numbers where the tuple has n."""
     return [0.0] * len(order) ** 2
 
 
@@ -98,7 +87,7 @@ def _give_stacks() -> None:
 
 
 def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> Callable[..., Any]:
-    """Return ``function`` compiled with numba's ``options``, its machine code kept in ``folder``, if there is one."""
+    """Compile ``function`` with numba's ``options`` and keep its machine code in ``folder``, if there is one."""
     import numba
     from numba import config
 
@@ -117,13 +106,7 @@ def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> 
 
 @cache
 def _announce_compilation(kept: bool) -> None:
-    """Report on stderr that numba compiles: one line per installation, and on a terminal how many functions are done.
-
-    Where machine code is not ``kept`` it is one line per process.
-
-    The garbage collector rests meanwhile: nearly all that a compiler makes lives until it is done, and to search it
-    again and again takes a twelfth of the time.
-    """
+    """Report compilation on stderr, and pause the garbage collector meanwhile, which saves a twelfth of the time."""
     from numba.core import event
 
     class Announcer(event.Listener):
@@ -155,10 +138,7 @@ def _announce_compilation(kept: bool) -> None:
 
 
 def _is_first() -> bool:
-    """Return whether no process of this installation has said yet that it compiles; where nobody listens, nobody has.
-
-    A file beside the machine code marks that it was said.
-    """
+    """Return whether no process of this installation has announced a compilation yet, and mark that one has."""
     import numba
 
     root = cache_root()
@@ -178,10 +158,7 @@ def _is_first() -> bool:
 
 
 def _compile_in_one_process(entry: Any, folder: Path) -> None:
-    """Let one process compile an entry, and others that need it meanwhile wait for its machine code.
-
-    A failed write of machine code costs the next call some seconds, and not this one its result.
-    """
+    """Let one process compile an entry, and others wait for its machine code; a failed write is no error."""
     machine_code = entry._cache  # noqa: SLF001 - numba has no public way to say that a cache is optional or shared
     load, save = machine_code.load_overload, machine_code.save_overload
     locks: list[FileLock] = []
@@ -210,7 +187,7 @@ def _compile_in_one_process(entry: Any, folder: Path) -> None:
 
 
 def _wait_for_lock(path: Path) -> FileLock | None:
-    """Return the lock on a file, which is made; None where there are no locks, or after `LONGEST_WAIT_S`."""
+    """Return the lock on a new or existing file; None where there are no locks, or after `LONGEST_WAIT_S`."""
     end = time.monotonic() + LONGEST_WAIT_S
     try:
         path.touch()
@@ -226,10 +203,7 @@ def _wait_for_lock(path: Path) -> FileLock | None:
 
 @cache
 def register(module: str, **options: Any) -> None:
-    """Make every function of a module callable from compiled code, compiled with numba's ``options``.
-
-    Those that the module names in ``INLINED`` are copied into their callers.
-    """
+    """Make every function of a module callable from compiled code; those named in ``INLINED`` are inlined."""
     from numba.extending import register_jitable
 
     members = vars(import_module(module))
@@ -241,10 +215,7 @@ def register(module: str, **options: Any) -> None:
 
 
 def cache_folder(modules: tuple[str, ...], options: str = "") -> Path | None:
-    """Return the folder for the machine code of these modules, compiled so.
-
-    None where none can be written, or where another user could: who writes there has this user run it.
-    """
+    """Return the folder for machine code of modules; None without one, or where another user could write."""
     digest = hashlib.sha256(options.encode())
     for name in modules:
         digest.update(Path(str(import_module(name).__file__)).read_bytes())
@@ -263,10 +234,7 @@ def cache_folder(modules: tuple[str, ...], options: str = "") -> Path | None:
 
 
 def _is_own(folder: Path) -> bool:
-    """Return whether this user alone writes to a folder; the right of others is taken away where that is possible.
-
-    Where others had that right, what one of them has left there counts: the folder is not used.
-    """
+    """Return whether this user alone has written to a folder; others lose the right to where that is possible."""
     if sys.platform == "win32":
         return True
     status = folder.stat()
@@ -281,9 +249,6 @@ def _is_own(folder: Path) -> bool:
 
 
 def cache_root() -> Path | None:
-    """Return where machine code is kept: $NUMBA_CACHE_DIR, else this user's cache folder; None without either.
-
-    Numba's index of it is a pickle, so who writes there has this user run it: a relative path does not count.
-    """
+    """Return the folder of machine code: $NUMBA_CACHE_DIR if absolute, else in this user's cache folder."""
     base = user_folders.read_absolute("NUMBA_CACHE_DIR") or user_folders.find_cache()
     return None if base is None else base / "stickslip"

@@ -41,7 +41,7 @@ def safe_path() -> Iterator[None]:
 
 
 def ignore_settings() -> None:
-    """Let this process, which is a command's, run on the libraries' defaults, before it imports them."""
+    """Let this process, a command's, run on the libraries' defaults; to be called before it imports them."""
     for name in list(os.environ):
         if name in ("MPLBACKEND", "MATPLOTLIBRC") or (name.startswith("NUMBA_") and name != KEPT):
             del os.environ[name]
@@ -50,7 +50,6 @@ def ignore_settings() -> None:
 
 
 def settings_are_ignored() -> bool:
-    """Return whether `ignore_settings` was called in this process."""
     return any(isinstance(finder, _WithoutSettings) for finder in sys.meta_path)
 
 
@@ -77,7 +76,7 @@ class _WithoutSettings:
 
 @contextmanager
 def _hide_file(file: str, home: str) -> Iterator[None]:
-    """Let no file of this name outside a folder exist for who asks `os.path.exists`."""
+    """Let `os.path.exists` find no file of this name outside a folder."""
     exists = os.path.exists
 
     def exists_at_home(path: Any) -> bool:

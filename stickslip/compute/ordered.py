@@ -13,7 +13,7 @@ AHEAD = 3
 def yield_in_order(
     submit: Callable[[Any], Any], result: Callable[[Any], Any], items: Iterable[Any], ahead: int
 ) -> Iterator[Any]:
-    """Yield the results in order; of the items only so many are made, and held, at a time."""
+    """Yield the results in order; at most ``ahead`` items are made and held at a time."""
     waiting: deque[Any] = deque()
     for item in items:
         waiting.append(submit(item))

@@ -29,16 +29,7 @@ MOST_HELD = 64
 
 @contextmanager
 def workers(jobs: int = 1, scheduler: str | None = None, *, join: bool = False) -> Iterator[Map]:
-    """Give ``map(function, items)``; whatever ends the block, Ctrl-C too, ends the work.
-
-    jobs: Processes on this machine; one is this process itself.
-    scheduler: Address of a dask scheduler, ``tcp://host:8786`` or ``host:8786``; goes before ``jobs``.
-    join: Whether this process is one of the ``jobs`` and works while the others start; for items shorter than a second:
-        while it works it passes on no result.
-    Raises InputError: when dask.distributed is not installed, nothing answers at the address, no worker is there, or
-        the workers hold another version of this package or cannot load the function.
-    Raises DeviceError: when a process or worker was killed, or the scheduler lost.
-    """
+    """Yield ``map`` by a dask ``scheduler``, else by ``jobs`` processes, of which this is one with ``join``."""
     if scheduler is not None:
         with connect_cluster(scheduler) as each:
             yield each
@@ -51,7 +42,7 @@ def workers(jobs: int = 1, scheduler: str | None = None, *, join: bool = False) 
 
 @contextmanager
 def _processes(number: int, join: bool) -> Iterator[Map]:
-    """Give ``map`` in fresh processes, which are ended, whatever they do, when the block is left by an exception."""
+    """Yield ``map`` in fresh processes, which are ended when the block ends by an exception."""
     others = set(active_children())
     fresh = number - 1 if join else number
     with _starting_processes():
@@ -83,7 +74,7 @@ def _processes(number: int, join: bool) -> Iterator[Map]:
 
 @contextmanager
 def _starting_processes() -> Iterator[None]:
-    """Hold Ctrl-C back: a process that is started here never gets one, and prints no traceback of its imports."""
+    """Block Ctrl-C: a process that is started here never gets one, and prints no traceback of its imports."""
     with safe_path():
         if sys.platform == "win32":
             yield

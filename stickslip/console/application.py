@@ -79,11 +79,7 @@ Whole = cyclopts.Parameter(converter=read_whole)
 
 @dataclass(frozen=True)
 class Answer:
-    """Result of a command: its JSON document, its text, its exit code.
-
-    ``text`` is a string or a rich renderable (or a sequence of them), printed when ``--json`` was not given.
-    ``printed`` is closed after that: of a command whose answer to a signal holds until its result is shown.
-    """
+    """Result of a command: its JSON, its text (strings and rich renderables), its exit code."""
 
     data: Any
     text: Any = ""
@@ -97,10 +93,7 @@ def format_default(value: Any) -> str | None:
 
 
 def application(name: str, summary: str = "", example: str = "", usage: str | None = None) -> cyclopts.App:
-    """Return a cyclopts application with the settings common to all commands; `main` runs it.
-
-    Without a summary its help is that of its default command.
-    """
+    """Return a cyclopts application with the settings common to all commands; without summary its default's help."""
     from stickslip.version import VERSION
 
     app = cyclopts.App(
@@ -141,13 +134,11 @@ def format_number(value: float, form: str) -> str:
 
 
 def print_json(value: Any) -> None:
-    """Write one JSON document on stdout."""
     sys.stdout.write(json.dumps(plain(value), allow_nan=False) + "\n")
     sys.stdout.flush()
 
 
 def note(line: str) -> None:
-    """Write a line on stderr."""
     logger.debug(line)
     _write(line + "\n", sys.stderr)
 
@@ -160,12 +151,12 @@ def ask(line: str) -> None:
 
 
 def _write(text: str, stream: TextIO) -> None:
-    """Write text, from wherever it came, on a stream that may be a terminal."""
+    """Write text of any origin on a stream that may be a terminal."""
     stream.write(_wrap_lines(printable(text, stream.encoding), stream))
 
 
 def _console(stderr: bool = False, markup: bool = False) -> "Console":
-    """Return rich's console, for tables, bars and help pages; text is markup only where that is asked for."""
+    """Return rich's console, for tables, bars and help pages."""
     from rich.console import Console
 
     class Printing(Console):
@@ -179,10 +170,7 @@ def _console(stderr: bool = False, markup: bool = False) -> "Console":
 
 
 def _wrap_lines(text: str, stream: TextIO) -> str:
-    """Return a text with its long lines broken between words where ``stream`` is a terminal: others read whole lines.
-
-    A line that is to be copied into a shell (after ``next:``) stays whole.
-    """
+    """Break long lines between words on a terminal, except those to be copied into a shell (``next:``)."""
     if not stream.isatty():
         return text
     import shutil
@@ -262,14 +250,14 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
 
 
 def _describe_unused(error: cyclopts.CycloptsError) -> str:
-    """Return that a command takes no more words, and which; "" of another error."""
+    """Return which words a command does not accept; "" of another error."""
     if not isinstance(error, cyclopts.UnusedCliTokensError):
         return ""
     return f"nothing takes {', '.join(repr(word) for word in error.unused_tokens or ())}"
 
 
 def _suggest_command(error: cyclopts.CycloptsError, name: str, words: Sequence[str]) -> StickslipError | None:
-    """Return that a file stands where a command should, and the line that was most likely meant; else None."""
+    """Return an error for a file in place of a command, with the line that was most likely meant; else None."""
     import shlex
 
     if not isinstance(error, cyclopts.UnknownCommandError) or not error.unused_tokens:
@@ -283,7 +271,7 @@ def _suggest_command(error: cyclopts.CycloptsError, name: str, words: Sequence[s
 
 
 def _print_answer(name: str, answer: object, as_json: bool) -> int:
-    """Print what a command returned; return the exit code, also of a stdout that does not take it."""
+    """Print what a command returned; return the exit code, also of a stdout that cannot be written."""
     try:
         with answer.printed if isinstance(answer, Answer) else contextlib.nullcontext():
             return _show_answer(answer, as_json)
@@ -298,7 +286,7 @@ def _print_answer(name: str, answer: object, as_json: bool) -> int:
 
 
 def _discard_stdout() -> None:
-    """Let what waits to be printed go nowhere: at exit it would be an error again."""
+    """Discard what is still to be printed: at exit it would be an error again."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -315,10 +303,7 @@ def _show_answer(answer: object, as_json: bool) -> int:
 
 
 def _reflow_help(app: cyclopts.App, words: Sequence[str]) -> None:
-    """Join the lines of each paragraph of the help page asked for: cyclopts breaks them anew, at the terminal's width.
-
-    A command that is imported on use has a summary until then, and its docstring on its own page.
-    """
+    """Join the lines of each paragraph of the requested help page: cyclopts wraps them at the terminal's width."""
     for requested in app.parse_commands(words)[1]:
         loaded = [command for command in requested._commands.values() if isinstance(command, cyclopts.App)]  # noqa: SLF001
         for page in (requested, *loaded):
@@ -355,11 +340,7 @@ def _show_bug(kind: type[BaseException], error: BaseException, where: TracebackT
 
 
 def _open_standard_streams() -> None:
-    """Replace standard streams that the caller has closed by the null device, and make stderr raise nothing.
-
-    A closed descriptor would be that of the next file that is opened, into which messages would then be written.  What
-    other packages print is spelled where the encoding lacks it.
-    """
+    """Replace closed standard streams by the null device, so that no file gets their numbers; stderr raises nothing."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -377,10 +358,9 @@ def _open_standard_streams() -> None:
 
 
 class _UnfailingFile(io.FileIO):
-    """A file that takes everything: what the system refuses is dropped."""
+    """A file whose failed writes are dropped."""
 
     def write(self, data: Any) -> int:
-        """Write what can be written; return the bytes that are dealt with."""
         everything = memoryview(data).nbytes
         try:
             written = super().write(data)
@@ -401,7 +381,7 @@ def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
 
 
 class Progress:
-    """What a long job calls with the amount done so far; it draws nothing where no bar is shown."""
+    """What a long job calls with the amount done so far; without a bar it draws nothing."""
 
     def __init__(
         self,
@@ -412,11 +392,10 @@ class Progress:
         self._stage = ""
 
     def __call__(self, done: float) -> None:
-        """Show the amount done."""
         self._update(completed=done)
 
     def stage(self, description: str, done: float, total: float) -> None:
-        """Show how much is done of one stage of the job; rate and ETA begin anew with every stage."""
+        """Show how much is done of a stage of the job; rate and ETA restart with every stage."""
         if description != self._stage:
             self._restart(description=description, total=total)
             self._stage = description
@@ -429,10 +408,7 @@ class Progress:
 
 @contextmanager
 def progress(description: str, total: float | None, unit: str = "") -> Iterator[Progress]:
-    """Show a progress bar with rate and ETA on stderr, which fits 80 columns; yield what the job calls.
-
-    Nothing is drawn when stderr is not a terminal.
-    """
+    """Show a progress bar with rate and ETA on stderr, if that is a terminal; yield what the job calls."""
     if not sys.stderr.isatty():
         yield Progress()
         return

@@ -23,11 +23,7 @@ def check_plot(plot: Path | None, force: bool) -> None:
 
 
 def measured(name: str, dimension: str, text: str, key: str = "", word: str = "") -> Parameter:
-    """Return the flag ``name`` for a `stickslip.units.Measured`: '300 g', '300 g +- 1 g', '-60 mm +- 0.1 mm'.
-
-    ``key`` is the rig's quantity whose range the value must lie in; without it any value is accepted.  ``word`` is one
-    that may stand in place of a value, and is then the flag's.
-    """
+    """Return a flag for a `Measured` in the range of the rig's quantity ``key``, or for the word ``word`` itself."""
 
     def convert(typed: str) -> Any:
         from stickslip import units
@@ -85,11 +81,7 @@ def word(name: str, text: str) -> Parameter:
 
 
 def _make_flag(name: str, convert: Callable[[str], Any], text: str) -> Parameter:
-    """Return a flag whose value is one word of the command line, converted by ``convert``.
-
-    cyclopts takes a word with a minus before it for a flag unless the whole of it is a number: '-60 mm' was one.  Here
-    it is the value, and only what begins with two is a flag whose own value is missing.
-    """
+    """Return a flag of one word converted by ``convert``; unlike in cyclopts the word may begin with a minus."""
 
     def read(type_: Any, tokens: Sequence[cyclopts.Token]) -> Any:
         typed = tokens[0].value

@@ -40,10 +40,7 @@ class LogFlags:
 
 
 def take_log_flags(arguments: Sequence[str]) -> tuple[list[str], LogFlags]:
-    """Return the command line without ``--verbose`` and ``--log FILE``, and their values.
-
-    Raises InputError: ``--log`` without a file, or given twice.
-    """
+    """Return the command line without ``--verbose`` and ``--log FILE``, and their values."""
     rest, verbose, files = [], False, []
     remaining = iter(arguments)
     for argument in remaining:
@@ -65,12 +62,7 @@ def take_log_flags(arguments: Sequence[str]) -> tuple[list[str], LogFlags]:
 
 @contextmanager
 def log_to(flags: LogFlags, name: str, arguments: Sequence[str]) -> Iterator[None]:
-    """Log what happens in the block: stderr gets INFO and above, the file everything; nothing without flags.
-
-    Raises InputError: the file is no log of ours, which is not added to.
-    Raises OSError: it cannot be opened.  Where the disk takes nothing there is no error: stderr says that no log is
-        written.
-    """
+    """Log the block on stderr (INFO) and in a file (all); a full disk is reported on stderr and raises nothing."""
     if not flags.verbose and flags.file is None:
         yield
         return
@@ -123,7 +115,7 @@ def _handlers(flags: LogFlags, stack: contextlib.ExitStack) -> Iterator[tuple[lo
 
 
 def _open_log(file: Path) -> TextIO | None:
-    """Return a log, with its first line; None where the disk takes nothing."""
+    """Return a log, with its first line; None where the disk refuses."""
     try:
         stream = file.open("a", encoding="utf-8")
         try:
@@ -150,12 +142,11 @@ class _Printable(logging.Formatter):
     """Writes control characters as escapes: a log is read in a terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line, or the lines with a traceback."""
         return printable(super().format(record))
 
 
 def _refuse_foreign(file: Path) -> None:
-    """Raise InputError for a file that exists and is no log of ours: it would be added to."""
+    """Raise InputError for an existing file that is not a log of this program."""
     if file.exists() and not file.is_file():
         raise InputError("is not a file", str(file), "give another name (--log)")
     if file.exists():
@@ -169,6 +160,5 @@ class _StderrHandler(logging.Handler):
     """Writes to the stderr of the moment: a progress bar replaces it while it is drawn."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line; what cannot be written is dropped."""
         with contextlib.suppress(OSError, ValueError):
             sys.stderr.write(self.format(record) + "\n")

@@ -45,11 +45,7 @@ class PitchFlags:
     ] = None
 
     def stated(self) -> dict[str, Measured | int]:
-        """Return what is given, by the attributes of `daq.runfile.rig.Rig`.
-
-        Raises InputError: of counts in a turn and the travel in it one is missing or zero, or metres per count are
-            given as well.
-        """
+        """Return the given quantities by the attributes of `daq.runfile.rig.Rig`."""
         turn, travel = self.counts_per_rev, self.circumference
         if turn is None and travel is None:
             return {} if self.metres_per_count is None else {"metres_per_count": self.metres_per_count}
@@ -79,7 +75,7 @@ class RigFlags(PitchFlags):
     x0: RestPosition = None
 
     def stated(self) -> dict[str, Measured | int]:
-        """Return what is given, by the attributes of `daq.runfile.rig.Rig`; InputError as of `PitchFlags`."""
+        """Return the given quantities by the attributes of `daq.runfile.rig.Rig`."""
         stated = {name: getattr(self, name) for name in ("mass", "stiffness", "belt_speed", "x0")}
         return super().stated() | {name: value for name, value in stated.items() if value is not None}
 

@@ -67,11 +67,7 @@ def _end(name: str) -> "NoReturn":
 
 
 def interrupt_again(lost: "UnraisableHookArgs") -> None:
-    """Let a Ctrl-C come again that was lost in a callback of a library; report other exceptions as usual.
-
-    An exception cannot leave such a callback: Python prints it and the command goes on.  The signal is sent to the main
-    thread, so that it also ends a call which waits there; `_thread.interrupt_main` would take effect behind that call.
-    """
+    """Repeat a Ctrl-C lost in a callback, from which no exception propagates; report other exceptions."""
     import _thread
     import signal
     import sys

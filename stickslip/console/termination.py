@@ -30,7 +30,7 @@ def heed_signals() -> None:
 
 
 def terminate(number: int, frame: FrameType | None) -> None:
-    """Raise `TerminatedError`, unless the command clears away already: a terminal and `timeout` may signal twice."""
+    """Raise `TerminatedError`, unless the command is cleaning up already: a terminal and `timeout` may signal twice."""
     _signals.append(number)
     if _ending or isinstance(sys.exc_info()[1], KeyboardInterrupt):
         return
@@ -40,7 +40,7 @@ def terminate(number: int, frame: FrameType | None) -> None:
 
 
 def end_by_signal() -> None:
-    """End the process by the signal that ended the command, as its caller expects; heed no more where none came."""
+    """End the process by the signal that ended the command, as its caller expects; return where none came."""
     _ending.append(True)
     if not _signals:
         return

@@ -36,15 +36,7 @@ LOOK_EVERY_S = 0.02
 def refuse_existing(
     path: Path, force: bool = False, *sources: Path, mark: str = "", kind: str = "", flag: str = "-o"
 ) -> None:
-    """Raise InputError when ``path`` may not be written: the one rule about files that exist.
-
-    path: The output file.
-    force: Replace an existing file.
-    *sources: What the output is made from; not even ``force`` lets it replace one of them.
-    own: A mark in the first 2000 bytes of a file of this kind: such a file is replaced without ``force``.
-    kind: What such a file is called, for the message.
-    flag: The flag that names the output, for the message.
-    """
+    """Raise InputError for an existing file, without ``force`` or a ``mark`` in its first 2000 bytes."""
     where, other = str(path), "give another name"
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
         raise InputError("would replace its own source", where, f"{other} ({flag})", python=other)
@@ -66,15 +58,7 @@ def refuse_existing(
 
 @contextmanager
 def replacing(target: Path, force: bool) -> Iterator[Path]:
-    """Yield a temporary file beside ``target``; when the block succeeds it is synced and takes the target's name.
-
-    Where ``target`` is a symbolic link, the file that it leads to is replaced.  Temporary files that a killed command
-    left for this target are removed; one that another command is writing is waited for, up to `WAIT_S`.
-
-    Raises RefusedError: the disk refuses (`stickslip.output.disk`); nothing is left behind, and what stood there before
-        still does.
-    Raises InputError: another command goes on writing the file.
-    """
+    """Yield a locked temporary file that replaces ``target``, or what it links to, if the block succeeds."""
     with disk.writing(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target
         temporaries: list[tuple[Path, FileLock | None]] = []
@@ -92,10 +76,7 @@ def replacing(target: Path, force: bool) -> Iterator[Path]:
 
 
 def _make_temporary(target: Path, temporaries: list[tuple[Path, FileLock | None]]) -> None:
-    """Create a file beside ``target`` and lock it, as soon as no other command writes one; ``temporaries`` gets both.
-
-    A signal that comes between finds it in ``temporaries``.
-    """
+    """Create and lock a file next to ``target``, when no other command writes one; append both to a list."""
     temporary = target.with_name(
         f".{target.name}.partial"
     )  # relative as the target is: a folder may be renamed meanwhile
@@ -121,14 +102,14 @@ def _make_temporary(target: Path, temporaries: list[tuple[Path, FileLock | None]
 
 
 def _make_unlocked(target: Path) -> Path:
-    """Create a file beside ``target`` under a name that no other command takes."""
+    """Create a file next to ``target`` under a name that no other command uses."""
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=target.absolute().parent)
     os.close(handle)
     return target.with_name(Path(name).name)
 
 
 def _can_be_locked(path: Path) -> bool:
-    """Return whether a file that exists can be locked sooner or later: not a link, nor where it is another user's."""
+    """Return whether a file can be locked sooner or later: neither a link nor another user's."""
     if path.is_symlink():
         return False
     try:
@@ -141,7 +122,7 @@ def _can_be_locked(path: Path) -> bool:
 
 
 def _is_being_written(target: Path, temporary: Path) -> bool:
-    """Return whether another command writes this target; remove the files of those that were killed over it."""
+    """Return whether another command writes this target; remove the files of killed commands."""
     locked = False
     for candidate in (temporary, *target.parent.glob(f".{glob.escape(target.name)}.*.partial")):
         if candidate != temporary and "." in candidate.name[len(target.name) + 2 : -len(".partial")]:

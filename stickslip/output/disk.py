@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def sync_folder(path: Path) -> None:
-    """Put the name of a new file on the disk: the entry in its folder.  Where folders cannot be synced, do nothing."""
+    """Sync the entry of a new file in its folder; do nothing where folders cannot be synced."""
     if hasattr(os, "O_DIRECTORY"):
         folder = os.open(path.absolute().parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
@@ -39,7 +39,6 @@ class RefusedError(DeviceError):
 
 
 def describe_refusal(path: Path, error: OSError) -> RefusedError:
-    """Return what an error of the operating system means for a file that was to be written."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return RefusedError("the disk is full", str(path), "free space, or choose a folder on another disk")
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
@@ -58,7 +57,7 @@ def writing(path: Path) -> Iterator[None]:
 
 @contextmanager
 def defer_interrupts() -> Iterator[None]:
-    """Hold Ctrl-C and its like back until the block has ended: within HDF5 their exception would be lost."""
+    """Defer Ctrl-C and similar signals until the block has ended: within HDF5 their exception would be lost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -99,23 +98,18 @@ def open_rehearsal(path: Path) -> "Iterator[h5py.File]":
 
 
 class Sink(io.RawIOBase):
-    """A file, until the disk refuses; then its content in memory, so that whoever writes need not know.
-
-    error: The first refusal.
-    """
+    """A file; from the first refusal of the disk (``error``) on, its content in memory."""
 
     def __init__(self, file: io.FileIO) -> None:
         self._file: io.FileIO | io.BytesIO = file
         self.error: OSError | None = None
 
     def readable(self) -> bool:
-        """Return True, as of `writable` and `seekable`."""
         return True
 
     writable = seekable = readable
 
     def readinto(self, buffer: Any) -> int:
-        """Read; past the end there is nothing."""
         return self._file.readinto(buffer) or 0
 
     def write(self, data: Any) -> int:
@@ -130,15 +124,13 @@ class Sink(io.RawIOBase):
         return len(memoryview(data).cast("B"))
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place."""
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
-        """Return the place."""
         return self._file.tell()
 
     def truncate(self, size: int | None = None) -> int:
-        """Cut, or lengthen by zeros."""
+        """Cut the file, or lengthen it by zeros."""
         new_size = self.tell() if size is None else size
         if not isinstance(self._file, io.BytesIO):
             try:

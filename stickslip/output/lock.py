@@ -19,15 +19,7 @@ _BEYOND = 1 << 40  # Windows: where the locked byte lies
 
 
 class FileLock:
-    """The lock on a file, held until `release`, `remove` or the end of the process.
-
-    path: An existing file.
-    new: The file does not exist, and is made.
-    Raises BlockingIOError: another process, or another lock of this one, holds it; or a new file was removed before it
-        was locked.
-    Raises FileExistsError: A new file exists.
-    Raises OSError: the file cannot be opened, or its file system has no locks; a new file is removed.
-    """
+    """The lock on a file (``new``: one that is made), held until `release`, `remove` or the end of the process."""
 
     def __init__(self, path: Path, *, new: bool = False) -> None:
         try:
@@ -51,7 +43,6 @@ class FileLock:
 
     @property
     def held(self) -> bool:
-        """Whether the lock was not yet let go of."""
         return self._fd >= 0
 
     def is_of(self, path: Path) -> bool:
@@ -62,20 +53,19 @@ class FileLock:
             return False
 
     def release(self) -> None:
-        """Let go of the file; a second call does nothing."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
 
     def remove(self, path: Path) -> None:
-        """Remove the file, if it is still there, and let go of it."""
+        """Remove the file, if it still exists, and release it."""
         if sys.platform == "win32":
             self.release()
         path.unlink(missing_ok=True)
         self.release()
 
     def rename(self, path: Path, target: Path) -> None:
-        """Give the file the name of another one, which it replaces, and let go of it."""
+        """Give the file the name of another one, which it replaces, and release it."""
         if sys.platform == "win32":
             self.release()
             try:

@@ -5,12 +5,7 @@ from html import escape
 
 
 def table(caption: str, rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
-    """Return a table as HTML; what comes from a file (titles, notes, names) may contain anything.
-
-    caption: Stands above it.
-    rows: Cells; the first of each row is its name.
-    header: Names of the columns; left out when empty.
-    """
+    """Return a table as escaped HTML; the first cell of each row is its name."""
     parts = [f'<table><caption style="text-align: left"><b>{escape(caption)}</b></caption>']
     if header:
         parts.append(f"<tr>{''.join(_format_cell('th', name) for name in header)}</tr>")

@@ -26,7 +26,7 @@ SCREEN_DPI = 90  # dots per inch of a figure in a notebook: 11.5 inches are then
 
 
 class PngFigure(Figure):
-    """A figure that a notebook shows by itself, without pyplot and its list of open figures."""
+    """A figure that a notebook shows without pyplot and its list of open figures."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -47,12 +47,7 @@ def draw_over_time(
     title: str,
     axes: "Axes | None" = None,
 ) -> Figure:
-    """Return the figure of a quantity over time, in parts between gaps, with markers.
-
-    parts: Times, s, and values.
-    markers: Time, s, and words.
-    axes: Where to draw; by default in a new figure.
-    """
+    """Draw a quantity over time, s, in parts between gaps, with markers, into ``axes`` or a new figure."""
     with mpl.rc_context(fname=STYLE):
         if axes is None:
             axes = figure(9.5, 3.6).add_subplot()
@@ -77,13 +72,7 @@ def draw_markers(axes: "Axes", markers: Iterable[tuple[float, str]]) -> None:
 
 
 def check_place(target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:
-    """Raise InputError where `save` would, so that nothing is computed in vain.
-
-    target: The picture: .png, .svg or .pdf.
-    *sources: What is drawn: not even ``force`` lets the picture replace it.
-    force: Replace an existing file.
-    digest: The sha256 of the run that is drawn: an older picture of it is replaced without ``force`` (not a PDF).
-    """
+    """Raise InputError where `save` would; an older picture of the run with this ``digest`` may be replaced."""
     mark = MARK + digest if digest else ""
     atomic.refuse_existing(target, force, *sources, mark=mark, kind="picture of this run", flag="--plot")
     if target.suffix.lower() not in FORMATS:
@@ -92,12 +81,7 @@ def check_place(target: Path, *sources: Path, force: bool = False, digest: str =
 
 
 def save(figure: Figure, target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:
-    """Write a figure; its format is the file's ending.
-
-    target, *sources, force, digest: As for `check_place`.
-    Raises InputError: what `check_place` refuses.
-    Raises RefusedError: the disk refuses; what stood there before still does.
-    """
+    """Write a figure in the format of the file's suffix; arguments as of `check_place`."""
     check_place(target, *sources, force=force, digest=digest)
     form = target.suffix.lower()[1:]
     metadata = {NAMED_IN[form]: MARK + digest} if digest else {}

@@ -45,13 +45,7 @@ NAMED = {suffix: form for form in (RUN, CSV, PARQUET, PAGE, TOML, PDF, TEXT, *OT
 
 
 def check(path: Path, form: Format, flag: str = "-o", do: Mapping[Format, str] | None = None) -> None:
-    """Raise InputError when the suffix of an output is that of another format than is written into it.
-
-    path: The output.
-    form: What is written.
-    flag: The flag that names the output, for the message.
-    do: What gives a file of another format, by that format, for the message.
-    """
+    """Raise InputError for a suffix of another format than ``form``; ``do`` says what writes a file of that format."""
     promised = NAMED.get(path.suffix.lower())
     if promised is None or path.suffix.lower() in form.suffixes:
         return
@@ -69,10 +63,7 @@ def check_run(path: Path, flag: str = "-o") -> None:
 
 
 def choose_form(path: Path, forms: Mapping[str, Format], flag: str = "-o") -> str:
-    """Return the key of the format that the suffix of an output names, of those that can be written.
-
-    Raises InputError: for any other suffix, naming those that can be written.
-    """
+    """Return the key of the format that the suffix of an output names, of those that can be written."""
     for key, form in forms.items():
         if path.suffix.lower() in form.suffixes:
             return key

@@ -24,15 +24,7 @@ def write(
     force: bool = False,
     progress: Callable[[float], None] = lambda done: None,
 ) -> None:
-    """Write a run's table.
-
-    rows: As `daq.runfile.recording.Recording.to_dataframe` returns it.
-    target: The file.
-    form: "csv" or "parquet".
-    force: Replace an existing file.
-    progress: Called with the number of rows written.
-    Raises InputError: when the file exists, or Parquet was asked for and pyarrow is not installed.
-    """
+    """Write a run's table as "csv" or "parquet"; ``progress`` is called with the number of rows written."""
     atomic.refuse_existing(target, force)
     with atomic.replacing(target, force) as temporary:
         if form == "csv":

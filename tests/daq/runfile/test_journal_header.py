@@ -100,12 +100,12 @@ def test_a_header_that_is_no_json_object_is_refused(tmp_path, start, text):
     write(part, start[0], start[1])
     content = part.read_bytes()
     at = content.index(b"R", content.rindex(b'"provenance"'))
-    part.write_bytes(journal.MAGIC + b"".join(journal.journal_records.packed(journal.HEADER, 0, text)) + content[at:])
+    part.write_bytes(journal.MAGIC + b"".join(journal.journal_records.pack(journal.HEADER, 0, text)) + content[at:])
     with pytest.raises(InputError, match="header"):
         journal.read(part)
 
 
-@pytest.mark.parametrize("after", [b"", b"".join(journal.journal_records.packed(journal.LOST, 5, b""))])
+@pytest.mark.parametrize("after", [b"", b"".join(journal.journal_records.pack(journal.LOST, 5, b""))])
 def test_a_journal_that_claims_long_records_everywhere_costs_no_more_than_its_length(tmp_path, start, after):
     # Each claim was summed to its end: a megabyte took half a minute, two took two.
     part = tmp_path / "run.h5.part"

@@ -41,7 +41,7 @@ MOMENTS = {
     "twice, the second one while it clears": (
         "\n        try: come(); time.sleep(5)\n        finally: come(); sum(range(1000))"
     ),
-    "within HDF5": "\n        with disk.hdf5(temporary, 'w') as file: file['x'] = 1; come(); file['y'] = 2",
+    "within HDF5": "\n        with disk.open_hdf5(temporary, 'w') as file: file['x'] = 1; come(); file['y'] = 2",
     "lost in a callback": "lost = Lost(); del lost; time.sleep(5)",
 }
 
