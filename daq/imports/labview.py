@@ -159,6 +159,7 @@ def _segments(lines: Sequence[str], at: int, separator: str, where: str) -> list
         elif _is(line, _COLUMNS, separator) and not named:
             names = [name.strip() for name in line.rstrip(separator).split(separator)]
             names = names[:-1] if names[-1] == "Comment" else names
+            source.check_size(1, len(names), where)
             segments.append(_Segment(_tags(header, separator), names, [], []))
             named = True
         elif named:
