@@ -12,7 +12,7 @@ from typing import Any
 from daq.base import errors
 from daq.base.compute.workers import workers
 from daq.base.console import application
-from daq.base.errors import DeviceError, InputError, StickslipError
+from daq.base.errors import DeviceError, StickslipError
 from fitting import job
 from fitting.job import FitOptions, FitOutput, LoadedRun
 from fitting.report import comparison, page
@@ -90,8 +90,6 @@ def fit(
         When all that fits was lost, processes or scheduler, before the first run was finished.  Later, the finished
         runs are kept and the error stands in the rows of the others.
     """
-    if jobs < 1:
-        raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
     rows: list[BatchRow] = []
     try:
         with workers(min(jobs, len(files)), scheduler) as each:
