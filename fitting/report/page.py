@@ -174,6 +174,7 @@ def render(
         verdict=symbols.pretty(ranking.verdict),
         alone=len(ranking.members) == 1 and not ranking.adequacy.rejected,
         rows=[_row(row, colours) for row in ranking.rows],
+        unfitted=ranking.unfitted,
         best=ranking.best if ranking.rows else None,
         parameters=[(name, *format_interval(item)) for name, item in _best(ranking).items()],
         rivals=[_rival(row) for row in ranking.rivals if row.in_set and row is not ranking.best],
