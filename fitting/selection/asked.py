@@ -24,10 +24,7 @@ def check_numbers(alpha: float, jobs: int = 1) -> None:
 class Asked:
     """Which laws compete, and how; as the arguments of `fitting.selection.ranking.rank`.
 
-    Raises
-    ------
-    InputError
-        For alpha outside (0, 1), fewer than one job.
+    Raises InputError: for alpha outside (0, 1), fewer than one job.
     """
 
     competitors: Competitors

@@ -49,26 +49,15 @@ class Formulas:
 
 @dataclass(frozen=True, eq=False)
 class Competition:
-    """All laws together: the six, those that were named, and rivals that were not.
+    """All laws together: the six, those that were named, and rivals that were not."""
 
-    Attributes
-    ----------
-    order : tuple of int or str
-        Best first, members of the set before all others; the six between themselves as they were judged alone.
-    members : tuple of int or str
-        The combined set, best first.
-    score, weight, behind : dict
-        Of each law, as `fitting.selection.evidence.ModelSet`.
-    asked : frozenset of int or str
-        Which were asked for.
-    """
-
+    # best first, members of the set before all others; the six between themselves as they were judged alone
     order: tuple[int | str, ...]
-    members: tuple[int | str, ...]
-    score: dict[int | str, float]
+    members: tuple[int | str, ...]  # the combined set, best first
+    score: dict[int | str, float]  # of each law, as `fitting.selection.evidence.ModelSet`
     weight: dict[int | str, float]
     behind: dict[int | str, tuple[float, float]]
-    asked: frozenset[int | str]
+    asked: frozenset[int | str]  # which were asked for
 
     @classmethod
     def of_six(cls, chosen: ModelSet) -> "Competition":
@@ -105,12 +94,7 @@ def preferred_forms(forms: Sequence[FormFit]) -> list[tuple[Law, float]]:
 def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rivals: bool) -> Formulas:
     """Fit the laws that were named and, where ``rivals``, those whose forms the measured curve prefers.
 
-    Parameters
-    ----------
-    competitors : Competitors
-    curve : MeasuredCurve or None
-        From which each fit starts.
-    rivals : bool
+    curve: From which each fit starts.
     """
     if curve is None:
         laws: tuple[int | Law, ...] = (*competitors.formulas, *competitors.restated)
@@ -206,19 +190,10 @@ def compete(
 ) -> Competition:
     """Judge the six and the formulas by the same evidence and set rule.
 
-    Parameters
-    ----------
-    fits : sequence of Fit
-        Of the six that compete.
-    chosen : ModelSet or None
-        Of these alone: between themselves they are judged without others, which beat all of their set or none.
-    formulas : sequence of FormulaFit
-    runs : sequence of Run
-    alpha : float
-    asked : frozenset of int or str
-        The laws that were asked for.
-    sustained : bool
-        Whether the mass sticks in the long run; else the start-up drags alone are evidence.
+    fits: Of the six that compete.
+    chosen: Of these alone: between themselves they are judged without others, which beat all of their set or none.
+    asked: The laws that were asked for.
+    sustained: Whether the mass sticks in the long run; else the start-up drags alone are evidence.
     """
     every: list[Candidate] = [*fits, *formulas]
     units = evidence.common_units(every, runs, sustained=sustained)
