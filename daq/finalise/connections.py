@@ -58,10 +58,10 @@ def cut_at_leaps(stream: decode.Stream, rate_hz: float) -> decode.Stream:
         [np.empty(0)]
         + [
             np.full(int(stream.n[first:end].sum()), 1e9 / (rate_hz * (1000 if ident is None else ident.tick_ns)))
-            for first, end, ident in stream.sent_as()
+            for first, end, ident in stream.split_by_ident()
         ]
     )
-    leaps = np.asarray(~counters.fits(1, stream.dt / period))
+    leaps = np.asarray(~counters.agree_on_gap(1, stream.dt / period))
     leaps[stream.first] = False
     if not leaps.any():
         return stream

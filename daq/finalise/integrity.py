@@ -93,12 +93,12 @@ class CountCheck:
             follows = self._follow(samples)
             window, broken = follows.window, follows.gap | follows.fresh
             bits, scale = (_each(values, window)[1:] for values in (units.bits, units.scale))
-            ups, downs = (counters.increments(column, bits) for column in (window.up, window.down))
+            ups, downs = (counters.diff_unsigned(column, bits) for column in (window.up, window.down))
             peak.take(window.time, np.maximum(ups, downs) * scale, broken)
             most += int(np.count_nonzero(broken))
             if window.belt is not None:
                 has_belt = True
-                belt_peak.take(window.time, np.abs(counters.moves(window.belt, bits)), broken)
+                belt_peak.take(window.time, np.abs(counters.diff_signed(window.belt, bits)), broken)
         self._wide = most > 1 << 16
         self.peak_count_rate = peak.found()
         self._safe_s = float("inf")
@@ -131,10 +131,10 @@ class CountCheck:
         n = len(window)
         if n == 0:
             return _nothing_checked(self.peak_count_rate)
-        first = counters.signed(window.up.astype(np.int64) - window.down, bits) * scale
+        first = counters.wrap_signed(window.up.astype(np.int64) - window.down, bits) * scale
         if own.start:
             begins[0], first[0] = True, count_before
-        ups, downs = (counters.increments(column, bits[1:]) for column in (window.up, window.down))
+        ups, downs = (counters.diff_unsigned(column, bits[1:]) for column in (window.up, window.down))
         count = counters.running_sum(begins, (ups - downs) * scale[1:], first)
         segment = segments + np.cumsum(begins) - 1
         flags = (window.status & ~np.uint8(frames.LEVELS)).astype(np.uint16)
@@ -151,7 +151,7 @@ class CountCheck:
         rise = np.zeros(n, dtype=np.int64)
         if self._units.illegal.any():
             fresh = follows.begins == _ANEW
-            rise[1:] = counters.increments(window.illegal, 16)
+            rise[1:] = counters.diff_unsigned(window.illegal, 16)
             rise[fresh | ~_each(self._units.illegal, window)] = 0  # counted before this start: not this run's
             # The count stands for its whole frame, so every sample of the frame is suspect.
             flags[np.isin(window.frame, window.frame[rise > 0])] |= counters.FLAG_ILLEGAL

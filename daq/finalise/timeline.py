@@ -137,7 +137,7 @@ class Timeline:
         for orders, connection in zip(self._orders, connections, strict=True):
             source = -1
             for stream in connection:
-                for first, end, ident in stream.sent_as():
+                for first, end, ident in stream.split_by_ident():
                     if first < end and self._source(ident) != source:
                         source = self._source(ident)
                         orders.append(counters.FrameOrder(1e9 / (rate_hz * self._tick_of(source))))
@@ -189,13 +189,13 @@ class Timeline:
         parts = -1
         for orders, connection in zip(self._orders, self._connections, strict=True):
             for order in orders:
-                order.begin()
+                order.rewind()
             beside: _Beside | None = None
             using, now = -1, -1
             for stream in connection:
                 stretches: list[counters.Order] = []
                 source = np.zeros(len(stream.n), dtype=np.int64)
-                for first, end, ident in stream.sent_as():
+                for first, end, ident in stream.split_by_ident():
                     anew = first < end and self._source(ident) != now
                     if anew:
                         using, now = using + 1, self._source(ident)
@@ -384,7 +384,7 @@ def _truth(
         at = at + 1
     last = before if len(seq) == 0 else _Beside(int(seq[-1]), int(index[-1]), int(part[-1]), bool(keep[-1]))
     beside = np.clip(at - 1, 0, None) if len(seq) else at[:0]
-    offset = counters.signed(stream.truth_seq[: len(beside)] - seq[beside], 16)
+    offset = counters.wrap_signed(stream.truth_seq[: len(beside)] - seq[beside], 16)
     placed = keep[beside]
     key = sample_keys(part[beside][placed], (index[beside] + offset)[placed])
     return TruthRows(key, stream.truth[: len(beside)][placed]), last

@@ -55,7 +55,7 @@ class RunSamples:
         if run.raw is not None and run.time.size > 1:
             within = ~fresh[1:]
             self.counts.lost += int((np.diff(run.raw.sample.astype(np.int64))[within] - 1).sum())
-            self.counts.illegal += int(counters.increments(run.raw.illegal, 16)[within].sum())
+            self.counts.illegal += int(counters.diff_unsigned(run.raw.illegal, 16)[within].sum())
             self.counts.phase_errors += int(np.count_nonzero(run.raw.flags[before:] & counters.FLAG_PHASE))
 
 

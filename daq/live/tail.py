@@ -192,7 +192,7 @@ class JournalTail:
         """Return the belt's count without roll-over, (n,), from 0 in each part; 0 without an encoder of its own."""
         if samples.belt is None:
             return np.zeros(len(samples), np.int64)
-        moved = np.concatenate(([0], counters.moves(samples.belt, self.rig.counter_bits)))
+        moved = np.concatenate(([0], counters.diff_signed(samples.belt, self.rig.counter_bits)))
         return counters.running_sum(fresh, moved[1:], np.zeros(len(samples), np.int64))
 
     def _unpacked(self, new: list[tuple[int, bytes]]) -> list[NewSamples]:
@@ -256,7 +256,7 @@ class JournalTail:
             lost[0] = (samples.index[0] - self._last.index & 0xFFFF) - 1
         rise = np.zeros(len(samples), np.int64)
         if self._ident is not None and frames.Capability.ILLEGAL in self._ident.capabilities:
-            rise[1:] = counters.increments(samples.illegal, 16)
+            rise[1:] = counters.diff_unsigned(samples.illegal, 16)
             rise[starts] = 0
         self.counts.samples += len(samples) - known - 1
         self.counts.segments += int(np.count_nonzero(starts > known))

@@ -10,7 +10,7 @@ from daq.protocols import session as sessions
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session, Tally
 from daq.wire import frames
-from daq.wire.counters import fits, is_late, signed
+from daq.wire.counters import agree_on_gap, is_late, wrap_signed
 from stickslip.errors import DeviceError, InputError, check_known
 from stickslip.text import printable, storable
 
@@ -41,7 +41,7 @@ def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "It
     """Decode them piece by piece."""
     from daq.wire import decode
 
-    return decode.pieces(reads, sessions.PIECE_BYTES, header.get("decoder"))
+    return decode.decode_pieces(reads, sessions.PIECE_BYTES, header.get("decoder"))
 
 
 class Frames(Session):
@@ -189,7 +189,7 @@ class FrameTally(Tally):
 
     def feed(self, data: bytes, at_s: float | None = None) -> None:
         """Take bytes as they came; their sequence numbers tell more than when they came."""
-        for payload in self._frames.payloads(data):
+        for payload in self._frames.read_payloads(data):
             if payload[0] == frames.SAMPLES and len(payload) > frames.SAMPLES_HEADER:
                 self._step(payload[3] | payload[4] << 8, int.from_bytes(payload[5:9], "little"), payload[2])
                 if self.illegal is not None and self._newest is not None:
@@ -230,12 +230,12 @@ class FrameTally(Tally):
             last, then, length = self._newest
             missing = seq - last - length & 0xFFFF
             if missing:
-                periods = signed(ticks - then, 32) / self._ticks_per_sample
+                periods = wrap_signed(ticks - then, 32) / self._ticks_per_sample
                 if periods <= 0 and is_late(last - seq & 0xFFFF, -periods, length):
                     return
                 step = missing + length
                 step += 65536 * round((periods - step) / 65536)
-                missing = step - length if step > length and fits(step, periods) else 0
+                missing = step - length if step > length and agree_on_gap(step, periods) else 0
         self.reached += missing + n
         self.received += n
         self._newest = seq, ticks, n

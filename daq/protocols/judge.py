@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from daq.protocols.neighbours import LOOK_AHEAD, leaps, off_course, periods_between, running, spread, time_ahead
 from daq.wire.arrival import LeastDelay
-from daq.wire.counters import LATE_FRAMES, moves
+from daq.wire.counters import LATE_FRAMES, diff_signed
 from stickslip.compute import arrays
 from stickslip.compute.arrays import Array
 
@@ -139,7 +139,7 @@ class _InTime:
     def _decide(self, ticks: NDArray[np.int64], fresh: NDArray[np.bool_], keep: NDArray[np.bool_], until: int) -> None:
         """Decide up to a line; ``ticks`` and ``keep`` are changed in place."""
         period = self._period
-        step = moves(ticks, 32)
+        step = diff_signed(ticks, 32)
         odd = np.flatnonzero((step < -LATE_FRAMES * period) | (step > LATE_FRAMES * period)) + 1
         line = self._line
         while line < until:
@@ -211,7 +211,7 @@ class _OnCourse(_Stage):
 
     def _decide(self, lines: Lines, here: slice, new: int) -> Lines:
         at, time_there, number_there = self._anchor
-        time, number = running(moves(lines.ticks, 32)), running(periods_between(lines.ticks, self._period))
+        time, number = running(diff_signed(lines.ticks, 32)), running(periods_between(lines.ticks, self._period))
         time += time_there - time[at]
         number += number_there - number[at]
         damaged, late, course = off_course(
@@ -248,7 +248,7 @@ class _Numbered(_Stage):
         ticks, fresh = lines.ticks, lines.fresh
         if len(lines) > new:
             newest = int(ticks[new]) if self._newest is None else self._newest
-            step = moves(np.concatenate(([newest], ticks[new:])), 32)
+            step = diff_signed(np.concatenate(([newest], ticks[new:])), 32)
             fresh[new:] |= step < -LATE_FRAMES * self._period
             if self._newest is None:
                 fresh[0] = False  # the first line of all begins nothing anew
@@ -276,9 +276,9 @@ class _Numbered(_Stage):
         for line in np.flatnonzero(fresh | (step > LATE_FRAMES * self._period)).tolist():
             self._least.note(device[begun:line], delay[begun:line])
             gap_s = float(step[line]) * self._tick_s
-            if fresh[line] or self._least.leapt(float(device[line]), float(delay[line]), gap_s):
+            if fresh[line] or self._least.has_leapt(float(device[line]), float(delay[line]), gap_s):
                 fresh[line] = True
-                self._least.begin()
+                self._least.reset()
             begun = line
         self._least.note(device[begun:], delay[begun:])
 
@@ -295,7 +295,7 @@ class _TwoCounters:
         if len(lines) == 0:
             return lines
         count, down = (int(lines.up[0]), 0) if self._last is None else self._last
-        step = moves(np.concatenate(([count], lines.up)), self._bits)
+        step = diff_signed(np.concatenate(([count], lines.up)), self._bits)
         falls = down + np.cumsum(np.maximum(-step, 0))
         self._last = int(lines.up[-1]), int(falls[-1])
         limit = (1 << self._bits) - 1

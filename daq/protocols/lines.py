@@ -26,7 +26,7 @@ from daq.protocols.neighbours import LOOK_AHEAD, time_ahead
 from daq.protocols.session import Tally
 from daq.wire import frames
 from daq.wire.arrival import LeastDelay
-from daq.wire.counters import LATE_FRAMES, signed
+from daq.wire.counters import LATE_FRAMES, wrap_signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
 from stickslip.compute import arrays
@@ -107,7 +107,7 @@ class LineReader:
 
     def feed(self, data: bytes) -> LineBatch:
         """Take bytes as they came; return what the lines hold that they complete."""
-        block = self._splitter.whole(data)
+        block = self._splitter.cut_lines(data)
         lines = block.count(self.delimiter)
         values, numbers = array("q"), array("q")
         others: list[tuple[int, Other]] = []
@@ -192,14 +192,14 @@ class LineTally(Tally):
                 at = behind
                 self.resets += self._last is not None
                 self._last = None
-                self._least.begin()
+                self._least.reset()
         self._advance(ticks[at:])
 
     def begin_again(self, reached: int) -> None:
         """Begin anew, ``reached`` periods after the start."""
         self._reader = self._make_reader()
         self._last, self._odd = None, 0
-        self._least.begin()
+        self._least.reset()
         super().begin_again(reached)
 
     def _advance(self, lines: list[int]) -> None:
@@ -222,11 +222,11 @@ class LineTally(Tally):
             self._odd += 1
             if self._odd > LOOK_AHEAD:  # not one damaged line: there is a gap, or the board has started anew
                 self._odd = 0
-                ahead = signed(step, 32)
+                ahead = wrap_signed(step, 32)
                 self._device += ahead
                 if ahead < 0 or self._leapt(ahead):
                     self.resets += 1
-                    self._least.begin()
+                    self._least.reset()
                 else:  # a time that stands still is no start
                     self.reached += round(ahead / self._period)
                 last = ticks
@@ -238,7 +238,7 @@ class LineTally(Tally):
     def _leapt(self, ahead: int) -> bool:
         """Return whether a time that is now so many ticks ahead of the last good one has leapt (`LeastDelay`)."""
         device_s = self._device * self._tick_s
-        return self._at_s is not None and self._least.leapt(device_s, self._at_s - device_s, ahead * self._tick_s)
+        return self._at_s is not None and self._least.has_leapt(device_s, self._at_s - device_s, ahead * self._tick_s)
 
 
 def pieces(

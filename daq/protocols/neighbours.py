@@ -17,7 +17,7 @@ are off theirs by -2e/3 and e/6.  A jump, a velocity step, a gap or noise that i
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.wire.counters import moves
+from daq.wire.counters import diff_signed
 
 LEAP_COUNTS = 32
 LEAP_MOTIONS = 8  # how much farther than the motion about it a count must leap to be damaged
@@ -36,7 +36,7 @@ def time_ahead(first: np.int64 | NDArray[np.int64], ticks: NDArray[np.int64]) ->
 def leaps(count: NDArray[np.int64], bits: int) -> NDArray[np.bool_]:
     """Return which counts (modulo 2^bits) leap away from both their neighbours, by far more than the motion about."""
     leaps = np.zeros(len(count), dtype=np.bool_)
-    size = np.abs(moves(count, bits))
+    size = np.abs(diff_signed(count, bits))
     least = np.minimum(size[:-1], size[1:])
     half = 1 << (bits - 1)
     across = np.abs((count[2:] - count[:-2] + half & (1 << bits) - 1) - half)  # from one neighbour to the other
@@ -70,7 +70,7 @@ def off_course(
     if n < 2 * SPIKE_AMONG:
         return damaged, np.zeros(0, dtype=np.int64), ticks[:0]
     place = np.arange(n)
-    motion = running(moves(count, bits))
+    motion = running(diff_signed(count, bits))
     phase = time - period * number
     size = _size(phase)
     late = np.flatnonzero(size > SPIKE_LEAST)
@@ -150,7 +150,7 @@ def _residual(
 
 def periods_between(ticks: NDArray[np.int64], period: float) -> NDArray[np.int64]:
     """Return the periods between neighbouring lines, (n - 1,): a line that is late alone hides no missing one."""
-    step = moves(ticks, 32)
+    step = diff_signed(ticks, 32)
     number = np.round(step / period).astype(np.int64)
     number[(step > 0) & (number < 1)] = 1
     both = np.flatnonzero(np.abs(step[:-1] + step[1:] - 2 * period) < period / 2)

@@ -138,7 +138,7 @@ def test_the_layout_is_that_of_the_identification_before_the_samples():
     assert (len(found.n), found.unknown, len(found.belt)) == (2, 1, 2)
     found = decode.decode([(0, first + second + wide + first + plain)])
     assert (len(found.n), found.unknown, found.ident) == (2, 0, belted)  # the last frame used to be read as belted
-    assert [(first, ident.capabilities) for first, _, ident in found.sent_as()] == [
+    assert [(first, ident.capabilities) for first, _, ident in found.split_by_ident()] == [
         (0, belted.capabilities),
         (1, found.identified[2].capabilities),
     ]
