@@ -33,7 +33,7 @@ def pieces(recorded: journal.Journal) -> Iterator[BlockPiece]:
     begun: float | None = None
     last_s, last_index, last_ns, last_value, taken = 0.0, -1, 0, 0, 0
     for number, record in enumerate(recorded.records.of_kind(journal.RECEIVED)):
-        content = blocks.unpacked(record.data, columns)
+        content = blocks.unpack(record.data, columns)
         time, values = (np.empty(0), np.empty(0)) if content is None else content
         left = len(time) if most is None else most - taken
         time, values = time[:left], values[:left]

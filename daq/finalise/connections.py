@@ -41,7 +41,7 @@ def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Strea
     shelves = []
     for reads in _reads(taken.records):
         shelf: Shelf[decode.Stream] = Shelf(spill)
-        for stream in backend.pieces(reads, taken.header):
+        for stream in backend.decode_pieces(reads, taken.header):
             shelf.append(cut_at_leaps(believed(stream), float(taken.header["rate_hz"])))
         shelves.append(shelf)
     return shelves

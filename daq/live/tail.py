@@ -202,7 +202,7 @@ class JournalTail:
             self._calibrated = True
         made = []
         for _, data in new:
-            content = blocks.unpacked(data, self.header["columns"])
+            content = blocks.unpack(data, self.header["columns"])
             if content is None:
                 self.counts.crc_errors += 1
                 continue

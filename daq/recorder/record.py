@@ -171,10 +171,10 @@ def record(
 
             def show(reached: int) -> None:
                 progress(min(reached, samples) / plan.rate_hz)
-                status(reader.tally.words(time.monotonic() - began))
+                status(reader.tally.describe(time.monotonic() - began))
 
             _take(reader, writer, place, show, stop)
-            logger.info("ended: %s; %s", reader.ended, reader.tally.words(time.monotonic() - began))
+            logger.info("ended: %s; %s", reader.ended, reader.tally.describe(time.monotonic() - began))
             if reader.failure is not None:
                 if not reader.heard:
                     writer.remove()  # it is empty, and would block the next recording

@@ -124,6 +124,7 @@ def decode_pieces(
 
     Together they are what `decode` returns at once.  A read that ends inside a frame belongs to the piece of that
     frame; an identification after a piece's last frame to the first frame of the next piece.
+
     If there is more than one piece, ``reads`` is iterated over twice and must yield the same.
     """
     source = _read_lines(reads, most_bytes)

@@ -307,7 +307,7 @@ class FrameReader:
     """Read frames from a byte stream; never raises on garbage, synchronised again at the next 0x00.
 
     crc_errors: Lines with invalid COBS or CRC.  An invalid first line is not counted: listening may start anywhere
-    inside a frame.
+        inside a frame.
     unknown: Frames with a valid CRC whose kind, version or length is unknown (a newer board, another layout).
     """
 

@@ -73,9 +73,9 @@ class Decoder:
 
     kind: One of `DECODERS`.
     levels: Levels of the last sample, initially those before the first one; None: the first sample only sets the state
-    and is never an edge.
+        and is never an edge.
     up, down, illegal, edges: Totals so far; ``edges`` counts every change of the levels, whether or not this decoder
-    counts it.
+        counts it.
     latched_up: The flip-flop's Q (jk-latched only).
     Raises ValueError for an unknown kind, or levels outside 0 to 3.
     """
@@ -200,6 +200,7 @@ class PulseDecoder:
 
     Such a source has no illegal change: a step and a turn of direction in one sample count with the new direction,
     which a driver must have set up before it steps.
+
     up, down, edges: Totals so far; ``edges`` counts the rises of step.
     """
 

@@ -6,6 +6,7 @@ class Splitter:
 
     A line longer than any of the protocol is returned as soon as it is too long, with what has arrived of it; the
     caller sees its length and counts it as damaged.  The rest of it, up to its delimiter, is dropped.
+
     delimiter: One byte; it ends a line and is not part of it.
     longest: Bytes of the longest line.
     dropped_bytes: Bytes of endless lines that were dropped after the line had been returned.

@@ -182,6 +182,6 @@ def test_a_tally_counts_what_came_what_is_lost_and_what_is_illegal():
         columns = [0, *[1000] * 7], *[[0] * 8 for _ in range(3)]
         tally.feed(wire.encode_samples(wire.SampleBlock(seq, 1000 * seq, illegal, *columns, None, None)))
     assert (tally.reached, tally.received, tally.illegal) == (32, 24, 6)
-    assert tally.words(0.024) == "1000 Hz, 8 lost, 6 illegal"
+    assert tally.describe(0.024) == "1000 Hz, 8 lost, 6 illegal"
     tally.begin_again(100)  # the port was lost for 68 periods: no lost samples
-    assert tally.words(1.0).endswith("92 Hz, 8 lost, 6 illegal")
+    assert tally.describe(1.0).endswith("92 Hz, 8 lost, 6 illegal")
