@@ -15,7 +15,7 @@ import numpy as np
 from daq import protocols
 from daq.finalise import connections, timeline
 from daq.finalise.integrity import CheckedCounts, check
-from daq.finalise.run import calibration
+from daq.finalise.run import read_calibration
 from daq.protocols import blocks
 from daq.runfile import journal, journal_header, journal_records
 from daq.runfile.journal import Record
@@ -198,7 +198,7 @@ class JournalTail:
     def _unpacked(self, new: list[tuple[int, bytes]]) -> list[NewSamples]:
         """Return the samples of blocks that a program hands over."""
         if self._configuration and not self._calibrated:
-            _, self.rig, _ = calibration(self._configuration, [], None)
+            _, self.rig, _ = read_calibration(self._configuration, [], None)
             self._calibrated = True
         made = []
         for _, data in new:
@@ -229,7 +229,7 @@ class JournalTail:
         """
         count = np.empty(len(samples), np.int64)
         fresh = np.zeros(len(samples), np.bool_)
-        for _, here in timeline.parts_of(samples):
+        for _, here in timeline.split_parts(samples):
             count[here] = counters.net_count(samples.up[here], samples.down[here], self.rig.counter_bits)
             fresh[here.start] = True
         return count, fresh
@@ -267,7 +267,7 @@ class JournalTail:
     def _calibrate(self, stream: decode.Stream) -> None:
         """Read the calibration once: what was given at the start, else what the board sent."""
         if not self._calibrated and (self._configuration or stream.configs):
-            _, self.rig, _ = calibration(self._configuration, [stream], self._ident)
+            _, self.rig, _ = read_calibration(self._configuration, [stream], self._ident)
             self._calibrated = True
         elif not self._calibrated and self._ident is not None:
             self.rig = replace(self.rig, decoder=self._ident.decoder, counter_bits=self._ident.counter_bits)

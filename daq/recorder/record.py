@@ -99,7 +99,7 @@ def check_output(request: RecordRequest) -> None:
 def journal_exists(part: Path) -> InputError:
     """Return the error of a journal that is there already: another recorder's, or one that was left."""
     if claim.is_locked(part):
-        what, do = claim.in_use(part)
+        what, do = claim.explain_lock(part)
         return InputError(what, str(part), f"give another -o, or {do}", python="give another output, or wait for it")
     return InputError(
         "an earlier recording was not finished: its journal still exists",
