@@ -39,12 +39,8 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
     def open(self) -> None:
         """Build the scene and power the board up.
 
-        Raises
-        ------
-        SerialException
-            Open already, or no port given.
-        InputError
-            The URL or the scene is wrong.
+        Raises SerialException: open already, or no port given.
+        Raises InputError: the URL or the scene is wrong.
         """
         if self.port is None:
             raise SerialException("Port must be configured before it can be used.")
@@ -173,10 +169,7 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
 def parse_url(url: str) -> tuple[str, list[str], bool]:
     """Return scene, changes and whether real time is asked for, of a ``rig://`` URL.
 
-    Raises
-    ------
-    InputError
-        Another scheme, no scene, or an unknown option.
+    Raises InputError: another scheme, no scene, or an unknown option.
     """
     if not url.lower().startswith(_SCHEME):
         raise InputError("is no rig:// URL", url, "write rig://SCENE?set=section.key=value&realtime=1")

@@ -70,43 +70,24 @@ class StatementCheck:
 
 @dataclass(frozen=True)
 class Computed:
-    """What a chapter computes of a figure; `rig_sim.atlas.statements` joins it with the words.
+    """What a chapter computes of a figure; `rig_sim.atlas.statements` joins it with the words."""
 
-    Attributes
-    ----------
-    panels : tuple of Panel
-        Filled into rows of ``columns`` panels.
-    numbers : mapping
-        Numbers, words and verdicts, by the names that the words use.
-    columns : int
-    """
-
-    panels: tuple[Panel, ...]
+    panels: tuple[Panel, ...]  # filled into rows of ``columns`` panels
+    # Numbers, words and verdicts, by the names that the words use
     numbers: Mapping[str, Any] = field(default_factory=dict)
     columns: int = 1
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """What `rig-sim atlas` makes of a figure.
+    """What `rig-sim atlas` makes of a figure."""
 
-    Attributes
-    ----------
-    sentence : str
-        What it shows.
-    panels : tuple of Panel
-        Filled into rows of ``columns`` panels.
-    table : tuple of StatementCheck
-        Empty where the thesis states nothing about the figure that can be computed.
-    choices : str
-        What the thesis does not state and was chosen here; empty for nothing.
-    """
-
-    sentence: str
-    panels: tuple[Panel, ...]
+    sentence: str  # what it shows
+    panels: tuple[Panel, ...]  # filled into rows of ``columns`` panels
+    # empty where the thesis states nothing about the figure that can be computed
     table: tuple[StatementCheck, ...] = ()
     columns: int = 1
-    choices: str = ""
+    choices: str = ""  # what the thesis does not state and was chosen here; empty for nothing
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,6 @@ def draw(axes: "Axes", panel: Panel, explained: set[str]) -> None:
 
 
 def colour(curve: Trace) -> str:
-    """Return the colour of a curve."""
     if curve.colour is None:
         return "0.6"
     return "black" if curve.colour < 0 else f"C{curve.colour}"

@@ -30,10 +30,7 @@ class Redrawn:
 def chosen(asked: Iterable[str] | None) -> list[str]:
     """Return the numbers of the figures asked for: '2.7', or '2' for a chapter; all of them for none.
 
-    Raises
-    ------
-    InputError
-        A number that is no figure of the atlas.
+    Raises InputError: A number that is no figure of the atlas.
     """
     known = sorted([*ENTRIES, *NOT_REDRAWN], key=order)
     figures: list[str] = []
@@ -55,23 +52,12 @@ def redraw(
 ) -> list[Redrawn]:
     """Redraw figures into a folder, which is made where it does not exist.
 
-    Parameters
-    ----------
-    numbers : iterable of str
-        From `chosen`; those that are not redrawn are listed on the page with the reason.
-    folder : Path
-        Where ``figure-2.7.png`` ... and ``atlas.md`` go.
-    force : bool
-        Replace files that exist.
-    progress : callable
-        Called with the number of figures done.
-
-    Raises
-    ------
-    InputError
-        A file that exists, or a folder whose own folder does not.
-    RefusedError
-        The disk refuses.
+    numbers: From `chosen`; those that are not redrawn are listed on the page with the reason.
+    folder: Where ``figure-2.7.png`` ... and ``atlas.md`` go.
+    force: Replace files that exist.
+    progress: Called with the number of figures done.
+    Raises InputError: A file that exists, or a folder whose own folder does not.
+    Raises RefusedError: the disk refuses.
     """
     numbers = list(numbers)
     files = {number: folder / f"figure-{number}.png" for number in numbers if number in ENTRIES}

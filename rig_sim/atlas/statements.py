@@ -75,10 +75,7 @@ def drawing(
 ) -> Drawing:
     """Compute a figure, and return it with its words and its table.
 
-    Raises
-    ------
-    InputError
-        The words name a number that the chapter does not compute.
+    Raises InputError: the words name a number that the chapter does not compute.
     """
     found = compute()
     numbers = {**words, **found.numbers}
@@ -114,18 +111,11 @@ def compare(
 ) -> StatementCheck:
     """Return the comparison of a printed number with a computed one.
 
-    Parameters
-    ----------
-    quantity : str
-        What the number is.
-    printed : str
-        As the thesis prints it: a decimal, or a multiple of pi such as '3 pi/2'.
-    value : float or None
-        Computed; None or NaN agrees with nothing.
-    why : str
-        Why they differ; shown only where they do.
-    within : float, optional
-        How far apart they may lie; default one unit of the last digit printed, of a multiple of pi 0.
+    quantity: What the number is.
+    printed: As the thesis prints it: a decimal, or a multiple of pi such as '3 pi/2'.
+    value: Computed; None or NaN agrees with nothing.
+    why: Why they differ; shown only where they do.
+    within: How far apart they may lie; default one unit of the last digit printed, of a multiple of pi 0.
     """
     of_pi = MULTIPLE_OF_PI.fullmatch(printed)
     number = int(of_pi[1] or 1) * math.pi / int(of_pi[2] or 1) if of_pi else float(printed)

@@ -30,17 +30,9 @@ from rig_sim.scenes.sections import Belt, Drive
 class BeltEncoder:
     """The belt's encoder at work; its travel is carried from one stretch of motion to the next.
 
-    Parameters
-    ----------
-    scene : Scene
-        With a belt and an encoder.
-
-    Attributes
-    ----------
-    delta : float
-        Metres of belt per count.
-    travel : float
-        How far the belt has run since t = 0, m, signed.
+    scene: With a belt and an encoder.
+    delta: Metres of belt per count.
+    travel: How far the belt has run since t = 0, m, signed.
     """
 
     def __init__(self, scene: Scene) -> None:

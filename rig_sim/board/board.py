@@ -47,15 +47,8 @@ BELT_PITCH_SD = 2e-4  # relative, of the metres per belt count
 class SimulatedBoard:
     """A board that samples a simulated scene.
 
-    Parameters
-    ----------
-    scene : Scene
-        Must have an encoder.
-
-    Raises
-    ------
-    InputError
-        The scene has no encoder.
+    scene: Must have an encoder.
+    Raises InputError: the scene has no encoder.
     """
 
     def __init__(self, scene: Scene) -> None:

@@ -30,39 +30,21 @@ _HALVINGS = 30  # halvings of a piece: the position at a turning point is right 
 
 @dataclass(frozen=True)
 class Counts:
-    """What the board reads at s sampling instants.
+    """What the board reads at s sampling instants."""
 
-    Attributes
-    ----------
-    up, down : (s,) int64
-        The two counters, not yet wrapped to their width.
-    levels : (s,) uint8
-        A + 2 B.
-    """
-
-    up: Integers
+    up: Integers  # (s,) the two counters, not yet wrapped to their width
     down: Integers
-    levels: NDArray[np.uint8]
+    levels: NDArray[np.uint8]  # (s,) A + 2 B
 
 
 class QuadratureEncoder:
     """The encoder and its decoder at work; the state is carried from one stretch of motion to the next.
 
-    Parameters
-    ----------
-    section : Encoder
-        The scene's encoder section.
-    x, t : float
-        Position (m) and time (s) at power-up.
-    decoder : str, optional
-        Overrides the section's decoder.
-
-    Attributes
-    ----------
-    n : int
-        The x4 count of the position now, never wrapped.
-    origin : float
-        Position (m) of the middle of the count where up - down is 0.
+    section: The scene's encoder section.
+    x, t: Position (m) and time (s) at power-up.
+    decoder: Overrides the section's decoder.
+    n: The x4 count of the position now, never wrapped.
+    origin: Position (m) of the middle of the count where up - down is 0.
     """
 
     def __init__(self, section: Encoder, x: float, t: float = 0.0, decoder: str | None = None) -> None:
@@ -82,17 +64,10 @@ class QuadratureEncoder:
     def read(self, nodes: Nodes, samples: Integers) -> Counts:
         """Follow the motion and return the counters at some of its nodes.
 
-        Parameters
-        ----------
-        nodes : Nodes
-            The motion since the last call, its first node the last one's end.
-        samples : (s,) int64
-            Increasing indices of the nodes at which the board samples.
-
-        Raises
-        ------
-        InputError
-            The position is beyond what counts can hold, or has more edges than can be followed one by one.
+        nodes: The motion since the last call, its first node the last one's end.
+        samples: (s,) Increasing indices of the nodes at which the board samples.
+        Raises InputError: the position is beyond what counts can hold, or has more edges than can be followed one by
+            one.
         """
         y, origin = self._monotone(nodes)
         if not np.abs(y).max() < LARGEST_COUNT * self.delta:

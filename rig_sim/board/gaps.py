@@ -16,12 +16,8 @@ from rig_sim.scenes.sections import Gaps
 class SilentStretches:
     """Decides for each sampling instant, in order, whether its sample is sent.
 
-    Parameters
-    ----------
-    section : Gaps
-        The scene's gaps section.
-    seed : int
-        The scene's; gaps have a stream of random numbers of their own.
+    section: The scene's gaps section.
+    seed: The scene's; gaps have a stream of random numbers of their own.
     """
 
     def __init__(self, section: Gaps, seed: int) -> None:

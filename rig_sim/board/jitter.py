@@ -14,12 +14,8 @@ SELDOM = 3  # standard deviations: where the limit is farther out, at most 0.3 %
 class JitteringClock:
     """Draws the offset of each sampling instant from its grid.
 
-    Parameters
-    ----------
-    section : Jitter
-        The scene's jitter section.
-    seed : int
-        The scene's; jitter has a stream of random numbers of its own.
+    section: The scene's jitter section.
+    seed: The scene's; jitter has a stream of random numbers of its own.
     """
 
     def __init__(self, section: Jitter, seed: int) -> None:

@@ -20,21 +20,11 @@ from rig_sim.scenes.sections import SlipLoss
 class LosingCog:
     """The slipping cog: what it has lost so far and is losing now.
 
-    Parameters
-    ----------
-    section : SlipLoss
-        The scene's slip_loss section.
-    seed : int
-        The scene's; losses have a stream of random numbers of their own.
-    metres_per_count : float
-        The x4 count, m.
-
-    Attributes
-    ----------
-    losses : list of (float, float)
-        Beginning (s) and size (m, signed: taken off the reading) of each loss that is not over yet.
-    lost : float
-        Sum of those that are, m.
+    section: The scene's slip_loss section.
+    seed: The scene's; losses have a stream of random numbers of their own.
+    metres_per_count: The x4 count, m.
+    losses: Beginning (s) and size (m, signed: taken off the reading) of each loss that is not over yet.
+    lost: Sum of those that are, m.
     """
 
     def __init__(self, section: SlipLoss, seed: int, metres_per_count: float) -> None:
@@ -48,12 +38,8 @@ class LosingCog:
     def seen(self, nodes: Nodes, samples: NDArray[np.int64], period: float) -> Nodes:
         """Return the motion as the encoder sees it.
 
-        Parameters
-        ----------
-        nodes : Nodes
-            The motion since the last call.
-        samples : (s,) int64
-            The nodes at which the board samples, one ``period`` (s) apart.
+        nodes: The motion since the last call.
+        samples: (s,) The nodes at which the board samples, one ``period`` (s) apart.
         """
         for at in samples:
             t, v = float(nodes.t[at]), float(nodes.v[at])

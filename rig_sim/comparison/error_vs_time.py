@@ -75,10 +75,8 @@ def compare(
 
     ``progress`` is called before each run with the percentage done.
 
-    Raises
-    ------
-    InputError
-        ``until`` is not positive or longer than `LONGEST` swings; an unknown method; a scene without events.
+    Raises InputError: ``until`` is not positive or longer than `LONGEST` swings; an unknown method; a scene without
+        events.
     """
     if not (math.isfinite(until) and until > 0):
         raise InputError(f"is {until:g}", "--until", "give a positive number")

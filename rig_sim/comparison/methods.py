@@ -19,21 +19,11 @@ def phases_by(
 ) -> tuple[SamplePhase, str]:
     """Return the function that plays one phase, and the method's setting in words.
 
-    Parameters
-    ----------
-    method : str
-        One of `METHODS`.
-    scene : Scene
-        What will be played.
-    step : float, optional
-        Of rk4-henon, in the scene's unit of time; default `RK4_STEP` x sqrt(m/k), `RK4_LONGEST` of it at most.
-    rtol : float, optional
-        Of dop853, relative and absolute; default and least `DOP853_RTOL`.
-
-    Raises
-    ------
-    InputError
-        An unknown method, a setting that the method does not have or that is out of range.
+    method: One of `METHODS`.
+    scene: What will be played.
+    step: Of rk4-henon, in the scene's unit of time; default `RK4_STEP` x sqrt(m/k), `RK4_LONGEST` of it at most.
+    rtol: Of dop853, relative and absolute; default and least `DOP853_RTOL`.
+    Raises InputError: an unknown method, a setting that the method does not have or that is out of range.
     """
     if method not in METHODS:
         raise InputError(f"unknown method {method!r}", "--method", f"take one of {', '.join(METHODS)}")

@@ -36,10 +36,7 @@ class Uncovered(Exception):  # noqa: N818  # an answer, not an error
 def events(flow: Flow, x: float, v: float, t_max: float) -> list[Event]:
     """Return (time, kind, position) of the events from t = 0 up to t_max, to more than 30 digits of t_max.
 
-    Raises
-    ------
-    Uncovered
-        For a driven ramp that is steep, or a run of too many steps.
+    Raises Uncovered: for a driven ramp that is steep, or a run of too many steps.
     """
     with mpmath.workdps(DIGITS):
         return _Rig(flow, x, v).run(mpmath.mpf(t_max))

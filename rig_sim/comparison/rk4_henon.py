@@ -103,10 +103,7 @@ def solve_phase(
 def by_steps(step: float) -> PhaseSolver:
     """Return the method with steps of ``step`` (s).
 
-    Raises
-    ------
-    ValueError
-        For a step that is not positive.
+    Raises ValueError: for a step that is not positive.
     """
     if not (math.isfinite(step) and step > 0.0):
         raise ValueError(f"step is {step}; need a positive number")

@@ -85,10 +85,7 @@ def solve_phase(
 def by_solver(method: str, rtol: float, *, dense: bool) -> PhaseSolver:
     """Return the method: a key of `SOLVERS` at relative tolerance ``rtol``; ``dense`` where times between are wanted.
 
-    Raises
-    ------
-    ValueError
-        For an unknown method, or a tolerance that is not positive.
+    Raises ValueError: for an unknown method, or a tolerance that is not positive.
     """
     if method not in SOLVERS:
         raise ValueError(f"method is {method!r}; need one of {', '.join(SOLVERS)}")

@@ -79,17 +79,10 @@ def sample_phase(
 ) -> tuple[int, State, int]:
     """Go to the next event, or to t_max, storing the motion: as `rig_sim.integrate.phases.sample_phase`.
 
-    Parameters
-    ----------
-    solver : PhaseSolver
-        The method.
-    flow, at, t_max, samples, i, work
-        As there; ``work`` counts the method's steps, or its evaluations of the right-hand side.
-
-    Returns
-    -------
-    (kind, at, i)
-        As there.
+    solver: The method.
+    flow, at, t_max, samples, i, work: As there; ``work`` counts the method's steps, or its evaluations of the
+        right-hand side.
+    Returns: (kind, at, i) As there.
     """
     fr = frame(flow)
     own, p, w, t, _ = in_frame(fr, at)

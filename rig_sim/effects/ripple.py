@@ -21,14 +21,9 @@ from rig_sim.flow.flow import Flow
 class SwingingBelt:
     """The swing of a belt's position about its steady run, and the drive that stands for it.
 
-    Parameters
-    ----------
-    amplitude : float
-        Of the speed, m/s.
-    frequency_hz : float
-        Hz, above 0.
-    start : float
-        When the belt starts, with phase 0, s.
+    amplitude: Of the speed, m/s.
+    frequency_hz: Hz, above 0.
+    start: When the belt starts, with phase 0, s.
     """
 
     def __init__(self, amplitude: float, frequency_hz: float, start: float) -> None:

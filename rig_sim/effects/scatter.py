@@ -6,12 +6,8 @@ import random
 class ScatteredLevel:
     """Draws the factor on the friction curve, one for each landing.
 
-    Parameters
-    ----------
-    sd : float
-        Standard deviation of the factor, a fraction of Fs.
-    seed : int
-        The scene's; scatter has a stream of random numbers of its own.
+    sd: Standard deviation of the factor, a fraction of Fs.
+    seed: The scene's; scatter has a stream of random numbers of its own.
     """
 
     def __init__(self, sd: float, seed: int) -> None:

@@ -42,10 +42,8 @@ NO_SHIFT = 1e-5  # rad
 def controlled(flow: Flow, a: float, phi: float) -> Flow:
     """Return the flow with a shaker of amplification ``a`` (N s/m) and phase lead ``phi`` (rad) at work.
 
-    Raises
-    ------
-    ValueError
-        The belt is at rest under a jump law, where friction has no slope; or the mass would creep, not oscillate.
+    Raises ValueError: the belt is at rest under a jump law, where friction has no slope; or the mass would creep, not
+        oscillate.
     """
     if a == 0.0:  # nothing, whatever the belt does
         return flow

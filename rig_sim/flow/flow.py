@@ -10,25 +10,16 @@ from rig_sim.friction.spline import NO_TABLE, Table, steepest_fall_between
 class Flow(NamedTuple):
     """Everything the motion between events depends on; the defaults are the dimensionless base case, law 5.
 
-    Parameters
-    ----------
-    m, k, x0, c : float
-        Mass (kg, > 0), spring (N/m, > 0), the spring's rest position (m), viscous damping (N s/m).
-    v_belt : float
-        Belt velocity, m/s, either sign or 0.
-    curve, ramp : int
-        `rig_sim.friction.curve` code; 1 for a ramp contact, 0 for a jump.
-    Fs, static, factor : float
-        Level at rest (N, >= 0), break-away level / Fs (>= 1), scatter (multiplies the whole curve, d unchanged).
-    G_slip, gamma, d : float
-        N s/m, s/m, m/s; those the law does not use are ignored.
-    u0, omega, phase : float
-        Drive u0 cos(omega t + phase): N, rad/s, rad.
-    droop : float
-        Speed drop of the belt at the load Fs, m/s (>= 0); the drive's compliance is droop/Fs, m/s per N.
-    pieces, table : int, tuple of float
-        Of a measured curve, as `rig_sim.friction.spline.spline_table` gives them; Fs is then the curve's friction at
-        rest.  Compiled kernels take the table as an array: `rig_sim.integrate.compiled.for_kernels`.
+    m, k, x0, c: Mass (kg, > 0), spring (N/m, > 0), the spring's rest position (m), viscous damping (N s/m).
+    v_belt: Belt velocity, m/s, either sign or 0.
+    curve, ramp: `rig_sim.friction.curve` code; 1 for a ramp contact, 0 for a jump.
+    Fs, static, factor: Level at rest (N, >= 0), break-away level / Fs (>= 1), scatter (multiplies the whole curve, d
+        unchanged).
+    G_slip, gamma, d: N s/m, s/m, m/s; those the law does not use are ignored.
+    u0, omega, phase: Drive u0 cos(omega t + phase): N, rad/s, rad.
+    droop: Speed drop of the belt at the load Fs, m/s (>= 0); the drive's compliance is droop/Fs, m/s per N.
+    pieces, table: Of a measured curve, as `rig_sim.friction.spline.spline_table` gives them; Fs is then the curve's
+        friction at rest.  Compiled kernels take the table as an array: `rig_sim.integrate.compiled.for_kernels`.
 
     Notes
     -----
@@ -66,12 +57,9 @@ NON_NEGATIVE_FIELDS = ("Fs", "factor", "gamma", "d", "droop")
 def validate(flow: Flow) -> None:
     """Refuse a flow that is not physical.
 
-    Raises
-    ------
-    ValueError
-        Naming the field: not finite; above `LARGEST`; m or k not above 0, or below `SMALLEST`; Fs, factor, gamma, d or
-        droop below 0; static below 1; droop with static above 1, without friction, or with friction that falls faster
-        than the belt yields.
+    Raises ValueError: naming the field: not finite; above `LARGEST`; m or k not above 0, or below `SMALLEST`; Fs,
+        factor, gamma, d or droop below 0; static below 1; droop with static above 1, without friction, or with friction
+        that falls faster than the belt yields.
     """
     for name, number in flow._asdict().items():
         if name == "table":

@@ -19,18 +19,11 @@ def largest_slip_speed(
 ) -> float:
     """Return the largest slip speed abs(x' - v_belt), m/s, of a mass that starts at ``y`` and ``v``.
 
-    Parameters
-    ----------
-    m, k, c : float
-        kg, N/m, N s/m.
-    v_belt : float
-        Largest speed of the belt, m/s, either sign.
-    friction : float
-        Largest friction up to the slip speed ``v_belt``, the break-away level included, N.
-    y, v : float
-        Start: distance from the spring's rest (m), and velocity (m/s).
-    push : float
-        Amplitude of a drive, N: it counts as a steady force.
+    m, k, c: kg, N/m, N s/m.
+    v_belt: Largest speed of the belt, m/s, either sign.
+    friction: Largest friction up to the slip speed ``v_belt``, the break-away level included, N.
+    y, v: Start: distance from the spring's rest (m), and velocity (m/s).
+    push: Amplitude of a drive, N: it counts as a steady force.
 
     Notes
     -----

@@ -21,24 +21,14 @@ def force(
 ) -> Real:
     """Return the friction force on the mass (N, positive along x).
 
-    Parameters
-    ----------
-    law : Law
-        One of `rig_sim.friction.law.LAWS`.
-    w : float or array
-        Relative velocity x' - v_belt, m/s.
-    Fs, G_slip, gamma, d : float
-        N, N s/m, s/m, m/s (half-width of the ramp, d = static Fs/abs(G_stick)); those that the law does not name are
-        not used.
-    static : float
-        Break-away level / Fs; it shows in the ramp alone (its peak is static Fs, then the force drops to the curve).
-    factor : float
-        Scatter: multiplies the whole curve; d is unchanged.
-
-    Raises
-    ------
-    ValueError
-        For a ramp law whose d is not positive.
+    law: One of `rig_sim.friction.law.LAWS`.
+    w: Relative velocity x' - v_belt, m/s.
+    Fs, G_slip, gamma, d: N, N s/m, s/m, m/s (half-width of the ramp, d = static Fs/abs(G_stick)); those that the law
+        does not name are not used.
+    static: Break-away level / Fs; it shows in the ramp alone (its peak is static Fs, then the force drops to the
+        curve).
+    factor: Scatter: multiplies the whole curve; d is unchanged.
+    Raises ValueError: for a ramp law whose d is not positive.
 
     Notes
     -----

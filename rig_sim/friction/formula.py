@@ -69,28 +69,18 @@ class Operation(NamedTuple):
 
 @dataclass(frozen=True)
 class Formula:
-    """A friction curve as a formula; `Formula.parse` makes one from its text.
+    """A friction curve as a formula; `Formula.parse` makes one from its text."""
 
-    Attributes
-    ----------
-    text : str
-        As written.
-    parameters : tuple of str
-        Every name but ``s``, in the order of first appearance.
-    """
-
-    text: str
-    parameters: tuple[str, ...]
+    text: str  # as written
+    parameters: tuple[str, ...]  # every name but ``s``, in the order of first appearance
     _steps: tuple[Operation, ...] = field(repr=False)
 
     @classmethod
     def parse(cls, text: str) -> "Formula":
         """Return the formula that a text describes.
 
-        Raises
-        ------
-        InputError
-            What is no formula, shown with a caret under the place; or one longer or deeper than any curve is.
+        Raises InputError: what is no formula, shown with a caret under the place; or one longer or deeper than any
+            curve is.
         """
         if len(text) > LONGEST:
             what = f"has {len(text)} characters, more than any friction curve needs"
@@ -115,33 +105,18 @@ class Formula:
     def value(self, s: "Array | float", parameters: Mapping[str, float]) -> "Array":
         """Return the curve at slip speeds.
 
-        Parameters
-        ----------
-        s : float or array
-            Slip speeds, m/s.
-        parameters : mapping of str to float
-            One value for each of ``self.parameters``; others are ignored.
-
-        Returns
-        -------
-        array
-            In the shape of ``s``; in the unit that the parameters give it.
-
-        Raises
-        ------
-        InputError
-            A parameter is missing, or the curve is not finite: named are the slip speed, the parameters and the
-            operation that failed.
+        s: Slip speeds, m/s.
+        parameters: One value for each of ``self.parameters``; others are ignored.
+        Returns: In the shape of ``s``; in the unit that the parameters give it.
+        Raises InputError: A parameter is missing, or the curve is not finite: named are the slip speed, the parameters
+            and the operation that failed.
         """
         return self._evaluated(s, parameters, ())[0]
 
     def slope(self, s: "Array | float", parameters: Mapping[str, float]) -> "Array":
         """Return the derivative by slip speed, in the shape of ``s``; as `value` otherwise.
 
-        Raises
-        ------
-        InputError
-            As `value`; or the derivative is not finite.
+        Raises InputError: as `value`; or the derivative is not finite.
         """
         return self._evaluated(s, parameters, (SPEED,))[1][0]
 
@@ -152,10 +127,7 @@ class Formula:
 
         By all parameters, in their order, where ``by`` does not name some of them.
 
-        Raises
-        ------
-        InputError
-            As `value`; or a derivative is not finite.
+        Raises InputError: as `value`; or a derivative is not finite.
         """
         import numpy as np
 

@@ -80,19 +80,11 @@ class _Pieces(NamedTuple):
 def formula_curve(formula: Formula, values: tuple[float, ...], fastest: float) -> FormulaCurve:
     """Return the curve of a formula for slip speeds from 0 to at least ``fastest``.
 
-    Parameters
-    ----------
-    formula : Formula
-    values : tuple of float
-        Of its parameters, in their order.
-    fastest : float
-        Slip speed that the motion may reach, m/s, above 0.
-
-    Raises
-    ------
-    InputError
-        Up to ``fastest`` the formula, or its slope, is not finite; it is negative; or it changes so abruptly that
-        `MOST_PIECES` cubics do not follow it.  At rest it is not above 0.  Or ``fastest`` is out of range.
+    values: Of its parameters, in their order.
+    fastest: Slip speed that the motion may reach, m/s, above 0.
+    Raises InputError: up to ``fastest`` the formula, or its slope, is not finite; it is negative; or it changes so
+        abruptly that `MOST_PIECES` cubics do not follow it.  At rest it is not above 0.  Or ``fastest`` is out of
+        range.
     """
     import numpy as np
 

@@ -21,18 +21,13 @@ from rig_sim.friction.curve import CURVES
 class Law:
     """One friction law.
 
-    Parameters
-    ----------
-    number : int
-        1 to 6; 0 for a measured curve.
-    name : str
-        The law in words.
-    curve : str
-        'constant', 'linear' or 'hyperbolic': see `rig_sim.friction.curve`; 'measured': see `rig_sim.friction.spline`.
-    contact : str
-        'jump' (set-valued at rest) or 'ramp' (F proportional to w for abs(w) <= d): see `rig_sim.friction.contact`.
-    parameters : tuple of str
-        What the law needs: Fs (N), G_slip (N s/m), gamma (s/m), d (m/s).
+    number: 1 to 6; 0 for a measured curve.
+    name: The law in words.
+    curve: 'constant', 'linear' or 'hyperbolic': see `rig_sim.friction.curve`; 'measured': see
+        `rig_sim.friction.spline`.
+    contact: 'jump' (set-valued at rest) or 'ramp' (F proportional to w for abs(w) <= d): see
+        `rig_sim.friction.contact`.
+    parameters: What the law needs: Fs (N), G_slip (N s/m), gamma (s/m), d (m/s).
     """
 
     number: int

@@ -79,11 +79,8 @@ def _steepest_fall(table: Table, pieces: int, i: int, low: float, high: float) -
 def spline_table(points: tuple[tuple[float, float], ...]) -> tuple[int, tuple[float, ...]]:
     """Return (pieces, table) of the spline through points (slip speed m/s, friction N), as the module describes it.
 
-    Raises
-    ------
-    ValueError
-        Fewer than two points; a first speed other than 0; speeds that do not increase; a friction that is not above 0,
-        or a number that is not finite.
+    Raises ValueError: fewer than two points; a first speed other than 0; speeds that do not increase; a friction that
+        is not above 0, or a number that is not finite.
     """
     problem = refused(points)
     if problem:
@@ -106,14 +103,9 @@ def spline_table(points: tuple[tuple[float, float], ...]) -> tuple[int, tuple[fl
 def table_of(rows: Sequence[tuple[float, ...]], last: float, *, ends: bool) -> tuple[int, tuple[float, ...]]:
     """Return (pieces, table) of cubics, as the module describes it.
 
-    Parameters
-    ----------
-    rows : sequence of (begin, c0, c1, c2, c3)
-        Where each cubic begins (m/s), from 0 on, and its powers over the friction at rest.
-    last : float
-        Where the last one ends, m/s; from there the curve has constant slope.
-    ends : bool
-        Whether the curve is unknown beyond ``last``.  It is then not negative before, and its zeros are not searched.
+    rows: Where each cubic begins (m/s), from 0 on, and its powers over the friction at rest.
+    last: Where the last one ends, m/s; from there the curve has constant slope.
+    ends: Whether the curve is unknown beyond ``last``.  It is then not negative before, and its zeros are not searched.
     """
     begin, c0, c1, c2, c3 = rows[-1]
     z = last - begin

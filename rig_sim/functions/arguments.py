@@ -38,10 +38,7 @@ def number(given: float | str, dimension: str, flag: str) -> float:
 def plain_number(given: float, flag: str, do: str = "give a number") -> float:
     """Return a number without a unit.
 
-    Raises
-    ------
-    InputError
-        It is none.
+    Raises InputError: it is none.
     """
     try:
         return float(given)
@@ -52,10 +49,7 @@ def plain_number(given: float, flag: str, do: str = "give a number") -> float:
 def whole(given: int, flag: str) -> int:
     """Return a whole number.
 
-    Raises
-    ------
-    InputError
-        It is none.
+    Raises InputError: it is none.
     """
     found = plain_number(given, flag, "give a whole number")
     if not found.is_integer():
@@ -65,23 +59,13 @@ def whole(given: int, flag: str) -> int:
 
 @dataclass(frozen=True)
 class ParameterRange:
-    """Values of the scene's key ``key``: ``number`` of them, evenly from ``start`` to ``stop``, or those given.
-
-    Attributes
-    ----------
-    key : str
-    start, stop : float
-        The first and the last value.
-    number : int
-    given : tuple of float
-        The values, where they are not even; else empty.
-    """
+    """Values of the scene's key ``key``: ``number`` of them, evenly from ``start`` to ``stop``, or those given."""
 
     key: str
-    start: float
+    start: float  # the first and the last value
     stop: float
     number: int
-    given: tuple[float, ...] = ()
+    given: tuple[float, ...] = ()  # the values, where they are not even; else empty
 
     def values(self) -> "Array":
         """Return the values, shape (number,)."""
@@ -93,16 +77,8 @@ class ParameterRange:
 def parameter_range(over: "str | tuple[str, Sequence[float]]", *, of_scene: bool = True) -> ParameterRange:
     """Return the range that ``over`` describes: 'damper.c=0.3:0.6:31', or a key and its values.
 
-    Parameters
-    ----------
-    over : str or (str, sequence of float)
-    of_scene : bool
-        Whether the key is one of a scene, ``section.key``, or a parameter of a system of one's own.
-
-    Raises
-    ------
-    InputError
-        Another form, numbers that are not finite, equal ends, or fewer than 2 values.
+    of_scene: Whether the key is one of a scene, ``section.key``, or a parameter of a system of one's own.
+    Raises InputError: another form, numbers that are not finite, equal ends, or fewer than 2 values.
     """
     if not isinstance(over, str):
         return _given(over)

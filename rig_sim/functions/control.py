@@ -507,10 +507,7 @@ def shaker(
 def _check(name: str, value: float, *, positive: bool = False, negative: bool = False) -> None:
     """Refuse a number that is not finite, too large or too small, or of the wrong sign.
 
-    Raises
-    ------
-    InputError
-        Naming the flag.
+    Raises InputError: naming the flag.
     """
     if not math.isfinite(value) or abs(value) > LARGEST or 0.0 < abs(value) < SMALLEST:
         raise InputError(f"is {value:g}", f"--{name}", f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}")
@@ -521,10 +518,7 @@ def _check(name: str, value: float, *, positive: bool = False, negative: bool = 
 def _band(given: "str | tuple[float, float]") -> tuple[float, float]:
     """Return the two frequencies of a band, rad/s.
 
-    Raises
-    ------
-    InputError
-        Another form, or not 0 <= LOW < HIGH.
+    Raises InputError: another form, or not 0 <= LOW < HIGH.
     """
     do, python = "write LOW:HIGH in rad/s, as in 0.9:1.1", "give (low, high) in rad/s, as in (0.9, 1.1)"
     ends: Sequence[Any] = given.split(":") if isinstance(given, str) else given

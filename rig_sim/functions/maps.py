@@ -204,7 +204,6 @@ class Exponent(Result):
         return data
 
     def lines(self) -> list[str]:
-        """Return the exponent in one line."""
         if self.outcome != "completed":
             return [f"{self.outcome}: {self.advice}"]
         orbit = f"period {self.period}, exact" if self.period else f"over {self.events} {self.per}s"

@@ -53,7 +53,6 @@ class Events(Result):
         return super().as_json() | {"events": self.rows()}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """Return a row for each event."""
         return [asdict(event) for event in self.events]
 
     def to_dataframe(self) -> "pd.DataFrame":

@@ -33,10 +33,7 @@ def not_physical(scene: Scene, error: ValueError) -> InputError:
 def stick_map(scene: Scene, budget: "StepBudget | None" = None) -> "StickMap":
     """Return the map of a scene of two masses, with integrator steps of its own or from a ``budget`` that maps share.
 
-    Raises
-    ------
-    InputError
-        One mass, masses that are not physical, or a belt at rest.
+    Raises InputError: one mass, masses that are not physical, or a belt at rest.
     """
     from rig_sim.dynamics.return_maps.stick import StickMap
 
@@ -50,10 +47,7 @@ def stick_map(scene: Scene, budget: "StepBudget | None" = None) -> "StickMap":
 def driven_start(scene: Scene) -> "tuple[Flow, float, float]":
     """Return the flow and the start (x, v) of a scene of one driven mass.
 
-    Raises
-    ------
-    InputError
-        Two masses, no drive, or numbers that are not physical.
+    Raises InputError: two masses, no drive, or numbers that are not physical.
     """
     from rig_sim.flow.flow import validate
 
@@ -92,10 +86,7 @@ def driven_map(scene: Scene, section: str) -> "tuple[DrivenMap, Array]":
 def landing_map(scene: Scene, budget: "StepBudget") -> "LandingMap":
     """Return the map from landing to landing of a scene of one driven mass.
 
-    Raises
-    ------
-    InputError
-        Two masses, no drive, or numbers that are not physical.
+    Raises InputError: two masses, no drive, or numbers that are not physical.
     """
     from rig_sim.dynamics.return_maps.landing import LandingMap
 
@@ -112,17 +103,10 @@ def landing_map(scene: Scene, budget: "StepBudget") -> "LandingMap":
 
 @dataclass(frozen=True)
 class SweptScene:
-    """A scene with one key left open, whole, as a process is handed it: a worker elsewhere may not have its file.
-
-    Attributes
-    ----------
-    scene : Scene
-    key : str
-        Its key that is left open, ``section.key``.
-    """
+    """A scene with one key left open, whole, as a process is handed it: a worker elsewhere may not have its file."""
 
     scene: Scene
-    key: str
+    key: str  # its key that is left open, ``section.key``
 
     def at(self, value: float, **changes: object) -> Scene:
         """Return the scene with this value of the key, and other changes."""
@@ -192,10 +176,7 @@ class OwnAttractors:
 def on_interval(f: "FormulaMap") -> "FormulaMap":
     """Return a system of one's own that is a map of an interval.
 
-    Raises
-    ------
-    InputError
-        It has more than one coordinate, or no interval.
+    Raises InputError: it has more than one coordinate, or no interval.
     """
     if len(f.scale) != 1 or not math.isfinite(f.hi - f.lo):
         do = "give its interval"

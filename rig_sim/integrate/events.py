@@ -21,16 +21,10 @@ EVENTS_PER_CALL = 1024  # of the kernel; not swept
 class EventList:
     """Events of one run.
 
-    Parameters
-    ----------
-    t, x : tuple of float
-        Time (s) and position (m) of each event.
-    kinds : tuple of str
-        'N>S', 'S>N', 'N>P' ...: the mode left and the one entered (S: stick or ramp).
-    outcome, advice : str
-        'completed', or the reason why the run ended early and what to do.
-    steps : int
-        Closed-form phases and Taylor steps taken.
+    t, x: Time (s) and position (m) of each event.
+    kinds: 'N>S', 'S>N', 'N>P' ...: the mode left and the one entered (S: stick or ramp).
+    outcome, advice: 'completed', or the reason why the run ended early and what to do.
+    steps: Closed-form phases and Taylor steps taken.
     """
 
     t: tuple[float, ...]
@@ -56,24 +50,14 @@ def list_events(
 ) -> EventList:
     """Return the events between t and t_max (s) of a motion that starts at x (m) with velocity v (m/s).
 
-    Parameters
-    ----------
-    flow, x, v, t_max, t
-        What moves, from where, and until when.
-    since : float
-        List only events at or after this time (s).
-    max_steps, max_events : int
-        Integrator steps, and listed events, after which the run ends with the outcome 'step limit', 'event limit'.
-    every_cycle : bool
-        Step through every cycle.  Otherwise an undriven motion is stepped until a beginning of slip recurs bit for bit,
-        and the cycle between is listed again and again: to the same events, without the steps.
-    compiled : bool
-        Use numba: worth its start-up above some 10^4 stepped events.
-
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical, or a start or end that is not finite.
+    flow, x, v, t_max, t: What moves, from where, and until when.
+    since: List only events at or after this time (s).
+    max_steps, max_events: Integrator steps, and listed events, after which the run ends with the outcome 'step limit',
+        'event limit'.
+    every_cycle: Step through every cycle.  Otherwise an undriven motion is stepped until a beginning of slip recurs bit
+        for bit, and the cycle between is listed again and again: to the same events, without the steps.
+    compiled: Use numba: worth its start-up above some 10^4 stepped events.
+    Raises ValueError: for a flow that is not physical, or a start or end that is not finite.
     """
     validate(flow)
     if not all(math.isfinite(number) for number in (x, v, t, t_max)):

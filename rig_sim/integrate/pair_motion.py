@@ -50,28 +50,13 @@ def list_motion(
 class PairMotion:
     """Two masses in motion.
 
-    Parameters
-    ----------
-    flow : TwoMassFlow
-        What moves.
-    state : tuple of float
-        x1, v1, x2, v2 at t = 0 (m, m/s).
-    max_steps : int
-        Integrator steps after which the motion ends with the outcome 'step limit'.
-    compiled : bool
-        Use numba from the start, not only after `INTERPRETED_STEPS`.
-
-    Attributes
-    ----------
-    outcome : Outcome
-        'completed' while the motion continues; else why it ended, and what to do.
-    frame : Frame
-        In which the rows are: y = mirror (x - x0), w = mirror (x' - v_belt).
-
-    Raises
-    ------
-    ValueError
-        Masses that are not physical, or not modelled: `rig_sim.flow.two_mass.validate_two_masses`.
+    flow: What moves.
+    state: x1, v1, x2, v2 at t = 0 (m, m/s).
+    max_steps: Integrator steps after which the motion ends with the outcome 'step limit'.
+    compiled: Use numba from the start, not only after `INTERPRETED_STEPS`.
+    outcome: 'completed' while the motion continues; else why it ended, and what to do.
+    frame: In which the rows are: y = mirror (x - x0), w = mirror (x' - v_belt).
+    Raises ValueError: masses that are not physical, or not modelled: `rig_sim.flow.two_mass.validate_two_masses`.
     """
 
     def __init__(

@@ -227,29 +227,18 @@ def in_frame(fr: Frame, at: State) -> State:
 
 
 def outside(fr: Frame, at: State) -> State:
-    """Return a state of the frame as it is outside."""
     return State(mirrored(fr, at.mode), position(fr, at.x), fr.mirror * at.w, at.t, at.carry)
 
 
 def sample_phase(flow: Flow, at: State, t_max: float, samples: Samples, i: int, work: Work) -> tuple[int, State, int]:
     """Go to the next event, or to t_max, storing the motion on the way.
 
-    Parameters
-    ----------
-    flow, at
-        The flow and the state to start from; its ``carry`` counts as 0.
-    t_max : float
-        Where to stop when no event comes first, s; finite.
-    samples : Samples
-        Those from the i-th on are still to be served.
-    work : Work
-        From `new_work`.
-
-    Returns
-    -------
-    (kind, at, i)
-        ``at`` is the state entered, with ``carry`` 0; ``i`` the first sample not yet served (those at the event itself
-        are).
+    flow, at: The flow and the state to start from; its ``carry`` counts as 0.
+    t_max: Where to stop when no event comes first, s; finite.
+    samples: Those from the i-th on are still to be served.
+    work: From `new_work`.
+    Returns: (kind, at, i) ``at`` is the state entered, with ``carry`` 0; ``i`` the first sample not yet served (those
+        at the event itself are).
     """
     fr = frame(flow)
     work.p_rest = 0.0
@@ -269,21 +258,11 @@ def next_event(flow: Flow, at: State, t_max: float, work: Work) -> tuple[int, St
 def run(flow: Flow, at: State, t_max: float, lists: Lists, recur: int, work: Work) -> tuple[int, int, int, State]:
     """List the events up to t_max; return (outcome, count, first, at).
 
-    Parameters
-    ----------
-    flow, at
-        The flow and the state to start from.
-    t_max : float
-        Where to stop, s.
-    recur : int
-        1 to stop, with the outcome RECURRED, as soon as the motion is known to repeat; 0 to step every cycle.
-    work : Work
-        From `new_work`.
-
-    Returns
-    -------
-    outcome, count, first, at
-        LIST_FULL: store the ``count`` events and call again with the returned state.  RECURRED: the events after
+    flow, at: The flow and the state to start from.
+    t_max: Where to stop, s.
+    recur: 1 to stop, with the outcome RECURRED, as soon as the motion is known to repeat; 0 to step every cycle.
+    work: From `new_work`.
+    Returns: LIST_FULL: store the ``count`` events and call again with the returned state. RECURRED: the events after
         ``first`` up to the last are one cycle, and follow again and again with the time between these two added.
 
     Notes

@@ -16,13 +16,9 @@ from rig_sim.integrate.work import Work, new_work, unboxed
 def sampled(flow: Flow, at: State, times: Array, *, compiled: bool = False) -> tuple[Array, Array]:
     """Return x (m) and v (m/s), (n,) each, at increasing times (s) of a motion; fewer where it ends.
 
-    Parameters
-    ----------
-    flow, at
-        What moves, and from where; no time is before that of the state.
-    times : (n,) float64
-    compiled : bool
-        Use numba: worth its start-up above some 10^4 events.
+    flow, at: What moves, and from where; no time is before that of the state.
+    times: (n,)
+    compiled: Use numba: worth its start-up above some 10^4 events.
     """
     samples = new_samples(times if compiled else times.tolist(), compiled=compiled)
     if compiled:

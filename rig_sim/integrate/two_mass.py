@@ -35,43 +35,24 @@ LONGEST_SCALE = 1e9
 
 @dataclass(slots=True)
 class Pair:
-    """The record of two masses.
+    """The record of two masses."""
 
-    Attributes
-    ----------
-    w1, w2, y1, y2 : Series
-        Relative velocities (m/s) and positions (m); their first coefficients are the state.
-    load : Series
-        Load on the contact of the mass that sticks, N.
-    f1, f2 : Series
-        Friction over the mass, m/s in a unit of the series' time; coefficient n stands n places before the last one.
-    mode1, mode2, time : float
-        Modes, and time (s).
-    steps, steps_allowed : float
-        Steps taken and allowed.
-    rapid : float
-        Events in a row without time passing.
-    time_scale : float
-        Unit of time of the last step, s.
-    section : float
-        1 where the section's crossings are wanted.
-    """
-
-    w1: Series
+    w1: Series  # relative velocities (m/s) and positions (m); their first coefficients are the state
     w2: Series
     y1: Series
     y2: Series
-    load: Series
+    load: Series  # load on the contact of the mass that sticks, N
+    # friction over the mass, m/s in a unit of the series' time; coefficient n stands n places before the last one
     f1: Series
     f2: Series
-    mode1: float
+    mode1: float  # Modes, and time (s)
     mode2: float
     time: float
-    steps: float
+    steps: float  # steps taken and allowed
     steps_allowed: float
-    rapid: float
-    time_scale: float
-    section: float
+    rapid: float  # events in a row without time passing
+    time_scale: float  # unit of time of the last step, s
+    section: float  # 1 where the section's crossings are wanted
 
 
 def new_pair(max_steps: int, *, compiled: bool = False) -> Pair:

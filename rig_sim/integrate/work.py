@@ -22,47 +22,28 @@ _TYPES: dict[Any, Any] = {}
 
 @dataclass(slots=True)
 class Work:
-    """The record of one mass.
+    """The record of one mass."""
 
-    Attributes
-    ----------
-    w, p, q, d, u : Series
-        Of the last Taylor step: relative velocity, displacement, 1/q0 of the hyperbola's denominator (the square of w
-        on a measured curve), the hyperbola's fall, the drive.
-    steps, steps_allowed : float
-        Steps taken, and after how many a kernel ends in the outcome `step limit`.
-    rapid : float
-        Events in a row without time passing.
-    time_scale : float
-        Unit of time of the last Taylor step, s.
-    zeta, start, exit, exit_s, exit_e : float
-        The closed form's damping and acceleration at its start, when it was left, and its solution there.
-    late : float
-        How much later than its duration says a phase was left, s.
-    p_rest, w_rest : float
-        What compensated summation holds below the last digits of p and w.
-    piece, degree : float
-        Of the last Taylor step on a measured curve: its piece, and the number of terms.
-    """
-
+    # of the last Taylor step: relative velocity, displacement, 1/q0 of the hyperbola's denominator (the square of w on
+    # a measured curve), the hyperbola's fall, the drive
     w: Series
     p: Series
     q: Series
     d: Series
     u: Series
-    steps: float
+    steps: float  # steps taken, and after how many a kernel ends in the outcome `step limit`
     steps_allowed: float
-    rapid: float
-    time_scale: float
-    zeta: float
+    rapid: float  # events in a row without time passing
+    time_scale: float  # unit of time of the last Taylor step, s
+    zeta: float  # the closed form's damping and acceleration at its start, when it was left, and its solution there
     start: float
     exit: float
     exit_s: float
     exit_e: float
-    late: float
-    p_rest: float
+    late: float  # how much later than its duration says a phase was left, s
+    p_rest: float  # what compensated summation holds below the last digits of p and w
     w_rest: float
-    piece: float
+    piece: float  # of the last Taylor step on a measured curve: its piece, and the number of terms
     degree: float
 
 

@@ -61,30 +61,17 @@ def write(
 ) -> WrittenMotion:
     """Play a scene and write t = 0, 1/rate ... up to ``until``; the file appears whole or not at all.
 
-    Parameters
-    ----------
-    scene : Scene
-        What to play.
-    path : Path
-        Ends in .h5 or .csv.
-    until, rate : float
-        End of the run, and samples per unit of time.
-    phases : callable
-        Plays one phase; other methods than the exact one come from `rig_sim.comparison.methods.phases_by`.
-    method : str
-        The method's name and setting, stored in the file.
-    max_steps : int
-        Of the integrator (of dop853: evaluations of the right-hand side); a run that needs more ends early, and its
-        outcome says so.
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    InputError
-        Another ending of ``path``, a file that exists, a folder that does not, or a time or rate that is not positive.
-    RefusedError
-        The disk refuses.
+    scene: What to play.
+    path: Ends in .h5 or .csv.
+    until, rate: End of the run, and samples per unit of time.
+    phases: Plays one phase; other methods than the exact one come from `rig_sim.comparison.methods.phases_by`.
+    method: The method's name and setting, stored in the file.
+    max_steps: Of the integrator (of dop853: evaluations of the right-hand side); a run that needs more ends early, and
+        its outcome says so.
+    force: Replace an existing file.
+    Raises InputError: another ending of ``path``, a file that exists, a folder that does not, or a time or rate that is
+        not positive.
+    Raises RefusedError: the disk refuses.
     """
     form = suffix.chosen(path, FORMS, "--output")
     atomic.refuse_existing(path, force)

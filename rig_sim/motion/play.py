@@ -80,23 +80,12 @@ class Events:
 class ScenePlayer:
     """Plays a scene forwards in time: the state of the mass, and what changes between phases.
 
-    Parameters
-    ----------
-    scene : Scene
-        What to play, from t = 0.
-    max_steps : float
-        Integrator steps after which the motion ends with the outcome 'step limit'; infinite for a board.
-    phases : callable, optional
-        What plays one phase; another than the exact method's comes from `rig_sim.comparison.methods.phases_by`.
-
-    Attributes
-    ----------
-    t, x, v : float
-        The present state: s, m, m/s.
-    outcome : Outcome
-        'completed' while the motion continues; else why it ended, and what to do.
-    events : list of Event or None
-        Set to a list to collect the events in it; None collects nothing.
+    scene: What to play, from t = 0.
+    max_steps: Integrator steps after which the motion ends with the outcome 'step limit'; infinite for a board.
+    phases: What plays one phase; another than the exact method's comes from `rig_sim.comparison.methods.phases_by`.
+    t, x, v: The present state: s, m, m/s.
+    outcome: 'completed' while the motion continues; else why it ended, and what to do.
+    events: Set to a list to collect the events in it; None collects nothing.
     """
 
     def __init__(self, scene: Scene, *, max_steps: float = math.inf, phases: SamplePhase = sample_phase) -> None:
@@ -155,12 +144,8 @@ class ScenePlayer:
     def follow(self, instants: "NDArray[np.float64]", *, forces: bool = False) -> "Trajectory":
         """Play through increasing times (s, none before ``t``) and return the motion.
 
-        Parameters
-        ----------
-        instants : (s,) float64
-            Times to sample at; the first may be ``t`` itself.
-        forces : bool
-            Whether the friction force is wanted too.
+        instants: (s,) Times to sample at; the first may be ``t`` itself.
+        forces: Whether the friction force is wanted too.
         """
         import numpy as np
 
@@ -327,21 +312,11 @@ def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = D
     A motion that repeats bit for bit is integrated once and listed as often as it repeats: at most `MOST_EVENTS`
     events, then the outcome is 'event limit'.
 
-    Parameters
-    ----------
-    scene : Scene
-        From `rig_sim.scene`.
-    until : float
-        Time to end at.
-    since : float
-        List only events at or after this time.
-    max_steps : int
-        Integrator steps after which the run ends with the outcome 'step limit'.
-
-    Raises
-    ------
-    InputError
-        ``until`` is not a positive number, ``since`` is none, or ``max_steps`` is below 1.
+    scene: From `rig_sim.scene`.
+    until: Time to end at.
+    since: List only events at or after this time.
+    max_steps: Integrator steps after which the run ends with the outcome 'step limit'.
+    Raises InputError: ``until`` is not a positive number, ``since`` is none, or ``max_steps`` is below 1.
     """
     if not (math.isfinite(until) and until > 0):
         raise InputError(f"is {until:g}", "--until", "give a positive number")

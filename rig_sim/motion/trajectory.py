@@ -20,22 +20,11 @@ class Nodes:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The motion over a stretch of time.
+    """The motion over a stretch of time."""
 
-    Attributes
-    ----------
-    nodes : Nodes
-        t, x, v at the stretch's start, at the times asked for, at every event between them and, where these lie far
-        apart, at times in between.
-    samples : (s,) int64
-        Which nodes are the times asked for; fewer than asked for when the motion ended early.
-    F : (s,) float64
-        Friction force on the mass at these times, N; empty unless it was asked for.
-    flows : tuple of (int, Flow)
-        From which node on each flow held; the first from node 0.
-    """
-
+    # t, x, v at the stretch's start, at the times asked for, at every event between them and, where these lie far
+    # apart, at times in between
     nodes: Nodes
-    samples: Integers
-    F: Array
-    flows: tuple[tuple[int, Flow], ...]
+    samples: Integers  # (s,) which nodes are the times asked for; fewer than asked for when the motion ended early
+    F: Array  # (s,) friction force on the mass at these times, N; empty unless it was asked for
+    flows: tuple[tuple[int, Flow], ...]  # from which node on each flow held; the first from node 0

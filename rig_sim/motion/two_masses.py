@@ -54,10 +54,8 @@ class TwoMassEvents:
 def start(scene: Scene) -> tuple[float, float, float, float]:
     """Return x1, v1, x2, v2 (m, m/s) at t = 0.
 
-    Raises
-    ------
-    InputError
-        No global stick has the stretch ``start.d``; there is no attractor of the number ``start.attractor``.
+    Raises InputError: no global stick has the stretch ``start.d``; there is no attractor of the number
+        ``start.attractor``.
     """
     begin = scene.start
     if begin.d is None and begin.attractor is None:
@@ -73,10 +71,7 @@ def start(scene: Scene) -> tuple[float, float, float, float]:
 def stretch(scene: Scene) -> float:
     """Return x2 - x1 (m) of the global stick that a scene begins with.
 
-    Raises
-    ------
-    InputError
-        The scene begins otherwise; there is no attractor of the number ``start.attractor``.
+    Raises InputError: the scene begins otherwise; there is no attractor of the number ``start.attractor``.
     """
     begin = scene.start
     if begin.d is not None:
@@ -100,10 +95,7 @@ def two_mass_events(
 ) -> TwoMassEvents:
     """Return when and where the masses stick and slip, from t = 0 to ``until`` (s).
 
-    Raises
-    ------
-    InputError
-        The scene has one mass, or no such start.
+    Raises InputError: the scene has one mass, or no such start.
     """
     motion = PairMotion(scene.two_mass_flow(), start(scene), max_steps)
     fr = motion.frame

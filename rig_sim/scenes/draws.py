@@ -24,17 +24,8 @@ def drawn_changes(scene: Scene, number: int, where: str) -> list[dict[str, objec
     The errors are normal over the root of a chi square of ``cycles - 1`` degrees of freedom, as those of Student's t:
     with few cycles the covariance itself is uncertain.
 
-    Parameters
-    ----------
-    found : Scene
-    number : int
-    where : str
-        The scene's name or file, for messages.
-
-    Raises
-    ------
-    InputError
-        The scene has no section ``fit``, or one whose parts do not belong together.
+    where: The scene's name or file, for messages.
+    Raises InputError: the scene has no section ``fit``, or one whose parts do not belong together.
     """
     import numpy as np
 

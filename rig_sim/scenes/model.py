@@ -54,17 +54,9 @@ class Scene(Section):
         A belt that ripples is there as a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.  A
         shaker is there as another damper, spring and rest position: see `rig_sim.effects.shaker`.
 
-        Parameters
-        ----------
-        belt_running : bool
-            False before ``belt.start``: the belt is there, at rest.
-        factor : float
-            Wear times scatter: multiplies the whole friction curve, the ramp's width unchanged.
-
-        Raises
-        ------
-        InputError
-            The scene has two masses.
+        belt_running: False before ``belt.start``: the belt is there, at rest.
+        factor: Wear times scatter: multiplies the whole friction curve, the ramp's width unchanged.
+        Raises InputError: the scene has two masses.
         """
         if self.coupling:
             do = "drop the section coupling, or use events, run, fixed-point, map, sweep, basins or lyapunov"
@@ -75,10 +67,7 @@ class Scene(Section):
     def two_mass_flow(self) -> TwoMassFlow:
         """Return the equations of motion of two masses.
 
-        Raises
-        ------
-        InputError
-            The scene has one mass.
+        Raises InputError: the scene has one mass.
         """
         if self.coupling is None:
             do = "set coupling.a and coupling.b, or take the scene two-mass"

@@ -126,10 +126,7 @@ def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
 
     Values are TOML; a bare word is a string.
 
-    Raises
-    ------
-    InputError
-        A setting without ``=``, or of several lines.
+    Raises InputError: A setting without ``=``, or of several lines.
     """
     changes: dict[str, object] = {}
     for setting in settings or ():

@@ -77,39 +77,25 @@ class Friction(Section):
     """Law 1 to 6, 0 for a measured curve, or a formula, and every parameter known; the law takes the ones it needs.
 
     Other keys are parameters of the formula: numbers, which stand in ``model_extra``.
-
-    Attributes
-    ----------
-    Fs : float, optional
-        Largest static force, N; of a measured curve its first force counts.
-    G_slip, gamma : float, optional
-        Slope of the linear curve, N s/m; rate of the hyperbolic curve, s/m.
-    G_stick, d : float, optional
-        The ramp's slope (negative, N s/m), or its half-width (m/s): one of the two.
-    static : float
-        Break-away level over Fs; at least 1.
-    curve : list of [float, float], optional
-        Points of the measured curve: slip speed (m/s, from 0, increasing) and friction (N, above 0), joined as
-        `rig_sim.friction.spline` says.
-    contact : str, optional
-        Of the measured curve: 'jump' (default), or 'ramp' of half-width d.  Of a formula: 'ramp' where d or G_stick is
-        given, else 'jump'.
-    formula : str, optional
-        The curve as `rig_sim.friction.formula` reads it: friction in N at slip speed s.  Instead of ``law``.
     """
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, float] = Field(init=False)
 
     law: LawNumber | None = None
-    Fs: NotNegative | None = None
-    G_slip: NotNegative | None = None
+    Fs: NotNegative | None = None  # largest static force, N; of a measured curve its first force counts
+    G_slip: NotNegative | None = None  # slope of the linear curve, N s/m; rate of the hyperbolic curve, s/m
     gamma: NotNegative | None = None
-    G_stick: Negative | None = None
+    G_stick: Negative | None = None  # the ramp's slope (negative, N s/m), or its half-width (m/s): one of the two
     d: Positive | None = None
-    static: Annotated[float, Field(ge=1)] = 1.0
+    static: Annotated[float, Field(ge=1)] = 1.0  # Break-away level over Fs; at least 1
+    # points of the measured curve: slip speed (m/s, from 0, increasing) and friction (N, above 0), joined as
+    # `rig_sim.friction.spline` says
     curve: list[Annotated[list[float], Field(min_length=2, max_length=2)]] | None = None
+    # of the measured curve: 'jump' (default), or 'ramp' of half-width d.  Of a formula: 'ramp' where d or G_stick is
+    # given, else 'jump'.
     contact: Literal["jump", "ramp"] | None = None
+    # the curve as `rig_sim.friction.formula` reads it: friction in N at slip speed s.  Instead of ``law``.
     formula: str | None = None
 
     def own_law(self) -> Law:
@@ -192,27 +178,16 @@ class Friction(Section):
 
 
 class Start(Section):
-    """Position (m) and velocity (m/s) of the mass at t = 0; those of two masses, or how they begin.
+    """Position (m) and velocity (m/s) of the mass at t = 0; those of two masses, or how they begin."""
 
-    Attributes
-    ----------
-    x, v : float
-        Of one mass.
-    x1, v1, x2, v2 : float, optional
-        Of two masses; 0 where not given.
-    d : float, optional
-        Two masses: both stick with x2 - x1 = d (m), and at t = 0 the first of them begins to slip.
-    attractor : int, optional
-        Two masses: as ``d``, on this attractor.  1 has the largest basin.
-    """
-
-    x: float = 0.0
+    x: float = 0.0  # of one mass
     v: float = 0.0
-    x1: float | None = None
+    x1: float | None = None  # of two masses; 0 where not given
     v1: float | None = None
     x2: float | None = None
     v2: float | None = None
-    d: float | None = None
+    d: float | None = None  # two masses: both stick with x2 - x1 = d (m), and at t = 0 the first of them begins to slip
+    # two masses: as ``d``, on this attractor.  1 has the largest basin.
     attractor: Annotated[int, Field(ge=1)] | None = None
 
 

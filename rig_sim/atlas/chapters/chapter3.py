@@ -60,10 +60,7 @@ def runs() -> dict[str, EstimatedRun]:
 def call(folder: Path, module: str, *arguments: str) -> None:
     """Run a command in a folder.
 
-    Raises
-    ------
-    StickslipError
-        With the command's own message, where it fails.
+    Raises StickslipError: with the command's own message, where it fails.
     """
     done = subprocess.run([sys.executable, "-m", module, *arguments], cwd=folder, capture_output=True, text=True)
     if done.returncode != 0:

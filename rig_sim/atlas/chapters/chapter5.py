@@ -36,7 +36,6 @@ def flow_at(c: float) -> Flow:
 
 @cache
 def rest(c: float) -> FixedPoint:
-    """Return the fixed point."""
     return fixed_point(flow_at(c))
 
 

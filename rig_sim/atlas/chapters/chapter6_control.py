@@ -99,10 +99,7 @@ def locked(period: int) -> tuple[LandingMap, Locking, SearchAndLock]:
 def held(period: int) -> Lock:
     """Return the motion under control.
 
-    Raises
-    ------
-    RuntimeError
-        No orbit was found.
+    Raises RuntimeError: no orbit was found.
     """
     found = locked(period)[1].lock
     if found is None:

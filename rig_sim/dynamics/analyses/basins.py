@@ -25,55 +25,30 @@ NOWHERE = -1  # index of what has no attractor
 
 @dataclass(frozen=True)
 class Attractor:
-    """An attractor.
+    """An attractor."""
 
-    Attributes
-    ----------
-    points : tuple of float
-        One period in the order in which they follow, from the smallest; or `POINTS` iterates where it is not periodic.
-    period : int or None
-        None for a chaotic one, or one whose period is above `rig_sim.dynamics.system.period.LONGEST_PERIOD`.
-    share : float
-        Of the cells that lead to it.
-    """
-
+    # one period in the order in which they follow, from the smallest; or `POINTS` iterates where it is not periodic
     points: tuple[float, ...]
+    # none for a chaotic one, or one whose period is above `rig_sim.dynamics.system.period.LONGEST_PERIOD`
     period: int | None
-    share: float
+    share: float  # of the cells that lead to it
 
 
 @dataclass(frozen=True)
 class Basins:
-    """Attractors, the largest basin first, and which of them each cell leads to.
+    """Attractors, the largest basin first, and which of them each cell leads to."""
 
-    Attributes
-    ----------
-    attractors : tuple of Attractor
-        May be empty.
-    nowhere : float
-        Share of the cells that lead to where the map is not defined.
-    centres : (n,) float64
-        Of the cells.
-    fate : (n,) int64
-        Index of the cell's attractor, or `NOWHERE`.
-    cycles : int
-        Cycles of cells before they were merged.
-    """
-
-    attractors: tuple[Attractor, ...]
-    nowhere: float
-    centres: Array
-    fate: Integers
-    cycles: int
+    attractors: tuple[Attractor, ...]  # may be empty
+    nowhere: float  # share of the cells that lead to where the map is not defined
+    centres: Array  # (n,) of the cells
+    fate: Integers  # (n,) index of the cell's attractor, or `NOWHERE`
+    cycles: int  # cycles of cells before they were merged
 
 
 def basins(f: OnInterval, cells: int, progress: Stages = silent) -> Basins:
     """Return the attractors of a map and their basins; ``progress`` is called with the stage and what is done of it.
 
-    Raises
-    ------
-    ValueError
-        Fewer than 2 cells.
+    Raises ValueError: fewer than 2 cells.
     """
     if cells < 2:
         raise ValueError(f"{cells} cells; need 2 or more")

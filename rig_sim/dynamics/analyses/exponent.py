@@ -23,24 +23,14 @@ BLOCKS = 20  # of the orbit, whose means give the standard error; below 20 it wo
 
 @dataclass(frozen=True)
 class Exponent:
-    """A Lyapunov exponent.
+    """A Lyapunov exponent."""
 
-    Attributes
-    ----------
-    exponent, stderr : float
-        Per passage, and its standard error by the means of `BLOCKS` blocks; exact, with 0, on a periodic orbit.
-    events : int
-        Passages that it was taken over.
-    period : int or None
-        Of a periodic orbit.
-    outcome : str
-        'completed', or why there is no exponent, such as 'no attractor' where an orbit leaves its map's domain.
-    """
-
+    # per passage, and its standard error by the means of `BLOCKS` blocks; exact, with 0, on a periodic orbit
     exponent: float
     stderr: float
-    events: int
-    period: int | None
+    events: int  # passages that it was taken over
+    period: int | None  # of a periodic orbit
+    # 'completed', or why there is no exponent, such as 'no attractor' where an orbit leaves its map's domain
     outcome: str
 
 
@@ -49,10 +39,7 @@ def exponent(motion: Motion, events: int, progress: Stages = silent) -> Exponent
 
     ``progress`` is called with the stage and what is done of it.
 
-    Raises
-    ------
-    ValueError
-        Fewer events than `BLOCKS`.
+    Raises ValueError: fewer events than `BLOCKS`.
     """
     if events < BLOCKS:
         raise ValueError(f"{events} events; need {BLOCKS} or more")

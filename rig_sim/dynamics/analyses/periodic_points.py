@@ -16,18 +16,10 @@ SAME = 1e-9  # share of the interval: roots closer than this are one point; also
 
 @dataclass(frozen=True)
 class PeriodicPoint:
-    """A periodic orbit of a map.
+    """A periodic orbit of a map."""
 
-    Attributes
-    ----------
-    points : tuple of float
-        The orbit, from its smallest point on in the order in which they follow.
-    slope : float
-        Derivative of f^period, the same at every point; the orbit is stable while its size is below 1.
-    """
-
-    points: tuple[float, ...]
-    slope: float
+    points: tuple[float, ...]  # the orbit, from its smallest point on in the order in which they follow
+    slope: float  # derivative of f^period, the same at every point; the orbit is stable while its size is below 1
 
     @property
     def period(self) -> int:
@@ -45,10 +37,7 @@ def periodic_points(
 ) -> tuple[PeriodicPoint, ...]:
     """Return the orbits of exactly this period, by their smallest point: those with a point in the interval ``within``.
 
-    Raises
-    ------
-    ValueError
-        ``period`` below 1.
+    Raises ValueError: ``period`` below 1.
     """
     if period < 1:
         raise ValueError(f"period is {period}; need 1 or more")

@@ -44,21 +44,11 @@ GROWING = Outcome("growing", "the motion still grows after a long time: add damp
 
 @dataclass(frozen=True)
 class Settled:
-    """Where a motion has settled.
+    """Where a motion has settled."""
 
-    Attributes
-    ----------
-    states : (n, d) float64
-        One period, or `WINDOW` passages of what is not periodic.
-    period : int or None
-        None for what is not periodic.
-    outcome : Outcome
-        'completed', 'growing', or why the motion ended.
-    """
-
-    states: Array
-    period: int | None
-    outcome: Outcome
+    states: Array  # (n, d) one period, or `WINDOW` passages of what is not periodic
+    period: int | None  # none for what is not periodic
+    outcome: Outcome  # 'completed', 'growing', or why the motion ended
 
 
 def settled(
@@ -66,16 +56,10 @@ def settled(
 ) -> Settled:
     """Follow a motion until it repeats, or for as long as ``transients`` say.
 
-    Parameters
-    ----------
-    motion : Motion
-        It ends where it has settled.
-    transients : sequence of int
-        Passages, or the system's own oscillations, left out before each comparison.
-    window : int
-        Passages that are compared.
-    same : float
-        Relative to the system's scale: how closely a state has to come back.
+    motion: It ends where it has settled.
+    transients: Passages, or the system's own oscillations, left out before each comparison.
+    window: Passages that are compared.
+    same: Relative to the system's scale: how closely a state has to come back.
     """
     system = motion.system
     before: Array | None = None

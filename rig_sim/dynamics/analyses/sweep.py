@@ -25,36 +25,19 @@ Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class AttractorAt:
-    """An attractor at one value of the parameter.
+    """An attractor at one value of the parameter."""
 
-    Attributes
-    ----------
-    value : float
-        Of the parameter.
-    attractor : int
-        Its number, from 1; at the first value by the size of the basin.
-    points : tuple of float
-        d in global stick, or x1 on the section; m.
-    period : int or None
-        Of the map's orbit, or of a driven mass after how many points of the section the motion repeats; None for one
-        that is not periodic, and where there is no global stick.
-    share : float
-        Of the interval of d that leads to it.
-    extent : tuple of two floats
-        Smallest and largest point; of a driven mass at phase 0 of the drive, whatever the section.
-    drive_periods : int or None
-        Of a driven mass: after how many drive periods the motion repeats.
-    outcome : str
-        'completed'; else what the motion lacks, or, with the number 0 and no points, why no attractor was found.
-    """
-
-    value: float
-    attractor: int
-    points: tuple[float, ...]
+    value: float  # of the parameter
+    attractor: int  # its number, from 1; at the first value by the size of the basin
+    points: tuple[float, ...]  # d in global stick, or x1 on the section; m
+    # of the map's orbit, or of a driven mass after how many points of the section the motion repeats; None for one that
+    # is not periodic, and where there is no global stick
     period: int | None
-    share: float
+    share: float  # of the interval of d that leads to it
+    # smallest and largest point; of a driven mass at phase 0 of the drive, whatever the section
     extent: tuple[float, float]
-    drive_periods: int | None = None
+    drive_periods: int | None = None  # of a driven mass: after how many drive periods the motion repeats
+    # 'completed'; else what the motion lacks, or, with the number 0 and no points, why no attractor was found
     outcome: str = "completed"
 
 
@@ -69,20 +52,12 @@ def sweep(
 ) -> list[AttractorAt]:
     """Return the attractors at every value, in order.
 
-    Parameters
-    ----------
-    find : callable
-        The attractors at a value of the parameter, the largest basin first; pickled where ``spread`` uses processes.
-    values : sequence of float
-        Of the parameter.
-    spread : callable
-        The ``map`` that shares out the work, and takes items as it needs them; results do not depend on it.
-    progress : callable
-        Called with the number of values done.
-    finished : mapping
-        What ``keep`` was given before an interruption; these values are not computed again.
-    keep : callable
-        Called with a value and what ``find`` returned for it, as soon as it is known.
+    find: The attractors at a value of the parameter, the largest basin first; pickled where ``spread`` uses processes.
+    values: Of the parameter.
+    spread: The ``map`` that shares out the work, and takes items as it needs them; results do not depend on it.
+    progress: Called with the number of values done.
+    finished: What ``keep`` was given before an interruption; these values are not computed again.
+    keep: Called with a value and what ``find`` returned for it, as soon as it is known.
     """
     known = dict(finished or {})
     missing = [value for value in values if value not in known]

@@ -27,23 +27,12 @@ SAME = 1e-6  # of the scales: orbits closer than this are one; points of one orb
 
 @dataclass(frozen=True)
 class UnstableOrbit:
-    """A periodic orbit of a map, stable or not.
+    """A periodic orbit of a map, stable or not."""
 
-    Attributes
-    ----------
-    points : (p, d) float64
-        Its states in the order in which they follow, from the one whose last coordinate is smallest.
-    multipliers : (d,) complex128
-        By which small deviations grow from turn to turn, largest first.
-    slopes : (p, d, d) float64
-        Derivative of the map by the state at every point, in units of the scales.
-    responses : (p, d) float64
-        Derivative by the parameter at every point, in units of the scales and of the parameter's strength.
-    """
-
-    points: Array
-    multipliers: NDArray[np.complex128]
-    slopes: Array
+    points: Array  # (p, d) its states in the order in which they follow, from the one whose last coordinate is smallest
+    multipliers: NDArray[np.complex128]  # (d,) by which small deviations grow from turn to turn, largest first
+    slopes: Array  # (p, d, d) derivative of the map by the state at every point, in units of the scales
+    # (p, d) derivative by the parameter at every point, in units of the scales and of the parameter's strength
     responses: Array
 
     @property

@@ -88,10 +88,7 @@ def quench(flow: Flow, x: float, v: float, progress: Stages = silent) -> Quench:
 
     ``progress`` is called with the stage and what is done of it.
 
-    Raises
-    ------
-    ValueError
-        The flow is not physical, or its drive has no period.
+    Raises ValueError: the flow is not physical, or its drive has no period.
     """
     fr = frame(flow)
     start = np.array([x, v])

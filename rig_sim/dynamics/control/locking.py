@@ -30,26 +30,16 @@ ADVICE = {
 
 @dataclass(frozen=True)
 class Locking:
-    """An orbit of a motion, and how the motion was locked onto it.
+    """An orbit of a motion, and how the motion was locked onto it."""
 
-    Attributes
-    ----------
-    outcome, advice : str
-        As of `Lock`; besides 'no orbit', 'no budget', 'regular motion', 'step limit' (the map raised
-        `StepLimitError`), and what to do.
-    orbits : tuple of UnstableOrbit
-        All orbits of the period that were found, the least unstable first: that one is locked onto.
-    regular : int or None
-        Period of the stable orbit that the motion itself settles on.
-    lock : Lock or None
-        The motion under control.
-    """
-
+    # as of `Lock`; besides 'no orbit', 'no budget', 'regular motion', 'step limit' (the map raised `StepLimitError`),
+    # and what to do
     outcome: str
     advice: str
+    # all orbits of the period that were found, the least unstable first: that one is locked onto
     orbits: tuple[UnstableOrbit, ...]
-    regular: int | None
-    lock: Lock | None
+    regular: int | None  # period of the stable orbit that the motion itself settles on
+    lock: Lock | None  # the motion under control
 
 
 def find_and_lock(
@@ -57,18 +47,11 @@ def find_and_lock(
 ) -> Locking:
     """Search a motion for orbits of a period and lock it onto the least unstable one.
 
-    Parameters
-    ----------
-    f, start
-        The map, and the state to start from, (d,).
-    period : int
-        Applications of the map in one turn of the orbit, 1 or more.
-    budget : float
-        Largest change of the parameter, relative to its strength; 0 or more.
-    events : int
-        Applications of the map after which the control gives up.
-    progress : callable
-        Called with the stage and what is done of it.
+    f, start: The map, and the state to start from, (d,).
+    period: Applications of the map in one turn of the orbit, 1 or more.
+    budget: Largest change of the parameter, relative to its strength; 0 or more.
+    events: Applications of the map after which the control gives up.
+    progress: Called with the stage and what is done of it.
     """
     orbits: tuple[UnstableOrbit, ...] = ()
     regular = None

@@ -34,25 +34,14 @@ TURNS_AHEAD = 50  # of the orbit; a multiplier of 1.5 leaves 1e-9 of the rest
 
 @dataclass(frozen=True)
 class Lock:
-    """An attempt to lock a motion onto an orbit.
+    """An attempt to lock a motion onto an orbit."""
 
-    Attributes
-    ----------
-    outcome : str
-        'locked'; 'not locked' within the applications allowed; 'motion ended' where the map ends; 'stable orbit': it
-        needs no control; 'several unstable directions' or 'no response', where one parameter cannot hold the orbit.
-    events_to_lock : int or None
-        Applications of the map before the control that held.
-    states : (n + 1, d) float64
-        The motion, start included.
-    changes : (n,) float64
-        Of the parameter, from every state to the next.
-    """
-
+    # 'locked'; 'not locked' within the applications allowed; 'motion ended' where the map ends; 'stable orbit': it
+    # needs no control; 'several unstable directions' or 'no response', where one parameter cannot hold the orbit
     outcome: str
-    events_to_lock: int | None
-    states: Array
-    changes: Array
+    events_to_lock: int | None  # applications of the map before the control that held
+    states: Array  # (n + 1, d) the motion, start included
+    changes: Array  # (n,) of the parameter, from every state to the next
 
     @property
     def locked(self) -> bool:
@@ -65,18 +54,11 @@ def lock(
 ) -> Lock:
     """Lock the motion from a state onto an orbit.
 
-    Parameters
-    ----------
-    f, orbit
-        The map and one of its orbits.
-    start : (d,) float64
-        Where the motion begins.
-    budget : float
-        Largest change of the parameter, relative to its strength; 0 or more.
-    events : int
-        Applications of the map after which the attempt ends.
-    progress : callable
-        Called with the stage and what is done of it.
+    f, orbit: The map and one of its orbits.
+    start: (d,) Where the motion begins.
+    budget: Largest change of the parameter, relative to its strength; 0 or more.
+    events: Applications of the map after which the attempt ends.
+    progress: Called with the stage and what is done of it.
     """
     directions = orbit.unstable_directions
     if directions > 1:

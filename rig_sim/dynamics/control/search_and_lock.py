@@ -22,26 +22,13 @@ REPEATS = 1e-7  # share of the scales within which the section repeats
 
 @dataclass(frozen=True)
 class SearchAndLock:
-    """What stepping the parameter has found.
+    """What stepping the parameter has found."""
 
-    Attributes
-    ----------
-    change : float or None
-        Of the parameter, where the section repeated; None within the budget.
-    events : int
-        Applications of the map up to there, or in all.
-    steps : int
-        Steps of the parameter.
-    points : (p, d) float64 or None
-        The repeating section.
-    kept : int or None
-        Applications after the change was removed for which the motion stayed within ``near`` of those points.
-    """
-
-    change: float | None
-    events: int
-    steps: int
-    points: Array | None
+    change: float | None  # of the parameter, where the section repeated; None within the budget
+    events: int  # applications of the map up to there, or in all
+    steps: int  # steps of the parameter
+    points: Array | None  # (p, d) the repeating section
+    # applications after the change was removed for which the motion stayed within ``near`` of those points
     kept: int | None
 
     @property
@@ -62,20 +49,12 @@ def search_and_lock(
 ) -> SearchAndLock:
     """Raise the parameter from 0 up to the budget until the section repeats with ``period``, then remove the change.
 
-    Parameters
-    ----------
-    f, start
-        The map, and the state to start from, (d,).
-    period : int
-        Of the orbit wanted, 1 or more.
-    budget : float
-        Largest change of the parameter, relative to its strength.
-    steps : int
-        Steps from 0 to the budget; as many motions are followed.
-    near : float
-        Of the scales; see ``kept``.
-    progress : callable
-        Called with the stage and what is done of it.
+    f, start: The map, and the state to start from, (d,).
+    period: Of the orbit wanted, 1 or more.
+    budget: Largest change of the parameter, relative to its strength.
+    steps: Steps from 0 to the budget; as many motions are followed.
+    near: Of the scales; see ``kept``.
+    progress: Called with the stage and what is done of it.
     """
     state = start
     events = 0

@@ -46,19 +46,10 @@ def continuation(
 ) -> Continuation:
     """Return branches and special points.
 
-    Parameters
-    ----------
-    flow_at : callable
-        The flow at a value of the parameter; one mass, no drive.
-    values : (n,) array
-        Of the parameter, rising or falling; special points are sought between neighbours and then refined.
-    progress : callable
-        Called with the number of values done.
-
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical.
+    flow_at: The flow at a value of the parameter; one mass, no drive.
+    values: (n,) Of the parameter, rising or falling; special points are sought between neighbours and then refined.
+    progress: Called with the number of values done.
+    Raises ValueError: for a flow that is not physical.
 
     Notes
     -----

@@ -59,10 +59,7 @@ class TwoMassFixedPoint:
 def fixed_point(flow: Flow) -> FixedPoint:
     """Return the fixed point of a flow: one mass, no drive.
 
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical: see `rig_sim.flow.flow.validate`.
+    Raises ValueError: for a flow that is not physical: see `rig_sim.flow.flow.validate`.
     """
     validate(flow)
     if flow.u0 != 0.0:
@@ -79,10 +76,8 @@ def fixed_point(flow: Flow) -> FixedPoint:
 def two_mass_fixed_point(flow: TwoMassFlow) -> TwoMassFixedPoint:
     """Return the fixed point of two masses, where both stand while the belt slides below them.
 
-    Raises
-    ------
-    ValueError
-        For masses that are not physical, or not modelled: see `rig_sim.flow.two_mass.validate_two_masses`.
+    Raises ValueError: for masses that are not physical, or not modelled: see
+        `rig_sim.flow.two_mass.validate_two_masses`.
     """
     import numpy as np
 
@@ -105,10 +100,7 @@ def two_mass_fixed_point(flow: TwoMassFlow) -> TwoMassFixedPoint:
 def friction_at_rest(flow: Flow) -> tuple[float, float]:
     """Return friction (N) on a mass that stands on the running belt, and its slope gamma_lin = dF/dw (N s/m).
 
-    Raises
-    ------
-    ValueError
-        The belt is at rest under a jump law, where friction has no slope.
+    Raises ValueError: the belt is at rest under a jump law, where friction has no slope.
     """
     fr = frame(flow)
     if fr.B == 0.0:

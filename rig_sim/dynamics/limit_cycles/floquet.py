@@ -56,10 +56,7 @@ def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbi
 
     ``orbit`` is what `rig_sim.dynamics.limit_cycles.limit_cycle.cycle` finds of the flow, where that is known already.
 
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical: see `rig_sim.flow.flow.validate`.
+    Raises ValueError: for a flow that is not physical: see `rig_sim.flow.flow.validate`.
 
     Notes
     -----

@@ -74,15 +74,8 @@ class Orbit:
 def cycle(scene: HasFlow | Flow) -> Orbit:
     """Return the periodic orbit reached from the slip point (k x = B - c v_belt, v = v_belt).
 
-    Parameters
-    ----------
-    scene : Flow, or anything with ``flow()``
-        Its start, the belt's start and everything random do not enter.
-
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical: see `rig_sim.flow.flow.validate`.
+    scene: Its start, the belt's start and everything random do not enter.
+    Raises ValueError: for a flow that is not physical: see `rig_sim.flow.flow.validate`.
 
     Notes
     -----

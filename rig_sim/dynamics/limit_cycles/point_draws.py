@@ -26,36 +26,21 @@ STABILITY = ("hopf", "border-collision")
 
 @dataclass(frozen=True)
 class PointInterval:
-    """Where draws put a special point.
+    """Where draws put a special point."""
 
-    Attributes
-    ----------
-    lo, hi : float or None
-        Quantiles; None where they lie beyond the interval that was searched.
-    found : int
-        Draws in which the point lies within the interval.
-    below, above : int
-        Draws that put it beyond the interval's first or last value: one side's picture holds all over.
-    """
-
-    lo: float | None
+    lo: float | None  # Quantiles; None where they lie beyond the interval that was searched
     hi: float | None
-    found: int
-    below: int
+    found: int  # draws in which the point lies within the interval
+    below: int  # draws that put it beyond the interval's first or last value: one side's picture holds all over
     above: int
 
 
 class MovingPoint:
     """A special point to be found again for other parameters.
 
-    Parameters
-    ----------
-    point : SpecialPoint
-        Where it lies for the fitted parameters.
-    flow_at : callable
-        The fitted flow at a value of the parameter.
-    values : (n,) array
-        As for `rig_sim.dynamics.limit_cycles.branches.continuation`.
+    point: Where it lies for the fitted parameters.
+    flow_at: The fitted flow at a value of the parameter.
+    values: (n,) As for `rig_sim.dynamics.limit_cycles.branches.continuation`.
     """
 
     def __init__(self, point: SpecialPoint, flow_at: FlowAt, values: Array) -> None:
@@ -68,10 +53,7 @@ class MovingPoint:
     def for_draw(self, flow_at: FlowAt) -> float:
         """Return the value at which the point lies for a draw's flow; infinite where it lies beyond an end.
 
-        Raises
-        ------
-        ValueError
-            For a flow that is not physical.
+        Raises ValueError: for a flow that is not physical.
         """
         first, last = self.values[0], self.values[-1]
         place, held = self.place, self.holds(flow_at(self.place)) == self.before

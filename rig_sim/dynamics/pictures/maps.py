@@ -86,11 +86,7 @@ def draw_sweep(axes: "Axes", rows: Sequence[AttractorAt], parameter: str, ordina
 def draw_basins(axes: "Axes", attractors: Sequence[Attractor], centres: Array, fate: Integers) -> None:
     """Draw which attractor each start d leads to, with the attractors' points above.
 
-    Parameters
-    ----------
-    axes, attractors
-    centres, fate : (n,) arrays
-        Of each cell, and the index of its attractor.
+    centres, fate: (n,) Of each cell, and the index of its attractor.
     """
     half = 0.5 * (centres[1] - centres[0])
     for index, attractor in enumerate(attractors):

@@ -49,32 +49,16 @@ STARTS = 8  # in stick; fewer miss attractors with small basins, more cost in pr
 class DrivenMap:
     """A driven mass as a system: from one passage of a section to the next.
 
-    Parameters
-    ----------
-    flow : Flow
-        With omega other than 0; its phase counts as 0, as the section chooses the time's origin.
-    section : str
-        Whose passages are followed: 'poincare' (stroboscopic), 'slip' (break-away) or 'landing'.
-    draws : str
-        The section whose positions are drawn.
-    budget : StepBudget, optional
-        Integrator steps of all motions together, after which they end in 'step limit'.
-
-    Attributes
-    ----------
-    period : float
-        Of the drive, s.
-    scale : (2,) float64
-        Sizes of position (m) and velocity (m/s): the stretch at break-away with the drive's, and the belt's motion.
-    turn : (2,) float64
-        Infinite: the drive's phase is no part of the state.
-    unit : int
-        Drive periods in one oscillation of the mass alone, 1 at the least.
-
-    Raises
-    ------
-    ValueError
-        The flow is not physical, or has no drive frequency.
+    flow: With omega other than 0; its phase counts as 0, as the section chooses the time's origin.
+    section: Whose passages are followed: 'poincare' (stroboscopic), 'slip' (break-away) or 'landing'.
+    draws: The section whose positions are drawn.
+    budget: Integrator steps of all motions together, after which they end in 'step limit'.
+    period: Of the drive, s.
+    scale: (2,) Sizes of position (m) and velocity (m/s): the stretch at break-away with the drive's, and the belt's
+        motion.
+    turn: (2,) Infinite: the drive's phase is no part of the state.
+    unit: Drive periods in one oscillation of the mass alone, 1 at the least.
+    Raises ValueError: the flow is not physical, or has no drive frequency.
     """
 
     def __init__(
@@ -121,10 +105,7 @@ class DrivenMotion:
     def follow(self, number: int, *, tangent: bool = False) -> Passages:
         """Return the next ``number`` passages of the section: states (x, v) in m and m/s.
 
-        Parameters
-        ----------
-        tangent : bool
-            Whether the growth of a deviation is wanted too, for four times the time; else it is NaN.
+        tangent: Whether the growth of a deviation is wanted too, for four times the time; else it is NaN.
         """
         rows, outcome = self._rows(number, self.system.section, tangent=tangent)
         growth = rows[:, FACTOR] if tangent else np.full(len(rows), np.nan)

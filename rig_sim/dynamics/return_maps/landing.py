@@ -37,47 +37,22 @@ LANDED = -1  # an outcome of the kernel
 
 @dataclass(frozen=True)
 class Landing:
-    """What follows a state up to the next landing.
+    """What follows a state up to the next landing."""
 
-    Attributes
-    ----------
-    state : (2,) float64
-        Time within the drive's period (s) and position (m) at the landing; NaN without one.
-    duration : float
-        s.
-    x_slip : float
-        Where the mass broke away last before, m (the thesis's X_A).
-    outcome : str
-        'completed'; 'no landing'; or how the integrator ended.
-    """
-
-    state: Array
-    duration: float
-    x_slip: float
-    outcome: str
+    state: Array  # (2,) time within the drive's period (s) and position (m) at the landing; NaN without one
+    duration: float  # s
+    x_slip: float  # where the mass broke away last before, m (the thesis's X_A)
+    outcome: str  # 'completed'; 'no landing'; or how the integrator ended
 
 
 class LandingMap(FormulaMap):
     """The map from landing to landing of a driven mass: a `Controlled` system of two numbers.
 
-    Parameters
-    ----------
-    flow : Flow
-        With a drive.
-    budget : StepBudget, optional
-        Integrator steps of all applications together; without one there is no limit.
-
-    Attributes
-    ----------
-    period : float
-        Of the drive, s.
-    scale, turn, strength
-        As in `Controlled`: the drive's period and the largest stretch; the drive's period; u0.
-
-    Raises
-    ------
-    ValueError
-        The flow is not physical, or has no drive.
+    flow: With a drive.
+    budget: Integrator steps of all applications together; without one there is no limit.
+    period: Of the drive, s.
+    scale, turn, strength: As in `Controlled`: the drive's period and the largest stretch; the drive's period; u0.
+    Raises ValueError: the flow is not physical, or has no drive.
     """
 
     def __init__(self, flow: Flow, *, budget: StepBudget | None = None) -> None:
@@ -104,10 +79,7 @@ class LandingMap(FormulaMap):
     def step(self, state: Array, change: float = 0.0) -> tuple[Array, None, float]:
         """Return the next landing, (2,), with u0 changed by ``change`` (N), and the drive periods to it; NaN without.
 
-        Raises
-        ------
-        StepLimitError
-            The budget is spent.
+        Raises StepLimitError: the budget is spent.
         """
         if self._budget.left <= 0.0:
             raise self._budget.exceeded("map of landings", "apply the map less often")
@@ -137,12 +109,8 @@ class LandingMap(FormulaMap):
     def sampled(self, states: Array, changes: Array, rate: float) -> tuple[Array, Array, Array]:
         """Return time (s, from the first landing), x (m) and v (m/s) of a motion under control, (n,) each.
 
-        Parameters
-        ----------
-        states, changes : (n, 2) and (n,) float64
-            Its landings, and the change of u0 (N) from each to the next.
-        rate : float
-            Samples per second; every landing is sampled besides.
+        states, changes: (n, 2) Its landings, and the change of u0 (N) from each to the next.
+        rate: Samples per second; every landing is sampled besides.
         """
         time = 0.0
         pieces = []
@@ -169,17 +137,10 @@ def next_landing(
 ) -> tuple[int, State, float, float]:
     """Follow the motion event by event to the next landing, or to ``end`` (s).
 
-    Parameters
-    ----------
-    behind : int
-        The mode from which a ramp is entered at a landing: that of a mass slower than the belt.
-    one : Lists
-        Of one event.
-
-    Returns
-    -------
-    (outcome, at, x_slip, steps)
-        `LANDED`, or how the motion ended; the state there; where the mass broke away last (m, or NaN); steps taken.
+    behind: The mode from which a ramp is entered at a landing: that of a mass slower than the belt.
+    one: Of one event.
+    Returns: (outcome, at, x_slip, steps) `LANDED`, or how the motion ended; the state there; where the mass broke away
+        last (m, or NaN); steps taken.
     """
     work = unboxed(work)
     work.steps = 0.0

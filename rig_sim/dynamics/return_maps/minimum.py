@@ -30,30 +30,18 @@ POINTS = 8
 
 @dataclass(frozen=True)
 class MinimumTurn:
-    """One passage from a minimum to the next; or, with an ``end`` other than '', where it ended.
+    """One passage from a minimum to the next; or, with an ``end`` other than '', where it ended."""
 
-    Attributes
-    ----------
-    end, advice : str
-        '' for a passage; 'fixed point' (the mass creeps to rest), 'no cycle', or an outcome of the integrator.
-    p, p_max : float
-        Displacement from the slip point (m, in the frame) at the next minimum, and at the maximum between.
-    duration : float
-        s.
-    multiplier : float
-        Product of the factors above, the multiplier of an orbit where p is where it began; NaN where the motion only
-        touches an edge and the map has no derivative.
-    modes : tuple of int
-        Of the phases in the frame, from the first.
-    """
-
-    end: str
+    end: str  # '' for a passage; 'fixed point' (the mass creeps to rest), 'no cycle', or an outcome of the integrator
     advice: str = ""
+    # displacement from the slip point (m, in the frame) at the next minimum, and at the maximum between
     p: float = math.nan
     p_max: float = math.nan
-    duration: float = math.nan
+    duration: float = math.nan  # s
+    # product of the factors above, the multiplier of an orbit where p is where it began; NaN where the motion only
+    # touches an edge and the map has no derivative
     multiplier: float = math.nan
-    modes: tuple[int, ...] = ()
+    modes: tuple[int, ...] = ()  # of the phases in the frame, from the first
 
 
 def next_minimum(fr: Frame, p: float, work: Work) -> MinimumTurn:

@@ -36,29 +36,17 @@ COLUMNS = 5
 
 @dataclass(slots=True)
 class Place:
-    """Where a driven motion stands.
+    """Where a driven motion stands."""
 
-    Attributes
-    ----------
-    mode, p, w : float
-        Mode, displacement (m) and relative velocity (m/s), in the frame.
-    t, turns : float
-        Time within the drive period (s), and whole drive periods.
-    dp, dw, growth : float
-        The deviation, and the logarithm of its growth since the last passage.
-    last : float
-        Whole drive periods at the last passage.
-    """
-
-    mode: float
+    mode: float  # Mode, displacement (m) and relative velocity (m/s), in the frame
     p: float
     w: float
-    t: float
+    t: float  # time within the drive period (s), and whole drive periods
     turns: float
-    dp: float
+    dp: float  # the deviation, and the logarithm of its growth since the last passage
     dw: float
     growth: float
-    last: float
+    last: float  # whole drive periods at the last passage
 
 
 class Clock(NamedTuple):
@@ -73,19 +61,10 @@ def passages(
 ) -> tuple[int, int]:
     """Follow the motion to its next ``number`` passages of the sections in ``mask``.
 
-    Parameters
-    ----------
-    tangent : int
-        1 to follow the deviation, 0 to leave it as it is.
-    at : Place
-        Where the motion begins; left where it ends.
-    out : (number * COLUMNS,) float64
-        Row after row: drive periods, displacement and relative velocity in the frame, growth, the section.
-
-    Returns
-    -------
-    (outcome, count)
-        0 or a key of `ENDS`; how many passages were noted.
+    tangent: 1 to follow the deviation, 0 to leave it as it is.
+    at: Where the motion begins; left where it ends.
+    out: Row after row: drive periods, displacement and relative velocity in the frame, growth, the section.
+    Returns: (outcome, count) 0 or a key of `ENDS`; how many passages were noted.
     """
     at, work = unboxed(at), unboxed(work)
     period = clock.period

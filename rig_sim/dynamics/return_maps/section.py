@@ -27,14 +27,10 @@ STEPS_OF_VALUE = 20_000_000
 def section_points(flow: TwoMassFlow, d: float, crossings: int, *, skip: int = 0) -> Array:
     """Return x1 at crossings of the section, shape (n,), of the motion that follows a global stick of stretch d (m).
 
-    Parameters
-    ----------
-    flow : TwoMassFlow
-        The masses.
-    d : float
-        x2 - x1 while both stick, m.
-    crossings, skip : int
-        How many to return, after leaving out the first ``skip``.  Fewer are returned where the motion ends.
+    flow: The masses.
+    d: x2 - x1 while both stick, m.
+    crossings, skip: How many to return, after leaving out the first ``skip``.  Fewer are returned where the motion
+        ends.
     """
     x1, x2 = slip_start(flow, d)
     belt = flow.mass.v_belt
@@ -49,14 +45,9 @@ def section_points(flow: TwoMassFlow, d: float, crossings: int, *, skip: int = 0
 def attractors_at(flow_at: Callable[[float], TwoMassFlow], section: str, value: float) -> list[AttractorAt]:
     """Return the attractors of two masses at one value, the largest basin first.
 
-    Parameters
-    ----------
-    flow_at : callable
-        The masses at a value of the parameter.
-    section : str
-        'map': points are d in global stick; 'poincare': x1 where the first mass turns forwards.
-    value : float
-        Of the parameter.
+    flow_at: The masses at a value of the parameter.
+    section: 'map': points are d in global stick; 'poincare': x1 where the first mass turns forwards.
+    value: Of the parameter.
     """
     flow = flow_at(value)
     try:

@@ -67,11 +67,8 @@ def next_stick(
 ) -> tuple[int, float, float, int]:
     """Follow an event from the end of a global stick at (y1, y2), m, in the frame.
 
-    Returns
-    -------
-    (outcome, d, duration, letters)
-        0 or a key of `ENDS`; the next d (m) and the time to the next global stick (s); how many letters ``word`` holds
-        (1 and 2).
+    Returns: (outcome, d, duration, letters) 0 or a key of `ENDS`; the next d (m) and the time to the next global stick
+        (s); how many letters ``word`` holds (1 and 2).
     """
     place(fr, a, b, y1, 0.0, y2, 0.0, 0.0, work)
     work.steps = 0.0
@@ -137,50 +134,24 @@ def events_from(
 
 @dataclass(frozen=True)
 class StickEvent:
-    """An event of two masses, from a global stick to the next.
+    """An event of two masses, from a global stick to the next."""
 
-    Attributes
-    ----------
-    d : float
-        x2 - x1 in the global stick that follows, m; NaN without one.
-    word : str
-        Which mass broke away, in order.
-    duration : float
-        From the first break-away to the next global stick, s.
-    outcome, advice : str
-        'completed', or how the event ended instead, and what to do.
-    """
-
-    d: float
-    word: str
-    duration: float
-    outcome: str
+    d: float  # x2 - x1 in the global stick that follows, m; NaN without one
+    word: str  # which mass broke away, in order
+    duration: float  # from the first break-away to the next global stick, s
+    outcome: str  # 'completed', or how the event ended instead, and what to do
     advice: str
 
 
 class StickMap:
     """The map d -> f(d) of two masses, on the interval of every d that a global stick can have.
 
-    Parameters
-    ----------
-    flow : TwoMassFlow
-        The masses.
-    precision : Precision
-        `EXACT`, `FINE` or `COARSE`.
-    budget : StepBudget, optional
-        Integrator steps, after which the map raises `StepLimitError`; default `STEPS_IN_ALL` of its own.
-
-    Attributes
-    ----------
-    lo, hi : float
-        Ends of the interval, m; its length is the ``scale``.
-
-    Raises
-    ------
-    ValueError
-        The masses are not physical or not modelled; the belt is at rest.
-    StepLimitError
-        The coupling is so stiff that one event takes more steps than are allowed.
+    flow: The masses.
+    precision: `EXACT`, `FINE` or `COARSE`.
+    budget: Integrator steps, after which the map raises `StepLimitError`; default `STEPS_IN_ALL` of its own.
+    lo, hi: Ends of the interval, m; its length is the ``scale``.
+    Raises ValueError: the masses are not physical or not modelled; the belt is at rest.
+    Raises StepLimitError: the coupling is so stiff that one event takes more steps than are allowed.
     """
 
     def __init__(self, flow: TwoMassFlow, precision: Precision = EXACT, *, budget: StepBudget | None = None) -> None:

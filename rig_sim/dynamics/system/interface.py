@@ -34,25 +34,14 @@ NO_ATTRACTOR = Outcome("no attractor", "the orbit leaves the places where the ma
 
 @dataclass(frozen=True)
 class Passages:
-    """Consecutive passages of a section.
+    """Consecutive passages of a section."""
 
-    Attributes
-    ----------
-    times : (n,) float64
-        When, in drive periods from the start of the motion; of a map how often it was applied.
-    states : (n, d) float64
-        The state there.
-    growth : (n,) float64
-        Logarithm of the factor by which a small deviation has grown since the passage before, along the direction
-        that grows most; NaN where it was not asked for, or has none, as beside a jump of the motion.
-    outcome : Outcome
-        'completed', or why there are fewer passages than were asked for.
-    """
-
-    times: Array
-    states: Array
+    times: Array  # (n,) When, in drive periods from the start of the motion; of a map how often it was applied
+    states: Array  # (n, d) the state there
+    # (n,) logarithm of the factor by which a small deviation has grown since the passage before, along the direction
+    # that grows most; NaN where it was not asked for, or has none, as beside a jump of the motion
     growth: Array
-    outcome: Outcome
+    outcome: Outcome  # 'completed', or why there are fewer passages than were asked for
 
 
 class Motion(Protocol):
@@ -73,21 +62,11 @@ class Motion(Protocol):
 
 
 class ReturnMap(Protocol):
-    """A system that passes a section again and again.
+    """A system that passes a section again and again."""
 
-    Attributes
-    ----------
-    scale : (d,) float64
-        A size of each coordinate of the state, in its unit: distances are judged relative to it.
-    turn : (d,) float64
-        Length after which a coordinate begins again, as a phase does; infinity where it does not.
-    unit : int
-        Passages in one oscillation of the system's own, at least 1: how long it takes to settle.
-    """
-
-    scale: Array
-    turn: Array
-    unit: int
+    scale: Array  # (d,) a size of each coordinate of the state, in its unit: distances are judged relative to it
+    turn: Array  # (d,) length after which a coordinate begins again, as a phase does; infinity where it does not
+    unit: int  # passages in one oscillation of the system's own, at least 1: how long it takes to settle
 
     def motion(self, start: Array) -> Motion:
         """Return the motion from a state, (d,)."""
@@ -114,15 +93,9 @@ class OnInterval(ReturnMap, Protocol):
 
 
 class Controlled(ReturnMap, Protocol):
-    """A map that a change of one parameter can correct at every application.
+    """A map that a change of one parameter can correct at every application."""
 
-    Attributes
-    ----------
-    strength : float
-        Size of the parameter, in its unit: a budget is relative to it.
-    """
-
-    strength: float
+    strength: float  # size of the parameter, in its unit: a budget is relative to it
 
     def after(self, state: Array, change: float = 0.0) -> Array:
         """Return the state that follows, (d,), with the parameter changed by ``change``; NaN where there is none."""

@@ -13,12 +13,8 @@ REPEATS = 16
 def period_of(orbit: Array, tolerance: float) -> int | None:
     """Return the least period with which the end of a sequence repeats; None without one up to `LONGEST_PERIOD`.
 
-    Parameters
-    ----------
-    orbit : (n,) or (n, d) float64
-        Points, in order.
-    tolerance : float
-        Largest difference in a coordinate that still counts as a repetition.
+    orbit: (n,) Points, in order.
+    tolerance: Largest difference in a coordinate that still counts as a repetition.
     """
     for period in range(1, min(LONGEST_PERIOD, len(orbit) // 2) + 1):
         span = min(max(period, REPEATS), len(orbit) - period)
