@@ -265,9 +265,9 @@ class ScenePlayer:
         """Return the factor on the friction curve from this landing on."""
         factor = 1.0
         if self.scene.wear is not None:
-            from rig_sim.effects.wear import remaining_level
+            from rig_sim.effects.wear import wear_factor
 
-            factor = remaining_level(self.scene.wear.rate, self.t)
+            factor = wear_factor(self.scene.wear.rate, self.t)
         if self._scatter is not None:
             factor *= self._scatter.factor()
         return max(LEAST_FACTOR, factor)

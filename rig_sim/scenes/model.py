@@ -108,9 +108,9 @@ class Scene(Section):
             droop=self.droop.fraction * abs(self.belt.speed) if self.droop and self.belt and belt_running else 0.0,
         )
         if self.shaker and belt_running:
-            from rig_sim.effects.shaker import controlled
+            from rig_sim.effects.shaker import add_shaker
 
-            flow = controlled(flow, float(self.shaker.a), float(self.shaker.phi))
+            flow = add_shaker(flow, float(self.shaker.a), float(self.shaker.phi))
         if self.belt and self.belt.ripple and belt_running:
-            return self.belt.swing().driven(flow)
+            return self.belt.swing().drive(flow)
         return flow
