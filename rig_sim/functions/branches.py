@@ -197,9 +197,9 @@ def continue_(
 
     drawn = None
     if draws is not None:
-        from rig_sim.scenes.draws import drawn_changes
+        from rig_sim.scenes.draws import draw_changes
 
-        drawn = drawn_changes(first, draws, first.name)
+        drawn = draw_changes(first, draws, first.name)
     followed = continuation(swept.flow, span.values(), progress=_stage("following", span.number, progress))
     parts = (span.key, followed.branches, followed.points)
     if drawn is None:

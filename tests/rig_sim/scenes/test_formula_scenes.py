@@ -189,10 +189,10 @@ def test_a_file_states_formula_and_parameters(tmp_path: Path) -> None:
     text = 'formula = "Fc + (top - Fc)*exp(-s/v_s)"\nFc = 0.5\ntop = 1\nv_s = 0.1\nd = 0.02'
     found = scene(written(tmp_path, text))
     assert found.friction is not None
-    assert found.friction.of_formula() == {"Fc": 0.5, "top": 1.0, "v_s": 0.1}
+    assert found.friction.formula_values() == {"Fc": 0.5, "top": 1.0, "v_s": 0.1}
     assert found.flow().ramp
     assert scene(Scene.model_validate(found.model_dump(exclude_unset=True))).flow() == found.flow()
-    assert scene(found, **{"friction.v_s": 0.2}).friction.of_formula()["v_s"] == 0.2
+    assert scene(found, **{"friction.v_s": 0.2}).friction.formula_values()["v_s"] == 0.2
     assert tomllib.loads(text)["formula"] == found.friction.formula
 
 
