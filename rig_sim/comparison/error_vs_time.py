@@ -18,7 +18,7 @@ from rig_sim.comparison.rk4_henon import by_steps
 from rig_sim.comparison.solve_ivp import by_solver
 from rig_sim.comparison.stepping import sample_phase
 from rig_sim.integrate.events import EventList, list_events
-from rig_sim.motion.play import flow_never_changes, play_events
+from rig_sim.motion.play import is_flow_constant, play_events
 from rig_sim.scenes.model import Scene
 
 METHODS = ("exact", "rk4-henon", "dop853", "radau", "lsoda")
@@ -87,7 +87,7 @@ def compare(
     if until > LONGEST * swing:
         what = f"is {until:g}, {until / swing:.3g} periods of the mass: every method would step through all of them"
         raise InputError(what, "--until", f"give {LONGEST * swing:.4g} ({LONGEST} periods) or less")
-    whole = flow_never_changes(scene) and scene.droop is None
+    whole = is_flow_constant(scene) and scene.droop is None
     runs = _runs(scene, until, methods, whole)
     compile_s = _compile(scene) if whole and "exact" in methods else 0.0
     measured = []

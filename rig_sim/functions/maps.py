@@ -407,9 +407,9 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     given = scene_of(scene)
     if given.coupling is None:
         return _driven_lyapunov(given, number, progress)
-    from rig_sim.motion.two_masses import stretch
+    from rig_sim.motion.two_masses import find_stretch
 
-    f, start = _with_steps(given, number), stretch(given)
+    f, start = _with_steps(given, number), find_stretch(given)
     if not abs(start) <= f.hi:
         raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
     result = exponent(f.motion(np.array([start])), number, progress)

@@ -364,9 +364,9 @@ def run(
         "phases": phases,
         "max_steps": whole(max_steps, "--max-steps"),
     }
-    names = file.names(played)
+    names = file.column_names(played)
     if output is None:
-        columns, done = file.sampled(played, **wanted)
+        columns, done = file.sample_scene(played, **wanted)
         return Motion(None, done.samples, method, done.outcome, done.advice, done.steps, played.name, names, columns)
     path = Path(output)
     done = file.write(played, path, method=f"{method} {setting}".strip(), force=force, **wanted)

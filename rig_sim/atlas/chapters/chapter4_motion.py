@@ -13,7 +13,7 @@ from rig_sim.dynamics.limit_cycles.fixed_point import two_mass_fixed_point
 from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
-from rig_sim.motion.two_masses import TwoMassEvent, TwoMassPlayer, stretch, two_mass_events
+from rig_sim.motion.two_masses import TwoMassEvent, TwoMassPlayer, find_stretch, two_mass_events
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
 
@@ -100,7 +100,7 @@ def history(mass: int, of_velocity: bool) -> Computed:
 def chaotic_exponent() -> Exponent:
     """Return the Lyapunov exponent on the attractor that figures 4.7 to 4.12 show."""
     run = scene("two-mass", **CHAOTIC)
-    return exponent(StickMap(run.two_mass_flow()).motion(np.array([stretch(run)])), 4000)
+    return exponent(StickMap(run.two_mass_flow()).motion(np.array([find_stretch(run)])), 4000)
 
 
 def portrait(mass: int) -> Computed:
