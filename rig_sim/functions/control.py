@@ -363,7 +363,7 @@ def _locked(
     else:
         given = scene_of(scene)
         f = landings = landing_map(given, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
-        first = landings.first(float(given.start.x), float(given.start.v))
+        first = landings.first_landing(float(given.start.x), float(given.start.v))
         start, name = first.state, given.name
         if first.outcome != "completed":
             advice = "the motion does not reach a stick: change the drive or the belt"
@@ -392,7 +392,7 @@ def _orbit_row(f: FormulaMap, orbit: "UnstableOrbit") -> dict[str, Any]:
 
     if not isinstance(f, LandingMap):
         return {"points": orbit.points, "x": orbit.points[:, 0], "multipliers": orbit.multipliers}
-    landings = [f.landing(point) for point in orbit.points]
+    landings = [f.find_landing(point) for point in orbit.points]
     duration = math.fsum(landing.duration for landing in landings)
     return {
         "x_slip": [landing.x_slip for landing in landings],
@@ -420,7 +420,7 @@ def _searched(f: FormulaMap, start: "Array", period: int, budget: float, progres
         return {"outcome": "not locked", "advice": advice, "events": search.events, "du_max": budget * f.strength}
     orbit: dict[str, Any] = {"points": search.points, "x": search.points[:, 0]}
     if isinstance(f, LandingMap):
-        x_slip = [f.landing(point, search.change).x_slip for point in search.points]
+        x_slip = [f.find_landing(point, search.change).x_slip for point in search.points]
         orbit = {"x_slip": x_slip, "t": search.points[:, 0], "x": search.points[:, 1]}
     data = {"orbit": orbit, "events_to_lock": search.events, "events": search.events, "kept": search.kept}
     data |= {"du_max": search.change, "du_final": 0.0, "locked": search.stays}

@@ -142,12 +142,12 @@ class DrivenAttractors:
         """Return the attractors, the one that most starts lead to first."""
         from rig_sim.dynamics.analyses.settling import attractors
         from rig_sim.dynamics.analyses.sweep import AttractorAt
-        from rig_sim.dynamics.return_maps.driven import with_starts
+        from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
 
         flow, x, v = driven_start(self.swept.at(value))
         if flow.omega == 0.0:
             return [AttractorAt(value, 0, (), None, 0.0, (math.nan, math.nan), None, "no drive period")]
-        rows = attractors(*with_starts(flow, x, v, self.section), value)
+        rows = attractors(*driven_map_with_starts(flow, x, v, self.section), value)
         if flow.u0 == 0.0:
             rows = [replace(row, outcome="no drive" if row.points else row.outcome) for row in rows]
         return rows

@@ -13,7 +13,7 @@ from rig_sim.dynamics.analyses.settling import attractors
 from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
 from rig_sim.dynamics.control.dither import Quench, quench
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import DrivenMap, with_starts
+from rig_sim.dynamics.return_maps.driven import DrivenMap, driven_map_with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 
@@ -31,7 +31,7 @@ def flow_at(omega: float, u0: float = U0) -> Flow:
 
 def attractors_at(omega: float) -> list[AttractorAt]:
     """Return the attractors at a drive frequency, with the positions of break-away."""
-    return attractors(*with_starts(flow_at(omega), 0.0, 0.0, "slip"), omega)
+    return attractors(*driven_map_with_starts(flow_at(omega), 0.0, 0.0, "slip"), omega)
 
 
 @cache

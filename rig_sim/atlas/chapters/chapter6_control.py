@@ -91,7 +91,7 @@ def locked(period: int) -> tuple[LandingMap, Locking, SearchAndLock]:
     """Return the map, the lock within the printed budget, and what the thesis's own search finds within it."""
     omega, change = ORBITS[period]
     f = LandingMap(flow_at(omega))
-    start = f.first(0.0, 0.0).state
+    start = f.first_landing(0.0, 0.0).state
     budget = change / U0
     return f, find_and_lock(f, start, period, budget, EVENTS), search_and_lock(f, start, period, budget)
 
@@ -110,7 +110,7 @@ def held(period: int) -> Lock:
 def part(period: int, first: int, last: int) -> tuple[Array, Array, Array]:
     """Return t, x, v of the controlled motion between two of its landings."""
     f, lock = locked(period)[0], held(period)
-    return f.sampled(lock.states[first:last], lock.changes[first:last], SAMPLES / f.period)
+    return f.sample_motion(lock.states[first:last], lock.changes[first:last], SAMPLES / f.period)
 
 
 def lock_portrait(period: int) -> Computed:
@@ -155,7 +155,7 @@ def lock_velocity(period: int) -> Computed:
     f, lock = locked(period)[0], held(period)
     end = len(lock.changes)
     t, _, v = part(period, max(end - TURNS * period, 0), end)
-    duration = math.fsum(f.landing(lock.states[i], lock.changes[i]).duration for i in range(end - period, end))
+    duration = math.fsum(f.find_landing(lock.states[i], lock.changes[i]).duration for i in range(end - period, end))
     turn = duration / f.period
     numbers = {"period": period, "omega": ORBITS[period][0], "turn": turn, "repeats": abs(turn - round(turn)) < 1e-6}
     return Computed((Panel(T, V, (Trace(t, v),)),), numbers)

@@ -14,7 +14,7 @@ from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.analyses.settling import GROWING, SAME, is_growing
 from rig_sim.dynamics.system.interface import Motion, Passages
-from rig_sim.dynamics.system.period import period_of
+from rig_sim.dynamics.system.period import find_period
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
 
 TRANSIENT = 1000  # passages before the mean; twice as many cost 1000 passages more
@@ -62,7 +62,7 @@ def exponent(motion: Motion, events: int, progress: Stages = silent) -> Exponent
     if period is None:
         return mean_growth(growth)
     with np.errstate(invalid="ignore"):  # minus infinity, where a deviation vanishes, repeats nothing
-        repeats = period if by_slopes is not None else period_of(growth, SAME)
+        repeats = period if by_slopes is not None else find_period(growth, SAME)
     if repeats == period:
         return Exponent(float(np.mean(growth[-period:])), 0.0, period, period, "completed")
     # complex multipliers: the deviation turns, and its growth swings about the mean
@@ -97,7 +97,7 @@ def mean_growth(growth: Array) -> Exponent:
 def passages_per_period(passages: Passages, scale: Array) -> int | None:
     """Return after how many passages state and phase of the drive repeat; None for what is not periodic."""
     turn = 2.0 * np.pi * passages.times
-    return period_of(np.column_stack([passages.states / scale, np.cos(turn), np.sin(turn)]), SAME)
+    return find_period(np.column_stack([passages.states / scale, np.cos(turn), np.sin(turn)]), SAME)
 
 
 def rotation_number(passages: Passages) -> float:

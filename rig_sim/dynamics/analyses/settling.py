@@ -14,7 +14,7 @@ from daq.base.compute.arrays import Array
 from daq.base.compute.stages import parts, silent
 from rig_sim.dynamics.analyses.sweep import SAME_POINT, AttractorAt, distinct
 from rig_sim.dynamics.system.interface import Motion, ReturnMap
-from rig_sim.dynamics.system.period import LONGEST_PERIOD, REPEATS, period_of
+from rig_sim.dynamics.system.period import LONGEST_PERIOD, REPEATS, find_period
 from rig_sim.flow.modes import COMPLETED, OUTCOMES, Outcome
 
 # Relative to the system's scale: how closely a state has to come back.  Rounding of a stable orbit stays at 1e-13; a
@@ -73,8 +73,8 @@ def settled(
         if found.outcome != OUTCOMES[COMPLETED]:
             return Settled(found.states, None, found.outcome)
         scaled = found.states / system.scale
-        period = period_of(scaled, APART * same)
-        repeats = period_of(scaled, same)
+        period = find_period(scaled, APART * same)
+        repeats = find_period(scaled, same)
         if repeats is not None and (repeats == period or transient == transients[-1]):
             return Settled(found.states[-repeats:], repeats, found.outcome)
         grows = before is not None and is_growing(before, scaled)
@@ -106,11 +106,11 @@ def attractors(f: ReturnMap, starts: Iterable[Array], value: float) -> list[Attr
             if is_same(end, other, f.scale):
                 counts[index] += 1
                 if end.period and (other.period is None or end.period < other.period):
-                    kinds[index], shown[index] = end, motion.drawn(end.period)
+                    kinds[index], shown[index] = end, motion.draw_points(end.period)
                 break
         else:
             kinds.append(end)
-            shown.append(motion.drawn(end.period or DRAWN))
+            shown.append(motion.draw_points(end.period or DRAWN))
             counts.append(1)
     if not kinds:
         return [AttractorAt(value, 0, (), None, 0.0, (np.nan, np.nan), None, failed[0].name)]

@@ -9,7 +9,7 @@ from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, periodic_orbits
 from rig_sim.dynamics.control.ogy import REPORTED, Lock, lock
 from rig_sim.dynamics.system.interface import Controlled, difference, orbit
-from rig_sim.dynamics.system.period import period_of
+from rig_sim.dynamics.system.period import find_period
 from rig_sim.dynamics.system.step_budget import StepLimitError
 
 # Applications of the map that orbits are searched in, after as many as `TRANSIENT`.  The least unstable orbits of
@@ -59,7 +59,7 @@ def find_and_lock(
         states = followed(f, start, progress)
         if len(states) <= period:
             return _locking("no orbit", (), None, None)
-        regular = period_of(difference(f, states, states[-1]), REGULAR)
+        regular = find_period(difference(f, states, states[-1]), REGULAR)
         orbits = tuple(periodic_orbits(f, states, period, progress))
         if not orbits:
             return _locking("no orbit" if regular is None else "regular motion", (), regular, None)

@@ -13,7 +13,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.system.interface import Controlled, difference, orbit
-from rig_sim.dynamics.system.period import period_of
+from rig_sim.dynamics.system.period import find_period
 
 TRANSIENT = 400  # applications at every step before the section is judged; a window's edge may take longer
 JUDGED = 130  # applications that are judged: twice the longest period that is recognised
@@ -66,7 +66,7 @@ def search_and_lock(
         if len(states) < TRANSIENT + JUDGED:
             break
         state = states[-1]
-        if period_of(difference(f, states[TRANSIENT:], state), REPEATS) == period:
+        if find_period(difference(f, states[TRANSIENT:], state), REPEATS) == period:
             points = states[-period:]
             return SearchAndLock(change, events, step, points, _kept(f, points, state, near))
     return SearchAndLock(None, events, steps, None, None)

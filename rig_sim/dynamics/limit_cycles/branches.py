@@ -29,7 +29,7 @@ from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point, friction_at_r
 from rig_sim.dynamics.limit_cycles.floquet import floquet
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.dynamics.return_maps.minimum import next_minimum
-from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE
+from rig_sim.dynamics.return_maps.turn import STEPS_OF_SEARCH
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import displacement, frame
 from rig_sim.integrate.work import new_work
@@ -141,7 +141,7 @@ def least_gain(flow: Flow) -> float:
     p_rest = displacement(fr, fixed_point(flow).x or 0.0)
 
     def gain(p: float) -> float:
-        turn = next_minimum(fr, float(p), new_work(STEPS_ALLOWED_HERE))
+        turn = next_minimum(fr, float(p), new_work(STEPS_OF_SEARCH))
         return 1.0 if turn.end else (turn.p - p) / (p_rest - p)
 
     far = p_rest - 2.0 * fr.B / fr.k

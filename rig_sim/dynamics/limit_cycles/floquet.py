@@ -13,7 +13,7 @@ from typing import Literal
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.limit_cycle import Orbit, cycle
 from rig_sim.dynamics.return_maps.minimum import MinimumTurn, next_minimum
-from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE
+from rig_sim.dynamics.return_maps.turn import STEPS_OF_SEARCH
 from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import Frame, displacement, frame, mirrored, position
@@ -70,7 +70,7 @@ def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbi
     fr = frame(flow)
     outer = displacement(fr, orbit.x_min if fr.mirror > 0.0 else orbit.x_max)
     if which == "stable":
-        turn = next_minimum(fr, outer, new_work(STEPS_ALLOWED_HERE))
+        turn = next_minimum(fr, outer, new_work(STEPS_OF_SEARCH))
         return found(fr, turn, 1.0 if orbit.outcome == "grazing" else turn.multiplier, orbit.outcome)
     inner = fixed_point(flow)
     if inner.x is None or not inner.stable:
@@ -97,7 +97,7 @@ def separating(fr: Frame, outer: float, inner: float) -> MinimumTurn:
     while step > STABLE_TO * width:
         step /= PARTS
         high = inner - step
-        turn = next_minimum(fr, high, new_work(STEPS_ALLOWED_HERE))
+        turn = next_minimum(fr, high, new_work(STEPS_OF_SEARCH))
         if turn.end not in ("", "fixed point"):
             return turn
         if turn.end or turn.p > high:
@@ -107,11 +107,11 @@ def separating(fr: Frame, outer: float, inner: float) -> MinimumTurn:
         return MinimumTurn("no cycle", "every motion outside the fixed point grows: no unstable orbit was found")
     while high - low > LEAST * (abs(high) + abs(fr.slip)):
         middle = 0.5 * (low + high)
-        turn = next_minimum(fr, middle, new_work(STEPS_ALLOWED_HERE))
+        turn = next_minimum(fr, middle, new_work(STEPS_OF_SEARCH))
         if turn.end not in ("", "fixed point"):
             return turn
         if turn.end or turn.p > middle:
             high = middle
         else:
             low = middle
-    return next_minimum(fr, 0.5 * (low + high), new_work(STEPS_ALLOWED_HERE))
+    return next_minimum(fr, 0.5 * (low + high), new_work(STEPS_OF_SEARCH))

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE, Turn, next_slip
+from rig_sim.dynamics.return_maps.turn import STEPS_OF_SEARCH, Turn, next_slip
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import classify, force
 from rig_sim.flow.flow import Flow, validate
@@ -89,7 +89,7 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
         return Orbit("driven", "a driven mass has no orbit of its own: list its events instead")
     if is_grazing(fr):
         return grazing_orbit(fr)
-    work = new_work(STEPS_ALLOWED_HERE)
+    work = new_work(STEPS_OF_SEARCH)
     if fr.d == 0.0:
         turn = next_slip(fr, modes.STICK, 0.0, 0.0, work)
         if turn.end == "":
@@ -112,7 +112,7 @@ def sticks(flow: Flow) -> bool:
     if fr.d > 0.0 or fr.u0 != 0.0 or is_grazing(fr):
         return cycle(flow).outcome == "cycle"
     validate(flow)
-    work = new_work(STEPS_ALLOWED_HERE)
+    work = new_work(STEPS_OF_SEARCH)
     turn = next_slip(fr, modes.STICK, 0.0, 0.0, work)
     return turn.end == "" and next_slip(fr, modes.NEGATIVE, turn.p, 0.0, work, to_the_end=False).end == ""
 

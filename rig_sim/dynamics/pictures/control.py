@@ -111,12 +111,12 @@ def lock_figure(f: LandingMap, lock: Lock, period: int, budget: float) -> Figure
         (slice(first, first + BEFORE), "0.75", 0.7),
         (slice(last - period, last), "#0072B2", 1.6),
     ):
-        _, x, v = f.sampled(lock.states[:last][part], lock.changes[part], LOCK_SAMPLES / f.period)
+        _, x, v = f.sample_motion(lock.states[:last][part], lock.changes[part], LOCK_SAMPLES / f.period)
         portrait.plot(x, v, color=colour, lw=width)
     portrait.set(xlabel="x (the scene's unit)", ylabel="v (the scene's unit)")
     portrait.set_title(f"Last {period} landings; grey: before the control")
     drawn = slice(max(last - TURNS * period, 0), last)
-    time, _, v = f.sampled(lock.states[drawn], lock.changes[drawn], LOCK_SAMPLES / f.period)
+    time, _, v = f.sample_motion(lock.states[drawn], lock.changes[drawn], LOCK_SAMPLES / f.period)
     velocity.plot(time, v, color="#0072B2", lw=1.0)
     velocity.set(xlabel="time (the scene's unit)", ylabel="v (the scene's unit)", title="Velocity on the orbit")
     return page

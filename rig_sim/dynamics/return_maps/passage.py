@@ -36,48 +36,47 @@ COLUMNS = 5
 
 @dataclass(slots=True)
 class Place:
-    """Where a driven motion stands."""
+    """State of a driven motion between two calls."""
 
-    mode: float  # Mode, displacement (m) and relative velocity (m/s), in the frame
-    p: float
-    w: float
-    t: float  # time within the drive period (s), and whole drive periods
-    turns: float
-    dp: float  # the deviation, and the logarithm of its growth since the last passage
-    dw: float
-    growth: float
+    mode: float  # in the frame
+    p: float  # displacement, m
+    w: float  # relative velocity, m/s
+    t: float  # time within the drive period, s
+    turns: float  # whole drive periods
+    dp: float  # deviation of p
+    dw: float  # deviation of w
+    growth: float  # logarithm of the deviation's growth since the last passage
     last: float  # whole drive periods at the last passage
 
 
 class Clock(NamedTuple):
-    """The drive's period (s), and after how many without a passage the motion ends in `NO_PASSAGE`."""
+    """The drive's period (s), and the number of periods without a passage that ends the motion (`NO_PASSAGE`)."""
 
     period: float
     patience: float
 
 
-def passages(
-    fr: Frame, clock: Clock, mask: int, tangent: int, number: int, at: Place, out: Buffer, work: Work
+def list_passages(
+    fr: Frame, clock: Clock, mask: int, tangent: int, number: int, place: Place, out: Buffer, work: Work
 ) -> tuple[int, int]:
-    """Follow the motion to its next ``number`` passages of the sections in ``mask``.
+    """Follow the motion from ``at`` to its next ``number`` passages of the sections in ``mask``.
 
-    tangent: 1 to follow the deviation, 0 to leave it as it is.
-    at: Where the motion begins; left where it ends.
-    out: Row after row: drive periods, displacement and relative velocity in the frame, growth, the section.
-    Returns: (outcome, count) 0 or a key of `ENDS`; how many passages were noted.
+    ``tangent`` is 1 to follow the deviation.  Rows of ``out``: drive periods, displacement and relative velocity in the
+    frame, growth, section.  Returns 0 or a key of `ENDS`, and the number of passages; ``at`` becomes the state at the
+    end.
     """
-    at, work = unboxed(at), unboxed(work)
+    place, work = unboxed(place), unboxed(work)
     period = clock.period
-    mode = int(at.mode)
-    p, w, t = at.p, at.w, at.t
-    dp, dw, growth = at.dp, at.dw, at.growth
+    mode = int(place.mode)
+    p, w, t = place.p, place.w, place.t
+    dp, dw, growth = place.dp, place.dw, place.growth
     count = 0
     outcome = 0
     while count < number:
         if work.steps >= work.steps_allowed:
             outcome = STEP_LIMIT
             break
-        if at.turns - at.last > clock.patience:
+        if place.turns - place.last > clock.patience:
             outcome = NO_PASSAGE
             break
         lo, hi = mode_bounds(fr, mode)
@@ -89,7 +88,7 @@ def passages(
         if tau > 0.0:
             if tangent == 1:
                 dp, dw = deviation(fr, mode, p, w, t, tau, dp, dw, work)
-                dp, dw, more = normalised(fr, dp, dw)
+                dp, dw, more = normalise(fr, dp, dw)
                 growth += more
             more_p, more_w = increments(fr, mode, p, w, t, tau, work)
             p += more_p
@@ -105,7 +104,7 @@ def passages(
                 continue
             section = STROBE
             t = 0.0
-            at.turns += 1.0
+            place.turns += 1.0
         else:
             t += tau
             w = 0.0 if mode == modes.STICK else (hi if side > 0 else lo)
@@ -126,24 +125,24 @@ def passages(
             mode = entered
         if section & mask != 0:
             if tangent == 1:
-                dp, dw, more = normalised(fr, dp, dw)
+                dp, dw, more = normalise(fr, dp, dw)
                 growth += more
             row = count * COLUMNS
-            out[row + TIME] = at.turns + t / period
+            out[row + TIME] = place.turns + t / period
             out[row + POSITION] = p
             out[row + VELOCITY] = w
             out[row + FACTOR] = growth
             out[row + SECTION] = float(section)
             growth = 0.0
-            at.last = at.turns
+            place.last = place.turns
             count += 1
-    at.mode = float(mode)
-    at.p, at.w, at.t = p, w, t
-    at.dp, at.dw, at.growth = dp, dw, growth
+    place.mode = float(mode)
+    place.p, place.w, place.t = p, w, t
+    place.dp, place.dw, place.growth = dp, dw, growth
     return outcome, count
 
 
-def normalised(fr: Frame, dp: float, dw: float) -> tuple[float, float, float]:
+def normalise(fr: Frame, dp: float, dw: float) -> tuple[float, float, float]:
     """Return a deviation of size 1, hypot(omega0 dp, dw), in the same direction, and the logarithm of its size."""
     size = math.hypot(fr.omega0 * dp, dw)
     if not size > 0.0:
@@ -153,7 +152,6 @@ def normalised(fr: Frame, dp: float, dw: float) -> tuple[float, float, float]:
 
 @cache
 def compiled_passages() -> Callable[..., tuple[int, int]]:
-    """Return `passages` as machine code."""
     from rig_sim.integrate.compiled import compiled
 
-    return compiled(passages, "rig_sim.dynamics.return_maps.variation", __name__)
+    return compiled(list_passages, "rig_sim.dynamics.return_maps.variation", __name__)

@@ -13,7 +13,7 @@ from rig_sim.dynamics.limit_cycles.branches import continuation
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.floquet import floquet
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import with_starts
+from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
 from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.spline import about, piece_of, refused, spline_table
@@ -210,7 +210,7 @@ def test_a_driven_curve_of_many_points_has_attractors() -> None:
     """
     points = [[s, 1.0 / (1.0 + 3.0 * s)] for s in np.linspace(0.0, 3.0, 250).tolist()]
     known, found = (
-        attractors(*with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        attractors(*driven_map_with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
         for friction in (
             {"friction.law": 5, "drive.omega": 0.3},
             {"friction.law": 0, "friction.curve": points, "drive.omega": 0.3},
@@ -218,5 +218,7 @@ def test_a_driven_curve_of_many_points_has_attractors() -> None:
     )
     assert [row.period for row in found] == [row.period for row in known] == [1]
     assert found[0].points == pytest.approx(known[0].points, rel=1e-4)
-    landing = LandingMap(scene("forced", **{"friction.law": 0, "friction.curve": points}).flow()).first(0.0, 0.0)
+    landing = LandingMap(scene("forced", **{"friction.law": 0, "friction.curve": points}).flow()).first_landing(
+        0.0, 0.0
+    )
     assert landing.outcome == "completed"

@@ -187,7 +187,7 @@ def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(capsys, monkeypatch):
 @pytest.mark.parametrize("command", [["sweep", "two-mass", "--over", "belt.speed=0.1:0.2:41"], ["basins", "two-mass"]])
 def test_a_coupling_too_stiff_for_one_event_is_refused_at_once(capsys, monkeypatch, command):
     """At coupling.a = 1e9 each of 41 values took its 2e7 steps, 10 s, to say "step limit"."""
-    monkeypatch.setattr(stick_map, "events_from", lambda *_: pytest.fail("an event was followed"))
+    monkeypatch.setattr(stick_map, "apply_map", lambda *_: pytest.fail("an event was followed"))
     monkeypatch.setattr(stick_map, "compiled_events", lambda: pytest.fail("an event was followed"))
     assert application.run(cli.app, [*command, "--set", "coupling.a=1e9", "--json"]) == 2
     error = json.loads(capsys.readouterr().out)["error"]
