@@ -247,21 +247,21 @@ def point_intervals(
     progress: Stages = silent,
 ) -> "tuple[tuple[PointInterval, ...], int]":
     """Return the interval of each special point, and how many draws were no rig."""
-    from rig_sim.dynamics.limit_cycles.point_draws import MovingPoint, interval
+    from rig_sim.dynamics.limit_cycles.point_draws import MovingPoint, estimate_interval
 
     moving = [MovingPoint(point, swept.flow, span.values()) for point in points]
     places: list[list[float]] = [[] for _ in moving]
     refused = 0
     for done, changes in enumerate(drawn, start=1):
         try:
-            found = [one.for_draw(lambda value, changes=changes: swept.at(value, **changes).flow()) for one in moving]  # type: ignore[misc]
+            found = [one.locate(lambda value, changes=changes: swept.at(value, **changes).flow()) for one in moving]  # type: ignore[misc]
         except (InputError, ValueError):
             refused += 1
             continue
         for mine, value in zip(places, found, strict=True):
             mine.append(value)
         progress("drawing", float(done), len(drawn))
-    return tuple(interval(mine) for mine in places), refused
+    return tuple(estimate_interval(mine) for mine in places), refused
 
 
 def interval_text(one: "PointInterval") -> str:

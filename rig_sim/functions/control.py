@@ -148,7 +148,7 @@ class Lock(Result):
         import numpy as np
         import pandas as pd
 
-        is_formula = not hasattr(self.system, "landing")
+        is_formula = not hasattr(self.system, "find_landing")
         d = len(self.system.scale)
         names = [f"x{place}" for place in range(d)] if is_formula else ["t", "x"]
         if self.control is None:
@@ -178,7 +178,7 @@ class Lock(Result):
 
     def plot(self, ax: "Axes | None" = None) -> "Figure":
         """Draw the landings; without ``ax`` also the changes of the amplitude, the phase portrait and the velocity."""
-        if ax is not None or self.control is None or not hasattr(self.system, "landing"):
+        if ax is not None or self.control is None or not hasattr(self.system, "find_landing"):
             return super().plot(ax)
         from rig_sim.dynamics.pictures.control import lock_figure
 
@@ -492,7 +492,7 @@ def shaker(
     return Shaker(
         roots[0].real,
         roots[0].imag,
-        plane.stable(level, phase),
+        plane.is_stable(level, phase),
         roots,
         plane.band,
         plane.passes(roots[0].real),

@@ -270,9 +270,9 @@ def map(
     chains = [_images(f, place, count) if is_formula else _events(f, place, count, len(places)) for place in places]
     orbits = None
     if periodic:
-        from rig_sim.dynamics.analyses.periodic_points import periodic_points
+        from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
 
-        orbits = periodic_points(f, count)
+        orbits = find_periodic_orbits(f, count)
     columns: list[Any] = list(zip(*chains, strict=True)) or [()] * 5
     images, word, duration, outcome, advice = columns
     parts = (word, duration, outcome, advice, orbits, several, d is not None, count, name, f)

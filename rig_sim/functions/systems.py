@@ -140,14 +140,14 @@ class DrivenAttractors:
 
     def __call__(self, value: float) -> "list[AttractorAt]":
         """Return the attractors, the one that most starts lead to first."""
-        from rig_sim.dynamics.analyses.settling import attractors
+        from rig_sim.dynamics.analyses.settling import find_attractors
         from rig_sim.dynamics.analyses.sweep import AttractorAt
         from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
 
         flow, x, v = driven_start(self.swept.at(value))
         if flow.omega == 0.0:
             return [AttractorAt(value, 0, (), None, 0.0, (math.nan, math.nan), None, "no drive period")]
-        rows = attractors(*driven_map_with_starts(flow, x, v, self.section), value)
+        rows = find_attractors(*driven_map_with_starts(flow, x, v, self.section), value)
         if flow.u0 == 0.0:
             rows = [replace(row, outcome="no drive" if row.points else row.outcome) for row in rows]
         return rows
@@ -163,14 +163,14 @@ class OwnAttractors:
         """Return the attractors that its start leads to, and starts all over its interval, the most frequent first."""
         import numpy as np
 
-        from rig_sim.dynamics.analyses.settling import attractors
+        from rig_sim.dynamics.analyses.settling import find_attractors
 
         f = self.system_at(value)
         starts = [f.start]
         if math.isfinite(f.hi - f.lo):
             places = f.lo + (f.hi - f.lo) * (np.arange(STARTS) + OFFSET) / STARTS
             starts += [np.array([place]) for place in places]
-        return attractors(f, starts, value)
+        return find_attractors(f, starts, value)
 
 
 def on_interval(f: "FormulaMap") -> "FormulaMap":

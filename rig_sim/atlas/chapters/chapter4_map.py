@@ -11,7 +11,7 @@ from rig_sim.atlas.statements import entries
 from rig_sim.dynamics.analyses.basins import TRANSIENT, Attractor, basins
 from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.map_branches import map_continuation
-from rig_sim.dynamics.analyses.periodic_points import periodic_points
+from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
 from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
 from rig_sim.dynamics.return_maps.section import CELLS, attractors_at
 from rig_sim.dynamics.return_maps.stick import StickMap
@@ -116,7 +116,7 @@ def graph(f: StickMap, times: int, low: float, high: float) -> list[Trace]:
 
 def orbits(f: StickMap, period: int, low: float, high: float) -> list[Trace]:
     """Return the periodic points between two stretches, stable ones filled."""
-    found = [orbit for n in range(1, period + 1) if period % n == 0 for orbit in periodic_points(f, n)]
+    found = [orbit for n in range(1, period + 1) if period % n == 0 for orbit in find_periodic_orbits(f, n)]
     traces = []
     for orbit in found:
         points = np.array([point for point in orbit.points if low <= point <= high])
@@ -150,7 +150,8 @@ def collision() -> Computed:
 def bounding_orbit(f: StickMap) -> tuple[float, ...]:
     """Return the points of the unstable orbit of period 2 that encloses attractor 2: the widest one."""
     return max(
-        (orbit.points for orbit in periodic_points(f, 2) if not orbit.stable), key=lambda points: points[1] - points[0]
+        (orbit.points for orbit in find_periodic_orbits(f, 2) if not orbit.stable),
+        key=lambda points: points[1] - points[0],
     )
 
 
@@ -181,7 +182,10 @@ def second_iterate(kind: str, speeds: tuple[float, float], range_: Span, counted
 def counted(speed: float, low: float, high: float) -> str:
     """Return how many stable and unstable fixed points the second iterate has between two stretches."""
     kinds = [
-        (orbit.stable, point) for n in (1, 2) for orbit in periodic_points(map_at(speed), n) for point in orbit.points
+        (orbit.stable, point)
+        for n in (1, 2)
+        for orbit in find_periodic_orbits(map_at(speed), n)
+        for point in orbit.points
     ]
     inside = [stable for stable, point in kinds if low <= point <= high]
     return f"{sum(inside)} stable, {len(inside) - sum(inside)} unstable"

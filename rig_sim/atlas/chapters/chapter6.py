@@ -9,7 +9,7 @@ from rig_sim.atlas.chapters.axes import T, V, X, motion
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import entries
 from rig_sim.dynamics.analyses.exponent import Exponent, exponent
-from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.analyses.settling import find_attractors
 from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
 from rig_sim.dynamics.control.dither import Quench, quench
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
@@ -31,7 +31,7 @@ def flow_at(omega: float, u0: float = U0) -> Flow:
 
 def attractors_at(omega: float) -> list[AttractorAt]:
     """Return the attractors at a drive frequency, with the positions of break-away."""
-    return attractors(*driven_map_with_starts(flow_at(omega), 0.0, 0.0, "slip"), omega)
+    return find_attractors(*driven_map_with_starts(flow_at(omega), 0.0, 0.0, "slip"), omega)
 
 
 @cache

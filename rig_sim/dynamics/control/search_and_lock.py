@@ -22,9 +22,9 @@ REPEATS = 1e-7  # share of the scales within which the section repeats
 
 @dataclass(frozen=True)
 class SearchAndLock:
-    """What stepping the parameter has found."""
+    """The result of stepping the parameter."""
 
-    change: float | None  # of the parameter, where the section repeated; None within the budget
+    change: float | None  # of the parameter, where the section repeated; None if it did not within the budget
     events: int  # applications of the map up to there, or in all
     steps: int  # steps of the parameter
     points: Array | None  # (p, d) the repeating section
@@ -49,12 +49,8 @@ def search_and_lock(
 ) -> SearchAndLock:
     """Raise the parameter from 0 up to the budget until the section repeats with ``period``, then remove the change.
 
-    f, start: The map, and the state to start from, (d,).
-    period: Of the orbit wanted, 1 or more.
-    budget: Largest change of the parameter, relative to its strength.
-    steps: Steps from 0 to the budget; as many motions are followed.
-    near: Of the scales; see ``kept``.
-    progress: Called with the stage and what is done of it.
+    ``budget`` is relative to the parameter's strength and reached in ``steps`` steps, each with its own motion;
+    ``near``, in units of the scales, decides on ``kept``.
     """
     state = start
     events = 0
@@ -68,11 +64,11 @@ def search_and_lock(
         state = states[-1]
         if find_period(difference(f, states[TRANSIENT:], state), REPEATS) == period:
             points = states[-period:]
-            return SearchAndLock(change, events, step, points, _kept(f, points, state, near))
+            return SearchAndLock(change, events, step, points, count_kept(f, points, state, near))
     return SearchAndLock(None, events, steps, None, None)
 
 
-def _kept(f: Controlled, points: Array, state: Array, near: float) -> int:
+def count_kept(f: Controlled, points: Array, state: Array, near: float) -> int:
     """Return for how many applications the motion stays close to the points that it has visited in turn."""
     for count in range(TRANSIENT):
         state = f.after(state)

@@ -74,11 +74,7 @@ def fixed_point(flow: Flow) -> FixedPoint:
 
 
 def two_mass_fixed_point(flow: TwoMassFlow) -> TwoMassFixedPoint:
-    """Return the fixed point of two masses, where both stand while the belt slides below them.
-
-    Raises ValueError: for masses that are not physical, or not modelled: see
-        `rig_sim.flow.two_mass.validate_two_masses`.
-    """
+    """Return the fixed point of two masses, where both stand while the belt slides below them."""
     import numpy as np
 
     validate_two_masses(flow)
@@ -100,7 +96,7 @@ def two_mass_fixed_point(flow: TwoMassFlow) -> TwoMassFixedPoint:
 def friction_at_rest(flow: Flow) -> tuple[float, float]:
     """Return friction (N) on a mass that stands on the running belt, and its slope gamma_lin = dF/dw (N s/m).
 
-    Raises ValueError: the belt is at rest under a jump law, where friction has no slope.
+    Raises ValueError on a belt at rest under a jump law, where friction has no slope.
     """
     fr = frame(flow)
     if fr.B == 0.0:

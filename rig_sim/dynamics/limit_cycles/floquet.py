@@ -19,8 +19,10 @@ from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import Frame, displacement, frame, mirrored, position
 from rig_sim.integrate.work import new_work
 
-STABLE_TO = 1e-9  # share of the distance between the fixed point and the stable orbit: how near either the search comes
-PARTS = 4.0  # by which the search divides the distance to the fixed point from one try to the next; not swept
+STABLE_TO = (
+    1e-9  # share of the distance between the fixed point and the stable orbit: margin of the search at both ends
+)
+PARTS = 4.0  # by which the search divides the distance to the fixed point from one try to the next
 LEAST = 4.0 * math.ulp(1.0)  # relative width of the bracket at the end
 
 
@@ -71,16 +73,16 @@ def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbi
     outer = displacement(fr, orbit.x_min if fr.mirror > 0.0 else orbit.x_max)
     if which == "stable":
         turn = next_minimum(fr, outer, new_work(STEPS_OF_SEARCH))
-        return found(fr, turn, 1.0 if orbit.outcome == "grazing" else turn.multiplier, orbit.outcome)
+        return make_orbit(fr, turn, 1.0 if orbit.outcome == "grazing" else turn.multiplier, orbit.outcome)
     inner = fixed_point(flow)
     if inner.x is None or not inner.stable:
         return FloquetOrbit("no cycle", "the fixed point is not stable: no unstable orbit surrounds it")
-    turn = separating(fr, outer, displacement(fr, inner.x))
-    return found(fr, turn, turn.multiplier, "cycle")
+    turn = find_separating_turn(fr, outer, displacement(fr, inner.x))
+    return make_orbit(fr, turn, turn.multiplier, "cycle")
 
 
-def found(fr: Frame, turn: MinimumTurn, multiplier: float, outcome: str) -> FloquetOrbit:
-    """Return the orbit that a closed turn is, in the flow's own coordinates; or why there is none."""
+def make_orbit(fr: Frame, turn: MinimumTurn, multiplier: float, outcome: str) -> FloquetOrbit:
+    """Return the orbit of a closed turn in the flow's own coordinates; or why there is none."""
     if turn.end:
         return FloquetOrbit(turn.end, turn.advice)
     x_min, x_max = sorted((position(fr, turn.p), position(fr, turn.p_max)))
@@ -88,7 +90,7 @@ def found(fr: Frame, turn: MinimumTurn, multiplier: float, outcome: str) -> Floq
     return FloquetOrbit(outcome, "", (1.0, multiplier), turn.duration, x_min, x_max, letters)
 
 
-def separating(fr: Frame, outer: float, inner: float) -> MinimumTurn:
+def find_separating_turn(fr: Frame, outer: float, inner: float) -> MinimumTurn:
     """Return the turn from the unstable orbit's minimum: between p (m) of the stable orbit's and of the fixed point."""
     # A start beyond the unstable orbit moves out, to a smaller minimum; one within it moves in.
     width = inner - outer

@@ -7,7 +7,7 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from rig_sim.dynamics.analyses.basins import NOWHERE, basins
-from rig_sim.dynamics.analyses.sweep import SAME_POINT, AttractorAt, distinct
+from rig_sim.dynamics.analyses.sweep import SAME_POINT, AttractorAt, merge_close_points
 from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.dynamics.system.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.modes import OUTCOMES, STEP_LIMIT
@@ -53,12 +53,12 @@ def attractors_at(flow_at: Callable[[float], TwoMassFlow], section: str, value: 
     for attractor in cells.attractors:
         points = attractor.points
         if section == "poincare":
-            points = distinct(section_points(flow, points[0], POINTS).tolist(), SAME_POINT * (f.hi - f.lo))
+            points = merge_close_points(section_points(flow, points[0], POINTS).tolist(), SAME_POINT * (f.hi - f.lo))
         rows.append((points, attractor.period, attractor.share))
     if cells.nowhere > 0.0 and section == "poincare":
         start = float(cells.centres[np.flatnonzero(cells.fate == NOWHERE)[0]])
         crossed = section_points(flow, start, POINTS, skip=SKIPPED_CROSSINGS).tolist()
-        rows.append((distinct(crossed, SAME_POINT * (f.hi - f.lo)), None, cells.nowhere))
+        rows.append((merge_close_points(crossed, SAME_POINT * (f.hi - f.lo)), None, cells.nowhere))
     return [
         AttractorAt(value, number, points, period, share, (min(points), max(points)))
         for number, (points, period, share) in enumerate(rows, 1)

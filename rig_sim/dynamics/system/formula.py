@@ -119,7 +119,7 @@ class FormulaMap:
         return np.array([self.slope_at(state, self.step(state)[1])[0, 0] for state in states])
 
     def slope_at(self, state: Array, jacobian: Any) -> Array:
-        """Return the derivative at a state, (d, d), in units of the scales: from ``jacobian``, or numerically if None."""
+        """Return the derivative at a state, (d, d), in units of the scales: from ``jacobian``, or numerically."""
         if jacobian is None:
             return slope_at(self, state, lambda place: self._state(self.step(place)[0]))[1]
         return np.reshape(jacobian, (len(state), len(state))) * self.scale / self.scale[:, None]

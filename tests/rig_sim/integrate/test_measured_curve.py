@@ -8,7 +8,7 @@ import pytest
 
 from daq.base.errors import InputError
 from rig_sim.comparison import reference
-from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.analyses.settling import find_attractors
 from rig_sim.dynamics.limit_cycles.branches import continuation
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.floquet import floquet
@@ -210,7 +210,7 @@ def test_a_driven_curve_of_many_points_has_attractors() -> None:
     """
     points = [[s, 1.0 / (1.0 + 3.0 * s)] for s in np.linspace(0.0, 3.0, 250).tolist()]
     known, found = (
-        attractors(*driven_map_with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        find_attractors(*driven_map_with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
         for friction in (
             {"friction.law": 5, "drive.omega": 0.3},
             {"friction.law": 0, "friction.curve": points, "drive.omega": 0.3},

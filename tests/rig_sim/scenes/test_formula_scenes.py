@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from daq.base.errors import InputError
-from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.analyses.settling import find_attractors
 from rig_sim.dynamics.limit_cycles.branches import continuation
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.floquet import floquet
@@ -121,7 +121,7 @@ def test_a_formula_is_varied_as_a_law_is() -> None:
 @pytest.mark.slow  # to compile the section for a formula takes 7 s; the events of a driven formula stand above
 def test_a_driven_formula_has_the_attractors_of_the_law() -> None:
     known, found = (
-        attractors(*driven_map_with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        find_attractors(*driven_map_with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
         for friction in (
             {"friction.law": 5, "drive.omega": 0.3},
             {"friction.formula": HYPERBOLA, "drive.omega": 0.3},

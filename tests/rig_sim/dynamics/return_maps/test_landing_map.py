@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from daq.base.compute.arrays import Array
 from daq.base.console import application
 from rig_sim.cli.app import app
-from rig_sim.dynamics.analyses.unstable_orbits import periodic_orbits
+from rig_sim.dynamics.analyses.unstable_orbits import find_orbits_in_motion
 from rig_sim.dynamics.control.ogy import lock
 from rig_sim.dynamics.control.search_and_lock import search_and_lock
 from rig_sim.dynamics.return_maps.landing import LandingMap
@@ -75,7 +75,7 @@ def test_unstable_orbits_meet_the_reference(name: str) -> None:
     omega, period = float(name.split("_")[0]), int(name.split("_")[1])
     expected = REFERENCE["unstable_orbits"][name]
     f = driven(omega)
-    found = periodic_orbits(f, orbit(f, f.first_landing(0.3, 0.0).state, 2000), period)[0]
+    found = find_orbits_in_motion(f, orbit(f, f.first_landing(0.3, 0.0).state, 2000), period)[0]
     landings = [f.find_landing(point) for point in found.points]
     x_slip = [landing.x_slip for landing in landings]
     first = int(np.argmin(np.abs(np.array(x_slip) - expected["X_A"][0])))
@@ -104,7 +104,7 @@ def test_both_orbits_of_the_thesis_lock_within_its_budgets(
 ) -> None:
     f = driven(omega)
     starts = [f.first_landing(x, v).state for x, v in np.random.default_rng(3).uniform(-1, 1, (10, 2)).tolist()]
-    found = periodic_orbits(f, orbit(f, starts[0], 3000), period)[0]
+    found = find_orbits_in_motion(f, orbit(f, starts[0], 3000), period)[0]
     held = [attempt for attempt in (lock(f, found, start, budget, 20_000) for start in starts) if attempt.locked]
     assert len(held) >= enough
     for attempt in held:
@@ -135,7 +135,7 @@ def test_a_ramp_law_and_a_backward_belt_have_landings_too() -> None:
     ramp = driven(1.1, **{"friction.law": 6, "friction.G_stick": -50.0})
     states = orbit(ramp, ramp.first_landing(0.1, 0.0).state, 300)
     assert len(states) == 300
-    found = periodic_orbits(ramp, states, 1)
+    found = find_orbits_in_motion(ramp, states, 1)
     assert found
     assert abs(np.max(np.abs(difference(ramp, ramp.after(found[0].points[0]), found[0].points[0])))) < 1e-10
     # mirrored, the drive is half a period later
@@ -165,7 +165,7 @@ def test_a_motion_under_control_is_sampled_to_its_landings() -> None:
     states = states[:1]
     for change in changes:
         states = np.vstack([states, f.after(states[-1], float(change))])
-    t, x, v = f.sampled(states[:-1], changes, 100.0)
+    t, x, v = f.sample_motion(states[:-1], changes, 100.0)
     assert np.all(np.diff(t) >= 0)
     assert (x[0], x[-1], v[0], v[-1]) == pytest.approx((states[0, 1], states[-1, 1], 0.085, 0.085), abs=1e-9)
     assert np.max(v) < 0.085 + 1e-9
