@@ -15,7 +15,15 @@ from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import Frame, curve_deficit, drive, frame, linear_terms, mirrored, position
 from rig_sim.integrate.driven import driven_stick_exit
 from rig_sim.integrate.linear import stick_exit
-from rig_sim.integrate.phases import RAPID_ALLOWED, RAPID_TIME, Samples, State, in_frame, outside, unmirrored_kind
+from rig_sim.integrate.phases import (
+    RAPID_ALLOWED,
+    RAPID_TIME,
+    Samples,
+    State,
+    enter_frame,
+    leave_frame,
+    unmirrored_kind,
+)
 from rig_sim.integrate.work import Work
 
 Slopes = Callable[[float, float, float], tuple[float, float]]
@@ -85,7 +93,7 @@ def sample_phase(
     Returns: (kind, at, i) As there.
     """
     fr = frame(flow)
-    own, p, w, t, _ = in_frame(fr, at)
+    own, p, w, t, _ = enter_frame(fr, at)
     begun, kind = t, -1
     while kind < 0:
         part = solve_part(solver, fr, own, t, p, w, t_max, work)
@@ -110,4 +118,4 @@ def sample_phase(
         elif t >= t_max:
             work.rapid = 0.0
             kind = modes.COMPLETED
-    return unmirrored_kind(fr, kind), outside(fr, State(own, p, w, t)), i
+    return unmirrored_kind(fr, kind), leave_frame(fr, State(own, p, w, t)), i

@@ -65,10 +65,10 @@ def force(flow: Flow, mode: int, x: float, w: float, t: float) -> float:
     """Return the friction force on the mass (N, along x) in the given mode; in stick the force that holds it."""
     fr = frame(flow)
     p = displacement(fr, x)
-    own = mirrored(fr, mode)
-    if own == modes.STICK:
+    frame_mode = mirrored(fr, mode)
+    if frame_mode == modes.STICK:
         return fr.mirror * (fr.B + fr.k * p - drive(fr, t))
     sliding = fr.mirror * w
-    C, e = linear_terms(fr, own)
+    C, e = linear_terms(fr, frame_mode)
     # m w' = -c v - k x + F + drive: F is what the two terms add to -c w, relative to the slip point's B
-    return fr.mirror * (-(C - fr.c) * sliding + e + fr.B + curve_deficit(fr, own, sliding))
+    return fr.mirror * (-(C - fr.c) * sliding + e + fr.B + curve_deficit(fr, frame_mode, sliding))

@@ -55,11 +55,11 @@ NON_NEGATIVE_FIELDS = ("Fs", "factor", "gamma", "d", "droop")
 
 
 def validate(flow: Flow) -> None:
-    """Refuse a flow that is not physical.
+    """Raise ValueError, naming the field, for a flow that is not physical.
 
-    Raises ValueError: naming the field: not finite; above `LARGEST`; m or k not above 0, or below `SMALLEST`; Fs,
-        factor, gamma, d or droop below 0; static below 1; droop with static above 1, without friction, or with friction
-        that falls faster than the belt yields.
+    A number is not finite or above `LARGEST`; m or k is not above 0, or below `SMALLEST`; Fs, factor, gamma, d or droop
+    is below 0; static is below 1; droop comes with static above 1, without friction, or with friction that falls faster
+    than the belt yields.
     """
     for name, number in flow._asdict().items():
         if name == "table":

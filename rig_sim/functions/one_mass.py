@@ -45,7 +45,7 @@ class Cycle(Result, limit_cycle.Orbit):
         """Draw the orbit in the phase plane, velocity over position."""
         import numpy as np
 
-        from rig_sim.integrate.sampled import sampled
+        from rig_sim.integrate.sampled import sample_motion
 
         ax.set(xlabel=f"x {UNIT}", ylabel=f"v {UNIT}", title=f"{self.name}: {self.outcome}")
         if self.period is None or self.x_slip is None or self.scene is None:
@@ -54,7 +54,7 @@ class Cycle(Result, limit_cycle.Orbit):
         edge = -math.copysign(flow.d, flow.v_belt) if flow.ramp else 0.0
         mode = NEGATIVE if flow.v_belt > 0.0 else POSITIVE
         times = np.linspace(0.0, self.period, POINTS)
-        x, v = sampled(flow, State(mode, self.x_slip, edge, 0.0), times)
+        x, v = sample_motion(flow, State(mode, self.x_slip, edge, 0.0), times)
         ax.plot(x, v, color=STABLE)
         ax.axhline(flow.v_belt, color=PALE, lw=0.8, ls="--")
 

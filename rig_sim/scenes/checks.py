@@ -4,7 +4,7 @@ import math
 
 from daq.base.errors import InputError, nearest
 from rig_sim.flow.flow import LARGEST, SMALLEST, steepest_fall, validate
-from rig_sim.friction.spline import refused
+from rig_sim.friction.spline import find_problem
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Friction
 
@@ -99,7 +99,7 @@ def _check_curve(friction: Friction, where: str) -> None:
         raise InputError("friction.curve is missing, which law 0 needs", where, do)
     if len(friction.curve) > MOST_POINTS:
         raise InputError(f"friction.curve has {len(friction.curve)} points", where, f"give {MOST_POINTS} or fewer")
-    if problem := refused(friction.curve):
+    if problem := find_problem(friction.curve):
         raise InputError(f"friction.curve: {problem}", where, do)
     for number in (number for point in friction.curve for number in point):
         if number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:

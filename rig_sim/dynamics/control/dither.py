@@ -29,7 +29,7 @@ from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame, friction_slope
 from rig_sim.flow.modes import COMPLETED, NEGATIVE, OUTCOMES, STEP_LIMIT
 from rig_sim.integrate.phases import State
-from rig_sim.integrate.sampled import sampled
+from rig_sim.integrate.sampled import sample_motion
 
 # Largest swing of a quenched motion over the linear ripple: above the threshold it is 0.65 to 1.0; of stick-slip that
 # repeats with every period of a drive slower than the mass, 3 and more.
@@ -192,4 +192,4 @@ def sample_positions(flow: Flow, x: float, v: float, times: Array) -> Array:
     t = float(times[0])
     is_long = (times[-1] - times[0]) * abs(flow.omega) > 2.0 * math.pi * MANY_PERIODS and flow.u0 != 0.0
     state = State(initial_mode(flow, x, v, t), x, v - flow.v_belt, t)
-    return sampled(flow, state, times, compiled=bool(is_long))[0]
+    return sample_motion(flow, state, times, compiled=bool(is_long))[0]

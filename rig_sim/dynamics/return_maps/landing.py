@@ -23,7 +23,7 @@ from rig_sim.flow.frame import frame
 from rig_sim.integrate.compiled import compiled, for_kernels
 from rig_sim.integrate.events import new_lists
 from rig_sim.integrate.phases import Lists, State, run
-from rig_sim.integrate.sampled import sampled
+from rig_sim.integrate.sampled import sample_motion
 from rig_sim.integrate.work import Work, new_work, unboxed
 
 # Integrator steps between two landings, 0.5 us each; the thesis's motions take 15.  A motion that takes more counts as
@@ -125,7 +125,7 @@ class LandingMap(FormulaMap):
         start = state[0] % self.period
         times = np.append(np.arange(0.0, duration := self.find_landing(state, change).duration, 1.0 / rate), duration)
         flow = self.flow._replace(u0=self.flow.u0 + change)
-        x, v = sampled(flow, State(self._mode, float(state[1]), self._edge, float(start)), start + times)
+        x, v = sample_motion(flow, State(self._mode, float(state[1]), self._edge, float(start)), start + times)
         if len(x) < len(times):
             raise RuntimeError("the motion ended before it landed")
         return times, x, v

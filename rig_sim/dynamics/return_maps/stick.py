@@ -19,7 +19,7 @@ from rig_sim.dynamics.system.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome
 from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_masses
-from rig_sim.integrate.two_mass import Pair, new_pair, pair_event, place
+from rig_sim.integrate.two_mass import Pair, new_pair, pair_event, set_state
 from rig_sim.integrate.work import ORDER, Buffer, unboxed
 
 # Steps allowed for one event, and more per unit of the fastest frequency, sqrt(1 + 2 a), up to a limit, above which the
@@ -67,7 +67,7 @@ def next_stick(
     Returns 0 or a key of `ENDS`; the next d (m); the time to the next global stick (s); how many letters (1 and 2)
     ``word`` holds.
     """
-    place(fr, a, b, y1, 0.0, y2, 0.0, 0.0, work)
+    set_state(fr, a, b, y1, 0.0, y2, 0.0, 0.0, work)
     work.steps = 0.0
     letters = 0
     while True:

@@ -16,7 +16,7 @@ from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
 from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.flow.flow import Flow
-from rig_sim.friction.spline import about, piece_of, refused, spline_table
+from rig_sim.friction.spline import about, find_problem, piece_of, spline_table
 from rig_sim.integrate.events import list_events
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
@@ -186,7 +186,7 @@ def test_points_that_are_no_curve_are_refused(curve: list[list[float]] | None, s
 def test_a_curve_that_falls_to_nothing_ends_in_force_reversal() -> None:
     found = list_events(flow([[0.0, 1.0], [0.1, 0.5], [0.3, 0.1], [0.4, 0.01]]), 3.0, 0.0, 30.0)
     assert found.outcome == "force reversal"
-    assert refused([(0.0, 1.0), (1.0, 0.5)]) == ""
+    assert find_problem([(0.0, 1.0), (1.0, 0.5)]) == ""
 
 
 def test_extremes_of_a_cycle_whose_mass_turns_on_a_knot_are_seen() -> None:
