@@ -39,9 +39,9 @@ def count_finished(given: dict[str, Any]) -> Iterator[None]:
         path = given.get("resume")
         number = path.read_bytes().count(b"\n") - 1 if path is not None and path.is_file() else 0
         if number > 0:
-            from rig_sim.functions.arguments import parameter_range
+            from rig_sim.functions.arguments import parse_range
 
-            whole = parameter_range(given["over"]).number
+            whole = parse_range(given["over"]).number
             application.note(f"{number} of {whole} values are in {path}: the same command continues there")
         raise
 
