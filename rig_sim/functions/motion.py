@@ -353,12 +353,12 @@ def run(
     500  5.00  0.4193 -1.1287  0.1699
     501  5.01  0.4080 -1.1311  0.1697
     """
-    from rig_sim.comparison.methods import phases_by
+    from rig_sim.comparison.methods import choose_phases
     from rig_sim.motion import file
 
     loaded = load_scene(scene)
     time_step = None if step is None else parse_number(step, "time", "--step")
-    phases, setting = phases_by(method, loaded, step=time_step, rtol=rtol)
+    phases, setting = choose_phases(method, loaded, step=time_step, rtol=rtol)
     arguments: dict[str, Any] = {
         "until": parse_number(until, "time", "--until"),
         "rate": parse_number(rate, "rate", "--rate"),

@@ -62,7 +62,7 @@ def write(
     """Play a scene and write t = 0, 1/rate ... up to ``until``; the file appears whole or not at all.
 
     The suffix of ``path`` decides between HDF5 and CSV.  ``phases`` plays one phase: methods other than the exact one
-    come from `rig_sim.comparison.methods.phases_by`, and ``method`` is stored with the file.  A run that takes more
+    come from `rig_sim.comparison.methods.choose_phases`, and ``method`` is stored with the file.  A run that takes more
     than ``max_steps`` (of dop853: evaluations of the right-hand side) ends early, and its outcome says so.
     """
     form = suffix.chosen(path, FORMS, "--output")
