@@ -254,26 +254,21 @@ def next_event(flow: Flow, state: State, t_max: float, work: Work) -> tuple[int,
     return kind, state
 
 
-def run(flow: Flow, at: State, t_max: float, lists: Lists, recur: int, work: Work) -> tuple[int, int, int, State]:
-    """List the events up to t_max; return (outcome, count, first, at).
+def run(flow: Flow, state: State, t_max: float, lists: Lists, recur: int, work: Work) -> tuple[int, int, int, State]:
+    """List the events up to t_max (s) into ``lists``; return (outcome, count, first, state).
 
-    flow, at: The flow and the state to start from.
-    t_max: Where to stop, s.
-    recur: 1 to stop, with the outcome RECURRED, as soon as the motion is known to repeat; 0 to step every cycle.
-    work: From `new_work`.
-    Returns: LIST_FULL: store the ``count`` events and call again with the returned state. RECURRED: the events after
-        ``first`` up to the last are one cycle, and follow again and again with the time between these two added.
+    With ``recur`` 1 the outcome is RECURRED as soon as the motion is known to repeat: the events after ``first`` up to
+    the last are one cycle, and repeat with the time between these two added.  With LIST_FULL, store the ``count``
+    events and call again with the returned state.
 
-    Notes
-    -----
-    Without a drive the future of a state does not depend on the time: a state that slip began from, met again bit for
-    bit, repeats for ever what followed it.  A jump law begins every slip in the same state, its first two do; a ramp
-    law's return map contracts until rounding closes it, perhaps over several turns, hence Brent's search for the
-    period: the state to compare with is renewed after 1, 2, 4 ... beginnings of slip.
+    Without a drive the future of a state does not depend on the time: a state from which slip started, met again bit
+    for bit, repeats its future.  A jump law starts every slip in the same state, already its first two; a ramp law's
+    return map contracts until rounding closes it, perhaps over several turns, hence Brent's search for the period: the
+    state to compare with is renewed after 1, 2, 4 ... starts of slip.
     """
     work = unboxed(work)
     fr = frame(flow)
-    at = enter_frame(fr, at)
+    state = enter_frame(fr, state)
     work.p_rest = 0.0
     work.w_rest = 0.0
     none = work.w
@@ -284,17 +279,17 @@ def run(flow: Flow, at: State, t_max: float, lists: Lists, recur: int, work: Wor
     turns = 0
     patience = 1
     outcome = modes.LIST_FULL
-    times, carries, places, kinds, capacity = lists
+    times, carries, positions, kinds, capacity = lists
     while count < capacity:
-        kind, at, _ = run_phase(fr, at, t_max, unsampled, 0, work)
+        kind, state, _ = run_phase(fr, state, t_max, unsampled, 0, work)
         if kind == modes.COMPLETED or kind >= modes.FORCE_REVERSAL:
             outcome = kind
             break
-        _, p, _, t, carry = at
+        _, p, _, t, carry = state
         total = t + carry
         times[count] = total
         carries[count] = (t - total) + carry
-        places[count] = position(fr, p)
+        positions[count] = position(fr, p)
         kinds[count] = float(unmirrored_kind(fr, kind))
         count += 1
         if recur == 0 or fr.u0 != 0.0 or (kind != modes.STICK_TO_NEGATIVE and kind != modes.RAMP_TO_NEGATIVE):
@@ -309,4 +304,4 @@ def run(flow: Flow, at: State, t_max: float, lists: Lists, recur: int, work: Wor
             p_first = p
             turns = 0
             patience *= 2
-    return outcome, count, first, leave_frame(fr, at)
+    return outcome, count, first, leave_frame(fr, state)

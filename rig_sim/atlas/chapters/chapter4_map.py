@@ -230,8 +230,8 @@ def draw_exponents() -> Computed:
         for speed in EXPONENT_SPEEDS
     ]
     texts = (
-        f"{exponent.exponent:.5f} +- {exponent.stderr:.1g} per event; {run[-1]:.3f} after {ITERATIONS}"
-        for exponent, run in zip(exponents, means, strict=True)
+        f"{result.exponent:.5f} +- {result.stderr:.1g} per event; {run[-1]:.3f} after {ITERATIONS}"
+        for result, run in zip(exponents, means, strict=True)
     )
     extent = [point for row in sweep_second_attractor() for point in row.points]
     traces = (
@@ -245,7 +245,7 @@ def draw_exponents() -> Computed:
         "third_periodic": exponents[2].exponent <= 0.0,
         "least": min(extent),
         "largest": max(extent),
-        "exponents_in_a": all(-0.7 <= exponent.exponent <= -0.2 for exponent in exponents),
+        "exponents_in_a": all(-0.7 <= result.exponent <= -0.2 for result in exponents),
     }
     y_range = (-0.8, 2.6)  # for the legend
     panels = (

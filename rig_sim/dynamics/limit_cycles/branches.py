@@ -46,14 +46,8 @@ def continuation(
 ) -> Continuation:
     """Return branches and special points.
 
-    flow_at: The flow at a value of the parameter; one mass, no drive.
-    values: (n,) Of the parameter, rising or falling; special points are sought between neighbours and then refined.
-    progress: Called with the number of values done.
-    Raises ValueError: for a flow that is not physical.
-
-    Notes
-    -----
-    Two special points of one kind between the same neighbours are not seen: use a finer grid.
+    Special points are sought between neighbouring ``values``, rising or falling, and then refined; two of one kind
+    between the same neighbours are missed: use a finer grid.  ``progress`` is called with the number of values done.
     """
     fixed, stable, unstable = [], [], []
     for done, value in enumerate(values.tolist()):

@@ -57,10 +57,7 @@ class TwoMassFixedPoint:
 
 
 def fixed_point(flow: Flow) -> FixedPoint:
-    """Return the fixed point of a flow: one mass, no drive.
-
-    Raises ValueError: for a flow that is not physical: see `rig_sim.flow.flow.validate`.
-    """
+    """Return the fixed point of a flow: one mass, no drive."""
     validate(flow)
     if flow.u0 != 0.0:
         return FixedPoint("driven", "a driven mass does not rest: drop the drive")

@@ -56,13 +56,9 @@ class FloquetOrbit:
 def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbit: Orbit | None = None) -> FloquetOrbit:
     """Return the stable or the unstable periodic orbit of a flow (one mass, no drive) with its multipliers.
 
-    ``orbit`` is what `rig_sim.dynamics.limit_cycles.limit_cycle.cycle` finds of the flow, where that is known already.
+    ``orbit`` is the result of `rig_sim.dynamics.limit_cycles.limit_cycle.cycle` for the flow, if known already.
 
-    Raises ValueError: for a flow that is not physical: see `rig_sim.flow.flow.validate`.
-
-    Notes
-    -----
-    Not looked for: a second unstable orbit between the same two attractors, and orbits that no attractor bounds.
+    Not searched: a second unstable orbit between the same two attractors, and orbits that no attractor bounds.
     """
     orbit = cycle(flow) if orbit is None else orbit
     if orbit.outcome not in ("cycle", "grazing") or orbit.x_min is None or orbit.x_max is None:

@@ -74,13 +74,8 @@ class Orbit:
 def cycle(scene: HasFlow | Flow) -> Orbit:
     """Return the periodic orbit reached from the slip point (k x = B - c v_belt, v = v_belt).
 
-    scene: Its start, the belt's start and everything random do not enter.
-    Raises ValueError: for a flow that is not physical: see `rig_sim.flow.flow.validate`.
-
-    Notes
-    -----
-    Not looked for: orbits that the slip point does not lead to (an unstable one, or one that never touches stick), and
-    the response to a drive.
+    The scene's start, the belt's start and random sections are ignored.  Not searched: orbits that the slip point does
+    not lead to (an unstable one, or one that never touches stick), and the response to a drive.
     """
     flow = scene if isinstance(scene, Flow) else scene.flow()
     validate(flow)
