@@ -65,7 +65,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is first asked for: ``import rig_sim`` alone loads nothing."""
+    """Import a public name when it is first used: ``import rig_sim`` alone loads nothing."""
     if name == "__version__":
         from daq.base.version import VERSION
 

@@ -83,7 +83,7 @@ class Computed:
 class Drawing:
     """A figure for `rig-sim atlas`."""
 
-    sentence: str  # what it shows
+    sentence: str  # its description
     panels: tuple[Panel, ...]  # filled into rows of ``columns`` panels
     # empty where the thesis has no computable statement about the figure
     table: tuple[StatementCheck, ...] = ()

@@ -38,8 +38,8 @@ MAX_RATE_HZ = 100_000
 MAX_EDGE_RATE_HZ = 1_000_000_000  # the simulated decoder misses nothing
 LONGEST_DT = 0xFFFF  # ticks between two samples of one frame
 
-# Relative standard deviations of what the lab measured; the datum's is a fraction of the cog's circumference (0.5 mm on
-# `rig`), the damping's a fraction of critical damping, as a ring-down gives it.
+# Relative standard deviations of the lab's measurements; the datum's is a fraction of the cog's circumference (0.5 mm
+# on `rig`), the damping's a fraction of critical damping, as from a ring-down.
 CONFIG_SD = {"metres_per_count": 2e-4, "mass": 1e-3, "datum": 0.004, "damping": 1e-3, "belt_speed": 0.01}
 BELT_PITCH_SD = 2e-4  # relative, of the metres per belt count
 

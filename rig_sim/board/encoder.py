@@ -30,7 +30,7 @@ _HALVINGS = 30  # halvings of a piece: the position at a turning point is right 
 
 @dataclass(frozen=True)
 class Counts:
-    """What the board reads at s sampling instants."""
+    """The board's readings at s sampling instants."""
 
     up: Integers  # (s,) the two counters, not yet wrapped to their width
     down: Integers

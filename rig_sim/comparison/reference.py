@@ -270,7 +270,7 @@ def bisect(function: Callable[[Number], Number], inside: Number, outside: Number
 
 def find_crossing(g: list[Number], end: Number) -> Number | None:
     """Return the first tau in [0, end] where the polynomial rises above 0 or touches it; it is <= 0 inside."""
-    while abs(g[0]) < TOUCH:  # on the edge: what counts is the next root
+    while abs(g[0]) < TOUCH:  # on the edge: take the next root
         g = g[1:]
         if len(g) < 3:
             return None

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import transition
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.frame import Frame, curve_deficit, drive, frame, linear_terms, mirrored, position
+from rig_sim.flow.frame import Frame, curve_deficit, drive, frame, linear_terms, mirror_mode, position
 from rig_sim.integrate.driven import driven_stick_exit
 from rig_sim.integrate.linear import stick_exit
 from rig_sim.integrate.phases import (
@@ -94,7 +94,7 @@ def sample_phase(
             p_at, w_at = (p, w) if samples.t[i] <= t else result.state_at(samples.t[i])
             samples.x[i] = position(fr, p_at)
             samples.v[i] = fr.mirror * (w_at + fr.v)
-            samples.mode[i] = float(mirrored(fr, mode))
+            samples.mode[i] = float(mirror_mode(fr, mode))
             i += 1
         p, w, t = result.p, result.w, result.t
         if result.end != modes.COMPLETED:

@@ -2,7 +2,7 @@
 
 from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirrored
+from rig_sim.flow.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirror_mode
 from rig_sim.friction.curve import MEASURED
 
 
@@ -58,14 +58,14 @@ def initial_mode(flow: Flow, x: float, v: float, t: float) -> int:
     slip point itself it sticks for zero time.
     """
     fr = frame(flow)
-    return mirrored(fr, classify(fr, displacement(fr, x), fr.mirror * (v - flow.v_belt), t))
+    return mirror_mode(fr, classify(fr, displacement(fr, x), fr.mirror * (v - flow.v_belt), t))
 
 
 def force(flow: Flow, mode: int, x: float, w: float, t: float) -> float:
     """Return the friction force on the mass (N, along x) in the given mode; in stick the force that holds it."""
     fr = frame(flow)
     p = displacement(fr, x)
-    frame_mode = mirrored(fr, mode)
+    frame_mode = mirror_mode(fr, mode)
     if frame_mode == modes.STICK:
         return fr.mirror * (fr.B + fr.k * p - drive(fr, t))
     sliding = fr.mirror * w

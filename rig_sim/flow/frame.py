@@ -94,7 +94,7 @@ def position(fr: Frame, p: float) -> float:
     return fr.x0 + fr.mirror * (fr.slip + p)
 
 
-def mirrored(fr: Frame, mode: int) -> int:
+def mirror_mode(fr: Frame, mode: int) -> int:
     """Exchange NEGATIVE and POSITIVE when the frame is mirrored; its own inverse."""
     if fr.mirror < 0.0 and (mode == modes.NEGATIVE or mode == modes.POSITIVE):
         return modes.NEGATIVE + modes.POSITIVE - mode
@@ -168,7 +168,7 @@ def steepest_slope(fr: Frame, low: float, high: float) -> float:
     """Return the largest dF/dw (N s/m) of slip at relative speeds from low to high (m/s, beyond the contact's edge)."""
     if fr.curve == MEASURED:
         return fr.A * steepest_fall_between(fr.table, fr.pieces, max(low - fr.d, 0.0), max(high - fr.d, 0.0))
-    # the hyperbola is steepest where it begins; no other curve bends
+    # the hyperbola is steepest at its start; the other curves are straight
     return friction_slope(fr, modes.NEGATIVE, -max(low, fr.d))
 
 
@@ -185,7 +185,7 @@ def acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
     """Return w' (m/s^2) in the given mode; on the mode's edge it never points out of the mode."""
     if mode == modes.STICK:
         return 0.0
-    return kept_inside(fr, mode, w, free_acceleration(fr, mode, p, w, t))
+    return keep_inside(fr, mode, w, free_acceleration(fr, mode, p, w, t))
 
 
 def free_acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
@@ -194,7 +194,7 @@ def free_acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> flo
     return (-C * w - fr.k * p + e + curve_deficit(fr, mode, w) + drive(fr, t)) / fr.m
 
 
-def kept_inside(fr: Frame, mode: int, w: float, a: float) -> float:
+def keep_inside(fr: Frame, mode: int, w: float, a: float) -> float:
     """Return the acceleration ``a``, or 0 where it would leave the mode from the mode's own edge."""
     lo, hi = mode_bounds(fr, mode)
     if w == hi and mode != modes.POSITIVE:

@@ -45,7 +45,7 @@ Slopes = dict[str, "Array"]  # derivative by each variable of the value
 
 
 class Token(NamedTuple):
-    """A number, name or mark of the text, and the column at which it begins."""
+    """A number, name or mark of the text, and its first column."""
 
     kind: str
     text: str

@@ -74,7 +74,7 @@ class Continuation(Result):
                 row |= {
                     "lo": interval.lo,
                     "hi": interval.hi,
-                    "draws": interval.found,
+                    "draws": interval.inside,
                     "below": interval.below,
                     "above": interval.above,
                 }
@@ -274,9 +274,9 @@ def find_point_intervals(
 
 
 def format_interval(interval: "PointInterval") -> str:
-    """Return an interval as text, with the draws that put the point beyond the followed values."""
+    """Return an interval as text, with the draws whose point lies beyond the followed values."""
     lo, hi = ("beyond" if end is None else f"{end:.6g}" for end in (interval.lo, interval.hi))
     beyond = [f"{count} {name} the first value" for name, count in (("below", interval.below),) if count]
     beyond += [f"{interval.above} above the last value"] if interval.above else []
     outside = f"; of the draws {', '.join(beyond)}" if beyond else ""
-    return f"{lo} to {hi} ({interval.found} draws{outside})"
+    return f"{lo} to {hi} ({interval.inside} draws{outside})"

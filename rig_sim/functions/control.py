@@ -142,7 +142,7 @@ class Lock(Result):
     def to_dataframe(self) -> "pd.DataFrame":
         """Return a row for each landing under control: t within the drive's period, x, and the change of the amplitude.
 
-        Of a system of one's own: each coordinate of the state, and the change of the parameter.  Empty where there was
+        Of a custom system: each coordinate of the state, and the change of the parameter.  Empty where there was
         no motion under control.
         """
         import numpy as np

@@ -112,7 +112,7 @@ def has_value(value: Any) -> bool:
 
 
 def format_value(value: Any, digits: int = 6) -> str:
-    """Return a value as text; numbers to so many digits."""
+    """Return a value as text; numbers to ``digits`` digits."""
     if isinstance(value, tuple | list):
         return ", ".join(format_value(item, digits) for item in value)
     if isinstance(value, complex):

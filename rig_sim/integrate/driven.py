@@ -43,7 +43,7 @@ class DrivenRamp(NamedTuple):
 
 
 def driven_ramp(fr: Frame, p: float, w: float, t: float) -> DrivenRamp:
-    """Return the driven ramp that begins in the state (p, w) at time t."""
+    """Return the driven ramp that starts in the state (p, w) at time t."""
     C, _ = linear_terms(fr, RAMP)
     zeta = 0.5 * C / fr.m
     a = acceleration(fr, RAMP, p, w, t)
@@ -204,7 +204,7 @@ def driven_stick_exit(fr: Frame, p: float, t: float, tau_max: float) -> tuple[in
     lowest -= math.floor(lowest / period) * period
     falling = (math.pi - 2.0 * tilt) / omega
     climb = period - falling
-    # the first maximum, when the margin begins by rising
+    # the first maximum, when the margin rises at first
     top = margin(load, highest)
     if highest < lowest and top > 0.0:
         tau = margin_root(load, 0.0, 1, 0.0, highest)

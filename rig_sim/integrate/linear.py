@@ -99,10 +99,10 @@ def shift_solution(S: float, E: float, zeta: float, omega2: float, step: float) 
 def root(free: FreeMotion, level: float, side: int, inside: float, outside: float, guess: float, work: Work) -> float:
     """Return where w crosses ``level`` in [inside, outside], on which it is monotone: bracketed Halley from ``guess``.
 
-    The closed form there is left in ``work``: what comes after the exit needs it again.
+    The closed form there is stored in ``work`` for the calculations after the exit.
     w leaves through the level upwards (``side`` +1) or downwards (-1); ``outside`` may be infinite where it does so for
     certain, with a guess beyond ``inside``.  u'' = -2 zeta u' - omega0^2 u gives the second
-    and third derivatives for nothing, so that the error a step leaves is known before it is taken.
+    and third derivatives at no cost, so that the remaining error of a step is known before it.
     """
     w, a, u, zeta, omega2, disc = free
     tau = guess if inside < guess < outside else 0.5 * (inside + outside)

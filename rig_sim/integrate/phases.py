@@ -27,9 +27,9 @@ from rig_sim.flow.frame import (
     displacement,
     frame,
     is_curved,
-    kept_inside,
+    keep_inside,
     linear_terms,
-    mirrored,
+    mirror_mode,
     mode_bounds,
     position,
 )
@@ -110,7 +110,7 @@ def phase_exit(
     C, e = linear_terms(fr, mode)
     zeta = 0.5 * C / fr.m
     disc = (zeta - fr.omega0) * (zeta + fr.omega0)
-    a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e) / fr.m)
+    a = keep_inside(fr, mode, w, (-C * w - fr.k * p + e) / fr.m)
     work.zeta = zeta
     work.start = a
     touch = 0.0 if fr.d > 0.0 else 4.0 * EPS
@@ -194,7 +194,7 @@ def store_samples(fr: Frame, state: State, tau: float, samples: Samples, i: int,
         dp, dw = (0.0, 0.0) if dt <= 0.0 else increments(fr, mode, p, w, t, dt, work)
         samples.x[i] = position(fr, p + dp)
         samples.v[i] = fr.mirror * (w + dw + fr.v)
-        samples.mode[i] = float(mirrored(fr, mode))
+        samples.mode[i] = float(mirror_mode(fr, mode))
         i += 1
     return i
 
@@ -202,7 +202,7 @@ def store_samples(fr: Frame, state: State, tau: float, samples: Samples, i: int,
 def pass_edge(fr: Frame, mode: int, side: int, p: float, t: float, phase_start: float, work: Work) -> tuple[int, int]:
     """Return the kind of the event by which ``mode`` is left, and the mode entered; an outcome where motion ends."""
     work.w_rest = 0.0
-    if mode == modes.STICK or mode == modes.RAMP:  # so that slip begins in p alone, and a recurrence can be recognised
+    if mode == modes.STICK or mode == modes.RAMP:  # so that slip starts in p alone, and a recurrence can be recognised
         work.p_rest = 0.0
     entered = transition(fr, mode, side, p, t)
     if entered >= modes.FORCE_REVERSAL:
@@ -218,15 +218,15 @@ def unmirrored_kind(fr: Frame, kind: int) -> int:
     """Return the kind outside a mirrored frame of a kind within it."""
     if fr.mirror > 0.0 or kind == modes.COMPLETED or kind >= modes.FORCE_REVERSAL:
         return kind
-    return 4 * mirrored(fr, kind // 4) + mirrored(fr, kind % 4)
+    return 4 * mirror_mode(fr, kind // 4) + mirror_mode(fr, kind % 4)
 
 
 def enter_frame(fr: Frame, state: State) -> State:
-    return State(mirrored(fr, state.mode), displacement(fr, state.x), fr.mirror * state.w, state.t, state.carry)
+    return State(mirror_mode(fr, state.mode), displacement(fr, state.x), fr.mirror * state.w, state.t, state.carry)
 
 
 def leave_frame(fr: Frame, state: State) -> State:
-    return State(mirrored(fr, state.mode), position(fr, state.x), fr.mirror * state.w, state.t, state.carry)
+    return State(mirror_mode(fr, state.mode), position(fr, state.x), fr.mirror * state.w, state.t, state.carry)
 
 
 def sample_phase(

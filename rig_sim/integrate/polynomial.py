@@ -123,7 +123,7 @@ def first_root(c: Series, degree: int, level: float, side: int, xi_end: float) -
         else:
             end = start + 0.5 * h
         total, slope = deflate(c, degree, zeros, level, end)
-    # only a polynomial that hugs its level for the whole step comes here: its end decides
+    # only for a polynomial that stays at its level for the whole step: its end decides
     total, slope = deflate(c, degree, zeros, level, xi_end)
     if side * total < 0.0:
         return -1.0

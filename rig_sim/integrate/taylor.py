@@ -15,7 +15,7 @@ An event is the first root of w - level on the step (`rig_sim.integrate.polynomi
 
 import math
 
-from rig_sim.flow.frame import Frame, curve_deficit, drive, is_curved, kept_inside, linear_terms, slip_speed
+from rig_sim.flow.frame import Frame, curve_deficit, drive, is_curved, keep_inside, linear_terms, slip_speed
 from rig_sim.flow.modes import NEGATIVE
 from rig_sim.friction.curve import MEASURED
 from rig_sim.friction.spline import about, piece_of
@@ -32,8 +32,10 @@ LARGEST_STEP_SIZE = 2.0  # log2 of the longest step in scaled time: beyond, term
 FEW_TERMS, MANY_TERMS = 14, 22
 THIRD = 1.0 / 3.0
 AT_KNOT = 16.0 * EPS  # share of the speeds: a slip speed as near to a knot is on it
-OFF_KNOT = 1e-3  # share of the scaled time: w, which turns there, changes by some 1e-6, and friction by its third power
-NO_SIZE = -1e6  # stands for log2 of 0
+OFF_KNOT = (
+    1e-3  # share of the scaled time: w, which turns there, changes by about 1e-6, and friction by its third power
+)
+NO_SIZE = -1e6  # in place of log2 of 0
 SMALLEST = 2.0**-1022  # the smallest number of full precision
 
 
@@ -46,7 +48,7 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> fl
     fall = curve_deficit(fr, mode, w)
     driven = fr.u0 != 0.0
     push = drive(fr, t) if driven else 0.0
-    a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e + fall + push) / fr.m)
+    a = keep_inside(fr, mode, w, (-C * w - fr.k * p + e + fall + push) / fr.m)
     u = w + fr.v
     curved = is_curved(fr, mode)
     measured = curved and fr.curve == MEASURED
@@ -347,6 +349,6 @@ def series_exit(
             end = xi
     if side == 0 and end == 0.0:  # w turns on a knot: off it on this step
         end = min(xi_end, OFF_KNOT)
-    if side == 0 and end == xi_max:  # whole * scale may be an ulp less than tau_max, and so may what is left, for ever
+    if side == 0 and end == xi_max:  # xi_max * scale may be an ulp below tau_max, again and again
         return 0, tau_max
     return side, min(end * scale, tau_max)

@@ -63,10 +63,10 @@ class Event:
 
 @dataclass(frozen=True)
 class Events:
-    """The events of one run, in order, and how it ended.
+    """The events of one run, in order, and its end.
 
-    ``outcome`` is 'completed' or the named reason why it ended early, ``advice`` what to do about it; ``steps`` counts
-    the integrator's steps.
+    ``outcome`` is 'completed' or the reason why it ended early, with ``advice``; ``steps`` counts the integrator's
+    steps.
     """
 
     events: tuple[Event, ...]

@@ -12,7 +12,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.errors import InputError
 from rig_sim.flow.contact_state import force
-from rig_sim.flow.frame import mirrored
+from rig_sim.flow.frame import mirror_mode
 from rig_sim.flow.modes import EVENT_LIMIT, LETTERS, OUTCOMES, STICK
 from rig_sim.flow.two_mass import slip_start
 from rig_sim.integrate.pair_motion import EVENTS, SAMPLES, PairMotion
@@ -97,7 +97,7 @@ def two_mass_events(
         if len(events) == MOST_EVENTS:
             outcome = OUTCOMES[EVENT_LIMIT]
             break
-        old1, old2, new1, new2 = (LETTERS[mirrored(fr, int(mode))] for mode in (before1, before2, mode1, mode2))
+        old1, old2, new1, new2 = (LETTERS[mirror_mode(fr, int(mode))] for mode in (before1, before2, mode1, mode2))
         events.append(TwoMassEvent(t, fr.x0 + fr.mirror * y1, fr.x0 + fr.mirror * y2, f"{old1}{old2}>{new1}{new2}"))
     outcome = outcome or motion.outcome
     return TwoMassEvents(tuple(events), outcome.name, outcome.advice, motion.steps)

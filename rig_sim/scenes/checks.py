@@ -18,7 +18,7 @@ OWN_KEYS = {  # of the section friction, reserved: no parameter of a formula has
     "d": "half-width of the ramp",
     "G_stick": "slope of the ramp",
 }
-TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # what two masses may have
+TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # allowed for two masses
 
 
 def check_magnitudes(scene: Scene, where: str) -> None:
@@ -91,8 +91,8 @@ def _check_curve(friction: Friction, where: str) -> None:
     """Refuse points that are not a friction curve, and keys of a curve together with a law."""
     if friction.law != 0:
         if friction.contact is not None:
-            what = f"friction.contact beside law {friction.law}, which has its own contact"
-            raise InputError(what, where, "drop it, or take law 0")
+            problem_text = f"friction.contact beside law {friction.law}, which has its own contact"
+            raise InputError(problem_text, where, "drop it, or take law 0")
         return
     do = "give friction.curve = [[0, F], [s, F], ...]: slip speed in m/s from 0, friction in N"
     if friction.curve is None:
@@ -117,8 +117,8 @@ def _check_formula(friction: Friction, where: str) -> None:
     names = formula.parameters if formula is not None else ()
     for name in names:
         if name in OWN_KEYS:
-            what = f"friction.formula has a parameter {name}, which is the section's own: {OWN_KEYS[name]}"
-            raise InputError(what, where, "give the parameter another name")
+            problem = f"friction.formula has a parameter {name}, which is the section's own: {OWN_KEYS[name]}"
+            raise InputError(problem, where, "give the parameter another name")
         if name not in friction.formula_values():
             others = [key for key in friction.model_fields_set if key not in {*OWN_KEYS, *names}]
             close = nearest(name, others) if others else ""

@@ -186,7 +186,7 @@ class Start(Section):
     v1: float | None = None
     x2: float | None = None
     v2: float | None = None
-    d: float | None = None  # two masses: both stick with x2 - x1 = d (m), and at t = 0 the first of them begins to slip
+    d: float | None = None  # two masses: both stick with x2 - x1 = d (m), and at t = 0 the first of them starts to slip
     # two masses: as ``d``, on this attractor.  1 has the largest basin.
     attractor: Annotated[int, Field(ge=1)] | None = None
 

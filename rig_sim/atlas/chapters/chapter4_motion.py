@@ -139,17 +139,17 @@ def masses_at_speed(speed: float, **start: float) -> Scene:
 
 def draw_locus(speed: float, *words: str, named: bool = True) -> Computed:
     """Return the failure locus with the path of the events that have these words, their break-aways named or not."""
-    stretches = [d for d, *found in list_event_words(speed) if tuple(found[: len(words)]) == words]
+    stretches = [d for d, *words_found in list_event_words(speed) if tuple(words_found[: len(words)]) == words]
     d = stretches[len(stretches) // 2]
     run = masses_at_speed(speed, d=d)
-    found = two_mass_events(run, 200.0).events
-    sticks = [event for event in found if event.kind.endswith(">SS")][: len(words)]
+    words_found = two_mass_events(run, 200.0).events
+    sticks = [event for event in words_found if event.kind.endswith(">SS")][: len(words)]
     until = sticks[-1].t
-    end = next(event.t for event in found if event.t > until)  # of the global stick that follows
+    end = next(event.t for event in words_found if event.t > until)  # of the global stick that follows
     _, x1, v1, _, x2, v2, _ = TwoMassPlayer(run).columns(np.arange(0.0, end, 0.005))
     in_global_stick = (v1 == speed) & (v2 == speed)
     before = np.array([-0.45, 0.0])
-    marks = [event for event in found if event.t <= until and (is_break_away(event) or event in sticks)]
+    marks = [event for event in words_found if event.t <= until and (is_break_away(event) or event in sticks)]
     flow = run.two_mass_flow()
     path = (
         Trace(

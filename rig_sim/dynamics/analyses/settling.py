@@ -50,7 +50,7 @@ class Settled:
 
 
 def settle(motion: Motion, transients: Sequence[int] = TRANSIENTS, window: int = WINDOW, same: float = SAME) -> Settled:
-    """Follow a motion until it repeats, or for as long as ``transients`` say: passages left out before each comparison.
+    """Follow a motion until it repeats, at most over ``transients``: passages left out before each comparison.
 
     ``window`` passages are compared; ``same``, relative to the system's scale, is how closely a state has to come back.
     """
@@ -83,7 +83,7 @@ def is_growing(before: Array, after: Array) -> bool:
 def find_attractors(f: ReturnMap, starts: Iterable[Array], value: float) -> list[AttractorAt]:
     """Return the attractors that the starts lead to, the one with the most starts first; ``value`` of the parameter.
 
-    Where no start leads to one, the only row has the number 0 and says why.
+    Where no start leads to one, the only row has the number 0 and the reason.
     """
     distinct_ends: list[Settled] = []
     drawn_points: list[Array] = []

@@ -73,7 +73,7 @@ def sweep(
 def find_each(
     find: Callable[[float], list[AttractorAt]], values: Sequence[float], spread: Spread
 ) -> Iterator[tuple[float, list[AttractorAt]]]:
-    """Yield each value with its attractors, in order; for other processes the values are put into tasks of `TASK_S`.
+    """Yield each value with its attractors, in order; for other processes the values are grouped in tasks of `TASK_S`.
 
     The number of values in a task follows from the duration of the last task that came back.
     """

@@ -19,7 +19,7 @@ CANDIDATES = 100
 ITERATIONS = 20
 LONGEST_STEP = 0.3  # of the scales; a longer step of Newton's method means that there is no orbit here
 CLOSED = 1e-10  # of the scales: how well the points of an orbit follow each other
-TURNS = 3  # of an orbit, after which directions at right angles grow as its multipliers say
+TURNS = 3  # of an orbit, after which directions at right angles grow by its multipliers
 LOST = 1e-12  # of the largest multiplier, below which one is rounding in the product of the slopes
 SAME = 1e-6  # of the scales: orbits closer than this are one; points of one orbit closer than this are one
 

@@ -29,7 +29,7 @@ REACH = 0.1
 # change beyond the budget after 1 to 3.
 HELD, TURNS_HELD = 40, 4
 REPORTED = 100  # applications between two reports of progress, about 5 ms
-TURNS_AHEAD = 50  # of the orbit; a multiplier of 1.5 leaves 1e-9 of the rest
+TURNS_AHEAD = 50  # of the orbit; with a multiplier of 1.5 the rest is 1e-9
 
 
 @dataclass(frozen=True)
@@ -118,15 +118,15 @@ def find_unstable_mode(orbit: UnstableOrbit) -> UnstableMode:
         turn = slope @ turn
     values, vectors = np.linalg.eig(turn.T)
     e = np.real(vectors[:, int(np.argmax(np.abs(values)))])
-    left = np.zeros((period, d))
+    left_vectors = np.zeros((period, d))
     factor = np.zeros(period)
     for i in range(period - 1, -1, -1):
-        following = left[(i + 1) % period] = e / np.linalg.norm(e)
+        following = left_vectors[(i + 1) % period] = e / np.linalg.norm(e)
         e = following @ orbit.slopes[i]
         factor[i] = np.linalg.norm(e)
-    factor[0] = e @ left[0]  # with the sign with which e comes round
-    response = np.einsum("ij,ij->i", np.roll(left, -1, axis=0), orbit.responses)
-    return UnstableMode(left, factor, response)
+    factor[0] = e @ left_vectors[0]  # with the sign with which e comes round
+    response = np.einsum("ij,ij->i", np.roll(left_vectors, -1, axis=0), orbit.responses)
+    return UnstableMode(left_vectors, factor, response)
 
 
 def wait_for_stable_orbit(f: Controlled, orbit: UnstableOrbit, start: Array, events: int) -> Lock:

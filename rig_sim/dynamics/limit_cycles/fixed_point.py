@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force, transition
 from rig_sim.flow.flow import Flow, validate
-from rig_sim.flow.frame import frame, friction_slope, mirrored
+from rig_sim.flow.frame import frame, friction_slope, mirror_mode
 from rig_sim.flow.two_mass import TwoMassFlow, validate_two_masses
 
 
@@ -101,7 +101,7 @@ def friction_at_rest(flow: Flow) -> tuple[float, float]:
     if fr.v == 0.0 and fr.d == 0.0:
         raise ValueError("on a belt at rest friction has no slope; the belt must run")
     mode = modes.RAMP if fr.v <= fr.d else modes.NEGATIVE
-    return force(flow, mirrored(fr, mode), 0.0, -flow.v_belt, 0.0), friction_slope(fr, mode, -fr.v)
+    return force(flow, mirror_mode(fr, mode), 0.0, -flow.v_belt, 0.0), friction_slope(fr, mode, -fr.v)
 
 
 def quadratic_roots(a: float, b: float, c: float) -> tuple[complex, complex]:

@@ -16,7 +16,7 @@ from rig_sim.dynamics.return_maps.minimum import MinimumTurn, next_minimum
 from rig_sim.dynamics.return_maps.turn import STEPS_OF_SEARCH
 from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.frame import Frame, displacement, frame, mirrored, position
+from rig_sim.flow.frame import Frame, displacement, frame, mirror_mode, position
 from rig_sim.integrate.work import new_work
 
 STABLE_TO = (
@@ -82,7 +82,7 @@ def make_orbit(fr: Frame, turn: MinimumTurn, multiplier: float, outcome: str) ->
     if turn.end:
         return FloquetOrbit(turn.end, turn.advice)
     x_min, x_max = sorted((position(fr, turn.p), position(fr, turn.p_max)))
-    letters = "".join(modes.LETTERS[mirrored(fr, mode)] for mode in turn.modes)
+    letters = "".join(modes.LETTERS[mirror_mode(fr, mode)] for mode in turn.modes)
     return FloquetOrbit(outcome, "", (1.0, multiplier), turn.duration, x_min, x_max, letters)
 
 

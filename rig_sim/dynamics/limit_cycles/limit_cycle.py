@@ -14,7 +14,7 @@ from rig_sim.dynamics.return_maps.turn import STEPS_OF_SEARCH, Turn, next_slip
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import classify, force
 from rig_sim.flow.flow import Flow, validate
-from rig_sim.flow.frame import Frame, frame, is_curved, linear_terms, mirrored, position
+from rig_sim.flow.frame import Frame, frame, is_curved, linear_terms, mirror_mode, position
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.work import Work, new_work
 
@@ -97,7 +97,7 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
     if turn.end == "fixed point":
         x_rest = position(fr, turn.p)
         if turn.mode != modes.STICK:  # where the spring holds friction alone; heavy damping leaves few digits in p
-            x_rest = flow.x0 + force(flow, mirrored(fr, turn.mode), x_rest, -flow.v_belt, 0.0) / flow.k
+            x_rest = flow.x0 + force(flow, mirror_mode(fr, turn.mode), x_rest, -flow.v_belt, 0.0) / flow.k
     return Orbit(turn.end, turn.advice, x_rest=x_rest)
 
 
@@ -136,7 +136,7 @@ def make_grazing_orbit(fr: Frame) -> Orbit:
         x_max=position(fr, centre) + speed / fr.omega0,
         v_min=-speed,
         v_max=speed,
-        sequence=modes.LETTERS[mirrored(fr, modes.NEGATIVE)] + "S",
+        sequence=modes.LETTERS[mirror_mode(fr, modes.NEGATIVE)] + "S",
     )
 
 
@@ -191,5 +191,5 @@ def make_orbit(fr: Frame, turn: Turn) -> Orbit:
         x_max=ends[1],
         v_min=speeds[0],
         v_max=speeds[1],
-        sequence="".join(modes.LETTERS[mirrored(fr, mode)] for mode, _, _ in turn.phases),
+        sequence="".join(modes.LETTERS[mirror_mode(fr, mode)] for mode, _, _ in turn.phases),
     )

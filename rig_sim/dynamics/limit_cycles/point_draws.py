@@ -29,9 +29,9 @@ class PointInterval:
 
     lo: float | None  # quantiles; None beyond the searched interval
     hi: float | None
-    found: int  # draws in which the point lies within the interval
-    below: int  # draws that put it beyond the interval's first value
-    above: int  # draws that put it beyond the interval's last value
+    inside: int  # draws in which the point lies within the interval
+    below: int  # draws with the point below the interval's first value
+    above: int  # draws with the point above the interval's last value
 
 
 class MovingPoint:

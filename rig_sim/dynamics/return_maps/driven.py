@@ -22,14 +22,14 @@ from rig_sim.dynamics.return_maps.passage import (
     TIME,
     VELOCITY,
     Clock,
-    Place,
+    DrivenState,
     compiled_passages,
 )
 from rig_sim.dynamics.system.interface import Passages
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
-from rig_sim.flow.frame import displacement, frame, mirrored, position
+from rig_sim.flow.frame import displacement, frame, mirror_mode, position
 from rig_sim.integrate.compiled import for_kernels
 from rig_sim.integrate.work import new_record, new_work
 
@@ -90,8 +90,8 @@ class DrivenMotion:
         self.system = system
         fr = system.frame
         self._work = new_work(compiled=True)
-        self._at = new_record(Place, compiled=True)
-        self._at.mode = mirrored(fr, initial_mode(system.flow, x, v, 0.0))
+        self._at = new_record(DrivenState, compiled=True)
+        self._at.mode = mirror_mode(fr, initial_mode(system.flow, x, v, 0.0))
         self._at.p, self._at.w = displacement(fr, x), fr.mirror * (v - system.flow.v_belt)
         self._at.dp = 1.0 / fr.omega0
 

@@ -132,12 +132,13 @@ class LandingMap(FormulaMap):
 
 
 def next_landing(
-    flow: Flow, state: State, end: float, behind: int, event_list: Lists, work: Work
+    flow: Flow, state: State, end: float, slow_mode: int, event_list: Lists, work: Work
 ) -> tuple[int, State, float, float]:
     """Follow the motion event by event to the next landing, or to ``end`` (s).
 
-    A ramp is entered at a landing from the mode ``behind``: that of a mass slower than the belt.  ``one`` holds one
-    event.  Returns `LANDED`, or how the motion ended; the state there; the last break-away (m, or NaN); steps taken.
+    A ramp is entered at a landing from ``slow_mode``, that of a mass slower than the belt.  ``event_list`` has
+    room for one event.  Returns `LANDED`, or how the motion ended; the state there; the last break-away (m, or NaN);
+    steps taken.
     """
     work = unboxed(work)
     work.steps = 0.0
@@ -150,7 +151,7 @@ def next_landing(
             return outcome, state, x_slip, work.steps
         if before == modes.STICK or before == modes.RAMP:
             x_slip = state.x
-        elif state.mode == modes.STICK or (state.mode == modes.RAMP and before == behind):
+        elif state.mode == modes.STICK or (state.mode == modes.RAMP and before == slow_mode):
             return LANDED, state, x_slip, work.steps
 
 

@@ -35,7 +35,7 @@ COLUMNS = 5
 
 
 @dataclass(slots=True)
-class Place:
+class DrivenState:
     """State of a driven motion between two calls."""
 
     mode: float  # in the frame
@@ -57,26 +57,26 @@ class Clock(NamedTuple):
 
 
 def list_passages(
-    fr: Frame, clock: Clock, mask: int, tangent: int, number: int, place: Place, out: Buffer, work: Work
+    fr: Frame, clock: Clock, mask: int, tangent: int, number: int, state: DrivenState, out: Buffer, work: Work
 ) -> tuple[int, int]:
-    """Follow the motion from ``at`` to its next ``number`` passages of the sections in ``mask``.
+    """Follow the motion from ``state`` to its next ``number`` passages of the sections in ``mask``.
 
     ``tangent`` is 1 to follow the deviation.  Rows of ``out``: drive periods, displacement and relative velocity in the
-    frame, growth, section.  Returns 0 or a key of `ENDS`, and the number of passages; ``at`` becomes the state at the
-    end.
+    frame, growth, section.  Returns 0 or a key of `ENDS`, and the number of passages; ``place`` becomes the state at
+    the end.
     """
-    place, work = unboxed(place), unboxed(work)
+    state, work = unboxed(state), unboxed(work)
     period = clock.period
-    mode = int(place.mode)
-    p, w, t = place.p, place.w, place.t
-    dp, dw, growth = place.dp, place.dw, place.growth
+    mode = int(state.mode)
+    p, w, t = state.p, state.w, state.t
+    dp, dw, growth = state.dp, state.dw, state.growth
     count = 0
     outcome = 0
     while count < number:
         if work.steps >= work.steps_allowed:
             outcome = STEP_LIMIT
             break
-        if place.turns - place.last > clock.patience:
+        if state.turns - state.last > clock.patience:
             outcome = NO_PASSAGE
             break
         lo, hi = mode_bounds(fr, mode)
@@ -104,7 +104,7 @@ def list_passages(
                 continue
             section = STROBE
             t = 0.0
-            place.turns += 1.0
+            state.turns += 1.0
         else:
             t += tau
             w = 0.0 if mode == modes.STICK else (hi if side > 0 else lo)
@@ -128,17 +128,17 @@ def list_passages(
                 dp, dw, more = normalise(fr, dp, dw)
                 growth += more
             row = count * COLUMNS
-            out[row + TIME] = place.turns + t / period
+            out[row + TIME] = state.turns + t / period
             out[row + POSITION] = p
             out[row + VELOCITY] = w
             out[row + FACTOR] = growth
             out[row + SECTION] = float(section)
             growth = 0.0
-            place.last = place.turns
+            state.last = state.turns
             count += 1
-    place.mode = float(mode)
-    place.p, place.w, place.t = p, w, t
-    place.dp, place.dw, place.growth = dp, dw, growth
+    state.mode = float(mode)
+    state.p, state.w, state.t = p, w, t
+    state.dp, state.dw, state.growth = dp, dw, growth
     return outcome, count
 
 

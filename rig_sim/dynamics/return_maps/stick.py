@@ -99,7 +99,7 @@ def apply_map(
     """Apply the map ``times`` times to each of the starts (d in the frame).
 
     With ``chained`` 1 only the first start counts, and every result is the next start.  Returns how many letters the
-    last word has, and the rest of the ``left`` steps allowed in all.
+    last word has, and the rest of the ``steps_left`` allowed in all.
     """
     work = unboxed(work)
     letters = 0

@@ -44,7 +44,7 @@ class Turn:
 
     end: str
     advice: str
-    p: float  # where slip begins again, or where the mass rests
+    p: float  # at the next start of slip, or where the mass rests
     phases: tuple[tuple[int, float, float], ...] = ()  # mode, duration, p at its start
     extremes: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # p_min, p_max, w_min, w_max
     mode: int = modes.STICK  # in which the mass rests

@@ -26,8 +26,8 @@ STENCIL, WEIGHTS = np.array([-2.0, -1.0, 1.0, 2.0]), np.array([1.0, -8.0, 8.0, -
 # Their step relative to the interval.  Slopes of the thesis's map come out to 1e-8 and better: its rounding, 1e-15 of f
 # over the step, and its fourth-order remainder are both below that.
 INTERVAL_STEP = 2e-5
-# Their step relative to the scales.  Rounding of the driven mass's map, some 1e-15, over the step, and the remainder of
-# fourth order are both below 1e-9 of a derivative; 1e-4 loses orbits next to grazing.
+# Their step relative to the scales.  For the driven mass's map rounding, about 1e-15, over the step, and the remainder
+# of fourth order are both below 1e-9 of a derivative; 1e-4 loses orbits next to grazing.
 STATE_STEP = 1e-5
 NO_ATTRACTOR = Outcome("no attractor", "the orbit leaves the places where the map is defined")
 
