@@ -19,19 +19,21 @@ that is finite only as a limit, as that of ``sqrt(s**2)`` at 0.
 
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
-from daq.base.errors import InputError, nearest
+from stickslip.errors import InputError, nearest
 
 if TYPE_CHECKING:
-    from daq.base.compute.arrays import Array
+    from stickslip.compute.arrays import Array
 
 SPEED = "s"
 FUNCTIONS = {"exp": 1, "log": 1, "sqrt": 1, "tanh": 1, "abs": 1, "min": 2, "max": 2}  # (least) number of arguments
 # Characters and levels; published forms have up to 60 and 3.  Parsing calls itself for each level.
 LONGEST, DEEPEST = 2000, 60
+OVERFLOW = 1e150  # no friction and no derivative of one is as large, and its square is not finite
 TOKEN = re.compile(r"(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[^\W\d]\w*)|(?P<mark>\*\*|[-+*/(),])")
 BLANKS = " \t\r\n"
 INSTEAD = {
@@ -41,6 +43,11 @@ INSTEAD = {
     "{": "use round brackets",
     ".": "write a name of letters, digits and _",
 }
+# Letters that look like a plain one; Unicode's compatibility forms (NFKC) make plain only others, as full-width ones.
+LOOK_ALIKES = str.maketrans(
+    "аеорсухѕіјһԁԛԝѵԍАВЕЅІЈКМНОРСТУХԌԚԜѴονϳΑΒΕΖΗΙΚΜΝΟΡΤΥΧհոսօցքɑɡıꜱᴠᴡᴢᴏᴜᴄʋ",
+    "aeopcyxsijhdqwvgABESIJKMHOPCTYXGQWVovjABEZHIKMNOPTYXhnuogqagisvwzoucv",
+)
 Slopes = dict[str, "Array"]  # derivative by each variable of the value
 
 
@@ -162,7 +169,7 @@ class Formula:
         """Raise InputError where values, or derivatives by ``variable``, are not finite."""
         import numpy as np
 
-        wrong = np.flatnonzero(~np.isfinite(values.ravel()))
+        wrong = np.flatnonzero(~(np.abs(values.ravel()) < OVERFLOW))
         if not wrong.size:
             return
         speed = float(speeds.ravel()[wrong[0]])
@@ -192,7 +199,7 @@ class Formula:
             stack.append(i)
             if not math.isfinite(float(results[i][0])):
                 return explain_failure(step, arguments), step.column
-        raise AssertionError("the last step is not finite")
+        return "overflow", self._steps[-1].column
 
 
 def explain_failure(step: Operation, arguments: list[float]) -> str:
@@ -219,6 +226,11 @@ def point_at(text: str, column: int) -> str:
         for letter in text[first : column + 40]
     )
     return f"    {visible}\n    {'^':>{column - first + 1}}"
+
+
+def with_plain_letters(name: str) -> str:
+    """Return a name with the letters that its own look like."""
+    return unicodedata.normalize("NFKC", name).translate(LOOK_ALIKES)
 
 
 class _Parser:
@@ -255,8 +267,21 @@ class _Parser:
                 do = INSTEAD.get(letter, "use names, numbers, + - * / ** ( ) and functions")
                 self._fail(f"{letter!a} has no meaning in a formula", column, do)
             tokens.append(Token(str(match.lastgroup), match.group(), column))
+            self._refuse_look_alikes(tokens[-1])
             column = match.end()
         return [*tokens, Token("end", "", len(self.text.rstrip(BLANKS)))]
+
+    def _refuse_look_alikes(self, token: Token) -> None:
+        """Refuse a name with a letter that looks like another one: two names would look the same."""
+        plain = with_plain_letters(token.text)
+        if token.kind != "name" or plain == token.text:
+            return
+        position = next(k for k, letter in enumerate(token.text) if with_plain_letters(letter) != letter)
+        letter = token.text[position]
+        looks = f"{letter!r} ({unicodedata.name(letter, 'unnamed').lower()}) looks like {with_plain_letters(letter)!r}"
+        power = unicodedata.decomposition(letter).startswith("<super>")
+        do = "write ** for powers" if power else f"did you mean {plain}?"
+        self._fail(f"{looks} in the name {token.text!r:.40}", token.column + position, do)
 
     def _fail(self, problem: str, column: int, do: str) -> NoReturn:
         raise InputError(problem, "formula", f"{do}\n{point_at(self.text, column)}")

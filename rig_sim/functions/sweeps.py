@@ -10,8 +10,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError, check_known
 from rig_sim.functions.arguments import ParameterRange, SceneLike, load_scene, parse_range, parse_whole
 from rig_sim.functions.result import Result
 from rig_sim.functions.systems import (
@@ -22,14 +20,16 @@ from rig_sim.functions.systems import (
     load_driven_start,
     make_stick_map,
 )
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError, check_known
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from daq.base.output.resume import ResumeFile
     from rig_sim.dynamics.analyses.sweep import AttractorAt
     from rig_sim.dynamics.system.formula import FormulaMap
+    from rig_sim.functions.resume import ResumeFile
 
 Section = Literal["poincare", "map", "slip"]
 SECTIONS = ("poincare", "map", "slip")
@@ -182,7 +182,7 @@ def sweep(
         )
         content: dict[str, Any] = {"name": name}
         if jobs > 1 or scheduler is not None:
-            from daq.base.compute.cluster import check_sendable
+            from stickslip.compute.cluster import check_sendable
 
             check_sendable(find)
     else:
@@ -190,7 +190,7 @@ def sweep(
     if resume is None:
         rows = sweep_values(find, span, jobs, scheduler, None, progress)
     else:
-        from daq.base.output.resume import resuming
+        from rig_sim.functions.resume import resuming
 
         path = Path(resume)
         with resuming(path, make_header(content, span, section)) as file:
@@ -228,9 +228,9 @@ def sweep_values(
     progress: Stages,
 ) -> "list[AttractorAt]":
     """Return the attractors at every value: those in the file are read, the others are appended to it."""
-    from daq.base.compute.workers import workers
-    from daq.base.console.application import plain
     from rig_sim.dynamics.analyses.sweep import sweep as follow
+    from stickslip.compute.workers import workers
+    from stickslip.console.application import plain
 
     values = span.values().tolist()
     finished = read_finished(file) if file is not None else {}
@@ -254,8 +254,8 @@ def sweep_values(
 
 def make_header(content: dict[str, Any], span: ParameterRange, section: str) -> dict[str, Any]:
     """Return everything that the attractors depend on, for the first line of the file of ``resume``."""
-    from daq.base.console.application import plain
-    from daq.base.version import VERSION
+    from stickslip.console.application import plain
+    from stickslip.version import VERSION
 
     over: dict[str, Any] = {"key": span.key, "start": span.start, "stop": span.stop, "number": span.number}
     over |= {"values": list(span.uneven)} if span.uneven else {}

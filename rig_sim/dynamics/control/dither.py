@@ -19,8 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.analyses.settling import TRANSIENTS, Settled, settle
 from rig_sim.dynamics.return_maps.driven import DrivenMap
 from rig_sim.dynamics.system.step_budget import StepBudget
@@ -30,6 +28,8 @@ from rig_sim.flow.frame import frame, friction_slope
 from rig_sim.flow.modes import COMPLETED, NEGATIVE, OUTCOMES, STEP_LIMIT
 from rig_sim.integrate.phases import State
 from rig_sim.integrate.sampled import sample_motion
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
 
 # Largest swing of a quenched motion over the linear ripple: above the threshold it is 0.65 to 1.0; of stick-slip that
 # repeats with every period of a drive slower than the mass, 3 and more.

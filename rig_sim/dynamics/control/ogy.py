@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit
 from rig_sim.dynamics.system.interface import Controlled, difference
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
 
 # Share of r_i within which control starts: the rest is for rounding and the map's curvature.
 CERTAIN = 0.95

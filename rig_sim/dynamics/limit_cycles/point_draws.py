@@ -10,12 +10,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.analyses.special_points import SpecialPoint, bisect
 from rig_sim.dynamics.limit_cycles.branches import FlowAt
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.limit_cycle import has_stick_slip_orbit
 from rig_sim.flow.flow import Flow
+from stickslip.compute.arrays import Array
 
 # First step over the interval: about the scatter of draws in a record of the rig.
 FIRST_STEP = 1e-3
