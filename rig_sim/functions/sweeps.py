@@ -190,10 +190,10 @@ def sweep(
     if resume is None:
         rows = sweep_values(find, span, jobs, scheduler, None, progress)
     else:
-        from rig_sim.functions.resume import resuming
+        from rig_sim.functions.resume import open_resume_file
 
         path = Path(resume)
-        with resuming(path, make_header(content, span, section)) as file:
+        with open_resume_file(path, make_header(content, span, section)) as file:
             rows = sweep_values(find, span, jobs, scheduler, file, progress)
     return Sweep(span.key, section, tuple(rows), name, ordinate)
 
