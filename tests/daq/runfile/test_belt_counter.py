@@ -171,12 +171,12 @@ def test_counts_of_a_belt_nobody_calibrated_are_kept_and_give_no_speed(
 ) -> None:
     from rig_sim.board import board
 
-    known = board.calibration
+    known = board.format_calibration
 
     def unknown(*arguments: Any) -> str:
         return "".join(line for line in known(*arguments).splitlines(True) if not line.startswith("belt_metres"))
 
-    monkeypatch.setattr(board, "calibration", unknown)
+    monkeypatch.setattr(board, "format_calibration", unknown)
     path = tmp_path / "run.h5"
     found = record(RecordRequest(ports.rig_url("rig", ["belt.channel=true"], False), path, 1000, 1.0))
     run = store.load(path)
