@@ -145,6 +145,7 @@ def _split_segments(lines: Sequence[str], first: int, separator: str, where: str
         elif _has_tag(line, _COLUMNS, separator) and not named:
             names = [name.strip() for name in line.rstrip(separator).split(separator)]
             names = names[:-1] if names[-1] == "Comment" else names
+            source.check_size(1, len(names), where)
             segments.append(_Segment(_parse_tags(header, separator), names, [], []))
             named = True
         elif named:

@@ -293,7 +293,11 @@ def decode_text(file: Source) -> str:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("cp1252", "replace")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if (count := text.count("\n")) > source.MOST_LINES:
+        what = f"has {count:,} lines; a table has at most {source.MOST_LINES:,}"
+        raise InputError(what, where, source.PARTS)
+    return text
 
 
 def _select_lines(

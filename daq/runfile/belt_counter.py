@@ -53,7 +53,7 @@ class BeltCount:
             first, bits = np.concatenate(([self._last[1]], first)), np.concatenate((bits[:1], bits))
         if len(readings) == 0:
             return readings
-        count = counters.running_sum(begins, counters.moves(readings, bits[1:]), first)
+        count = counters.running_sum(begins, counters.diff_signed(readings, bits[1:]), first)
         new_counts = count[0 if self._last is None else 1 :]
         self._last = int(readings[-1]), int(count[-1])
         return new_counts

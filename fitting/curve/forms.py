@@ -89,13 +89,8 @@ FORM_OF_LAW = {form.law.name: form.name for form in FORMS if form.law.name in PU
 def fit_forms(fit: SplineFit, linear: LinearisedFit, speeds: Array) -> tuple[FormFit, ...]:
     """Compare all forms with a curve, best first.
 
-    Parameters
-    ----------
-    fit : SplineFit
-    linear : LinearisedFit
-        About its solution.
-    speeds : (k,) f8
-        Slip speeds beyond the ramp, m/s, at which the forms' values are wanted.
+    linear: About its solution.
+    speeds: (k,) Slip speeds beyond the ramp, m/s, at which the forms' values are wanted.
     """
     target, samples = measured_target(fit, linear), fit.solution.residual.size
     near, shown = target.near, target.alone.aim.size

@@ -29,14 +29,9 @@ ERRORS_SHOWN = 5.0  # standard errors by which an excess, or a growth, is shown
 def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation, level_error: float = 0.0) -> FoundDeparture | None:
     """Return by how much the break-away level exceeds that of slip; None where it does not, or too few show it.
 
-    Parameters
-    ----------
-    events : sequence of BreakAway
-        Of a law that describes the record.
-    cut : CycleSegmentation
-    level_error : float
-        Standard error of the spring's force at break-away over Fs that all cycles share: of rest position and Fs
-        (`fitting.estimation.derived.break_away_level_error`).
+    events: Of a law that describes the record.
+    level_error: Standard error of the spring's force at break-away over Fs that all cycles share: of rest position and
+        Fs (`fitting.estimation.derived.break_away_level_error`).
     """
     landing = {cycle.number + 1: cycle.landing for cycle in cut.cycles}
     good = [event for event in events if not event.flag and math.isfinite(event.break_away_level)]

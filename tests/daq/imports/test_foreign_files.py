@@ -52,6 +52,11 @@ def _sparse(path):
     return path / "a.csv"
 
 
+def _long_text(path):
+    (path / "a.csv").write_bytes(b"\n" * (source.MOST_LINES + 1))
+    return path / "a.csv"
+
+
 def _wide_text(path):
     return _text(path / "a.csv", [",".join(["1"] * 5000)] * 3, head="")
 
@@ -116,6 +121,7 @@ def _many_columns(path):
         (_device, "is a device, not a file"),  # filled the memory
         (_folder, "is a folder"),
         (_sparse, "a table has at most 268 MB"),
+        (_long_text, "8,388,609 lines; a table has at most 8,388,608"),
         (_wide_text, "5,000 columns; a table has at most 4,096"),
         (_stored_elsewhere, "reads its data from another file"),  # any file of the reader's became positions
         (_external_link, "is a link to another file"),
