@@ -38,7 +38,7 @@ def suspect_memory(base: Base, explained: float) -> FoundDeparture | None:
 
 
 def lag(base: Base) -> Forcing:
-    """Return what a lag of friction behind the speed, by 1 s, adds to the acceleration to first order."""
+    """Return the first-order effect on the acceleration of friction that lags the speed by 1 s."""
     path = base.path
     unknowns = path.u.reshape(-1, PER_RUN)[path.run]
     force = (

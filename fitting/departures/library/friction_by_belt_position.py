@@ -14,13 +14,11 @@ LONGEST_BELT = 0.7  # length over the way in the whole record: on a longer one a
 
 
 def forcing(trajectory: FittedMotion, length: float) -> Forcing:
-    """Return the friction times sine and cosine of the place on the belt."""
     phase = speed_of_wave(length) * (trajectory.belt_position - trajectory.position)
     return Forcing(acceleration=harmonic(phase, trajectory.friction))
 
 
 def lengths(trajectory: FittedMotion) -> Array:
-    """Return lengths of belts, m."""
     way = trajectory.belt_way
     return spaced(SHORTEST_BELT * way / trajectory.cycles, LONGEST_BELT * way, way)
 
