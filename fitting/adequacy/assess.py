@@ -200,10 +200,7 @@ def _judged_without_faults(
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
 ) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:
-    """Return the fit of the cycles that are judged, without those that a fault of the record has spoilt; their slips.
-
-    ``path`` is asked for where a cycle fits badly; ``fit`` is that whose cycles they are.
-    """
+    """Return the fit without the cycles that a fault of the record spoilt, and the slips; makes ``path`` if needed."""
     spoilt = windows.spoilt(linear.residual)
     landings = np.array([cycle.landing for cycle in fit.cycles])
     faults = left_out(path() if spoilt.any() else None, linear, landings, spoilt, windows.run)
@@ -227,10 +224,7 @@ def _departures(
     *,
     of_speed: bool,
 ) -> tuple[FoundDeparture, ...]:
-    """Return what would explain the misfit: of law and curve, or of the law alone where the curve hides it.
-
-    A curve that describes the record but is none of the published forms may be a law with a departure.
-    """
+    """Return the departures that explain the misfit of law and curve, or of the law alone if the curve hides them."""
     if of_speed and any(form.inside_band for form in curve.forms):
         return ()
 

@@ -77,7 +77,7 @@ class Ripple:
         return math.hypot(self.cosine, self.sine)
 
     def removed(self, motion: MeasuredMotion) -> MeasuredMotion:
-        """Return the motion with the ripple taken off its smoothed velocity and acceleration, where corners show."""
+        """Return the motion without the ripple in its smoothed velocity and acceleration, where corners show."""
         _, velocity, acceleration = self.belt_motion(motion.time)
         return replace(motion, velocity=motion.velocity - velocity, acceleration=motion.acceleration - acceleration)
 

@@ -33,11 +33,9 @@ class Base:
         return cls(linear, path, trajectory)
 
     def thinned(self) -> "Base":
-        """Return the same on blocks of samples, `COARSE_SAMPLES` a slip, for scans.
+        """Return the base on blocks of samples, `COARSE_SAMPLES` a slip, or itself where these steps are too long.
 
-        A block has the mean residual and the mean derivatives of its samples, and the path is that at its middle.  Its
-        position is what leaves that residual: the mean position of a curved path is not that at its middle.
-        Where the motion cannot be followed with these longer steps, all samples are kept.
+        The residual and derivatives of a block are means; the path is at its middle.
         """
         whole = self.path.windows
         stride = max(1, round(self.trajectory.samples_per_slip / COARSE_SAMPLES))

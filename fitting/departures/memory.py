@@ -23,11 +23,7 @@ MOST_EXPLAINED = 0.7
 
 
 def suspect_memory(base: Base, explained: float) -> FoundDeparture | None:
-    """Return memory as a departure without a parameter, None where nothing suggests it.
-
-    base: Of the free curve.
-    explained: Share of the free curve's misfit that the best departure explains.
-    """
+    """Return memory as a departure, or None; ``explained`` is the best departure's share of the misfit."""
     if explained > MOST_EXPLAINED:
         return None
     tested = score(base.linear, base.respond([lag(base)]), [1])[0]

@@ -81,10 +81,7 @@ class FormulaCurve(FrictionCurve):
             return np.where(self.by_log, np.log(lower), lower), np.where(self.by_log, np.log(upper), upper)
 
     def at_speeds(self, theta: Array, s: Array) -> Array:
-        """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s.
-
-        Raises InputError: where it is not finite, or negative.
-        """
+        """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s; InputError if not finite or negative."""
         found = self.law.curve.value(s, self.values(theta))
         if found.min() < 0:
             at = self.law.curve.place(float(s[np.argmin(found)]), self.values(theta))
