@@ -59,11 +59,7 @@ class FitOptions:
 
 @dataclass(frozen=True, eq=False)
 class LoadedRun:
-    """A run as it was read: smoothed already, where its file holds that stage; with the calibration to use.
-
-    ``stage`` is the digest of the smoothed stage that its file held (`processing.stage.digest`); ``whole`` holds the
-    times (s) of the file's first and last sample.
-    """
+    """A run with its calibration, smoothed if its file has that ``stage`` (digest); ``whole`` are its end times, s."""
 
     recording: Recording
     kinematics: Kinematics | None
@@ -146,10 +142,7 @@ def fit_runs(
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FitOutput:
-    """Smooth what is not yet smoothed, rank the laws, and make the page of all runs.
-
-    Raises DataError: when the laws cannot be ranked; it holds the statistics and the findings of smoothing.
-    """
+    """Smooth the runs, rank the laws, and make the page; a DataError has the statistics and findings."""
     # Sticks are looked for at the record's own speed: a wrong stated one would hide them.
     motions = [smooth(run.recording) if run.kinematics is None else run.kinematics for run in runs]
     motions = [_with_replaced(motion, run.rig, options) for motion, run in zip(motions, runs, strict=True)]

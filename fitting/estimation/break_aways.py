@@ -78,11 +78,7 @@ def _width(fit: FittedLaw) -> float:
 
 
 def _friction(fit: FittedLaw, time: Array, x: Array) -> Array:
-    """Return friction per unit mass (m/s^2) just before the break-away at ``time`` and ``x``.
-
-    On a ramp, or a belt that slows under load, the mass is already slowing down, and that much of the load is not
-    friction.
-    """
+    """Return friction per unit mass (m/s^2) just before the break-away, corrected for the deceleration on a ramp."""
     p, speed = fit.values, _edge_speed(fit, time)
     load = p.K * (x - p.datum) + p.damping * speed + _belt_ripple(fit, time)[2]
     slowing = _width(fit) / p.static * p.K * speed / p.F

@@ -132,22 +132,16 @@ class LinearisedFit:
         return self.reduced.reduced_gradients(self.blocks.cycle_g, self._pull)
 
     def refit(self, residuals: Array) -> Array:
-        """Return what a linear fit of all unknowns leaves of other residuals.
+        """Return the residuals (N, B), m, of a linear fit to B records with the fit's true unknowns, such as noise.
 
-        residuals: (N, B) Of B records whose true unknowns are those of the fit, such as noise alone, m: the priors hold
-            at the solution.
-        Returns: (N, B) As they were where the step would raise the cost: a search that ended beside a jump of the
-            motion has no derivatives there.
+        Unchanged where the step would raise the cost: at a jump of the motion the derivatives fail.
         """
         gradient = self._product(self.shared, residuals).sum(axis=0)
         out = self._moved(residuals, *self.reduced.newton_step(gradient, self._product(self.local, residuals)))
         return np.where(self._squares(out) <= self._squares(residuals), out, residuals)
 
     def without(self, spoilt: Mask) -> "LinearisedFit":
-        """Return the fit one Gauss-Newton step on, without the weight of some cycles (cycles,).
-
-        As it was where that raises the cost of the others: there the derivatives do not hold.
-        """
+        """Return the fit after a Gauss-Newton step without some cycles (cycles,), or as it was if that is worse."""
         others = replace(self, weights=np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights))
         step, own = others.reduced.newton_step(others.blocks.g, others.blocks.gl)
         moved = replace(others, residual=self._moved(self.residual[:, None], step[:, None], own[:, :, None])[:, 0])

@@ -200,10 +200,7 @@ def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections:
 
 
 def _corrected(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> tuple[Trial, Array] | None:
-    """Return where a step across the valley leads from a trial, by the derivatives before it, and the residuals there.
-
-    None where that cannot be followed.
-    """
+    """Return the trial corrected across the valley by the previous derivatives, and its residuals, or None."""
     p = at.u.size
     gradient = np.zeros((trial.local.shape[0], p + trial.local.shape[1]))
     kernel(elimination.sum_gradients)(at.jacobian, residual * problem.weights[problem.owner], problem.first, gradient)

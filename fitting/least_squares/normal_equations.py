@@ -82,10 +82,7 @@ class SchurComplement:
         return np.asarray(cycle_curvature - np.einsum("cpq,cqr->cpr", self._cross, self._spread))
 
     def by_prior(self, precision: Array) -> Array:
-        """Return the covariance of each cycle's reduced gradient, (c, p, p), that its own unknowns' priors lead to.
-
-        ``precision`` (c, q) are the priors' 1/sd^2, where the unknowns scatter by sd.
-        """
+        """Return the covariance (c, p, p) of each cycle's reduced gradient from the priors' 1/sd^2 (c, q)."""
         return np.asarray(np.einsum("cqp,cq,cqr->cpr", self._spread, precision, self._spread))
 
     def local_step(self, gl: Array) -> Array:

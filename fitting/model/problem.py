@@ -51,7 +51,7 @@ class GivenUnknown(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One record in the fit's frame, its cycles (unflagged ones are fitted), its ripple, the users's values by law."""
+    """One record in the fit's frame, its cycles (unflagged ones are fitted), its ripple, the user's values by law."""
 
     motion: MeasuredMotion
     cut: CycleSegmentation

@@ -92,7 +92,7 @@ def _mark(files: Sequence[Path]) -> str:
 def write(runs: Sequence[ComparedRun], path: Path, alpha: float, summary: str, *, force: bool = False) -> None:
     """Write the comparison, in place of an older one of the same runs.
 
-    Raises InputError where ``path`` is another file, and RefusedError where the disk is full; an older page then
+    Raises InputError where ``path`` is another file, and RefusedError where it cannot be written; an older page then
     remains.
     """
     refuse_foreign_file(path, [run.file for run in runs], force=force)
