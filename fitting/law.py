@@ -1,4 +1,4 @@
-"""`Law`: a friction curve of one's own, or a published one by its name, to be fitted beside the six.
+"""`Law`: a custom friction curve, or a published one by its name, fitted together with the six.
 
 ``s`` is the slip speed, m/s; every other name of the formula is a parameter, per unit mass as Fs/m is.
 

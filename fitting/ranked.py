@@ -73,7 +73,7 @@ class Ranking(result.RankedLaws):
 
     @property
     def correlation(self) -> "pd.DataFrame":
-        """How the errors of the best law's parameters go together, -1 to 1, as a pandas table.
+        """Correlations of the errors of the best law's parameters, -1 to 1, as a pandas table.
 
         The parameters are those that are fitted and follow from no others, per unit mass; of several runs v_dr and x0
         are those of the first, ``v_dr (1)``.

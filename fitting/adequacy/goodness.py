@@ -1,6 +1,6 @@
-"""Goodness of fit in absolute terms: whether noise alone could have left the residuals of a law.
+"""Goodness of fit in absolute terms: whether noise alone could have produced the residuals of a law.
 
-Null distribution: the fitted motion is read again and again with the record's own noise (`fitting.adequacy.noise`), all
+Null distribution: the fitted motion is measured repeatedly with the record's noise (`fitting.adequacy.noise`), all
 unknowns are fitted again, linearly, and the statistics of the slips (`fitting.adequacy.statistics`) are taken of what
 is left.  The other two statistics are of whole cycles, sticks included: the largest mean square over the usual one, and
 the rms of all.  Rounding makes patterns that repeat from cycle to cycle; the repetitions have them too.  A statistic

@@ -51,10 +51,10 @@ class Form(NamedTuple):
     """A published form."""
 
     name: str
-    law: Law
+    law: Law  # a speed that it fixes is replaced by the largest slip speed
     source: str
-    bend: str | None = None
-    reach: tuple[float, float] = FALLS
+    bend: str | None = None  # the parameter that bends the curve, fitted by its logarithm, the only one with bounds
+    reach: tuple[float, float] = FALLS  # bounds of ``bend`` over its `natural_size`
 
     def on(self, friction: float, fastest: float) -> Law:
         fix = dict.fromkeys(self.law.fix or {}, fastest)

@@ -79,7 +79,7 @@ class FormulaFit(FittedLaw):
 
     @property
     def law_parameters(self) -> int:
-        """Without that constant of the formula that replaces the rest position."""
+        """Number of the law's own free unknowns, without a constant that replaces the rest position."""
         held = self.at.task.problem.held
         shared = sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.places)
         return shared + self.curve.size - self.level_held

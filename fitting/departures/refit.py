@@ -93,7 +93,7 @@ def _starts(task: Task, host: TaskFit, size: Array, law: int | None) -> list[tup
 
 
 def _judged(fit: TaskFit, host: TaskFit, law: int | None, noise: Array) -> Refit | None:
-    """Return a fit with the errors of its departure; None where the law adjusts all of it."""
+    """Return a fit with the errors of its departure; None where the law adjusts it, or a drag is negative."""
     (force,) = fit.task.forces
     linear, path = LinearisedFit.at(fit), fit.path
     if linear is None or path is None:

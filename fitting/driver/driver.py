@@ -312,7 +312,7 @@ def _contained(found: list[TaskFit], again: Callable[[TaskFit], TaskFit | None],
 def _opened(found: list[TaskFit], each: Map) -> list[TaskFit]:
     """Restart a jump with a larger error than the same curve with a closed ramp from there.
 
-    Otherwise only single cycles move: in harsh records one in twenty has a better minimum.
+    Otherwise only single cycles are restarted: in harsh records one in twenty has a better minimum.
     """
     closed = [(jump, ramp) for ramp, jump in _with_ramps(found) if _is_closed(ramp, jump)]
     errs = [jump.geometric_mean_rms > CONTAINED_ERROR * ramp.geometric_mean_rms for jump, ramp in closed]

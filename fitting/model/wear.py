@@ -1,8 +1,8 @@
-"""Wear: how fast the friction level falls from cycle to cycle, by a straight line through the cycles' own levels.
+"""Wear: the decrease of the friction level from cycle to cycle, by a straight line through the cycles' levels.
 
-A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  The change
-of a level within one cycle is a separate parameter of the fit (`fitting.model.parameters`, fade) and is not used for
-wear, since a contact may lose its strength only where it is formed anew.
+A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  The change of
+a level within one cycle is a separate parameter of the fit (`fitting.model.parameters`, fade) and is not used for wear,
+since a contact may lose its strength only where it is formed anew.
 """
 
 from dataclasses import dataclass

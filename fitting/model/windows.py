@@ -1,4 +1,4 @@
-"""The samples that a fit predicts: a stick window and a slip window of each cycle."""
+"""The samples of a fit: a stick window and a slip window of each cycle."""
 
 import math
 from collections.abc import Sequence

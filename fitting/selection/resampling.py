@@ -144,7 +144,7 @@ def _unknown(fit: Fit | FormulaFit, motion: MeasuredMotion, name: str) -> _Unkno
 
 
 def _newtons(motion: MeasuredMotion, name: str, power: int) -> float | None:
-    """Return the factor from the parameter per unit mass, None where the mass is fitted."""
+    """Return the factor from the parameter per unit mass; None where only the stiffness is known."""
     if power == 0 or name.endswith(PER_MASS) or motion.per_mass:
         return 1.0
     return None if motion.mass is None else motion.mass.value**power

@@ -1,4 +1,4 @@
-"""The columns of a fit's own unknowns: shared parameters, the cycles' own, and the coefficients of a spline."""
+"""The columns of a fit's unknowns: shared parameters, the cycles' own, and the coefficients of a spline."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""An eccentric encoder wheel: the reading errs by e sin(2 pi x/L + phase), once per revolution L of travel.
+"""An eccentric encoder wheel: the reading has an error e sin(2 pi x/L + phase), once per revolution L of travel.
 
 A camera or a laser has no wheel: there an error that repeats along the travel is its lens or its scale.
 

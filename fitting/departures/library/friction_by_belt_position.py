@@ -1,4 +1,4 @@
-"""Friction that depends on the place on the belt: F (1 + a sin(2 pi (b - x)/L + phase)), b the belt's own way.
+"""Friction that depends on the place on the belt: F (1 + a sin(2 pi (b - x)/L + phase)), b the belt's travel.
 
 a is relative, L the length of the belt, scanned: from a fraction of a slip to the way of the belt in the whole record.
 What changes from one slip to the next only is a scatter of the friction level; what changes within a slip is seen here.
