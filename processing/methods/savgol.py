@@ -37,7 +37,7 @@ def apply(series: Series, model: MethodModel) -> Motion:
     for piece in series.pieces:
         own = series.time[piece], series.position[piece]
         values[:, piece], norms[:, piece] = savgol.fit(*own, length, order)
-        probe[:, piece], probe_norms[:, piece] = savgol.fit(*own, savgol.half(length, order), order)
+        probe[:, piece], probe_norms[:, piece] = savgol.fit(*own, savgol.probe_window(length, order), order)
     errors = np.empty_like(values)
     floor = series.pitch / np.sqrt(12) if length > order + 3 else model.noise
     for piece in series.pieces:

@@ -18,7 +18,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from processing.kalman import white_jerk
 from processing.methods import registry
-from processing.polynomial.even_fit import coefficients, convolved
+from processing.polynomial.even_fit import coefficients, convolve
 from processing.polynomial.even_grid import even_grid
 from processing.record.series import Series
 from processing.record.setting import Setting, longest_piece
@@ -90,7 +90,7 @@ def _distance(grids: list[Array], goals: list[Array], window: int, order: int) -
     weights = coefficients(window, order)[:2]
     half = window // 2
     apart = [
-        convolved(grid, weights)[1] - goal[half : goal.size - half]
+        convolve(grid, weights)[1] - goal[half : goal.size - half]
         for grid, goal in zip(grids, goals, strict=True)
         if grid.size >= window
     ]
