@@ -186,7 +186,7 @@ def _scores_of_step(noise: white_jerk.Noise, interval: float) -> tuple[Array, Ar
 
 
 def _fading(noise: white_jerk.Noise, interval: float) -> int:
-    return white_jerk.reach(noise.rho(interval), FADED)
+    return white_jerk.samples_to_fade(noise.rho(interval), FADED)
 
 
 class _Search:
@@ -507,7 +507,7 @@ def learn(series: Series, segment: Segments, *, steps: bool) -> tuple[FaultModel
     step, noise = reading_step(series), position_noise(series)
     some = _spread(series)
     while True:
-        process = white_jerk.robust_fit(series, noise, WIDEST)
+        process = white_jerk.fit_robustly(series, noise, WIDEST)
         searches = _searches(series, FaultModel(step, noise, process, math.inf, steps), 0, some)
         kept, left_out = np.zeros(series.time.size, bool), False
         for piece, search in searches:

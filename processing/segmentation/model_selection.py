@@ -315,7 +315,7 @@ def _jerk_gains(series: Series, noise: white_jerk.Noise, workspace: Workspace, s
     for piece in series.pieces:
         if piece.stop - piece.start >= white_jerk.SHORT:
             stored = workspace.array(piece.stop - piece.start, white_jerk.STORED)
-            found = white_jerk.innovations(series.time[piece], series.position[piece], noise, stored)
+            found = white_jerk.filter_innovations(series.time[piece], series.position[piece], noise, stored)
             gain[piece] = _log_likelihood(found)
     return _summed(gain, spans)
 

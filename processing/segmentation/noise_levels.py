@@ -29,7 +29,7 @@ from processing.kalman.stick_slip import (
     STICK,
     STORED,
     NoiseLevels,
-    summed_by_jump,
+    sum_by_jump,
 )
 from processing.record.motion import Motion
 from processing.record.series import Series
@@ -137,7 +137,7 @@ def smooth_stretch(
     back, time = compiled(motion_kernel.backward, KERNELS), series.time[stretch.own]
     known = levels.process
     back(SNAP, time, label, at, kind, known, stored, wanted, motion, stretch.own.start, noise, steps, UNSCORED)
-    return label, noise, summed_by_jump(steps)
+    return label, noise, sum_by_jump(steps)
 
 
 def reestimate_noise(

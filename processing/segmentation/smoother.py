@@ -326,7 +326,7 @@ def _run(series: Series, workspace: Workspace, times: SwitchingTimes, levels: No
     motion, stick = np.zeros((6, series.time.size)), np.zeros(series.time.size, bool)
     for piece in series.pieces:
         if piece.stop - piece.start < white_jerk.SHORT:
-            motion[:, piece] = white_jerk.parabola(
+            motion[:, piece] = white_jerk.fit_parabola(
                 series.time[piece], series.position[piece], float(levels.reading_variance[SLIP])
             )
     for stretch in stretches(series, times):
