@@ -146,7 +146,7 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
     setting = replace(setting, belt_speed=speed_in(units, setting.belt_speed))
     sound = replace(checked.series, moving=_span(data.time, stretches.number, moving))
     checked = replace(checked, series=sound)
-    seen = sound.taken(checked.kept) if checked.faults else sound
+    seen = sound.select(checked.kept) if checked.faults else sound
     how = registry.learn(method, sound, setting, known.noise)
     belt = BeltRecord.of(recording, checked.kept, seen, units)
     noise = None if belt is None else learn_noise(belt)

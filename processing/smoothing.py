@@ -215,7 +215,7 @@ def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording,
     kept = np.zeros(data.time.size, bool)
     kept[own] = True
     # Of these samples, as a file that is read block by block gives it.
-    return part, replace(data.taken(kept), interval=float(np.median(np.diff(part.time))))
+    return part, replace(data.select(kept), interval=float(np.median(np.diff(part.time))))
 
 
 def _joined(parts: "list[tuple[Recording, Series]]", own: list[slice]) -> "tuple[Recording, Series, Integers]":

@@ -516,7 +516,7 @@ def learn(series: Series, segment: Segments, *, steps: bool) -> tuple[FaultModel
             kept[piece], left_out = ~gone, left_out or bool(gone.any())
         before = noise
         if left_out:
-            noise = position_noise(series.taken(kept))
+            noise = position_noise(series.select(kept))
         if not noise < LESS * before:  # else frequent spikes hid others
             break
     accelerations = [search.acceleration() for _, search in searches]

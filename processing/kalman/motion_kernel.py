@@ -207,7 +207,7 @@ def forward(
 def add_reading(
     order: Order, part: Order, w: Array, adjoint: Any, information: Any, gain: Any, v: Any
 ) -> tuple[float, float]:
-    """Add the reading of a sample to the adjoint state and its information; return its score and that one's variance."""
+    """Add the reading of a sample to the adjoint state and its information; return its score and its variance."""
     n, alive = len(order), len(part)
     end = n + n * (n + 1) // 2
     s = w[end]

@@ -72,7 +72,7 @@ def fit(series: Series) -> Noise:
 
     A record at rest has no jerk and the reading error of one count.
     """
-    series = series.readings()
+    series = series.drop_missing()
     floor = least_variance(series)
     length = STRETCH
     while True:

@@ -10,7 +10,7 @@ from processing.kalman import white_jerk
 from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
 from processing.record.series import Series
-from processing.record.setting import Setting, refuse_window
+from processing.record.setting import Setting, reject_window
 
 WINDOW = 2  # samples
 
@@ -20,7 +20,7 @@ def learn(method: str, series: Series, setting: Setting, noise: float) -> Method
 
     Raises InputError: when a window or an order was asked for: two points and a straight line are the method.
     """
-    refuse_window(setting, method, "finite differences have no window")
+    reject_window(setting, method, "finite differences have no window")
     jerk = white_jerk.fit(series)
     return MethodModel(method=method, noise=noise, jerk=jerk, window=WINDOW, order=1, stated=setting.belt_speed)
 

@@ -64,7 +64,7 @@ def learn(name: str, series: Series, setting: Setting, noise: float | None = Non
     check(name)
     method = resolve(name, setting)
     if method not in ("auto", *SMOOTHERS):
-        series = series.readings()
+        series = series.drop_missing()
     return _module(method).learn(method, series, setting, position_noise(series) if noise is None else noise)
 
 
@@ -77,9 +77,9 @@ def apply(series: Series, model: MethodModel) -> Motion:
     method, known = _module(model.method), ~np.isnan(series.position)
     if model.method in SMOOTHERS or known.all():
         return method.apply(series, model)
-    found = method.apply(series.taken(known), model)
-    rows = white_jerk.smooth(series, model.jerk).rows()
-    rows[:, known] = found.rows()
+    found = method.apply(series.select(known), model)
+    rows = white_jerk.smooth(series, model.jerk).as_rows()
+    rows[:, known] = found.as_rows()
     return found.with_rows(rows)
 
 
@@ -90,7 +90,7 @@ def estimate(name: str, series: Series, setting: Setting) -> Motion:
         kept = np.zeros(series.time.size, bool)
         for own in seen.stretches(least):
             kept[own] = True
-        model = learn(name, series if kept.all() else series.taken(kept), setting)
+        model = learn(name, series if kept.all() else series.select(kept), setting)
         if model.sticks is not None or kept.all():
             break
     return apply(series, model)

@@ -10,7 +10,7 @@ from processing.kalman import white_jerk
 from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
 from processing.record.series import Series
-from processing.record.setting import Setting, refuse_window
+from processing.record.setting import Setting, reject_window
 from processing.segmentation import smoother
 
 
@@ -22,7 +22,7 @@ def learn(method: str, series: Series, setting: Setting, noise: float) -> Method
     noise: Standard deviation of a position, m.
     Raises InputError: when a window or an order was asked for.
     """
-    refuse_window(setting, method, f"{method} has no window: the record decides how much is smoothed")
+    reject_window(setting, method, f"{method} has no window: the record decides how much is smoothed")
     jerk, stated = white_jerk.fit(series), setting.belt_speed
     if method == "rts":
         return MethodModel(method="rts", noise=noise, jerk=jerk, stated=stated)

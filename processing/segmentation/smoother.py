@@ -148,7 +148,7 @@ def learn(
             others = _outside(series, odd)
             if not odd or not others.any():
                 return rule, None, plain
-            return learn(series.taken(others), noise, pilot.taken(others), stated, gated=True)
+            return learn(series.select(others), noise, pilot.select(others), stated, gated=True)
         times, levels, gate, judged = kept
     run = _run(series, workspace, _shifted(series, times, -1.0), levels)
     motion, stick = run[0].copy(), run[1]
@@ -161,7 +161,7 @@ def learn(
 
 def _parted(series: Series, rule: plateaus.PlateauRule) -> Series:
     """Return the record without holes longer than the shortest stick."""
-    return series.parted(max(HOLE * series.interval, rule.shortest))
+    return series.cut_at_holes(max(HOLE * series.interval, rule.shortest))
 
 
 def _aim(rule: plateaus.PlateauRule, stated: float | None) -> float:
@@ -194,9 +194,9 @@ def apply(
         kept = accept_sticks(series, workspace, corners, *levels, model.gate, model.corner, known.judged)
         if isinstance(kept, list):
             others = _outside(series, kept)
-            found = apply(series.taken(others), pilot.taken(others), stated, rule, model)
-            rows = pilot.rows()
-            rows[:, others] = found.rows()
+            found = apply(series.select(others), pilot.select(others), stated, rule, model)
+            rows = pilot.as_rows()
+            rows[:, others] = found.as_rows()
             odd = [own for own in _corners(series, times) if any(low < own.time < high for low, high in kept)]
             both = tuple(sorted((*found.corners, *odd), key=lambda corner: corner.time))
             return replace(found.with_rows(rows), corners=both, method="segment", order=ORDER)
@@ -296,7 +296,7 @@ def _averaged(known: FirstPass, workspace: Workspace, times: SwitchingTimes, mod
     outside = np.ones(series.time.size, bool)
     for piece in series.pieces:
         outside[piece] = False
-    return found.with_rows(np.where(outside, pilot.rows(), found.rows())) if outside.any() else found
+    return found.with_rows(np.where(outside, pilot.as_rows(), found.as_rows())) if outside.any() else found
 
 
 def _corners(series: Series, times: SwitchingTimes) -> list[Corner]:
