@@ -14,7 +14,7 @@ _HOME = {"Kinematics": "processing.record.kinematics", "smooth": "processing.ent
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is first asked for: ``import processing`` alone loads nothing."""
+    """Import a public name when it is first used, so that ``import processing`` alone loads nothing."""
     if name == "__version__":
         from daq.base.version import VERSION
 
