@@ -7,9 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.output import atomic, suffix
 from daq.runfile import joint
 from fitting import rig_scene
 from fitting.competitors import Competitors, numbers
@@ -17,37 +14,24 @@ from fitting.flags import CalibrationFlags, LawFlags, OutputFlags, PartFlags, Wo
 from fitting.job import FitOptions
 from fitting.report import comparison, table
 from fitting.report import page as pages
+from fitting.selection.asked import check_numbers
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.output import atomic, suffix
 
 
 @dataclass(frozen=True)
 class FitRequest:
-    """What was asked of `fit-friction`.
+    """What was asked of `fit-friction`."""
 
-    Attributes
-    ----------
-    files : tuple of Path
-        The runs.
-    options : FitOptions
-        How each is fitted.
-    outputs : OutputFlags
-        Names that were given.
-    work : WorkFlags
-        With ``each`` every run is fitted by itself, else all of them together.
-    places : tuple of Path
-        Where reports go: of a joint fit one, with ``each`` one a run; none where no report is wanted.
-    joint_file : Path or None
-        Where a joint fit is stored.
-    comparison : Path or None
-        Where the page goes that compares runs fitted one by one.
-    """
-
-    files: tuple[Path, ...]
-    options: FitOptions
-    outputs: OutputFlags
-    work: WorkFlags
+    files: tuple[Path, ...]  # the runs
+    options: FitOptions  # how each is fitted
+    outputs: OutputFlags  # names that were given
+    work: WorkFlags  # with ``each`` every run is fitted by itself, else all of them together
+    # where reports go: of a joint fit one, with ``each`` one a run; none where no report is wanted
     places: tuple[Path, ...]
-    joint_file: Path | None
-    comparison: Path | None
+    joint_file: Path | None  # where a joint fit is stored
+    comparison: Path | None  # where the page goes that compares runs fitted one by one
 
     @classmethod
     def of(
@@ -61,11 +45,9 @@ class FitRequest:
     ) -> "FitRequest":
         """Return the request that a command line makes.
 
-        Raises
-        ------
-        InputError
-            For flags that contradict each other, and for outputs that cannot be written.
+        Raises InputError: for flags that contradict each other, and for outputs that cannot be written.
         """
+        check_numbers(part.alpha, work.jobs)
         runs = tuple(_without_fits(files) if work.each else files)
         _refuse_together(runs, rig, outputs, work)
         options = FitOptions(

@@ -1,7 +1,7 @@
 """Statistics of stick-slip without a friction law: durations, drops, and break-away levels.
 
-A stick has a duration between two slips, a slip between two sticks, unless an end of the record or a gap cuts it off; a
-stick that ends in a slip has a break-away in any case.
+A stick has a duration between two slips, a slip between two sticks, unless an end of the record or a gap cuts it off,
+or the belt rests during it; a stick that ends in a slip has a break-away in any case.
 """
 
 import math
@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.output.lengths import shown_length
 from processing.record.kinematics import Kinematics, SmoothingHeader
+from stickslip.compute.arrays import Array
+from stickslip.output.lengths import shown_length
 
 FEWEST_SLIPS = 3  # with fewer the scatter is not meaningful
+BELT_RUNS = 0.5  # travel of a stick relative to that of the belt; with less the belt rested: the stick has no duration
 QUANTITIES = {"stick_s": "s", "slip_s": "s", "drop_m": "m", "break_away_m": "m"}
 TITLES = {"stick_s": "stick", "slip_s": "slip", "drop_m": "drop", "break_away_m": "break-away"}
 
@@ -125,6 +126,9 @@ def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSl
         stretch = float(np.interp(slip.start, time, position))
         last = phases[index - 2] if index > 1 else None
         complete = last is not None and last.kind == "slip" and before.start - last.end <= 2 * interval
+        advance = float(np.ptp(position[before.first : before.last + 1]))
+        if advance < BELT_RUNS * abs(motion.belt_speed) * before.duration:  # False where the speed is unknown
+            complete = False
         landed = after is not None and after.kind == "stick" and after.start - slip.end <= 2 * interval
         drop = math.nan
         if landed and after is not None:

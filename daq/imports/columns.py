@@ -3,11 +3,11 @@
 import re
 from dataclasses import replace
 
-from daq.base import units
-from daq.base.errors import InputError, in_python, nearest
 from daq.imports import layout, source
 from daq.imports.layout import POSITION_NAMES, TIME_NAMES
 from daq.imports.table import Table, short
+from stickslip import units
+from stickslip.errors import InputError, in_python, nearest
 
 FRAME_NAMES = ("frame", "frames", "frame number", "frame no", "frameno", "image", "slice", "bild")
 FORCE_NAMES = (
@@ -51,28 +51,13 @@ def find(
 ) -> tuple[int | None, int, bool]:
     """Find the columns of times and positions: as they are called, by name, by unit, by elimination.
 
-    Parameters
-    ----------
-    cells : Table
-        The table.
-    time, position : str or None
-        What the user called them: a name, or a number from 1.
-    rate_known : bool
-        Whether times can be made from a frame rate.
-    flag : str
-        The flag that ``position`` came from.
-    belt : int or None
-        The column of the belt, which is neither.
-
-    Returns
-    -------
-    tuple
-        Column of times or None, column of positions, and whether the times are frame numbers.
-
-    Raises
-    ------
-    InputError
-        When a column is missing or there is more than one choice, listing the columns.
+    cells: The table.
+    time, position: What the user called them: a name, or a number from 1.
+    rate_known: Whether times can be made from a frame rate.
+    flag: The flag that ``position`` came from.
+    belt: The column of the belt, which is neither.
+    Returns: Column of times or None, column of positions, and whether the times are frame numbers.
+    Raises InputError: when a column is missing or there is more than one choice, listing the columns.
     """
     t_column = None if time is None else called(cells, time, "--time")
     x_column = None if position is None else called(cells, position, flag)
@@ -275,10 +260,7 @@ def check_length(cells: Table, column: int) -> None:
 def belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[str, float, str]:
     """Return what a column of the belt holds, "length" or "speed", the size of its unit in SI, and its name.
 
-    Raises
-    ------
-    InputError
-        Its unit is neither stated nor given, or is one of neither dimension.
+    Raises InputError: its unit is neither stated nor given, or is one of neither dimension.
     """
     stated = flag_value or (_stated_unit(cells.names[column]) if cells.names else None)
     for dimension in ("length", "speed"):
@@ -299,10 +281,7 @@ def unit(
 ) -> tuple[float, str]:
     """Return the size of a column's unit in SI and its name: the flag's, else the header's, else SI.
 
-    Raises
-    ------
-    InputError
-        When the header's unit is unknown and the flag was not given.
+    Raises InputError: when the header's unit is unknown and the flag was not given.
     """
     stated = _stated_unit(cells.names[column]) if cells.names else None
     if dimension == "length" and flag_value is None:

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from daq.base.errors import InputError
 from daq.imports import layout, source
 from daq.imports.table import Table
+from stickslip.errors import InputError
 
 BEGINS = "LabVIEW Measurement"
 _END, _SPECIAL, _SPECIAL_END = "***End_of_Header***", "***Start_Special***", "***End_Special***"
@@ -141,7 +141,6 @@ def _tags(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
 
 
 def _segments(lines: Sequence[str], at: int, separator: str, where: str) -> list[_Segment]:
-    """Return the segments in the lines from one on."""
     cells_kept = 0
     segments: list[_Segment] = []
     header: list[str] = []
@@ -160,6 +159,7 @@ def _segments(lines: Sequence[str], at: int, separator: str, where: str) -> list
         elif _is(line, _COLUMNS, separator) and not named:
             names = [name.strip() for name in line.rstrip(separator).split(separator)]
             names = names[:-1] if names[-1] == "Comment" else names
+            source.check_size(1, len(names), where)
             segments.append(_Segment(_tags(header, separator), names, [], []))
             named = True
         elif named:

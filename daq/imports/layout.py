@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 
-from daq.base import units
+from stickslip import units
 
 TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")
 POSITION_NAMES = ("x", "position", "pos", "displacement", "distance", "weg", "ort", "auslenkung")
@@ -201,10 +201,7 @@ def find_start(texts: Sequence[str], delimiter: str, decimal: str, width: int) -
 def name_columns(head: Sequence[str], delimiter: str, width: int) -> tuple[str, ...] | None:
     """Return the names in the lines above the data; a line of units below them is added to them.
 
-    Returns
-    -------
-    tuple of str or None
-        Empty where the last line is free text; None where it names another number of columns.
+    Returns: Empty where the last line is free text; None where it names another number of columns.
     """
     if not head:
         return ()

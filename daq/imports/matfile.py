@@ -14,12 +14,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.imports import source
 from daq.imports.source import Column, Source
 from daq.imports.table import HDF5, Table
 from daq.runfile.trust import refuse_external_link, refuse_stored_elsewhere
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 SAVE = "save it again in MATLAB: save('FILE.mat', '-v7')"
 # CPU time of the child and, beyond that of Python itself, its memory: 4 million numbers take 0.2 s and 70 MB.

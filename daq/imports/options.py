@@ -5,9 +5,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from daq.base.console import flags
-from daq.base.console.rig_flags import RigFlags
-from daq.base.measured import Measured
+from stickslip.console import flags
+from stickslip.console.rig_flags import RigFlags
+from stickslip.units import Measured
 
 
 @Parameter(name="*")

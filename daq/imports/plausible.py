@@ -5,23 +5,18 @@ Asked only of columns whose unit nobody stated, and only of tables long enough t
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.imports.table import Table
+from daq.runfile.run_data import FEWEST_ROWS, implausible_motion
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
-# No mass on a spring in a laboratory is as fast, or moves as far.  The thesis's rig reaches 0.6 m/s and 0.3 m, so that
-# its track in cm (60 m/s, 30 m) and in mm is asked about.  Halved, a fast rig of 5 m/s would be asked; doubled, a slow
-# one in cm (0.15 m/s, 0.2 m) is not.
-FASTEST_M_PER_S, LONGEST_M = 10.0, 10.0
 SLOWEST_S = (
     0.5  # between samples: 400 frames/s in ms are 2.5, 1 kHz in ms is 1; a record with fewer than 2 samples/s is rare
 )
-FEWEST_ROWS = 100  # samples; nothing is asked of a shorter table, which is too short to be fitted
 FARTHEST_M = 1e6  # a larger position is a typing error or a wrong unit
 GAP = 100.0  # steps: a longer one is reported as a gap
 HOUR_S = 3600.0
 MOST_ROUNDINGS = 3.0  # longest steps of rounded times by which they may differ from even ones
-SPANS = 200  # pieces that the record is cut into to measure its speed: noise between neighbours is none
 
 
 def check_range(values: Array, most: float, cells: Table, column: int, unit: str, flag: str) -> None:
@@ -97,24 +92,13 @@ def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
 def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int, force: bool) -> None:
     """Raise InputError when positions that were taken for metres, or forces for newtons, can hardly be.
 
-    Parameters
-    ----------
-    time, position : array of shape (n,)
-        s, m.
-    cells, column : Table, int
-        Where the positions come from, for the message.
-    force : bool
-        Whether they were made of forces.
+    time, position: s, m.
+    cells, column: Where the positions come from, for the message.
+    force: Whether they were made of forces.
     """
-    if time.size < FEWEST_ROWS:
+    moved = implausible_motion(time, position)
+    if moved is None:
         return
-    low, high = np.percentile(position, [1, 99])  # a single wild sample is a fault, not a unit
-    lag = max(1, time.size // SPANS)
-    speed = float(np.percentile(np.abs(position[lag:] - position[:-lag]) / (time[lag:] - time[:-lag]), 90))
-    travel = float(high - low)
-    if speed <= FASTEST_M_PER_S and travel <= LONGEST_M:
-        return
-    moved = f"the mass would move {travel:.3g} m, at {speed:.3g} m/s"
     if force:
         what = f"the unit of the forces is not known: none is stated, and in N {moved}"
         do = "give it: --force-unit mN? --force-unit kgf? (--force-unit N if they are newtons)"

@@ -15,13 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.isolation import BrokenOffError, Work, isolated
-from daq.base.errors import InputError
+from daq.runfile.isolation import BrokenOffError, Work, isolated
 from daq.runfile.regular import regular_file
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 MOST_BYTES = 1 << 28  # of a table; an hour at 1 kHz as text has 80 MB, and takes ten times as much memory
 MOST_COLUMNS = 4096
+MOST_LINES = 1 << 23  # 2.3 h at 1 kHz
 MOST_CELLS = 1 << 24  # each takes 60 to 90 bytes
 PARTS = "save the times and positions alone, or a part of them"
 LISTED = 12  # names in a message; of the others only the number

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError, in_python
 from daq.imports import layout, source
 from daq.imports.source import Parsed, Source
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError, in_python
 
 DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar"}
 COMMENTS = ("#", "%", "//", "=~=~")  # the last begins the log of a terminal program
@@ -144,23 +144,11 @@ class Table:
     ) -> "tuple[Array, Table, tuple[Skipped, ...]]":
         """Return columns as numbers.
 
-        Parameters
-        ----------
-        readers : sequence of ColumnReader
-        skip : bool
-            Leave out the lines that cannot be read, instead of refusing them.
-        progress : callable
-            Called with the stage, the lines done, and all lines.
-
-        Returns
-        -------
-        array of shape (columns, n), Table, tuple of Skipped
-            The numbers; the table of the lines that they were read from; the lines left out.
-
-        Raises
-        ------
-        InputError
-            For a line of another length or a cell that cannot be read, naming line and column, and how many there are.
+        skip: Leave out the lines that cannot be read, instead of refusing them.
+        progress: Called with the stage, the lines done, and all lines.
+        Returns: The numbers; the table of the lines that they were read from; the lines left out.
+        Raises InputError: for a line of another length or a cell that cannot be read, naming line and column, and how
+            many there are.
         """
         values: list[Array] = []
         kept: list[int] = []
@@ -361,7 +349,11 @@ def text_of(file: Source) -> str:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("cp1252", "replace")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if (count := text.count("\n")) > source.MOST_LINES:
+        what = f"has {count:,} lines; a table has at most {source.MOST_LINES:,}"
+        raise InputError(what, where, source.PARTS)
+    return text
 
 
 def _kept(

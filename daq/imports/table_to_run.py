@@ -15,21 +15,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
-from daq.base.measured import Measured
-from daq.base.output import provenance
-from daq.base.toml import quoted
 from daq.imports import labview, layout, plausible, source, table
 from daq.imports.columns import belt_unit, called, check_clock, find, is_length, is_stated, named, unit
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
+from daq.runfile import provenance
 from daq.runfile.in_memory import counts, sample_rate, with_belt
 from daq.runfile.recording import FASTEST_HZ, LONGEST_S, OF_FILE, Recording, impossible_motion, positions
 from daq.runfile.rest_position import question
 from daq.runfile.rig import Rig
 from daq.wire.roll_over import find_roll_over, unroll
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError
+from stickslip.toml import quoted
+from stickslip.units import Measured
 
 # Ratio of the times' rate to --frame-rate beyond which the times are corrected.  An error of 1 % in time
 # is 1 % in velocity: double leaves 2 % uncorrected, half corrects what rounded times cause.  Not swept.
@@ -430,8 +430,9 @@ def _run(
         lines.append(f"skipped_lines = {[one.line for one in skipped]}")
     try:
         end = start + timedelta(seconds=float(run.time[-1]))
-    except OverflowError:
-        raise InputError(f"{options.started!r} is too late: the record ends after the year 9999", "--start") from None
+        end.timestamp()
+    except (OverflowError, ValueError) as error:  # beyond the years that a calendar has
+        raise InputError(f"a run of {run.time[-1]:g} s cannot start at {start}", "--start", "correct it") from error
     origin = OF_FILE if options.started is None else "--start"
     return replace(
         run,

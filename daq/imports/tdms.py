@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.errors import InputError
 from daq.imports import source
 from daq.imports.matfile import MEMORY, SECONDS
 from daq.imports.source import Column, Source
 from daq.imports.table import Table
+from stickslip.errors import InputError
 
 SAVE = "export it as CSV"
 

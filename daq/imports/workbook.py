@@ -13,10 +13,10 @@ from datetime import datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
 from daq.imports import layout, source, table
 from daq.imports.table import Table
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError
 
 SAVE = "save it again as .xlsx, or export the sheet as CSV"
 # CPU time of the child and its memory beyond that of Python: 100,000 rows of four columns take 5 s and 150 MB.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daq.base.measured import Measured
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
-from daq.base.errors import InputError
+from stickslip.errors import InputError
 
 
 def regular_file(path: Path, do: str) -> BinaryIO:

@@ -16,8 +16,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.base.compute.isolation import BrokenOffError, isolated
-from daq.base.errors import InputError
+from daq.runfile.isolation import BrokenOffError, isolated
+from stickslip.errors import InputError
 
 DO = "do not trust this file; ask who made it"
 AGAIN = "copy it again from its source, or daq recover its journal"
@@ -40,13 +40,10 @@ _done: set[tuple[object, ...]] = set()  # what children of this process have don
 def opened(path: Path) -> h5py.File:
     """Open a file for reading, which a child process could read.
 
-    Raises
-    ------
-    InputError
-        An external link, external storage, a virtual dataset, a dataset larger than the file can hold, a chunk that is
-        not what it should be, more objects than any run has; or the child crashed, or took too much time or memory.
-    OSError
-        As h5py, for what is no HDF5 file.
+    Raises InputError: an external link, external storage, a virtual dataset, a dataset larger than the file can hold, a
+        chunk that is not what it should be, more objects than any run has; or the child crashed, or took too much time
+        or memory.
+    Raises OSError: as h5py, for what is no HDF5 file.
     """
     check(path, _visit)
     return _read_only(path)
@@ -70,10 +67,7 @@ def damage(path: Path) -> Iterator[None]:
 def check(path: Path, work: Callable[[Path], bytes]) -> None:
     """Let a child process do to a file, or to a copy of it, what this process will do; once for each file.
 
-    Raises
-    ------
-    InputError
-        As `opened`, and what ``work`` raises.
+    Raises InputError: as `opened`, and what ``work`` raises.
     """
     key = _key(path, work)
     if key in _done:

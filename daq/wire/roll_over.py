@@ -75,12 +75,15 @@ def unroll(count: NDArray[np.int64], roll_over: RollOver) -> NDArray[np.int64]:
     return np.asarray(count - jumps, np.int64)
 
 
-def survey_roll_over(count: NDArray[np.int64]) -> RollOver | None:
-    """Return how the readings of a long run roll over, looked at piece by piece: the most frequent jump."""
+def survey_roll_over(count: NDArray[np.int64], segment: NDArray[np.unsignedinteger]) -> RollOver | None:
+    """Return how the readings of a long run roll over within its segments: the most frequent jump."""
     seen: dict[int, int] = {}
     for begin in range(0, count.size, PIECE):
-        roll_over = find_roll_over(np.asarray(count[begin : begin + PIECE + 1]))
-        if roll_over is not None:
-            seen[roll_over.counts] = seen.get(roll_over.counts, 0) + roll_over.times
+        here = slice(begin, begin + PIECE + 1)
+        ends = np.flatnonzero(np.diff(np.asarray(segment[here]).astype(np.int64))) + 1
+        for part in np.split(np.asarray(count[here]), ends):
+            roll_over = find_roll_over(part)
+            if roll_over is not None:
+                seen[roll_over.counts] = seen.get(roll_over.counts, 0) + roll_over.times
     usual = max(seen, key=seen.__getitem__, default=None)
     return None if usual is None else RollOver(usual, seen[usual])

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting import noise_levels
 from fitting.adequacy.goodness import GoodnessOfFit, RunSlips, goodness_of_fit, judge
 from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_SPEED, Adequacy
@@ -26,6 +25,7 @@ from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
+from stickslip.compute.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,27 +64,13 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What the six say of the runs, and the friction curve without a law.
+    """What the six say of the runs, and the friction curve without a law."""
 
-    Attributes
-    ----------
-    fits : sequence of Fit
-        Of the six, best first.
-    members : sequence of int
-        Their set.
-    judged : Judged
-        The first of it that describes the runs, else the best.
-    curve : MeasuredCurve or None
-        Per unit mass.
-    noise : (runs,) f8
-        Standard deviation of one position of each run, m.
-    """
-
-    fits: Sequence[Fit]
-    members: Sequence[int]
-    judged: Judged
-    curve: MeasuredCurve | None
-    noise: Array
+    fits: Sequence[Fit]  # of the six, best first
+    members: Sequence[int]  # their set
+    judged: Judged  # the first of it that describes the runs, else the best
+    curve: MeasuredCurve | None  # per unit mass
+    noise: Array  # (runs,) standard deviation of one position of each run, m
 
 
 def measure(
@@ -92,16 +78,10 @@ def measure(
 ) -> Measurement:
     """Judge the laws of a set until one describes the runs, and measure the friction curve without a law.
 
-    Parameters
-    ----------
-    fits : sequence of Fit
-        Every law of the six that was fitted, best first.
-    members : sequence of int
-        Those that the record cannot distinguish from the best.
-    motions : sequence of MeasuredMotion
-        Of each run.
-    alpha : float
-        1 - confidence of the curve's band.
+    fits: Every law of the six that was fitted, best first.
+    members: Those that the record cannot distinguish from the best.
+    motions: Of each run.
+    alpha: 1 - confidence of the curve's band.
     """
     judged = _first_not_rejected([fit for fit in fits if fit.law in members], motions)
     noise = np.array([own.noise_m for own in judged.slips])
@@ -118,22 +98,11 @@ def assess(
 ) -> Assessment:
     """Assess the laws of the set until one is not rejected, and say what else acts where all are.
 
-    Parameters
-    ----------
-    measured : Measurement
-    members : sequence of FittedLaw
-        The laws of the set, best first, formulas among them.
-    motions : sequence of MeasuredMotion
-        Of each run.
-    laws : int
-        How many of the six were asked for.
-    revolution : float, optional
-        Travel per revolution of the encoder, m; scanned where it is not known.
-
-    Returns
-    -------
-    Assessment
-        By the first law that describes the record, or by the best where none does.  Of a single run of several,
+    members: The laws of the set, best first, formulas among them.
+    motions: Of each run.
+    laws: How many of the six were asked for.
+    revolution: Travel per revolution of the encoder, m; scanned where it is not known.
+    Returns: By the first law that describes the record, or by the best where none does. Of a single run of several,
         goodness of fit and the smallest visible departure alone: curve and departures are those of all together.
     """
     of_six, curve, noise, fits = measured.judged, measured.curve, measured.noise, measured.fits

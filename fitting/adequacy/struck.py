@@ -7,12 +7,12 @@ the mass again within milliseconds, and a step of the position is left.
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.windows import SPOILT
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
+from stickslip.compute.arrays import Array, Integers, Mask
 
 TIMES_TRIED = 40  # steps tried, one a time, in a slip and in a stick; at 20 the best explains 0.8 of some steps
 # Share of a cycle's mean square beyond the usual one that a step explains.  Steps of 5 to 20 mm/s explain 0.97 to 1.0
@@ -25,22 +25,12 @@ MOST_ODD, MOST_ODD_SHARE = 1, 0.1
 def left_out(path: Path | None, linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers) -> Mask:
     """Return which of the spoilt cycles say nothing of the law: those struck, and others where they are few.
 
-    Parameters
-    ----------
-    path : Path or None
-        Along the windows of the fit; without it no velocity step is looked for.
-    linear : LinearisedFit
-        Of the same fit.
-    landings : (cycles,) f8
-        s.
-    spoilt : (cycles,) bool
-        `ShootingWindows.spoilt` of its residuals.
-    run : (cycles,) i8
-        Which run each cycle is of.
-
-    Returns
-    -------
-    (cycles,) bool
+    path: Along the windows of the fit; without it no velocity step is looked for.
+    linear: Of the same fit.
+    landings: (cycles,) s.
+    spoilt: (cycles,) `ShootingWindows.spoilt` of its residuals.
+    run: (cycles,) Which run each cycle is of.
+    Returns: (cycles,)
     """
     if not spoilt.any():
         return spoilt

@@ -14,13 +14,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.adequacy.goodness import REJECTED, RunSlips, least
 from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.tangents import tangents
+from stickslip.compute.arrays import Array
 
 PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameters make up for nearly all
 PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spring makes up for most
@@ -33,19 +33,10 @@ BISECTIONS = 12  # bisections: to 0.4 %
 def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
     """Return for each run the amplitude that half of its repetitions show, % of Fs; median over the waves.
 
-    Parameters
-    ----------
-    fit : FittedLaw
-    linearised : LinearisedFit
-        Of the same fit.
-    slips : sequence of RunSlips
-        Of the same fit, with the null distribution.
-
-    Returns
-    -------
-    tuple of float or None
-        None where no slip can be judged, where the motion cannot be followed, or where even a departure as large as Fs
-        would not show.
+    linearised: Of the same fit.
+    slips: Of the same fit, with the null distribution.
+    Returns: None where no slip can be judged, where the motion cannot be followed, or where even a departure as large
+        as Fs would not show.
     """
     waves = departure_waves(fit)
     if waves is None:

@@ -8,11 +8,11 @@ each speed: with few cycles the sandwich comes out too small, with residuals tha
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
+from stickslip.compute.arrays import Array
 
 SPEEDS = 200  # speeds of the curve: the band is smooth between them
 SEEN_FROM, SEEN_TO = 0.03, 0.985  # of the fastest slip: below, few samples; beyond, few cycles
@@ -47,16 +47,10 @@ def curve_columns(fit: SplineFit, s: Array) -> Array:
 def half_widths(columns: Array, both: tuple[Array, Array], confidence: float, widening: float) -> Array:
     """Return half the width of the band (k,), m/s^2.
 
-    Parameters
-    ----------
-    columns : (k, p) f8
-        Derivatives of the curve at each speed by the unknowns.
-    both : pair of (p, p) f8
-        Covariances.
-    confidence : float
-        That the whole curve is inside.
-    widening : float
-        Factor for few cycles.
+    columns: (k, p) Derivatives of the curve at each speed by the unknowns.
+    both: Covariances.
+    confidence: That the whole curve is inside.
+    widening: Factor for few cycles.
     """
     rng = np.random.default_rng(SEED)
     deviation, quantile = np.zeros(columns.shape[0]), 0.0

@@ -24,16 +24,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.distributions import chi_square_quantile, normal_quantile
 from fitting.curve.metric import measured_target
 from fitting.curve.result import FormFit
 from fitting.curve.spline_fit import SplineFit
+from fitting.distributions import chi_square_quantile, normal_quantile
 from fitting.driver.start_search import StartSearch
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import Parameter
 from fitting.law import PUBLISHED, Law
 from fitting.undetermined import natural_size
+from stickslip.compute.arrays import Array
 
 CONFIDENCE = 0.95  # confidence of the intervals, and of a form inside the band
 LEAST_SEEN = 1e-10  # singular value over that of the best known combination of a form's parameters: less is rounding
@@ -89,13 +89,8 @@ FORM_OF_LAW = {form.law.name: form.name for form in FORMS if form.law.name in PU
 def fit_forms(fit: SplineFit, linear: LinearisedFit, speeds: Array) -> tuple[FormFit, ...]:
     """Compare all forms with a curve, best first.
 
-    Parameters
-    ----------
-    fit : SplineFit
-    linear : LinearisedFit
-        About its solution.
-    speeds : (k,) f8
-        Slip speeds beyond the ramp, m/s, at which the forms' values are wanted.
+    linear: About its solution.
+    speeds: (k,) Slip speeds beyond the ramp, m/s, at which the forms' values are wanted.
     """
     target, samples = measured_target(fit, linear), fit.solution.residual.size
     near, shown = target.near, target.alone.aim.size

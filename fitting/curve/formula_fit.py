@@ -15,9 +15,6 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from fitting.curve.level import rest_prior
 from fitting.curve.metric import MeasuredTarget, friction_target, measured_target
 from fitting.curve.spline_fit import SplineFit
@@ -32,6 +29,9 @@ from fitting.law import Law
 from fitting.model.parameters import NUISANCE, PER_RUN, Global
 from fitting.model.problem import EstimationProblem
 from fitting.undetermined import Undetermined
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 LEAST_SHOWN = 1e-6  # precision over a prior's: a record that adds less shows nothing of the unknown
 CONSTANT_LEFT = 1e-6  # share of a constant: what is left of it beside the derivatives of a formula that has one
@@ -44,24 +44,13 @@ START_MISFIT = 4.0
 
 @dataclass(frozen=True, eq=False)
 class FormulaFit(FittedLaw):
-    """A formula fitted to the runs; attributes as of `FittedLaw`, and these.
+    """A formula fitted to the runs; attributes as of `FittedLaw`, and these."""
 
-    Attributes
-    ----------
-    asked_for : Law
-        The law as it was asked for; of parameters that no record can determine apart some are held in the fit.
-    number : int or None
-        That of one of the six, which was fitted as its formula.
-    together : tuple of Undetermined
-        Parameters that the formula has only together.
-    level_held : bool
-        Whether the rest position is assumed, since a constant of the formula stands for it.
-    """
-
+    # the law as it was asked for; of parameters that no record can determine apart some are held in the fit
     asked_for: Law
-    number: int | None
-    together: tuple[Undetermined, ...]
-    level_held: bool
+    number: int | None  # that of one of the six, which was fitted as its formula
+    together: tuple[Undetermined, ...]  # parameters that the formula has only together
+    level_held: bool  # whether the rest position is assumed, since a constant of the formula stands for it
 
     @property
     def law(self) -> int | str:
@@ -129,19 +118,10 @@ def fit_formula(
 ) -> FormulaFit | None:
     """Fit a law to the runs of the measured curve; None where its motion cannot be followed.
 
-    Parameters
-    ----------
-    law : Law
-        With a jump or a ramp of its own.
-    host : SplineFit
-        The measured curve.
-    asked_for, number, together
-        See `FormulaFit`.
-
-    Raises
-    ------
-    InputError
-        With none of the values tried is the formula a friction curve.
+    law: With a jump or a ramp of its own.
+    host: The measured curve.
+    asked_for, number, together: See `FormulaFit`.
+    Raises InputError: with none of the values tried is the formula a friction curve.
     """
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
     curve, measured, within_errors = _started(law, host, fastest)

@@ -15,9 +15,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
-from daq.base.compute.compile import compiled
-from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
 from fitting.least_squares import elimination
 from fitting.least_squares.levenberg_marquardt import Solution
@@ -26,6 +23,9 @@ from fitting.model.problem import Run
 from fitting.sensitivity.path import Path
 from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.compile import compiled
+from stickslip.units import Measured
 
 # Standard deviation of an assumed rest position, over the record's travel.  Friction that falls by a fifth stretches
 # the spring to 2.5 travels, where the start-up is not recorded.  Only the band and the intervals depend on it.
@@ -73,15 +73,10 @@ def law_scatters(fit: Fit, noise: Array) -> bool:
 def levels_scatter(solution: Solution, inlier: Mask, stretch: float, noise: Array) -> bool:
     """Return whether the levels of the inlier cycles scatter by more than noise and misfit make them.
 
-    Parameters
-    ----------
-    solution : Solution
-    inlier : (cycles,) bool
-    stretch : float
-        Of the spring under friction in slip, m.  What the levels move it by must exceed the noise of a position: the
-        rounding of counts, which is not white, makes levels scatter by a fifth of that.
-    noise : (runs,) f8
-        Standard deviation of one position of each run, m.
+    inlier: (cycles,)
+    stretch: Of the spring under friction in slip, m.  What the levels move it by must exceed the noise of a position:
+        the rounding of counts, which is not white, makes levels scatter by a fifth of that.
+    noise: (runs,) Standard deviation of one position of each run, m.
     """
     if inlier.sum() < 2:
         return False

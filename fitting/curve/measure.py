@@ -6,18 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.distributions import normal_quantile, student_quantile
 from fitting import noise_levels
 from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
 from fitting.curve.forms import fit_forms
 from fitting.curve.result import BandExit, FormFit, MeasuredCurve
 from fitting.curve.spline_fit import SplineFit, fit_spline
+from fitting.distributions import normal_quantile, student_quantile
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import Global
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
 
 # Error over that of the nearest jump law: a ramp law contains its jump law and is always a little nearer, by 1 % at
 # most where there is no ramp.
@@ -28,19 +28,10 @@ NEWTON = {"m s^-2": "N", "s^-1": "N s/m", "m^-1": "N s^2/m^2", "s m^-2": "N s^3/
 def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> MeasuredCurve | None:
     """Measure the friction curve of a record, or of several runs of one contact together.
 
-    Parameters
-    ----------
-    fits : sequence of Fit
-        The laws fitted to the record, best first: their windows, calibrations and starting values are used.
-    noise : (runs,) f8
-        Standard deviation of one position of each run, m.
-    alpha : float
-        1 - confidence of the band and the intervals.
-
-    Returns
-    -------
-    MeasuredCurve or None
-        None where the motion cannot be followed with any curve.
+    fits: The laws fitted to the record, best first: their windows, calibrations and starting values are used.
+    noise: (runs,) Standard deviation of one position of each run, m.
+    alpha: 1 - confidence of the band and the intervals.
+    Returns: None where the motion cannot be followed with any curve.
 
     Notes
     -----

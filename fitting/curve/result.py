@@ -4,47 +4,28 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import STATED_ERROR, Parameter
+from stickslip.compute.arrays import Array
 
 LEVELS = ("Fs", "Fc")
 
 
 @dataclass(frozen=True, eq=False)
 class FormFit:
-    """A published form fitted to the measured curve.
-
-    Attributes
-    ----------
-    name, formula, source : str
-    parameters : dict of str to Parameter
-        With intervals of the curve's confidence; per unit mass.
-    fall : Parameter or None
-        Fs - Fc of a form that has both: determined even where the level of friction is not.
-    misfit : float
-        Chi square: distance from the measured curve in the metric of the record, all else fitted again.
-    chi : float
-        Square root of ``misfit`` over its degrees of freedom.
-    bic : float
-        ``misfit`` with what the parameters cost; the first form of a table has the lowest.
-    inside_band : bool
-        Whether the misfit is within what noise makes in 95 % of records.
-    values : (k,) f8
-        The form at the curve's speeds, m/s^2.
-    """
+    """A published form fitted to the measured curve."""
 
     name: str
     formula: str
     source: str
-    parameters: dict[str, Parameter]
-    fall: Parameter | None
-    misfit: float
-    chi: float
-    bic: float
-    inside_band: bool
-    values: Array
+    parameters: dict[str, Parameter]  # with intervals of the curve's confidence; per unit mass
+    fall: Parameter | None  # fs - Fc of a form that has both: determined even where the level of friction is not
+    misfit: float  # chi square: distance from the measured curve in the metric of the record, all else fitted again
+    chi: float  # square root of ``misfit`` over its degrees of freedom
+    bic: float  # ``misfit`` with what the parameters cost; the first form of a table has the lowest
+    inside_band: bool  # whether the misfit is within what noise makes in 95 % of records
+    values: Array  # (k,) the form at the curve's speeds, m/s^2
 
     @property
     def determined(self) -> dict[str, Parameter]:
@@ -71,42 +52,23 @@ class BandExit:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """Friction per unit mass against relative speed, measured without a law, with a simultaneous band.
+    """Friction per unit mass against relative speed, measured without a law, with a simultaneous band."""
 
-    Attributes
-    ----------
-    speed : (k,) f8
-        Relative speed, m/s, where the record shows the curve: from a few percent of the largest slip speed on.
-    friction, lo, hi : (k,) f8
-        m/s^2; mean level of the record, and the band that holds the whole curve at the stated confidence.
-    shape_half : (k,) f8
-        m/s^2; half the width of the same band for the curve less its mean over the speeds.
-    k_over_m : Parameter
-        1/s^2.
-    chi : float
-        Weighted rms residual over the noise: well above 1, friction is no function of relative speed on a constant
-        spring.
-    ramp : float
-        Half-width of the ramp that slip begins beyond, m/s; 0 for a jump.
-    forms : tuple of FormFit
-        Best first.
-    spline_fit : SplineFit
-    linear : LinearisedFit
-        About the solution; the coordinates of the curve's coefficients are the last unknowns.
-    confidence : float
-    cpu_s : float
-    """
-
+    # (k,) relative speed, m/s, where the record shows the curve: from a few percent of the largest slip speed on
     speed: Array = field(repr=False)
+    # (k,) m/s^2; mean level of the record, and the band that holds the whole curve at the stated confidence
     friction: Array = field(repr=False)
     lo: Array = field(repr=False)
     hi: Array = field(repr=False)
+    # (k,) m/s^2; half the width of the same band for the curve less its mean over the speeds
     shape_half: Array = field(repr=False)
-    k_over_m: Parameter
+    k_over_m: Parameter  # 1/s^2
+    # weighted rms residual over the noise: well above 1, friction is no function of relative speed on a constant spring
     chi: float
-    ramp: float
-    forms: tuple[FormFit, ...] = field(repr=False)
+    ramp: float  # Half-width of the ramp that slip begins beyond, m/s; 0 for a jump
+    forms: tuple[FormFit, ...] = field(repr=False)  # best first
     spline_fit: SplineFit = field(repr=False)
+    # about the solution; the coordinates of the curve's coefficients are the last unknowns
     linear: LinearisedFit = field(repr=False)
     confidence: float
     cpu_s: float

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.measured import Measured
 from fitting.data.cycles import CycleSegmentation
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.result import BreakAway
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 FEWEST_BREAK_AWAYS = 6  # break-aways of which a scatter is taken
 # Excess of the break-away level, over the level of slip.  Under the six laws the ratio errs by up to 0.7 % (36 records,
@@ -29,14 +29,9 @@ ERRORS_SHOWN = 5.0  # standard errors by which an excess, or a growth, is shown
 def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation, level_error: float = 0.0) -> FoundDeparture | None:
     """Return by how much the break-away level exceeds that of slip; None where it does not, or too few show it.
 
-    Parameters
-    ----------
-    events : sequence of BreakAway
-        Of a law that describes the record.
-    cut : CycleSegmentation
-    level_error : float
-        Standard error of the spring's force at break-away over Fs that all cycles share: of rest position and Fs
-        (`fitting.estimation.derived.break_away_level_error`).
+    events: Of a law that describes the record.
+    level_error: Standard error of the spring's force at break-away over Fs that all cycles share: of rest position and
+        Fs (`fitting.estimation.derived.break_away_level_error`).
     """
     landing = {cycle.number + 1: cycle.landing for cycle in cut.cycles}
     good = [event for event in events if not event.flag and math.isfinite(event.break_away_level)]

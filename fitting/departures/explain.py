@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting import noise_levels
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
@@ -20,6 +19,7 @@ from fitting.departures.strongest import LEAST_SIGMAS, Tested, describe, misfit_
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
+from stickslip.compute.arrays import Array
 
 # Gain of a refit of the free curve over that of the linear step: one that gains less has not come to its end.  A curve
 # often is near the noise without the departure, so its error alone does not tell.
@@ -38,27 +38,13 @@ Judge = Callable[[Refit], bool]
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What departures are asked of: a record that no law describes.
+    """What departures are asked of: a record that no law describes."""
 
-    Attributes
-    ----------
-    fits : sequence of Fit
-        The laws, best first.
-    records : sequence of MeasuredMotion
-        The runs.
-    noise : float
-        Standard deviation of one measured position, m.
-    revolution : float or None
-        Travel per revolution of the encoder, m; scanned where it is not known.
-    first : Base or None
-        Of the best law; None where the motion cannot be followed beside its solution.
-    """
-
-    fits: Sequence[Fit]
-    records: Sequence[MeasuredMotion]
-    noise: float
-    revolution: float | None
-    first: Base | None
+    fits: Sequence[Fit]  # the laws, best first
+    records: Sequence[MeasuredMotion]  # the runs
+    noise: float  # standard deviation of one measured position, m
+    revolution: float | None  # travel per revolution of the encoder, m; scanned where it is not known
+    first: Base | None  # of the best law; None where the motion cannot be followed beside its solution
 
     @classmethod
     def of(
@@ -80,20 +66,11 @@ def explain_misfit(
 
     To be asked where neither a law nor the free curve describes the record.
 
-    Parameters
-    ----------
-    asked : Question
-    curve : MeasuredCurve, optional
-        The free curve.  Departures are tested on the best law and on it: a law that is wrong by itself can hide a
+    curve: The free curve.  Departures are tested on the best law and on it: a law that is wrong by itself can hide a
         departure, and a free curve can take part of one up.
-    describes : callable, optional
-        Asked of drags where the free curve leaves little more than the noise.
-
-    Returns
-    -------
-    tuple of FoundDeparture
-        First where a law or the free curve describes the record together with it (``refitted``, ``law``): size and
-        error are then those of that fit.  Else memory, where it is suspected, and what was tested on the base of which
+    describes: Asked of drags where the free curve leaves little more than the noise.
+    Returns: First where a law or the free curve describes the record together with it (``refitted``, ``law``): size and
+        error are then those of that fit. Else memory, where it is suspected, and what was tested on the base of which
         the first explains more.
     """
     near = curve is not None and curve.chi < noise_levels.DESCRIBES

@@ -25,12 +25,8 @@ MOST_EXPLAINED = 0.7
 def suspect_memory(base: Base, explained: float) -> FoundDeparture | None:
     """Return memory as a departure without a parameter, None where nothing suggests it.
 
-    Parameters
-    ----------
-    base : Base
-        Of the free curve.
-    explained : float
-        Share of the free curve's misfit that the best departure explains.
+    base: Of the free curve.
+    explained: Share of the free curve's misfit that the best departure explains.
     """
     if explained > MOST_EXPLAINED:
         return None

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from daq.base.measured import Measured
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True)
@@ -17,44 +17,23 @@ class Scale:
 
 @dataclass(frozen=True)
 class FoundDeparture:
-    """One departure with its size.
-
-    Attributes
-    ----------
-    name : str
-    sigmas : float
-        Standard deviations of a normal variable that is as unlikely, the number of departures and scales that were
-        tried taken into account.
-    parameter : str
-        Symbol of its size; "" for one without a parameter.
-    value, stderr : float
-        NaN without a parameter.
-    unit : str
-    text : str
-        What it says of the rig.
-    scale : Scale or None
-    gain : float
-        By how much the cost falls with it.
-    explained : float
-        Share of the misfit beyond the noise that it explains: in the fit with it, else in one linear step.
-    refitted : bool
-        Whether value and stderr come from a fit with it; else from one linear step.
-    law : int or None
-        The law that describes the record together with it, where one does.
-    """
+    """One departure with its size."""
 
     name: str
+    # standard deviations of a normal variable that is as unlikely, the number of departures and scales that were tried
+    # taken into account
     sigmas: float
-    parameter: str
-    value: float
+    parameter: str  # symbol of its size; "" for one without a parameter
+    value: float  # NaN without a parameter
     stderr: float
     unit: str
-    text: str
+    text: str  # what it says of the rig
     scale: Scale | None = None
-    gain: float = 0.0
+    gain: float = 0.0  # by how much the cost falls with it
+    # share of the misfit beyond the noise that it explains: in the fit with it, else in one linear step
     explained: float = 0.0
-    refitted: bool = False
-    law: int | None = None
+    refitted: bool = False  # whether value and stderr come from a fit with it; else from one linear step
+    law: int | None = None  # the law that describes the record together with it, where one does
 
     @property
     def size(self) -> Measured:

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from fitting.driver.curves import FrictionCurve
 from fitting.driver.start_search import StartSearch, Target
 from fitting.law import Law
@@ -19,6 +17,8 @@ from fitting.sensitivity.columns import friction_effect, shared_tangents
 from fitting.sensitivity.path import Curve, Path, spline_curve
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 SPLINE_ERROR = 1e-6  # distance of the spline from the formula, over the largest friction
 FIRST_PIECES, KNOT_POWER = 24, 1.8  # knots s_max u^1.8, before they are set closer where the curve bends most
@@ -32,23 +32,10 @@ class FormulaCurve(FrictionCurve):
 
     Unknowns theta (k,) stand for the law's free parameters: the value, or its logarithm (``by_log``).
 
-    Parameters
-    ----------
-    law : Law
-    fastest : float
-        Up to which slip speed the formula is followed, m/s.
-    near : Target
-        What the formula starts near.
-
-    Attributes
-    ----------
-    starts : list of Start
-        Minima on that target, nearest first.
-
-    Raises
-    ------
-    InputError
-        Where no trial of the parameters is a friction; the reason is that of the first of them.
+    fastest: Up to which slip speed the formula is followed, m/s.
+    near: What the formula starts near.
+    starts: Minima on that target, nearest first.
+    Raises InputError: where no trial of the parameters is a friction; the reason is that of the first of them.
     """
 
     def __init__(self, law: Law, fastest: float, near: Target) -> None:
@@ -97,17 +84,14 @@ class FormulaCurve(FrictionCurve):
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (k,) of the unknowns."""
-        lower, upper = np.array([self.law.limits(name) for name in self.law.free]).T
+        lower, upper = np.array([self.law.limits(name) for name in self.law.free]).reshape(-1, 2).T
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.by_log, np.log(lower), lower), np.where(self.by_log, np.log(upper), upper)
 
     def at_speeds(self, theta: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s.
 
-        Raises
-        ------
-        InputError
-            Where it is not finite, or negative.
+        Raises InputError: where it is not finite, or negative.
         """
         found = self.law.curve.value(s, self.values(theta))
         if found.min() < 0:

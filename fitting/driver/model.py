@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
 from fitting.driver.task import Task
 from fitting.forces.departure import Forcing
 from fitting.forces.fitted_motion import FittedMotion
@@ -15,6 +14,7 @@ from fitting.sensitivity.columns import local_tangents
 from fitting.sensitivity.path import Curve, Path, follow
 from fitting.sensitivity.tangents import tangents
 from fitting.sensitivity.values import positions
+from stickslip.compute.arrays import Array, Integers
 
 
 class Model:
@@ -23,16 +23,9 @@ class Model:
     A force by the mass's own velocity acts along the motion itself, another one along an earlier path, `near`, which
     `settle` brings up to date.
 
-    Parameters
-    ----------
-    task : Task
-    windows : ShootingWindows
-    longest_step : float
-        Times the fastest rate of the motion (`fitting.sensitivity.flow`).
-    near : Path, optional
-        Where forces are evaluated, in the same windows.
-    count : (N,) f8, optional
-        How many samples each residual stands for; 1 each without it.
+    longest_step: Times the fastest rate of the motion (`fitting.sensitivity.flow`).
+    near: Where forces are evaluated, in the same windows.
+    count: (N,) How many samples each residual stands for; 1 each without it.
     """
 
     def __init__(

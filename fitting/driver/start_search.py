@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from fitting.law import Law
 from fitting.undetermined import natural_size
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 DOUBLED = 2.0  # factor on a parameter: whether the derivative by it changes then shows whether it bends the curve
 BEND_DRAWS = 3  # sets of values at which that is looked at
@@ -83,18 +83,10 @@ class Start(NamedTuple):
 def find_starts(law: Law, near: Target, fastest: float = 0.0) -> list[Start]:
     """Return values of a law's free parameters near another friction, nearest first: a local minimum each.
 
-    Parameters
-    ----------
-    law : Law
-        Its first values are where these parameters are tried; its bounds hold.
-    near : Target
-    fastest : float
-        Slip speed up to which it must be friction, m/s; at least the target's fastest.
-
-    Raises
-    ------
-    InputError
-        With none of the values tried is the formula a friction curve; the reason is that of the first of them.
+    law: Its first values are where these parameters are tried; its bounds hold.
+    fastest: Slip speed up to which it must be friction, m/s; at least the target's fastest.
+    Raises InputError: with none of the values tried is the formula a friction curve; the reason is that of the first of
+        them.
     """
     return StartSearch(law, near, fastest).minima()
 
@@ -300,6 +292,8 @@ class StartSearch:
         from scipy.optimize import least_squares
 
         names = self.law.free
+        if not names:
+            return start if self._is_friction(start.values) else None
         low, high = np.array([self.law.limits(name) for name in names]).T
         begin = np.array([start.values[name] for name in names])
         size = np.maximum(np.abs(begin), [DERIVATIVE_ROUNDING * self.sizes[name] for name in names])

@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
@@ -16,6 +15,7 @@ from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.result import BreakAway
 from fitting.model.parameters import PER_CYCLE, Global, PerCycle
 from fitting.model.windows import ShootingWindows
+from stickslip.compute.arrays import Array
 
 # Times in slips (`MeasuredMotion.slip_s`).
 SEARCH_RANGE, SEARCH_STEP = 0.3, 2e-4  # about the smoothed break-away
@@ -27,12 +27,8 @@ POOR_CYCLE = 3.0  # error over a cycle's usual one: a larger one means that some
 def find_break_aways(fit: FittedLaw, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
     """Return every break-away of the record, fitted or not.
 
-    Parameters
-    ----------
-    fit : FittedLaw
-        Of the best law.
-    motion, cut : MeasuredMotion, CycleSegmentation
-        What it was fitted to.
+    fit: Of the best law.
+    motion, cut: What it was fitted to.
     """
     times, loads = _break_aways(fit, motion)
     usual = float(np.median(fit.cycle_rms))

@@ -10,10 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.distributions import student_quantile
-from daq.base.measured import Measured
 from fitting.data.frame import MeasuredMotion
+from fitting.distributions import student_quantile
 from fitting.estimation.covariance import covariances, levels_differ, upper_bound
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Correlations, Parameter
@@ -21,6 +19,8 @@ from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns,
 from fitting.model.problem import datum_calibration
 from fitting.model.wear import Wear
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 # Share of a default's variance left after the fit: with more the default still decides, and what depends on it is
 # not given.  Chosen; half and twice give the same parameters on 26 records.
@@ -90,18 +90,11 @@ def derived_parameters(
     nothing to the default, what depends on it is left out, and the combination that the record does know is given
     instead: ``x0 + Fs/k``, ``(G_slip - c)/m``.
 
-    Parameters
-    ----------
-    fit : Fit
-        Of all runs together.
-    motion : MeasuredMotion
-        Of the run; its mass or stiffness, when known, turns accelerations into newtons.
-    alpha : float
-        1 - confidence.
-    run : int
-        Whose own parameters are wanted, beside those that all runs share.
-    sustained : bool
-        Whether the contact sticks again and again: else its level is not made anew and shows no wear.
+    fit: Of all runs together.
+    motion: Of the run; its mass or stiffness, when known, turns accelerations into newtons.
+    alpha: 1 - confidence.
+    run: Whose own parameters are wanted, beside those that all runs share.
+    sustained: Whether the contact sticks again and again: else its level is not made anew and shows no wear.
     """
     known = _known(fit, motion, run)
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
@@ -119,14 +112,9 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
     Left out are values that follow from others (``Fs/k``, and what is multiplied by a mass or a stiffness), and those
     by the trend of the levels (``Fs0/m``, ``wear``).
 
-    Parameters
-    ----------
-    fit : Fit
-        Of all runs together.
-    motion : MeasuredMotion
-        Of the run.
-    run : int
-        Whose own parameters are wanted, beside those that all runs share.
+    fit: Of all runs together.
+    motion: Of the run.
+    run: Whose own parameters are wanted, beside those that all runs share.
     """
     known = _known(fit, motion, run)
     rows = _rows_each_once(fit, motion, known)

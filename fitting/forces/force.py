@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, Forcing
 from fitting.forces.fitted_motion import FittedMotion
+from stickslip.compute.arrays import Array
 
 # Relative step of the derivative by a scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path.
 SCALE_STEP = 1e-4
@@ -16,17 +16,10 @@ SCALE_RANGE = 0.15  # relative range of a scale: how far a scale may move from w
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """What acts besides in a fit.
-
-    Attributes
-    ----------
-    departure : Departure
-    scale : float
-        Its first scale (a frequency, a wavelength); NaN for a departure without one.
-    """
+    """What acts besides in a fit."""
 
     departure: Departure
-    scale: float = math.nan
+    scale: float = math.nan  # its first scale (a frequency, a wavelength); NaN for a departure without one
 
     def __post_init__(self) -> None:
         """Refuse a departure whose scale is not known."""

@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
-from daq.base.compute.compile import compiled
 from fitting.least_squares import elimination
 from fitting.least_squares.problem import LeastSquaresProblem
+from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.compile import compiled
 
 HELD_CURVATURE = 1e12  # curvature over its own, of an unknown that does not move
 ROUNDING = 1e-14  # what elimination leaves of a curvature, over it: as little is rounding
@@ -57,18 +57,9 @@ def normal_equations(
 class SchurComplement:
     """The normal equations with the cycles' own unknowns eliminated.
 
-    Parameters
-    ----------
-    blocks : NormalEquations
-    damping : float
-        By which part of them the curvatures are raised.
-    held : (cycles, q) bool, optional
-        Unknowns of the cycles that do not move.
-
-    Attributes
-    ----------
-    H : (p, p) f8
-        The information on the shared unknowns with every cycle's own unknowns also fitted.
+    damping: By which part of them the curvatures are raised.
+    held: (cycles, q) Unknowns of the cycles that do not move.
+    H: (p, p) The information on the shared unknowns with every cycle's own unknowns also fitted.
     """
 
     def __init__(self, blocks: NormalEquations, damping: float = 0.0, held: Mask | None = None) -> None:

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array, Integers
 
 
 class Global(IntEnum):
@@ -72,12 +72,8 @@ NUISANCE = (Global.DATUM, Global.DAMPING, Global.FADE, Global.COMPLIANCE, *RIPPL
 def active_places(law: int, compliant: Sequence[bool], rippled: Sequence[bool]) -> tuple[int, ...]:
     """Return the places of the parameters that a law has.
 
-    Parameters
-    ----------
-    law : int
-    compliant, rippled : sequence of bool
-        Of each run's belt: whether it slows under load, whether its speed ripples.  On a belt that slows under load a
-        ramp's break-away level is that of slip (`rig_sim.flow.flow.validate`).
+    compliant, rippled: Of each run's belt: whether it slows under load, whether its speed ripples.  On a belt that
+        slows under load a ramp's break-away level is that of slip (`rig_sim.flow.flow.validate`).
     """
     kind = LAWS[law]
     shape = () if kind.curve == "constant" else (Global.SHAPE,)

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.errors import InputError
-from daq.base.output import atomic
-from daq.base.version import VERSION
 from fitting.drawing.palette import INK, WIDE, law_colours
 from fitting.estimation.result import Parameter
 from fitting.report import page, symbols
 from fitting.report.chart import Axes, picture
 from fitting.report.scale import AxisScale
+from stickslip.errors import InputError
+from stickslip.output import atomic
+from stickslip.version import VERSION
 
 SUFFIX = ".each.html"
 MARK = '<meta name="generator" content="stickslip fit-friction --each'
@@ -93,23 +93,11 @@ def _mark(files: Sequence[Path]) -> str:
 def write(runs: Sequence[ComparedRun], path: Path, alpha: float, summary: str, *, force: bool = False) -> None:
     """Write the comparison; an older one of the same runs is replaced.
 
-    Parameters
-    ----------
-    runs : sequence of ComparedRun
-        In the order in which they are shown.
-    path : Path
-    alpha : float
-        1 - confidence level of the intervals.
-    summary : str
-        How many were decided, undecided and so on.
-    force : bool
-
-    Raises
-    ------
-    InputError
-        When ``path`` holds something else.
-    RefusedError
-        The disk refuses; an older page still stands.
+    runs: In the order in which they are shown.
+    alpha: 1 - confidence level of the intervals.
+    summary: How many were decided, undecided and so on.
+    Raises InputError: when ``path`` holds something else.
+    Raises RefusedError: the disk refuses; an older page still stands.
     """
     refuse_foreign_file(path, [run.file for run in runs], force=force)
     page.put(render(runs, alpha, summary), path)

@@ -12,8 +12,6 @@ from pathlib import Path
 
 import h5py
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.runfile import joint, nexus, store, tree
 from daq.runfile.tree import Field, Group
 from fitting.drawing.curves import curve, speeds_of_all, unit
@@ -22,6 +20,8 @@ from fitting.estimation.result import Parameter
 from fitting.report.symbols import formula_of
 from fitting.selection.result import LawResult, RankedLaws
 from processing import stage as smoothed_stage
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 FRICTION = "N or N/kg"  # unit of a friction: N where mass or stiffness is known
 
@@ -147,6 +147,10 @@ def _law(path: str, title: str, runs: int = 0) -> tree.Tree:
     )
 
 
+def _unfitted(stage: _Stage) -> list[str] | None:
+    return [f"law {row.law}: {row.reason}" for row in stage.ranking.unfitted] or None
+
+
 PARAMETERS = "each parameter in its unit, with `NAME_errors`, NaN where no law describes the record"
 ABOUT: tree.Tree = (
     Group("fit/parameters", "NXparameters"),
@@ -157,6 +161,7 @@ ABOUT: tree.Tree = (
     Field("fit/parameters/begin", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[0]),
     Field("fit/parameters/end", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[1]),
     Field("fit/parameters/warnings", "text[i]", "", "in words", "ranking.warnings", optional=True),
+    Field("fit/parameters/not_fitted", "text[i]", "", "laws without a fit, and why", value=_unfitted, optional=True),
     Field("fit/parameters/sha256_smooth", "text", "", "of the smoothed velocity", "smoothed", optional=True),
 )
 RANKING = _table(
@@ -208,22 +213,12 @@ TREE: tree.Tree = (
 def save(ranking: RankedLaws, path: Path, record: str, smoothed: str, part: str = "") -> None:
     """Write the stage into the run file, replacing an earlier one.
 
-    Parameters
-    ----------
-    ranking : RankedLaws
-        The fit.
-    path : Path
-        The run file.
-    record, smoothed : str
-        The sha256 of the raw data and of the smoothed stage (`processing.stage.digest`) that the file held when it
-        was read.
-    part : str
-        What was fitted, in words, where something was left out.
-
-    Raises
-    ------
-    InputError
-        For a file that is no run, or one that was recorded or smoothed anew meanwhile.
+    ranking: The fit.
+    path: The run file.
+    record, smoothed: The sha256 of the raw data and of the smoothed stage (`processing.stage.digest`) that the file
+        held when it was read.
+    part: What was fitted, in words, where something was left out.
+    Raises InputError: for a file that is no run, or one that was recorded or smoothed anew meanwhile.
     """
 
     def write(entry: h5py.Group) -> None:

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.errors import InputError
-from daq.base.output import atomic
 from fitting.curve.result import MeasuredCurve
 from fitting.drawing import curves
 from fitting.selection.result import RankedLaws
+from stickslip.errors import InputError
+from stickslip.output import atomic
 
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
 
@@ -38,12 +38,7 @@ def write_curve(path: Path, ranking: RankedLaws, curve: MeasuredCurve) -> None:
 
     Laws given as formulas have a column each.
 
-    Parameters
-    ----------
-    path : Path
-    ranking : RankedLaws
-    curve : MeasuredCurve
-        Its own.
+    curve: Its own.
     """
     unit, formulas = ranking.adequacy.unit, ranking.rivals
     drawn = [np.abs(curves.curve(row.fit, ranking.motion, -curve.speed)) for row in formulas]
@@ -58,12 +53,8 @@ def write_curve(path: Path, ranking: RankedLaws, curve: MeasuredCurve) -> None:
 def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]]) -> None:
     """Write the rankings of runs.
 
-    Parameters
-    ----------
-    path : Path
-        Table to write; an older one is replaced.
-    rankings : sequence of (Path, sequence of dict)
-        Run file and the rows of its ranking, as in its JSON document.
+    path: Table to write; an older one is replaced.
+    rankings: Run file and the rows of its ranking, as in its JSON document.
     """
     rows = [(file, row) for file, ranking in rankings for row in ranking]
     names = dict.fromkeys(name for _, row in rows for name in row["parameters"])
@@ -73,7 +64,7 @@ def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]])
     ):
         out = csv.writer(file)
         columns = [f"{name}{part}" for name in names for part in ("", " stderr")]
-        more = ("formula", "asked") if any("formula" in row for _, row in rows) else ()
+        more = [key for key in ("formula", "asked", "reason") if any(key in row for _, row in rows)]
         out.writerow(["file", *EVIDENCE, *more, *columns])
         for run, row in rows:
             values = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.console import application
-from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
 from fitting.report import page
 from fitting.report.symbols import MOTION, formula_of
 from fitting.selection.result import RankedLaws
 from fitting.selection.verdict import format_probability
+from stickslip.console import application
+from stickslip.output.lengths import format_length
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,21 +24,16 @@ def of_ranking(
 ) -> list[Any]:
     """Return the lines and tables of a ranking.
 
-    Parameters
-    ----------
-    ranking : RankedLaws
-    statistics : sequence of str
-        Of its stick-slip, in words.
-    written : sequence of Path or None
-        The file of a joint fit, and the report.
-    alpha : float
-        1 - confidence level of the intervals.
+    statistics: Of its stick-slip, in words.
+    written: The file of a joint fit, and the report.
+    alpha: 1 - confidence level of the intervals.
     """
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
     lines: list[Any] = [f"verdict: {ranking.verdict}"]
     if ranking.rows:
         law = f"{ranking.best.label}: {formula_of(ranking.best)}; {MOTION}"
-        lines += [_laws(ranking), _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
+        unfitted = [f"law {row.law} was not fitted: {row.reason}" for row in ranking.unfitted]
+        lines += [_laws(ranking), *unfitted, _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines += statistics
     named = [f"; {kind}: {path}" for kind, path in zip(("joint fit", "report"), written, strict=True) if path]
@@ -57,6 +52,8 @@ def _laws(ranking: RankedLaws) -> "Table":
         style = "bold" if row.in_set else None
         member = "yes" if row.in_set else "-"
         table.add_row(row.title, format_length(row.rms_m), behind, weight, member, style=style)
+    for missing in ranking.unfitted:
+        table.add_row(missing.title, "not fitted", "-", "-", "-")
     return table
 
 

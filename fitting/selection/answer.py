@@ -41,34 +41,17 @@ Contradictions = list[list[Finding]]  # of each run
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What was decided about the laws, and from what.
-
-    Attributes
-    ----------
-    asked : Asked
-    records, runs : sequence
-        As smoothed, and in the fit's frame.
-    fits : sequence of Fit or FormulaFit
-        Best first.
-    competition : Competition
-    assessed : Assessment
-    described : frozenset of int or str
-        The laws given as formulas that leave no more than noise.
-    sustained : bool
-        Whether the mass sticks in the long run.
-    said : tuple of str
-        What is to be said of formulas that could not be fitted, or not in all.
-    """
+    """What was decided about the laws, and from what."""
 
     asked: Asked
-    records: Sequence[Kinematics]
+    records: Sequence[Kinematics]  # as smoothed, and in the fit's frame
     runs: Sequence[Run]
-    fits: Sequence[Fit | FormulaFit]
+    fits: Sequence[Fit | FormulaFit]  # best first
     competition: Competition
     assessed: Assessment
-    described: frozenset[int | str]
-    sustained: bool
-    said: tuple[str, ...] = ()
+    described: frozenset[int | str]  # the laws given as formulas that leave no more than noise
+    sustained: bool  # whether the mass sticks in the long run
+    said: tuple[str, ...] = ()  # what is to be said of formulas that could not be fitted, or not in all
 
     @property
     def rejected(self) -> bool:
@@ -95,21 +78,11 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of the laws, best first.
+    """The rows of the laws, best first."""
 
-    Attributes
-    ----------
-    runs : tuple of tuple of LawResult
-        Those of each run.
-    together : tuple of LawResult
-        Those of all runs together; of a single run its own.
-    depends : tuple of tuple of str
-        Of each run: what of it depends on the law, in words.
-    """
-
-    runs: tuple[tuple[LawResult, ...], ...]
-    together: tuple[LawResult, ...]
-    depends: tuple[tuple[str, ...], ...]
+    runs: tuple[tuple[LawResult, ...], ...]  # those of each run
+    together: tuple[LawResult, ...]  # those of all runs together; of a single run its own
+    depends: tuple[tuple[str, ...], ...]  # of each run: what of it depends on the law, in words
 
 
 def ranking(decision: Decision, begun: float) -> RankedLaws:

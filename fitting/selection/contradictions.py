@@ -10,8 +10,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.curve.formula_fit import FormulaFit
 from fitting.data.frame import MeasuredMotion
@@ -25,8 +23,9 @@ from fitting.selection import law_fits
 from fitting.selection.asked import Asked
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from processing.record.setting import with_error
 from rig_sim.friction.law import LAWS
+from stickslip.errors import DataError
+from stickslip.units import Measured, with_error
 
 # Distance of a calibration from the fit, in standard deviations, that contradicts it.  At 3 one true calibration in 400
 # would be reported, and as many again because an interval from 16 cycles is itself uncertain; at 5 a belt speed wrong
@@ -44,23 +43,12 @@ def find_contradictions(
 ) -> list[list[Finding]]:
     """Return what of each run's calibration its record contradicts by more than `CONTRADICTED_BY` standard deviations.
 
-    Parameters
-    ----------
-    fit : Fit or FormulaFit
-        Of the best law, all runs together.
-    motions : sequence of MeasuredMotion
-        Of each run.
-    parameters : sequence of mapping
-        The best law's of each run.
-    records : sequence of Kinematics
-        Of each run, with the calibration that its positions were made with.
-    effect : str
-        What a contradicted value does; by default, which of both the fit used.
-
-    Returns
-    -------
-    list of list of Finding
-        Of each run, in the record's own signs, SI units.
+    fit: Of the best law, all runs together.
+    motions: Of each run.
+    parameters: The best law's of each run.
+    records: Of each run, with the calibration that its positions were made with.
+    effect: What a contradicted value does; by default, which of both the fit used.
+    Returns: Of each run, in the record's own signs, SI units.
     """
     return [
         _of_run(fit, motion, own, record.recording.rig, run, effect)
@@ -98,18 +86,8 @@ def contradicted_by_all_laws(
     The laws are fitted without both.  Where the best of them then leaves no more than noise, it shows what the stated
     values should be.
 
-    Parameters
-    ----------
-    asked : Asked
-    runs : sequence of Run
-    records : sequence of Kinematics
-    effect : str
-        What a contradicted value does.
-
-    Returns
-    -------
-    list of list of Finding
-        Of each run; none where no law holds without them either.
+    effect: What a contradicted value does.
+    Returns: Of each run; none where no law holds without them either.
     """
     nothing: list[list[Finding]] = [[] for _ in runs]
     if all(run.motion.datum_prior is None and run.motion.damping_prior is None for run in runs):

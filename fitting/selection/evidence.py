@@ -22,16 +22,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, autocorrelation_time
-from daq.base.compute.distributions import student_quantile
 from fitting import noise_levels
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
+from fitting.distributions import student_quantile
 from fitting.estimation.fit import Fit
 from fitting.law import LIMITS
 from fitting.model.problem import Run
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import NESTED
+from stickslip.compute.arrays import Array, autocorrelation_time
 
 FEWEST_CYCLES = 4  # cycles of which the usual are trusted: of fewer, all count
 DRAG_PIECES = 8  # equal pieces of a start-up drag, where it is all the evidence
@@ -101,43 +101,21 @@ class Candidate(Residuals, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Paired evidence of laws.
+    """Paired evidence of laws."""
 
-    Attributes
-    ----------
-    laws : tuple of int or str
-        Numbers of the six, names of formulas.
-    penalised : (laws, units) f8
-        Log error of each unit, penalty included.
-    samples : float
-        Effective samples behind them; fewer than there are units count as one a unit.
-    """
-
-    laws: tuple[int | str, ...]
-    penalised: Array
-    samples: float = 0.0
+    laws: tuple[int | str, ...]  # numbers of the six, names of formulas
+    penalised: Array  # (laws, units) log error of each unit, penalty included
+    samples: float = 0.0  # effective samples behind them; fewer than there are units count as one a unit
 
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """What is compared: the same units for every law.
+    """What is compared: the same units for every law."""
 
-    Attributes
-    ----------
-    sustained : bool
-        Whether the mass sticks in the long run; else the start-up drags alone are evidence.
-    inliers : (cycles,) bool
-        The cycles that are judged by.
-    pieces : tuple of int
-        Units in each cycle or drag that is judged by.
-    samples : float
-        Effective samples in all units together.
-    """
-
-    sustained: bool
-    inliers: NDArray[np.bool_]
-    pieces: tuple[int, ...]
-    samples: float
+    sustained: bool  # whether the mass sticks in the long run; else the start-up drags alone are evidence
+    inliers: NDArray[np.bool_]  # (cycles,) the cycles that are judged by
+    pieces: tuple[int, ...]  # units in each cycle or drag that is judged by
+    samples: float  # effective samples in all units together
 
 
 def _log_error(residual: Array, motion: MeasuredMotion) -> float:
@@ -292,12 +270,8 @@ class ModelSet:
 def model_confidence_set(evidence: Evidence, alpha: float) -> ModelSet:
     """Apply the set rule to the evidence.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        At least two units (cycles).
-    alpha : float
-        1 - confidence of the t-interval.
+    evidence: At least two units (cycles).
+    alpha: 1 - confidence of the t-interval.
     """
     laws, errors = evidence.laws, evidence.penalised
     n = errors.shape[1]

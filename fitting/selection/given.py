@@ -8,14 +8,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.competitors import PER_MASS, Competitors, Given
 from fitting.data.frame import MeasuredMotion
 from fitting.law import Law
 from fitting.model.parameters import Global
 from fitting.model.problem import GivenUnknown, Run
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 UNKNOWNS = {
     "k/m": Global.K,
@@ -39,10 +39,7 @@ def known_rest(rig: Rig, competitors: Competitors) -> Rig:
 def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
     """Return the runs with what is given of the shared unknowns of each law, the formulas by their names.
 
-    Raises
-    ------
-    InputError
-        For a belt speed of several runs, or a force in newtons that needs a mass.
+    Raises InputError: for a belt speed of several runs, or a force in newtons that needs a mass.
     """
     of_laws: dict[int | str, Mapping[str, Given]] = {law: competitors.of_law(law) for law in competitors.laws}
     of_laws |= {own.name: competitors.of_law(law) for law, own in competitors.restated.items()}
@@ -50,6 +47,9 @@ def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
     if len(runs) > 1 and any("v_dr" in given for given in of_laws.values()):
         raise InputError("one belt speed for several runs", "v_dr", "leave it out: each run finds its own")
     mass = runs[0].motion
+    if competitors.in_newtons and mass.mass is None and mass.stiffness is None:
+        name = competitors.in_newtons[0]
+        raise InputError(f"{name} has a unit with newtons, and the mass is not known", name, "give --mass as well")
     return [
         replace(run, given={law: _unknowns(given, run.motion.sign, mass) for law, given in of_laws.items() if given})
         for run in runs

@@ -30,7 +30,6 @@ def judge(
 
 
 def _compared(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], ModelSet]:
-    """Return the fits and their set."""
     units = evidence.common_units(fits, runs, sustained=sustained)
     errors = {fit.law: evidence.unit_errors(fit, runs, units) for fit in fits}
     for jump, ramp in equivalence.closed_ramps(fits):

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from daq.base.errors import DataError, InputError
 from fitting.adequacy.assess import describes
 from fitting.competitors import ALL_LAWS
 from fitting.data import cycles, ripple
@@ -18,6 +17,7 @@ from fitting.model.problem import Run
 from fitting.selection import evidence, screening
 from fitting.selection.evidence import FEWEST_CYCLES
 from processing.record.kinematics import Kinematics
+from stickslip.errors import DataError, InputError
 
 # Error in the start-up drag over what a rippling belt leaves: a steady belt that leaves more was none.  On belts
 # with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.
@@ -219,12 +219,24 @@ def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematic
         raise DataError(
             f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {FEWEST_CYCLES}",
             ", ".join(sources),
-            "leave out fewer (--exclude-cycles)" if any(map(_excluded, runs)) else "record longer",
+            _remedy(runs, sustained=sustained),
         )
     for run, record in zip(runs, records, strict=True):
         if run.cut.shows_belt:
             screening.refuse_impossible_rest(run.motion, record)
     return sustained
+
+
+def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
+    """Return what gives more cycles."""
+    if any(map(_excluded, runs)):
+        return "leave out fewer (--exclude-cycles)"
+    if not sustained and all(run.cut.starts_at_rest and screening.dies_away(run.motion.velocity) for run in runs):
+        return (
+            "the oscillation dies away after the belt starts, so a longer record has no more: record several starts of "
+            "the belt and fit these runs together, or reduce the damping"
+        )
+    return "record longer"
 
 
 def refuse(why: str, records: Sequence[Kinematics]) -> None:

@@ -6,9 +6,8 @@ What is evidence and who is in the set: `fitting.selection.evidence`.
 import logging
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.adequacy.assess import Measurement, assess, describes_all, measure
 from fitting.competitors import ALL_LAWS, Competitors
@@ -24,9 +23,11 @@ from fitting.selection.contradictions import contradicted_by_all_laws
 from fitting.selection.evidence import ModelSet
 from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import judge
-from fitting.selection.result import RankedLaws
-from fitting.selection.rivals import Competition, Formulas, compete, fit_formulas
+from fitting.selection.result import RankedLaws, UnfittedLaw
+from fitting.selection.rivals import Competition, Formulas, compete, fit_formulas, unfitted
 from processing.record.kinematics import Kinematics
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 logger = logging.getLogger(__name__)
 
@@ -48,23 +49,13 @@ def rank(
 ) -> RankedLaws:
     """Fit the laws to a record, or to several records of one contact together, and rank them.
 
-    Parameters
-    ----------
-    kinematics : Kinematics or sequence of Kinematics
-        The smoothed record (`processing.smooth`); plain differences are smoothed again, in memory.  Several are taken
-        as runs of one contact, at other belt speeds say: k/m, Fs/m, the curve, the ramp and the damping are one for
-        all; belt speed, rest position, wear and the belt's compliance are each run's own.
-    rig : Rig or sequence of Rig, optional
-        Calibration; the recording's own by default, one for all, or one for each run.
-    belt_speed : Measured, float or "channel", optional
-        m/s, signed, if known better than from the calibration.
-    laws, fix, bounds, start, excluded, alpha, jobs, progress, scheduler
-        As of `fitting.rank`, which also says what is raised and what is not modelled (`fitting.competitors`,
-        `fitting.selection.equivalence`, `fitting.data.ripple`).
-
-    Returns
-    -------
-    RankedLaws
+    kinematics: The smoothed record (`processing.smooth`); plain differences are smoothed again, in memory.  Several are
+        taken as runs of one contact, at other belt speeds say: k/m, Fs/m, the curve, the ramp and the damping are one
+        for all; belt speed, rest position, wear and the belt's compliance are each run's own.
+    rig: Calibration; the recording's own by default, one for all, or one for each run.
+    belt_speed: m/s, signed, if known better than from the calibration.
+    laws, fix, bounds, start, excluded, alpha, jobs, progress, scheduler: As of `fitting.rank`, which also says what is
+        raised and what is not modelled (`fitting.competitors`, `fitting.selection.equivalence`, `fitting.data.ripple`).
     """
     begun = clock.process_time()
     competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
@@ -87,10 +78,12 @@ def rank(
         if refused.stick_slip:
             return answer.without_law(refused.reason, contradicted, asked, runs, records, begun)
         raise screening.refusal(refused.reason, contradicted, runs, records) from None
+    missing = _list_unfitted(fits, formulas, asked, records, sustained=sustained)
     competition = _compete(fits, chosen, formulas.fits, asked, runs, sustained=sustained)
     decision = _decided(asked, records, runs, fits, formulas, measured, competition, sustained=sustained)
     _log(decision)
-    return answer.ranking(decision, begun)
+    ranking = answer.ranking(decision, begun)
+    return replace(ranking, unfitted=missing, runs=tuple(replace(side, unfitted=missing) for side in ranking.runs))
 
 
 def _smoothed(kinematics: Kinematics) -> Kinematics:
@@ -129,14 +122,29 @@ def _compete(
 ) -> Competition:
     """Return who is in the set: of the six alone, or of all laws together."""
     six = [fit for fit in fits if fit.law in asked.competitors.direct]
-    if not formulas and six:
-        return Competition.of_six(chosen)
     if not formulas:
-        raise DataError(
-            "none of the laws that were named can be fitted", "record", "add laws of the six, as --laws 1-6"
-        )
+        return Competition.of_six(chosen)
     named: frozenset[int | str] = frozenset((*asked.competitors.laws, *asked.competitors.names))
     return compete(six, chosen if six else None, formulas, runs, asked.alpha, named, sustained=sustained)
+
+
+def _list_unfitted(
+    fits: Sequence[Fit], formulas: Formulas, asked: Asked, records: Sequence[Kinematics], *, sustained: bool
+) -> tuple[UnfittedLaw, ...]:
+    """Return the laws that were asked for and could not be fitted; raise DataError where no other was asked for.
+
+    Laws with sticks are not fitted to a mass without, and are not among them.
+    """
+    direct, followed = asked.competitors.direct, {fit.law for fit in fits}
+    lost = [unfitted(law, "its motion cannot be followed") for law in direct if law not in followed and sustained]
+    missing = (*lost, *formulas.unfitted)
+    if not followed.intersection(direct) and not {fit.law for fit in formulas.fits}.intersection(
+        (*asked.competitors.names, *asked.competitors.restated)
+    ):
+        reasons = "; ".join(f"law {law.law}: {law.reason}" for law in missing)
+        where = ", ".join(record.recording.where for record in records)
+        raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")
+    return missing
 
 
 def _decided(

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import DataError, InputError, in_python
 from fitting.adequacy.result import Adequacy
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.formula_parameters import formula_correlations
@@ -21,6 +19,8 @@ from fitting.estimation.result import STATED_ERROR, BreakAway, Correlations, Par
 from fitting.law import TITLES
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
+from stickslip.compute.arrays import Array
+from stickslip.errors import DataError, InputError, in_python
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -252,10 +252,38 @@ class LawResult:
         """Return the document's form."""
         of_formula = () if self.formula is None else ("formula", "asked")
         names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "cycles")
-        document: dict[str, Any] = {name: getattr(self, name) for name in names}
+        document: dict[str, Any] = {name: getattr(self, name) for name in names} | {"fitted": True}
         document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
         document["outside_band"] = None if self.outside_band is None else vars(self.outside_band)
         return document | {"orbit_distance": self.orbit, "cpu_s": self.cpu_s}
+
+
+@dataclass(frozen=True)
+class UnfittedLaw:
+    """The row of a law that could not be started, or whose motion could not be followed: it has no numbers."""
+
+    law: int | str
+    name: str
+    reason: str
+    formula: str | None = None
+
+    @property
+    def title(self) -> str:
+        """The law in a table, as `LawResult.title`."""
+        return f"{self.law} {self.name}" if self.formula is None else f"{self.law}: {self.formula}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the document's form, with the keys of `LawResult.as_json`."""
+        document: dict[str, Any] = {"law": self.law, "name": self.name}
+        document |= {} if self.formula is None else {"formula": self.formula, "asked": True}
+        document |= {"score": None, "weight": None, "in_set": False, "rms_m": None, "cycles": None, "fitted": False}
+        return document | {
+            "reason": self.reason,
+            "parameters": {},
+            "outside_band": None,
+            "orbit_distance": None,
+            "cpu_s": None,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,6 +315,8 @@ class RankedLaws:
         The smoothed runs.
     alpha : float
         1 - confidence of the intervals.
+    unfitted : tuple of UnfittedLaw
+        Laws that were asked for and could not be fitted, each with its reason; they follow ``rows`` in tables.
     """
 
     verdict: str
@@ -302,6 +332,7 @@ class RankedLaws:
     runs: "tuple[RankedLaws, ...]" = ()
     records: tuple[Kinematics, ...] = field(default=(), repr=False)
     alpha: float = 0.05
+    unfitted: tuple[UnfittedLaw, ...] = ()
 
     @property
     def laws_in_set(self) -> tuple[int, ...]:
@@ -318,6 +349,11 @@ class RankedLaws:
         return next((row for row in asked if isinstance(row.law, int) and row.in_set), asked[0])
 
     @property
+    def table(self) -> "tuple[LawResult | UnfittedLaw, ...]":
+        """The rows, then those of the laws that could not be fitted."""
+        return (*self.rows, *self.unfitted)
+
+    @property
     def rivals(self) -> tuple[LawResult, ...]:
         """The rows of laws given as formulas, best first."""
         return tuple(row for row in self.rows if isinstance(row.law, str))
@@ -332,7 +368,8 @@ class RankedLaws:
         for row in self.rows:
             if row.law == law:
                 return row
-        raise KeyError(f"law {law} was not fitted; fitted: {', '.join(str(row.law) for row in self.rows)}")
+        why = next((f": {row.reason}" for row in self.unfitted if row.law == law), "")
+        raise KeyError(f"law {law} was not fitted{why}; fitted: {', '.join(str(row.law) for row in self.rows)}")
 
     def as_json(self) -> dict[str, Any]:
         """Return the command's JSON document."""
@@ -340,7 +377,7 @@ class RankedLaws:
             "verdict": self.verdict,
             "set": list(self.laws_in_set),
             "rivals": [row.law for row in self.rivals if row.in_set],
-            "ranking": [row.as_json() for row in self.rows],
+            "ranking": [row.as_json() for row in self.table],
             "cycles": [event.as_json() for event in self.events],
             "warnings": list(self.warnings),
             "findings": [vars(finding) for finding in self.findings],
@@ -398,6 +435,8 @@ class RankedLaws:
             del flat["outside_band"], flat["parameters"]
             table.append(flat | in_columns(row.parameters))
             units |= {name: item.unit for name, item in row.parameters.items()}
+        for unfitted in self.unfitted:
+            table.append({key: value for key, value in unfitted.as_json().items() if key in (*table[0], "reason")})
         frame = pd.DataFrame(table)
         frame.attrs["units"] = units
         return frame
@@ -439,7 +478,7 @@ class RankedLaws:
         return f"<Ranking: {self.verdict}\n {best.label}: {', '.join(shown)}>"
 
     def _repr_html_(self) -> str:
-        from daq.base.output import notebook
+        from stickslip.output import notebook
 
         about = [("verdict", self.verdict), *(("warning", in_python(text)) for text in self.warnings)]
         parts = [notebook.table("Ranking", about)]
@@ -455,7 +494,8 @@ class RankedLaws:
                 )
                 for row in self.rows
             )
-            parts.append(notebook.table("Laws, best first", laws, header))
+            unfitted = ((str(row.law), row.formula or row.name, "not fitted", "", "") for row in self.unfitted)
+            parts.append(notebook.table("Laws, best first", (*laws, *unfitted), header))
             values = ((name, str(item)) for name, item in self.best.parameters.items())
             parts.append(notebook.table(f"Parameters of {self.best.label}", values))
         return "\n".join(parts)

@@ -13,7 +13,6 @@ from operator import itemgetter
 
 import numpy as np
 
-from daq.base.errors import InputError
 from fitting.competitors import Competitors
 from fitting.curve.band import seen_speeds
 from fitting.curve.forms import FORM_OF_LAW
@@ -27,7 +26,10 @@ from fitting.model.problem import Run
 from fitting.selection import evidence
 from fitting.selection.evidence import OPEN, Candidate, Evidence, ModelSet
 from fitting.selection.given import formula_given
+from fitting.selection.result import UnfittedLaw
 from fitting.undetermined import natural_size, undetermined
+from rig_sim.friction.law import LAWS
+from stickslip.errors import InputError
 
 logger = logging.getLogger(__name__)
 # Difference over the friction: curves that differ by less are one.  Half or twice decides the same for formulas written
@@ -38,34 +40,24 @@ OF_THE_SIX = ("constant", "linear", "hyperbolic")
 
 @dataclass(frozen=True, eq=False)
 class Formulas:
-    """The formulas that were fitted, and what is said of those that were named and could not be, or not in all."""
+    """The formulas that were fitted, those that were named and could not be, and what is said of parameters."""
 
     fits: tuple[FormulaFit, ...]
+    unfitted: tuple[UnfittedLaw, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Competition:
-    """All laws together: the six, those that were named, and rivals that were not.
+    """All laws together: the six, those that were named, and rivals that were not."""
 
-    Attributes
-    ----------
-    order : tuple of int or str
-        Best first, members of the set before all others; the six between themselves as they were judged alone.
-    members : tuple of int or str
-        The combined set, best first.
-    score, weight, behind : dict
-        Of each law, as `fitting.selection.evidence.ModelSet`.
-    asked : frozenset of int or str
-        Which were asked for.
-    """
-
+    # best first, members of the set before all others; the six between themselves as they were judged alone
     order: tuple[int | str, ...]
-    members: tuple[int | str, ...]
-    score: dict[int | str, float]
+    members: tuple[int | str, ...]  # the combined set, best first
+    score: dict[int | str, float]  # of each law, as `fitting.selection.evidence.ModelSet`
     weight: dict[int | str, float]
     behind: dict[int | str, tuple[float, float]]
-    asked: frozenset[int | str]
+    asked: frozenset[int | str]  # which were asked for
 
     @classmethod
     def of_six(cls, chosen: ModelSet) -> "Competition":
@@ -102,29 +94,19 @@ def preferred_forms(forms: Sequence[FormFit]) -> list[tuple[Law, float]]:
 def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rivals: bool) -> Formulas:
     """Fit the laws that were named and, where ``rivals``, those whose forms the measured curve prefers.
 
-    Parameters
-    ----------
-    competitors : Competitors
-    curve : MeasuredCurve or None
-        From which each fit starts.
-    rivals : bool
-
-    Raises
-    ------
-    InputError
-        For a law that was named and is no friction curve with any values of its parameters.
+    curve: From which each fit starts.
     """
     if curve is None:
-        lost = "the motion cannot be followed with a curve of its own"
-        return Formulas((), tuple(f"law {law.name} was not fitted: {lost}" for law in competitors.formulas))
+        laws: tuple[int | Law, ...] = (*competitors.formulas, *competitors.restated)
+        return Formulas((), tuple(unfitted(law, "the friction curve could not be measured") for law in laws))
     host = curve.spline_fit
     found: list[FormulaFit] = []
+    missing: list[UnfittedLaw] = []
     warned: list[str] = []
     for law, number in _named(competitors, host):
         one = _fitted(law, host, number)
-        if one is None:
-            lost = "its motion cannot be followed; it was not fitted"
-            warned.append(f"law {law.name if number is None else number}: {lost}")
+        if isinstance(one, str):
+            missing.append(unfitted(law if number is None else number, one))
             continue
         found.append(one)
         warned += [_said(law, str(group), group.names) for group in one.together]
@@ -136,13 +118,22 @@ def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rival
         if law.name in {own.name for own in competitors.formulas}:  # perhaps with parameters given
             fitted = any(fit.law == law.name for fit in named)
         else:
-            one = _rival(replace(law, ramp=bool(host.path.curve.ramp)), host)
-            fitted = one is not None
-            found += [] if one is None or any(_draws(fit.asked_for, one, host) for fit in named) else [one]
+            one = _fitted(replace(law, ramp=bool(host.path.curve.ramp)), host)
+            fitted = not isinstance(one, str)
+            found += [] if isinstance(one, str) or any(_draws(fit.asked_for, one, host) for fit in named) else [one]
         least = min(least, criterion) if fitted else least
     for fit in found:
         logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
-    return Formulas(tuple(found), tuple(warned))
+    for row in missing:
+        logger.info("law %s was not fitted: %s", row.law, row.reason)
+    return Formulas(tuple(found), tuple(missing), tuple(warned))
+
+
+def unfitted(law: int | Law, reason: str) -> UnfittedLaw:
+    """Return the row of a law that could not be fitted."""
+    if isinstance(law, int):
+        return UnfittedLaw(law, LAWS[law].name, reason)
+    return UnfittedLaw(law.name, law.name.replace("-", " "), reason, law.formula)
 
 
 def _named(competitors: Competitors, host: SplineFit) -> Iterator[tuple[Law, int | None]]:
@@ -154,23 +145,18 @@ def _named(competitors: Competitors, host: SplineFit) -> Iterator[tuple[Law, int
         yield formula_given(law, competitors.of_law(number), motion), number
 
 
-def _fitted(law: Law, host: SplineFit, number: int | None = None) -> FormulaFit | None:
-    """Fit one formula; of parameters that it has only together all but as many as it needs are held."""
+def _fitted(law: Law, host: SplineFit, number: int | None = None) -> FormulaFit | str:
+    """Fit one formula, or return why it cannot be; of parameters that it has only together some are held."""
     friction, fastest = float(np.median(host.spline.coefficients)), float(host.spline.knots[-1])
     together = undetermined(law, friction, fastest)
     held = [name for group in together for name in group.names[len(group.names) - group.free :]]
     start = law.start or {}
     free = law.given(fix={name: start.get(name, natural_size(law, name, friction, fastest)) for name in held})
-    return fit_formula(free, host, asked_for=law, number=number, together=together)
-
-
-def _rival(law: Law, host: SplineFit) -> FormulaFit | None:
-    """Fit a law that was not named; None too where it is no friction curve with any values near the measured one."""
     try:
-        return _fitted(law, host)
+        fit = fit_formula(free, host, asked_for=law, number=number, together=together)
     except InputError as error:
-        logger.info("law %s is no rival: %s", law.name, error.what)
-        return None
+        return error.what.removeprefix(f"law {law.name} is ")
+    return "its motion cannot be followed" if fit is None else fit
 
 
 def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:
@@ -204,19 +190,10 @@ def compete(
 ) -> Competition:
     """Judge the six and the formulas by the same evidence and set rule.
 
-    Parameters
-    ----------
-    fits : sequence of Fit
-        Of the six that compete.
-    chosen : ModelSet or None
-        Of these alone: between themselves they are judged without others, which beat all of their set or none.
-    formulas : sequence of FormulaFit
-    runs : sequence of Run
-    alpha : float
-    asked : frozenset of int or str
-        The laws that were asked for.
-    sustained : bool
-        Whether the mass sticks in the long run; else the start-up drags alone are evidence.
+    fits: Of the six that compete.
+    chosen: Of these alone: between themselves they are judged without others, which beat all of their set or none.
+    asked: The laws that were asked for.
+    sustained: Whether the mass sticks in the long run; else the start-up drags alone are evidence.
     """
     every: list[Candidate] = [*fits, *formulas]
     units = evidence.common_units(every, runs, sustained=sustained)

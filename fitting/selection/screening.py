@@ -11,9 +11,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.compute.least_squares import least_squares
-from daq.base.errors import DataError, InputError
 from daq.runfile.rest_position import impossible
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import REST_SPEED, SLIP_SPEED, MeasuredMotion
@@ -21,12 +18,15 @@ from fitting.driver.passes import first_pass, regressed_start
 from fitting.driver.task import law_task
 from fitting.estimation.fit import Fit
 from fitting.estimation.fitted_law import FittedLaw
+from fitting.least_squares.linear import least_squares
 from fitting.model.problem import Run
 from fitting.selection import lost_frames
 from fitting.selection.evidence import constant_friction_limit
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array, Integers
+from stickslip.errors import DataError, InputError
 
 COMES_BACK = 0.2  # way back over a slip's range; with sustained sticks a slip leads back by half of it and more
 # Difference over the usual stick's speed: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1.
@@ -78,15 +78,9 @@ def refusal(
 ) -> DataError:
     """Return the error of a record whose laws cannot be ranked.
 
-    Parameters
-    ----------
-    why : str
-        Why they cannot.
-    contradicted : sequence of sequence of Finding
-        What was stated of each run's rig without which a law comes near.
-    runs : sequence of Run
-    records : sequence of Kinematics
-        The records of the runs, as they were smoothed.
+    why: Why they cannot.
+    contradicted: What was stated of each run's rig without which a law comes near.
+    records: The records of the runs, as they were smoothed.
     """
     where = ", ".join(record.recording.where for record in records)
     findings = [finding for own in contradicted for finding in own]
@@ -213,13 +207,8 @@ def is_stick_slip(record: Kinematics) -> bool:
 def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int, *, sustained: bool) -> str:
     """Return why a record is no stick-slip on a belt; "" where it may be.
 
-    Parameters
-    ----------
-    motion, cut : MeasuredMotion, CycleSegmentation
-    slips : int
-        How many the smoothing found: where most cycles hold none of them, the cycles are noise.
-    sustained : bool
-        Whether the mass sticks in the long run: a mass that merely grazes the belt ends a slip where it began.
+    slips: How many the smoothing found: where most cycles hold none of them, the cycles are noise.
+    sustained: Whether the mass sticks in the long run: a mass that merely grazes the belt ends a slip where it began.
     """
     # Cycles at rest half the time are left out of the fit, but show as well as any other what drives the mass.
     seen = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
@@ -230,6 +219,12 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int,
     begin = np.searchsorted(time, [cycle.break_away for cycle in seen])
     end = np.minimum(np.searchsorted(time, [cycle.landing for cycle in seen]), time.size - 1)
     reach = np.array([np.ptp(x[i : j + 1]) for i, j in zip(begin, end, strict=True)])
+    turned = _reversal(motion, begin, end)
+    if turned is not None:
+        return (
+            f"the belt reverses at about {turned:.4g} s; fit the two parts separately, with --to {turned:.4g} and with "
+            f"--from {turned:.4g}"
+        )
     if sustained and float(np.median((x[begin] - x[end]) / np.maximum(reach, motion.resolution))) < COMES_BACK:
         return _not_back(motion, begin, end)
     if slips >= FEW and len(seen) > 2 * slips and float(np.median(reach)) < BEYOND_NOISE * motion.resolution:
@@ -256,7 +251,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int,
     rested = len(seen) - len(cut.used)
     if 2 * rested >= len(seen):
         return f"the mass stands still in {rested} of {len(seen)} supposed slips"
-    if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
+    if not sustained and not cut.starts_at_rest and dies_away(motion.velocity):
         return "a decaying oscillation, without a start-up; constant friction with damping is possible"
     drag = cut.starts_at_rest and not sustained  # constant friction with damping: a start-up, then less and less motion
     filled = 1.0 if drag else _filled(motion, cut)
@@ -273,13 +268,8 @@ def reject_by_coarse_fits(laws: Sequence[int], runs: Sequence[Run], *, sustained
     the six to leave less than `SCREENED_ERROR`.  What no law can follow is refused here within a second, before the
     whole record is fitted by all of them.
 
-    Parameters
-    ----------
-    laws : sequence of int
-        Laws to be fitted.
-    runs : sequence of Run
-    sustained : bool
-        Whether the mass sticks in the long run; else constant friction is tried too.
+    laws: Laws to be fitted.
+    sustained: Whether the mass sticks in the long run; else constant friction is tried too.
     """
     if not sustained and all(_is_sine_alone(run) for run in runs):
         return SINE_ALONE
@@ -363,6 +353,24 @@ def _of_motion(motion: MeasuredMotion) -> str:
     return "no slip between two sticks"
 
 
+def _reversal(motion: MeasuredMotion, begin: Integers, end: Integers) -> float | None:
+    """Return the time of the run, s, at which the belt reverses; None where it does not.
+
+    Sticks on a belt that runs the other way are taken for slips, all of one constant speed, which is that of the belt.
+    """
+    middle = [motion.velocity[i + (j - i) // 4 : j - (j - i) // 4 + 1] for i, j in zip(begin, end, strict=True)]
+    speed = np.array([float(np.median(v)) for v in middle]) / motion.belt_speed
+    even = (np.abs(speed + 1) < ONE_SPEED) & (_speed_changes(motion, begin, end) < EVEN_SLIP)
+    first = int(np.argmax(even))
+    last = even.size - int(np.argmax(even[::-1]))
+    if np.count_nonzero(even) < FEWEST_STICKS or even.all() or not even[first:last].all():
+        return None
+    if first > 0 and last < even.size:
+        return None
+    turned = first if first > 0 else last + int(np.argmax(np.abs(speed[last:]) > REST_SPEED))
+    return motion.begin + float(motion.time[begin[turned]])
+
+
 def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Array:
     """Return how much the velocity changes in the middle half of each slip, over the mean slip speed there (slips,)."""
     quarter = (end - begin) // 4
@@ -402,7 +410,8 @@ def _sine_residual(motion: MeasuredMotion) -> float:
     return float(np.std(residual))
 
 
-def _dies_away(velocity: Array) -> bool:
+def dies_away(velocity: Array) -> bool:
+    """Return whether a motion is slower at the end than at first."""
     first, _, last = (float(np.max(np.abs(part))) for part in np.array_split(velocity, 3))
     return last < DIES_AWAY * first
 

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 
-from daq.base.output.lengths import format_length
 from fitting import noise_levels
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
@@ -14,6 +13,7 @@ from fitting.estimation.fit import Fit
 from fitting.model.parameters import Global
 from fitting.selection.result import LawResult
 from fitting.selection.rivals import Competition
+from stickslip.output.lengths import format_length
 
 OTHER_SPEEDS = " or runs at other belt speeds"
 # Chi of a published form.  The true one is outside the 95 % band in one record of twenty, at 1.3 to 2.0, other forms at
@@ -38,17 +38,10 @@ def verdict_sentence(
 ) -> str:
     """Return the verdict: the law, or the laws that the record cannot distinguish, and why.
 
-    Parameters
-    ----------
-    rows : sequence of LawResult
-        Best first.
-    competition : Competition
-    sustained : bool
-        Whether the record has sustained sticks; without them friction is constant.
-    measured : bool
-        Whether the belt's own counts were used.
-    runs : int
-        How many were fitted together.
+    rows: Best first.
+    sustained: Whether the record has sustained sticks; without them friction is constant.
+    measured: Whether the belt's own counts were used.
+    runs: How many were fitted together.
     """
     members = [row for row in rows if row.in_set]
     six = [row for row in members if isinstance(row.law, int)]
@@ -149,11 +142,7 @@ def _as_well(others: Sequence[LawResult]) -> str:
 def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
     """Return the verdict on a record that no law describes: what friction does instead, and how far off the laws are.
 
-    Parameters
-    ----------
-    rows : sequence of LawResult
-        Best first.
-    adequacy : Adequacy
+    rows: Best first.
     """
     asked = [row for row in rows if row.asked]
     best = asked[0]

@@ -16,12 +16,12 @@ Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of Non-smooth Mechanic
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.compute.compile import compiled
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.path import KERNELS, Path
 from fitting.sensitivity.rates import CREEP
 from rig_sim.flow.modes import STICK
+from stickslip.compute.arrays import Array, Integers
+from stickslip.compute.compile import compiled
 
 NO_COLUMNS = np.zeros((0, 0))
 NOTHING_MOVES = np.zeros(0, np.int64)
@@ -39,22 +39,14 @@ def tangents(
 ) -> Array:
     """Return the derivatives of the positions at all samples, shape (N, k).
 
-    Parameters
-    ----------
-    path : Path
-        M points, N samples.
-    acceleration : (M, k) f8
-        What one unit of each column adds to the acceleration at given position, velocity and belt speed, m/s^2.
-    belt_speed : (M, n) f8, optional
-        What it adds to the belt's speed, m/s.
-    moving : (n,) i8, optional
-        Which columns move the belt; all of them without it.
-    edge : (windows, k) f8, optional
-        What it adds to the half-width of the ramp, m/s.
-    start : pair of (windows, k) f8, optional
-        What it adds to position (m) and velocity (m/s) at the start of each window; 0 without.
-    position : (N, k) f8, optional
-        What it adds to the reading itself, m.
+    path: M points, N samples.
+    acceleration: (M, k) What one unit of each column adds to the acceleration at given position, velocity and belt
+        speed, m/s^2.
+    belt_speed: (M, n) What it adds to the belt's speed, m/s.
+    moving: (n,) Which columns move the belt; all of them without it.
+    edge: (windows, k) What it adds to the half-width of the ramp, m/s.
+    start: What it adds to position (m) and velocity (m/s) at the start of each window; 0 without.
+    position: (N, k) What it adds to the reading itself, m.
     """
     k = acceleration.shape[1]
     none = np.zeros((path.windows.table.shape[0], k))

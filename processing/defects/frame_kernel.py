@@ -1,9 +1,9 @@
 """Kernel: one pass over the positions for steps of zero, two or three times the usual length.
 
-Runs as written or compiled (`daq.base.compute.compile`).
+Runs as written or compiled (`stickslip.compute.compile`).
 """
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 WIDE = 7  # steps on either side that determine the usual one
 # The nearest of those steps, and how far the parabola through the means of near and far ones lies beyond the near mean

@@ -10,9 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from daq.runfile.store import RunReader
 from processing.record.series import count_intervals
+from stickslip.compute.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from daq.base.compute.arrays import Array, Integers
 from processing.record.series import Series
 from processing.record.units import Units, power_of_two
+from stickslip.compute.arrays import Array, Integers
 
 WINDOW = 2**11  # samples: the length of stretches is a multiple of it
 WHOLE = 2**16  # samples: a shorter record is learned from as a whole

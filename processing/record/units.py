@@ -9,7 +9,7 @@ slips run towards +x: a mirrored record gives the same numbers, too.
 import math
 from dataclasses import dataclass
 
-from daq.base.measured import Measured
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True)

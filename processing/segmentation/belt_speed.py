@@ -9,10 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.measured import Measured
 from processing.record.motion import Motion
 from processing.record.setting import is_possible_speed
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 SAME_SPEED = 0.4  # of the belt's speed: largest difference of a plateau, which a ramp can cause by its half-width
 QUARTER = 8  # samples in a quarter of a stick, at least

@@ -16,7 +16,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from processing.kalman.stick_slip import LAND, LEAVE, OVERTAKE, RIDE, SLIP, STICK, NoiseLevels
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED
@@ -30,6 +29,7 @@ from processing.segmentation.switching_times import (
     span_sticks,
     split_stretches,
 )
+from stickslip.compute.arrays import Array
 
 ODD = 4.0  # times the median mean square innovation: a larger misfit at the start of a stick suggests overtaking
 AHEAD = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)  # of a slip: first guesses of how long the mass runs ahead

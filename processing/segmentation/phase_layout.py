@@ -11,11 +11,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, runs
-from daq.base.measured import Measured
 from processing.record.motion import Corner, Motion, Phase, PhaseSegmentation
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED, reported_speed, speed_before_creep
+from stickslip.compute.arrays import Array, Mask, runs
+from stickslip.units import Measured
 
 FAST = 0.25  # of the peak speed of a slip: faster samples belong to it; noise and ringing reach 0.2 on paper
 CREEP_SHARE = 0.5  # of a slip's time: a smaller fast part means creep; paper 0.1 to 0.3, the six laws 0.7 to 0.9

@@ -25,8 +25,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, runs
-from daq.base.measured import Measured
 from processing.kalman import white_jerk
 from processing.record.motion import BeltMotion, Motion, Phase, PhaseSegmentation
 from processing.record.noise import position_noise
@@ -48,6 +46,8 @@ from processing.segmentation.phase_layout import (
     median_peak_speed,
     runs_in_pieces,
 )
+from stickslip.compute.arrays import Array, Mask, runs
+from stickslip.units import Measured
 
 FLAT = 0.05  # of the largest accelerations (95th percentile): smaller ones count as zero
 SHARE = 0.017  # of a cycle: shortest stick; the turning points of a swing are flat for FLAT/pi = 0.016 of it

@@ -22,8 +22,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import HOLE, Array, Mask, runs
-from daq.base.compute.compile import compiled
 from processing.kalman import white_jerk
 from processing.kalman.corner_kernel import BETWEEN
 from processing.kalman.stick_slip import (
@@ -68,6 +66,8 @@ from processing.segmentation.switching_times import (
     initial_switching_times,
     split_stretches,
 )
+from stickslip.compute.arrays import HOLE, Array, Mask, runs
+from stickslip.compute.compile import compiled
 
 KERNELS = ("processing.segmentation.line_fit",)
 CORNER_NAMES = {

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.console.application import Answer
+from stickslip.console.application import Answer
 
 if TYPE_CHECKING:
     from rig_sim.functions.result import Result
@@ -24,7 +24,7 @@ def answered(result: "Result", plot: Path | None = None, force: bool = False) ->
     if plot is not None and (nothing := result.undrawn()):
         lines = [*lines, f"nothing drawn: {nothing}"]
     elif plot is not None:
-        from daq.base.output.plot import save
+        from stickslip.output.plot import save
 
         save(result.plot(), plot, force=force)
         data["file"] = plot

@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-from daq.base.console import application
-from daq.base.console.application import Answer, Json
-from daq.base.errors import InputError
 from rig_sim.cli.atlas import atlas
 from rig_sim.cli.derived import derive
+from stickslip.console import application
+from stickslip.console.application import Answer, Json
+from stickslip.errors import InputError
 
 app = application.application(
     "rig-sim",

@@ -13,12 +13,12 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter, Token
 
-from daq.base.console import application, flags
-from daq.base.console.application import Answer, Json, SetChanges
-from daq.base.console.flags import Force, Plot, check_plot
-from daq.base.errors import InputError
-from rig_sim import _HOME as HOME
+from rig_sim import HOMES
 from rig_sim.cli.answer import answered, changed
+from stickslip.console import application, flags
+from stickslip.console.application import Answer, Json, SetChanges
+from stickslip.console.flags import Force, Plot, check_plot
+from stickslip.errors import InputError
 
 ENTRY = re.compile(r"^(\w+) : .*\n((?:    .*\n?)+)", re.MULTILINE)  # of a section Parameters
 IN_PYTHON = re.compile(r" In Python .*?\.(?= |$)")  # a sentence that no command line needs
@@ -69,7 +69,7 @@ def derive(
 
 def read_definition(name: str) -> ast.FunctionDef:
     """Return the signature and the docstring of a function of `rig_sim`, with the choices that its module names."""
-    path = Path(__file__).parents[2].joinpath(*HOME[name].split(".")).with_suffix(".py")
+    path = Path(__file__).parents[2].joinpath(*HOMES[name].split(".")).with_suffix(".py")
     source = path.read_text(encoding="utf-8")
     head = re.findall(rf'^def {name}\(.*?^    """$', source, re.MULTILINE | re.DOTALL)[0]
     for alias, choices in CHOICES.findall(source):

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
 from rig_sim.functions.arguments import ParameterRange, SceneLike, parameter_range, scene_of, whole
 from rig_sim.functions.result import PALE, STABLE, UNIT, UNSTABLE, Result
 from rig_sim.functions.systems import SweptScene, stick_map
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd

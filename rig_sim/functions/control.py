@@ -5,26 +5,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError, check_known
 from rig_sim.dynamics.control.dither import Quench as Quenching
 from rig_sim.dynamics.system.formula import FormulaMap
 from rig_sim.flow.flow import LARGEST, SMALLEST
 from rig_sim.functions.arguments import SceneLike, number, plain_number, scene_of, whole
 from rig_sim.functions.result import Result
 from rig_sim.functions.systems import landing_map, with_period
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError, check_known
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from daq.base.compute.arrays import Array
     from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit
     from rig_sim.dynamics.control.locking import Locking
     from rig_sim.dynamics.control.ogy import Lock as Controlling
     from rig_sim.dynamics.control.stability import ShakerPlane
     from rig_sim.flow.flow import Flow
+    from stickslip.compute.arrays import Array
 
 METHODS = ("ogy", "search")
 MOST_PERIOD = 100  # longest period of a search; the multipliers of longer orbits leave no digit of a motion

@@ -5,21 +5,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
 from rig_sim.dynamics.system.formula import FormulaMap
 from rig_sim.functions.arguments import SceneLike, scene_of, whole
 from rig_sim.functions.result import PALE, STABLE, Result
 from rig_sim.functions.systems import driven_map, on_interval, stick_map
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.base.compute.arrays import Array, Integers
     from rig_sim.dynamics.analyses.basins import Attractor
     from rig_sim.dynamics.analyses.periodic_points import PeriodicPoint
     from rig_sim.dynamics.return_maps.stick import StickEvent, StickMap
     from rig_sim.scenes.model import Scene
+    from stickslip.compute.arrays import Array, Integers
 
 MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000

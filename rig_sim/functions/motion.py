@@ -6,18 +6,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from daq.base.compute.stages import Stages, silent
 from rig_sim.functions.arguments import SceneLike, number, scene_of, whole
 from rig_sim.functions.result import UNIT, Result, ended
 from rig_sim.motion import play
+from stickslip.compute.stages import Stages, silent
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from daq.base.compute.arrays import Array
     from rig_sim.comparison.error_vs_time import MethodResult
     from rig_sim.motion.two_masses import TwoMassEvent
+    from stickslip.compute.arrays import Array
 
 MARKS = {"N": "v", "P": "^", "S": "s"}  # in a picture, of the contact that an event enters
 BELOW_ROUNDING = 1e-17  # where a picture puts an error of 0

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-from daq.base.errors import check_known
 from rig_sim.dynamics.limit_cycles import fixed_point as fixed
 from rig_sim.dynamics.limit_cycles import floquet as multipliers
 from rig_sim.dynamics.limit_cycles import limit_cycle
@@ -13,6 +12,7 @@ from rig_sim.functions.arguments import SceneLike, scene_of
 from rig_sim.functions.result import PALE, STABLE, UNIT, Result, table_lines
 from rig_sim.integrate.phases import State
 from rig_sim.scenes.model import Scene
+from stickslip.errors import check_known
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq.base.errors import in_python
+from stickslip.errors import in_python
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +62,7 @@ class Result:
         """
         import matplotlib as mpl
 
-        from daq.base.output.plot import STYLE, figure
+        from stickslip.output.plot import STYLE, figure
 
         with mpl.rc_context(fname=STYLE):
             if ax is None:
@@ -89,7 +89,7 @@ class Result:
         return "\n".join([head, *(f" {line}" for line in words[:LINES]), *more]) + ">"
 
     def _repr_html_(self) -> str:
-        from daq.base.output import notebook
+        from stickslip.output import notebook
 
         rows = list(self.rows())
         title = f"{type(self).__name__} of {self.name}"

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.errors import InputError
 from daq.imports import source
 from daq.wire.roll_over import find_roll_over, survey_roll_over, unroll
+from stickslip.errors import InputError
 
 N = 600
 TIME = np.arange(N) / 400
@@ -49,6 +49,11 @@ def _folder(path):
 def _sparse(path):
     with (path / "a.csv").open("wb") as file:
         file.truncate(source.MOST_BYTES + 1)
+    return path / "a.csv"
+
+
+def _long_text(path):
+    (path / "a.csv").write_bytes(b"\n" * (source.MOST_LINES + 1))
     return path / "a.csv"
 
 
@@ -116,6 +121,7 @@ def _many_columns(path):
         (_device, "is a device, not a file"),  # filled the memory
         (_folder, "is a folder"),
         (_sparse, "a table has at most 268 MB"),
+        (_long_text, "8,388,609 lines; a table has at most 8,388,608"),
         (_wide_text, "5,000 columns; a table has at most 4,096"),
         (_stored_elsewhere, "reads its data from another file"),  # any file of the reader's became positions
         (_external_link, "is a link to another file"),
@@ -287,7 +293,9 @@ def test_a_counter_that_rolls_over_is_undone_exactly(tmp_path, motion, readings,
     assert roll_over is not None
     assert roll_over.counts == counts
     np.testing.assert_array_equal(np.diff(unroll(readings, roll_over)), np.diff(motion))
-    assert survey_roll_over(readings) == roll_over
+    assert survey_roll_over(readings, np.zeros(readings.size, np.uint16)) == roll_over
+    connected = np.abs(np.diff(readings, prepend=readings[0])) <= counts / 2  # else another segment begins
+    assert survey_roll_over(readings, np.cumsum(~connected).astype(np.uint16)) is None
     rows = [f"{k / 1000},{value}" for k, value in enumerate(readings)]
     path = _text(tmp_path / "a.csv", rows, head="t (s),counts\n")
     with pytest.warns(UserWarning, match="rolled over or restarted"):

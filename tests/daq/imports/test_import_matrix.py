@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.cli.app import app
 from daq.imports import source, tdms, workbook
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.units import Measured
 from tests.daq.imports import programs
 
 RATE = 250.0

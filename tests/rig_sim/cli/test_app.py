@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import rig_sim
-from daq.base.console import application
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
 from rig_sim.functions.maps import with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
+from stickslip.console import application
 
 CASES = json.loads((Path(__file__).parents[2] / "reference" / "limit_cycles.json").read_text())["cases"]
 KEYS = {
@@ -164,7 +164,7 @@ def test_bad_input_is_one_line_and_exit_2(
 
 def test_light_commands_import_no_array_package() -> None:
     code = (
-        "import sys; from daq.base.console import application; from rig_sim.cli.app import app\n"
+        "import sys; from stickslip.console import application; from rig_sim.cli.app import app\n"
         "for line in ('--help', 'scenes', 'cycle base', 'events rig --until 20'):\n"
         "    assert application.run(app, line.split()) == 0, line\n"
         "    heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'pandas', 'h5py'} & set(sys.modules)\n"
