@@ -1,4 +1,4 @@
-"""What to record: the one value that carries a person's request from the flags to the board."""
+"""The user's request for a recording, from the flags to the board."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
