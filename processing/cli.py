@@ -84,7 +84,7 @@ def smooth(
         motion = kinematics
     slip_statistics = stage.load_statistics(file)
     data = summary.as_json(motion) | {"statistics": slip_statistics.as_json()}
-    lines = summary.sentences(motion, chosen=window == "auto") + slip_statistics.sentences(motion.unit)
+    lines = summary.format_sentences(motion, chosen=window == "auto") + slip_statistics.sentences(motion.unit)
     return Answer(data, [*lines, f"written to /entry/smooth of {file}"])
 
 
@@ -143,7 +143,7 @@ def inspect(
         "smoothed_in_memory": stored is None,
         "plot": target,
     }
-    lines = summary.run_sentences(motion, file) + slip_statistics.sentences(motion.unit)
+    lines = summary.format_run_sentences(motion, file) + slip_statistics.sentences(motion.unit)
     if stored is None:
         lines.append("not smoothed yet, so smoothed in memory; keep it with: process smooth")
     return Answer(data, [*lines, f"picture: {target}"])

@@ -98,13 +98,13 @@ def smooth(
         if isinstance(position, str):
             method, position = position, None
         if position is not None:
-            what = "a position beside a run, which has its own"
-            raise InputError(what, where, "give the run alone: processing.smooth(run, method=...)")
+            problem = "a position beside a run, which has its own"
+            raise InputError(problem, where, "give the run alone: processing.smooth(run, method=...)")
         run = run_or_time if isinstance(run_or_time, daq.Recording) else daq.load(run_or_time)
     elif position is None:
-        what = f"a {type(run_or_time).__name__} and no position"
-        do = "give a run, a file or two arrays: processing.smooth(time, position)"
-        raise InputError(what, where, do)
+        problem = f"a {type(run_or_time).__name__} and no position"
+        advice = "give a run, a file or two arrays: processing.smooth(time, position)"
+        raise InputError(problem, where, advice)
     else:
         run = daq.Recording.from_arrays(run_or_time, position)
     return smoothing.smooth(run, method, window, order, times, belt_speed, repair_counts, model)

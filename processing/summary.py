@@ -45,7 +45,7 @@ def as_json(motion: Kinematics | SmoothingSummary) -> dict[str, Any]:
         ],
         "samples": motion.samples,
         "findings": [vars(finding) for finding in motion.findings],
-        "warnings": warnings(motion),
+        "warnings": list_warnings(motion),
     }
 
 
@@ -67,7 +67,7 @@ def run_as_json(motion: Kinematics) -> dict[str, Any]:
     }
 
 
-def warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
+def list_warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
     """Return what a person should know before using the motion."""
     messages = []
     if motion.lost_counts:
@@ -91,7 +91,7 @@ def warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
     return messages + [finding.text for finding in motion.findings]
 
 
-def sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) -> list[str]:
+def format_sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) -> list[str]:
     """Return how the motion was computed and its findings; ``chosen``: the window was chosen automatically."""
     method_text = METHOD_NAMES[motion.method]
     if motion.method == "sg":
@@ -111,10 +111,10 @@ def sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) ->
         leaving = _median_error([stick.end_sd for stick in motion.sticks])
         lines.append(f"standard errors of switching times: {landing} (landings), {leaving} (break-aways)")
     lines.append(f"{motion.samples} samples in {motion.cpu_s:.2f} s of CPU time")
-    return lines + [f"warning: {warning}" for warning in warnings(motion)]
+    return lines + [f"warning: {warning}" for warning in list_warnings(motion)]
 
 
-def run_sentences(motion: Kinematics, file: Path) -> list[str]:
+def format_run_sentences(motion: Kinematics, file: Path) -> list[str]:
     data = run_as_json(motion)
     unit = data["unit"]
     events = ", ".join(f"{count} × {kind}" for kind, count in data["events"].items()) or "none"
@@ -125,7 +125,7 @@ def run_sentences(motion: Kinematics, file: Path) -> list[str]:
         *(f"{name}: {text}" for name, text in motion.recording.remarks().items()),
         f"{data['samples']} samples at {data['rate_hz']:g} Hz, {data['duration_s']:.4g} s{segments}; events: {events}",
         f"position {shown_range(low, high, unit)}, velocity {slow:.4g} to {fast:.4g} {shown_speed(unit)}",
-        *sentences(motion),
+        *format_sentences(motion),
         *(f"model{name}: {numbers}" for name, numbers in _list_groups(motion.model)),
     ]
 

@@ -138,8 +138,8 @@ class _Templates:
         lags = covariances[covariances.size // 2 :][: max(RETURNS)]
 
         def variance(weights: Array) -> float:
-            apart = np.abs(np.subtract.outer(np.arange(weights.size), np.arange(weights.size)))
-            return float(weights @ lags[apart] @ weights / lags[0])
+            distance = np.abs(np.subtract.outer(np.arange(weights.size), np.arange(weights.size)))
+            return float(weights @ lags[distance] @ weights / lags[0])
 
         remaining = [np.maximum(1 - np.arange(1.0, max(RETURNS) + 1) / d, 0) ** 2 for d in RETURNS]  # share of the way
         kicks = -np.diff(remaining, prepend=1.0)
