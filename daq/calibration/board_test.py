@@ -20,8 +20,6 @@ HAND_EDGES = 40  # a hand moves a mass farther
 
 @dataclass(frozen=True)
 class BoardCheck:
-    """The result of one check."""
-
     name: str
     ok: bool | None  # None if it could not be checked
     seen: str  # the result, with its number
@@ -38,7 +36,6 @@ class CountedSpan:
 
 
 def count_span(run: Recording, begin_s: float, end_s: float) -> CountedSpan:
-    """Return the counts between two times of a run, s."""
     in_span = (run.time >= begin_s) & (run.time < end_s)
     if run.count is None or not in_span.any():
         return CountedSpan(0.0, 0, 0)

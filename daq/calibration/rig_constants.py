@@ -49,7 +49,6 @@ def measure_pitch(run: Recording, distance: Measured) -> Measured:
 
 
 def stands_at_first(run: Recording) -> bool:
-    """Return whether the mass is at rest when a recording begins."""
     return bool(np.ptp(_connected_counts(run)[: max(1, round(STILL_S * run.rate_hz))]) <= STILL_COUNTS)
 
 

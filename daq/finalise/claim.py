@@ -1,4 +1,4 @@
-"""Who may finish or remove a journal: one process at a time, which holds its lock (`stickslip.output.lock`)."""
+"""The right to finish or remove a journal: one process at a time holds its lock (`stickslip.output.lock`)."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

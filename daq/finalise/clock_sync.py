@@ -50,7 +50,7 @@ class ClockSync:
     """Comparison of the host's clock and the device's."""
 
     index: NDArray[np.int64]  # (c,) samples at the points with the least delay of their second
-    # (c,) host minus device there, s: of the byte that came, or, `by_bytes`, of the middle between it and the next
+    # (c,) host minus device there, s: of the byte that arrived, or, `by_bytes`, of the middle between it and the next
     offset: NDArray[np.float64]
     # device seconds per host second, minus 1, in ppm; None where the two cannot be compared: a simulated rig that runs
     # faster than real time, or too few seconds
@@ -64,7 +64,7 @@ class ClockSync:
 class Points:
     """Readings of both clocks, k of them, and the samples that they belong to."""
 
-    host: NDArray[np.float64]  # (k,) when each frame, or part of a frame, had come in, s
+    host: NDArray[np.float64]  # (k,) time at which each frame, or part of a frame, had arrived, s
     device: NDArray[np.float64]  # (k,) the device's time when it had sent that much, s, not decreasing
     # (k,) the device's time when it had sent more, none of which had arrived yet; NaN where it is unknown
     following: NDArray[np.float64]
@@ -195,7 +195,6 @@ class _BinMinimum:
         self._n += len(bins)
 
     def by_bin(self) -> Points:
-        """Return the points in order of their bins."""
         return joined([self._best[number][2] for number in sorted(self._best)])
 
     def by_number(self) -> Points:

@@ -1,4 +1,4 @@
-"""The columns of a run, gathered piece by piece: of each sample its motion, what was sent, and the exact motion."""
+"""The columns of a run, collected piece by piece: the motion of each sample, its data as sent, and the exact motion."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -45,7 +45,6 @@ class RunColumns:
         self._part, self._shift_s = -1, 0.0
 
     def has(self, name: str) -> bool:
-        """Return whether the board sends a column."""
         return name in self._columns
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -83,7 +82,6 @@ class RunColumns:
         self._samples += len(samples)
 
     def build_raw(self) -> Raw:
-        """Return the samples as sent."""
         names = ("sample", "count_up", "count_down", "device_time", "levels", "flags", "illegal")
         optional = [name for name in ("belt_count", "edge_time") if self.has(name)]
         return Raw(**{name: self[name] for name in (*names, *optional)})

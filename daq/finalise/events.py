@@ -82,7 +82,6 @@ class RunEvents:
         self._samples += len(samples)
 
     def sort(self) -> list[RunEvent]:
-        """Return all events in order of their samples."""
         events = list(self._events)
         for name, stretches in self._runs.items():
             events += [(first, EVENTS[name], f"{end - first} samples") for first, end in stretches]

@@ -107,7 +107,7 @@ class RecordingQuality:
 
     @property
     def short(self) -> bool:
-        """Whether it holds too little of the duration asked for, and nobody stopped it with Ctrl-C."""
+        """Whether too little of the requested duration was recorded, unless it was stopped with Ctrl-C."""
         if self.asked_s is None or self.ended in (journal.STOPPED, ""):
             return False
         return self.samples < LEAST_HELD * self.asked_s * self.rate_hz

@@ -43,7 +43,7 @@ class Samples:
     begun_by: tuple[PartReason, ...]
     index: NDArray[np.int64]  # (n,) sequence number and device time without roll-over, in the board's units
     ticks: NDArray[np.int64]
-    # (n,) which frame it came in, counted over all connections; frames that gave no sample are counted, too
+    # (n,) number of its frame over all connections, frames without a sample included
     frame: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]  # (n,) host's monotonic clock when that frame was complete
     # as sent (`daq.wire.decode.Stream`), the illegal count repeated over its frame
@@ -57,7 +57,7 @@ class Samples:
     time_error: NDArray[np.int64] | None = None
     # (n,) number of its identification in `Timeline.idents`; None: there is only one
     source: NDArray[np.int64] | None = None
-    # samples left out because their time did not advance: repeated, late, or stamped wrongly by the board
+    # samples dropped because their time did not advance: repeated, late, or stamped wrongly by the board
     repeated: int = 0
 
     def __len__(self) -> int:

@@ -30,8 +30,6 @@ FEWEST_SLIPS = 3  # for a standard error from their scatter
 
 @dataclass(frozen=True)
 class QuickCurve:
-    """Friction against slip speed."""
-
     speed: Array  # (k,) slip speed, m/s or counts/s
     friction: Array  # (k,) mean over the slips, per unit mass, and standard deviation between them (NaN of one)
     sd: Array

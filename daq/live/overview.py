@@ -20,7 +20,6 @@ class Overview:
         self._stretch = 1
 
     def add(self, rows: Array) -> None:
-        """Add rows, (columns, n)."""
         self._waiting.append(rows)
         if self._stretch == 1:
             kept, self._waiting = np.concatenate(self._waiting, axis=1), []

@@ -98,7 +98,7 @@ class Publisher(ABC):
 
     @abstractmethod
     def describe_run(self) -> dict[str, Any]:
-        """Return the data that a page is sent first."""
+        """Return the data that a page receives first."""
 
     @abstractmethod
     def _load_stretch(self, begin: float, end: float) -> LiveMotion | None:
@@ -177,7 +177,6 @@ class LiveRun(Publisher):
         self._spacing_s = 1.0
 
     async def follow(self) -> None:
-        """Read the journal until the recording has ended."""
         due = time.monotonic()
         while not self.ended:
             try:
@@ -237,7 +236,6 @@ class LiveRun(Publisher):
         journal.stop_path(self.tail.path).touch()
 
     def describe_run(self) -> dict[str, Any]:
-        """Return the data that a page is sent first: title, settings, and the results so far."""
         header = self.tail.header
         samples = header["samples"]
         return {
@@ -279,7 +277,7 @@ class LiveRun(Publisher):
             self._spacing_s *= 2
 
     def _find_trouble(self) -> str:
-        """Return the current fault of the recording as text; "" without one."""
+        """Return the current fault as text; "" without one."""
         lost = self.tail.counts.lost
         if lost > self._losses[-1][1]:
             self._losses.append((self._now, lost))
@@ -366,7 +364,6 @@ class FinishedRun(Publisher):
         self._send({"counts": counts, "unit": self.analysis.unit, "progress": self._progress, **self._new_members()})
 
     def describe_run(self) -> dict[str, Any]:
-        """Return the data that a page is sent first: title, settings, and the results."""
         run, times = self.samples.header, self.samples.times
         return {
             "title": run.title,

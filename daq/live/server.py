@@ -6,7 +6,7 @@ page of another site can neither read the data, nor set a marker, nor stop a rec
 
 ::
 
-    GET  /TOKEN/            the page, and its files beside it
+    GET  /TOKEN/            the page, and its files
     GET  /TOKEN/events      server-sent events (`daq.live.publisher`)
     GET  /TOKEN/stretch     ?from=S&to=S: a stretch of the record, JSON
     POST /TOKEN/marker      text/plain: a marker of this moment
@@ -154,7 +154,6 @@ class Guard:
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

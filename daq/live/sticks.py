@@ -39,8 +39,6 @@ RECENT = 5  # sticks over which the belt's speed is a median, so that two odd on
 
 @dataclass(frozen=True)
 class Slip:
-    """One slip between two sticks."""
-
     break_away: float  # their times, s
     landing: float
     stick_s: float  # duration of the stick before, NaN if its landing was not seen
@@ -122,7 +120,7 @@ class StickSlip:
         return slips
 
     def _small_acceleration(self, motion: LiveMotion, slipping: Mask, noise: float) -> float:
-        """Return the acceleration below which the mass sticks, and update the mean square of that of slips."""
+        """Return the limit of the acceleration of a stick, and update the mean square of that of slips."""
         a = motion.a[slipping & np.isfinite(motion.a)]
         if a.size:
             weight = a.size / (self._slipped + a.size)

@@ -103,7 +103,6 @@ class JournalTail:
 
     @property
     def bytes_read(self) -> int:
-        """Bytes of the journal that have been read."""
         return self._position
 
     def fork(self) -> "JournalTail":
@@ -195,7 +194,6 @@ class JournalTail:
         return counters.running_sum(fresh, moved[1:], np.zeros(len(samples), np.int64))
 
     def _unpack_blocks(self, reads: list[tuple[int, bytes]]) -> list[NewSamples]:
-        """Return the samples of blocks supplied by a program."""
         if self._configuration and not self._calibrated:
             _, self.rig, _ = read_calibration(self._configuration, [], None)
             self._calibrated = True
@@ -246,7 +244,6 @@ class JournalTail:
         return int(matches[-1]) if matches.size else -1
 
     def _count(self, stream: decode.Stream, samples: timeline.Samples, checked: CheckedCounts, last_known: int) -> None:
-        """Add the new samples of a chunk to the totals."""
         new = slice(last_known + 1, None)
         damaged = int(np.count_nonzero(stream.crc_frame > (samples.frame[last_known] if last_known >= 0 else -1)))
         self.counts.crc_errors += max(0, damaged - self._trailing_damage)

@@ -83,11 +83,11 @@ class Columns:
 
     # of a whole line; its last group is empty and replaces every column that is not declared
     pattern: re.Pattern[bytes]
-    names: tuple[str, ...]  # columns in the order of the line; empty when none are declared
-    labels: tuple[str, ...]  # labels of the columns in the line; empty when the line holds values only
+    names: tuple[str, ...]  # columns in the order of the line; empty if none are declared
+    labels: tuple[str, ...]  # labels of the columns in the line; empty if the line has values only
     counters: tuple[str, str]  # columns of the counters: up (or the net count) and down; "" without one
-    counts: tuple[int, ...]  # groups that hold the time's whole part and fraction, up (or the net count) and down
-    checks: tuple[int, ...]  # groups that hold a, b, illegal and xor; empty when none of them is declared
+    counts: tuple[int, ...]  # groups of the time's whole part and fraction, up (or the net count) and down
+    checks: tuple[int, ...]  # groups of a, b, illegal and xor; empty if none of them is declared
     us_per_unit: int  # unit of the time, us
     net: bool  # whether there is only one count, signed
     bits: int  # width of the counters
@@ -105,7 +105,6 @@ class Columns:
 
     @property
     def declared(self) -> str:
-        """The columns as they are declared, with widths and decimals."""
         wide = f":{self.bits}" if self.bits != 32 else ""
         tails = dict.fromkeys(_COUNTS, wide) | dict.fromkeys(MEASURED, f":{self.decimals}")
         return ",".join(name + tails.get(name, "") for name in self.names)
@@ -203,8 +202,7 @@ def parse_columns(declared: str | None) -> Columns:
 
 @lru_cache(_MOST_FORMS)
 def _make_columns(names: tuple[str, ...], bits: int, labels: tuple[str, ...], decimals: int | None) -> Columns:
-    """Return these columns, with these labels unless there are none."""
-    groups = {"": 1}  # of each column; of the time, a second one after it holds the fraction
+    groups = {"": 1}  # of each column; the time has a second one, for its fraction
     for name in names:
         if name not in UNREAD:
             groups[name] = groups[""]
@@ -255,7 +253,7 @@ def find_labelled_columns(line: bytes) -> str | None:
     if "time" not in single or kinds.count("position") > 1 or has_both == (position is not None):
         return None
     names = [_TIME_OF_LABEL[single["time"][0]] or "t_us"]
-    names += ["up", "down"] if position is None else [_position_column(*position)]
+    names += ["up", "down"] if position is None else [_choose_position_column(*position)]
     for name in ("a", "b", "illegal", "xor"):
         if name in single and re.fullmatch(VALUES[name], single[name][1]):
             names.append(name)
@@ -264,7 +262,7 @@ def find_labelled_columns(line: bytes) -> str | None:
     return ",".join(names)
 
 
-def _position_column(label: str, value: str) -> str:
+def _choose_position_column(label: str, value: str) -> str:
     """Return the column of a labelled position: with the label's unit, with unknown unit, or a count."""
     if label in _OF_LABEL:
         return _OF_LABEL[label]

@@ -43,8 +43,6 @@ def decode_pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any])
 
 
 class Frames(Session):
-    """A session in the protocol of the project's firmware."""
-
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
         super().__init__(port, url, request)
         self._settings: tuple[str, ...] = ()
@@ -68,8 +66,8 @@ class Frames(Session):
     def plan(self, identity: Identity) -> Plan:
         """Return the requested rate (default 1000 Hz) in frames as long as the rate allows."""
         rate_hz = float(self.request.rate_hz or RATE_HZ)
-        block = link_budget.block_size(identity.ident, rate_hz)
-        return Plan(rate_hz, block, link_budget.bytes_per_s(identity.ident, rate_hz, block))
+        block = link_budget.choose_block_size(identity.ident, rate_hz)
+        return Plan(rate_hz, block, link_budget.compute_load(identity.ident, rate_hz, block))
 
     def prepare(self, plan: Plan) -> Identity:
         """Set rate and samples per frame; the next identification confirms them.
@@ -91,7 +89,7 @@ class Frames(Session):
         return identity
 
     def start(self) -> None:
-        """Start the samples: sequence number 0."""
+        """Start the samples at sequence number 0."""
         self.send("S")
 
     def restart(self) -> None:
@@ -156,7 +154,7 @@ class Frames(Session):
             self.received[:] = [(self.received[-1][0], received[start:])]
 
     def _await_silence(self, ident: frames.Ident, config: str | None) -> Identity:
-        # A slow board may answer each `I` that was sent while it booted: let those answers come before the samples.
+        # A slow board may answer each `I` that was sent while it booted: those answers must precede the samples.
         late_answers = self.drain()
         if late_answers:
             self.received.append((time.monotonic_ns(), late_answers))

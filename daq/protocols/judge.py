@@ -75,7 +75,7 @@ class GapNotes:
         return fresh[:-1], damaged[:-1]
 
     def keep_lines(self, lines: Lines, keep: NDArray[np.bool_]) -> Lines:
-        """Return the lines to keep; the others are damaged."""
+        """Return the lines to keep, and note the others as damaged."""
         if keep.all() and not (self._fresh or self.damaged):
             return lines
         next_kept: NDArray[np.int64] = np.cumsum(keep) - keep  # among those kept, of the line itself or of the next one

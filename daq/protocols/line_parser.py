@@ -43,8 +43,6 @@ _DIGITS_AND_SIGNS = bytes(byte if byte in b"-0123456789" else 32 for byte in ran
 
 @dataclass(frozen=True)
 class LineShape:
-    """The common form of similar lines."""
-
     pattern: re.Pattern[bytes]  # of any number of whole lines
     form: Columns  # their columns
     numbers: int  # how many numbers are in a line
@@ -166,7 +164,6 @@ def find_shape(form: Columns, match: re.Match[bytes]) -> LineShape | None:
 
 
 def _measured_pattern(decimals: int) -> bytes:
-    """Return the pattern of a measured number with so many decimals."""
     return rb"[+-]?+\d{1,9}+" + (rb"\.\d{%d}" % decimals if decimals else b"")
 
 

@@ -98,7 +98,7 @@ class LineReader:
 
     @property
     def discarded_bytes(self) -> int:
-        """Bytes of all damaged lines, delimiters not included."""
+        """Bytes of all damaged lines, without delimiters."""
         return self._damaged_bytes + self._splitter.dropped_bytes
 
     def feed(self, data: bytes) -> LineBatch:
@@ -214,14 +214,14 @@ class LineTally(Tally):
                 last, self._odd = ticks, 0
                 continue
             self._odd += 1
-            if self._odd > LOOK_AHEAD:  # not one damaged line: there is a gap, or the board has started anew
+            if self._odd > LOOK_AHEAD:  # not one damaged line: there is a gap, or the board has restarted
                 self._odd = 0
                 ahead = wrap_signed(step, 32)
                 self._device += ahead
                 if ahead < 0 or self._has_leapt(ahead):
                     self.resets += 1
                     self._least.reset()
-                else:  # a time that stands still is no start
+                else:  # a constant time is not a restart
                     self.reached += round(ahead / self._period)
                 last = ticks
         self._last = last
@@ -277,8 +277,6 @@ def decode_pieces(
 
 
 class _LinePiece(NamedTuple):
-    """The lines in some reads."""
-
     lines: Lines  # the lines with samples
     damaged: int  # damaged lines after the last of these
     discarded_bytes: int  # of these reads; see `LineReader`

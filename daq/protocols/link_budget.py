@@ -11,19 +11,19 @@ from daq.wire.quadrature import EDGES_PER_COUNT
 from stickslip.errors import InputError
 
 BITS_PER_BYTE = 10
-TIGHT = 0.95  # load of the line or the decoder, over what it can carry: beyond this it warns
+TIGHT = 0.95  # load of the line or the decoder, relative to its limit, from which there is a warning
 SLIP_OVER_BELT = 4.0  # top speed of a slipping mass over the belt's, at most (3.6 on the thesis's rig)
 LONGEST_BLOCK_S = 0.05  # longest delay of a sample in its frame, so that a live view stays live
 
 
-def block_size(ident: frames.Ident, rate_hz: float) -> int:
+def choose_block_size(ident: frames.Ident, rate_hz: float) -> int:
     """Return how many samples to put into a frame: blocks unless they cause a delay, single frames below 40 Hz."""
     if frames.Capability.BLOCKS not in ident.capabilities:
         return 1
     return max(1, min(8, int(rate_hz * LONGEST_BLOCK_S)))
 
 
-def bytes_per_s(ident: frames.Ident, rate_hz: float, block: int) -> float:
+def compute_load(ident: frames.Ident, rate_hz: float, block: int) -> float:
     """Return the load on the line, bytes/s."""
     optional = (frames.Capability.BELT in ident.capabilities) + (frames.Capability.EDGE_TIME in ident.capabilities)
     payload = frames.SAMPLES_HEADER + block * (7 + 2 * optional) + 2

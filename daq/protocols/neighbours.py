@@ -127,16 +127,16 @@ def _find_isolated(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return how far y of these lines is from the course of its neighbours, and whether it alone is."""
     with np.errstate(divide="ignore", invalid="ignore"):  # of equal x
-        before, weight_before = _residual(x, y, lines - 1)
-        deviation, _ = _residual(x, y, lines)
-        after, weight_after = _residual(x, y, lines + 1)
+        before, weight_before = _compute_residual(x, y, lines - 1)
+        deviation, _ = _compute_residual(x, y, lines)
+        after, weight_after = _compute_residual(x, y, lines + 1)
         trace = np.maximum(np.abs(before + weight_before[2] * deviation), np.abs(after + weight_after[1] * deviation))
         size = np.abs(deviation)
         # The neighbours of a kick are off by -1/2, those of a spike by -2/3.
         return deviation, (size > slack) & (trace < np.minimum(0.15 * size, 0.08 * size + 0.5))
 
 
-def _residual(
+def _compute_residual(
     x: NDArray[np.int64], y: NDArray[np.int64] | NDArray[np.float64], lines: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
     """Return y less the cubic in x through two neighbours on either side, and the weights of these four (Lagrange)."""

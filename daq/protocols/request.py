@@ -27,5 +27,5 @@ class RecordRequest:
 
     @property
     def part(self) -> Path:
-        """Where the journal is kept while the recording runs."""
+        """Path of the journal while the recording runs."""
         return self.output.with_name(self.output.name + ".part")

@@ -45,7 +45,7 @@ class Port(Protocol):
         """Bytes that a read would return immediately."""
 
     def read(self, size: int = 1, /) -> bytes:
-        """Return up to ``size`` bytes, as many as come before the time-out."""
+        """Return up to ``size`` bytes, as many as arrive before the time-out."""
 
     def write(self, data: bytes, /) -> int | None: ...
 
@@ -152,8 +152,7 @@ class Session(ABC):
         """Stop the samples; the rest of the stream may still come."""
 
     @abstractmethod
-    def tally(self) -> Tally:
-        """Return a new tally of what this session will read."""
+    def tally(self) -> Tally: ...
 
     def read(self) -> bytes:
         """Wait for bytes, for the port's time-out at most, and return all that are there."""
@@ -168,7 +167,7 @@ class Session(ABC):
         return data
 
     def close(self) -> None:
-        """Close the port; no error if the port is gone."""
+        """Close the port; no error if it is gone."""
         try:
             self.port.close()
         except OSError:
@@ -180,7 +179,7 @@ class Session(ABC):
         deadline = time.monotonic() + DRAIN_S
         idle_at = time.monotonic() + QUIET_S
         while True:
-            now = time.monotonic()  # before looking: whatever came during a pause of the computer is read first
+            now = time.monotonic()  # first, so that bytes from a pause of the computer are read
             waiting = self.port.in_waiting
             if waiting:
                 received.append(self.port.read(waiting))

@@ -35,7 +35,7 @@ FLAG_PHASE = 0x0200  # (up - down) mod 4 is not the phase of the levels sent wit
 FLAG_BOTH = 0x0400  # up and down both changed since the previous sample
 FLAG_GAP = 0x0800  # samples are missing directly before this one
 FLAG_TIME = 0x2000  # the time as sent was not true and has been interpolated (lines without a checksum)
-FLAG_COUNT_UNCERTAIN = 0x1000  # illegal transitions came before this sample: its count may be off by two for each
+FLAG_COUNT_UNCERTAIN = 0x1000  # illegal transitions before this sample: its count may be off by two for each
 
 
 def diff_unsigned(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> NDArray[np.int64]:
@@ -94,8 +94,6 @@ def longest_gap_s(max_edge_rate_hz: float, edges_per_count: int, bits: int) -> f
 
 @dataclass(frozen=True)
 class Order:
-    """Order and position of the f frames of one stream, in order of arrival."""
-
     keep: NDArray[np.bool_]  # (f,) false for a repeated or late frame, which is not used
     # (f,) the stream restarts at this frame: sequence and device time do not continue together
     restart: NDArray[np.bool_]
@@ -142,7 +140,7 @@ class FrameOrder:
         """
         self._surveyed = True
         keep, _, _ = self._repeats.find(seq, ticks, n, restarts)
-        step, forward, previous_n = self._steps(seq[keep], ticks[keep], n[keep])
+        step, forward, previous_n = self._find_steps(seq[keep], ticks[keep], n[keep])
         self._pace.add(step, forward, previous_n)
         if keep.any():
             self._last = (int(seq[keep][-1]), int(ticks[keep][-1]), int(n[keep][-1]), 0, 0)
@@ -156,7 +154,7 @@ class FrameOrder:
             self.rewind()
         keep, restart, announced = self._repeats.find(seq, ticks, n, restarts)
         kept = np.flatnonzero(keep)
-        step, forward, previous_n = self._steps(seq[kept], ticks[kept], n[kept])
+        step, forward, previous_n = self._find_steps(seq[kept], ticks[kept], n[kept])
         period = self._period
         step += 65536 * np.round((forward / period - step) / 65536).astype(np.int64)
         first = 0 if self._last else 1  # the first frame of all follows none
@@ -181,7 +179,7 @@ class FrameOrder:
             self._last = (int(seq[last]), int(ticks[last]), int(n[last]), int(index[last]), int(total_ticks[last]))
         return Order(keep, restart, jump, leap, index, total_ticks)
 
-    def _steps(
+    def _find_steps(
         self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """Return the steps to each kept frame from the previous one, in sequence and time, and its length."""
@@ -239,13 +237,13 @@ class _Pace:
         """
         if self._count.sum() < FEWEST_TO_PACE:
             return nominal, 0.0
-        period = _quantile(self._forward / self._step, self._count, 0.5)
+        period = _weighted_quantile(self._forward / self._step, self._count, 0.5)
         if not 0.5 * nominal < period < 2 * nominal:
             return nominal, 0.0
-        return period, 2 * _quantile(np.abs(self._forward / period - self._step), self._count, 0.99)
+        return period, 2 * _weighted_quantile(np.abs(self._forward / period - self._step), self._count, 0.99)
 
 
-def _quantile(values: NDArray[np.float64], count: NDArray[np.int64], share: float) -> float:
+def _weighted_quantile(values: NDArray[np.float64], count: NDArray[np.int64], share: float) -> float:
     """Return the quantile of values that occur so many times each, interpolated as by `np.quantile`."""
     order = np.argsort(values)
     values, ends = values[order], np.cumsum(count[order])

@@ -39,8 +39,8 @@ class Stream:
     down: NDArray[np.uint16] | NDArray[np.uint32]
     status: NDArray[np.uint8]
     ident: wire.Ident | None  # the board's identification when it began to sample: the last one before the first frame
-    idents: NDArray[np.int64]  # (i,) before which frame each identification came
-    crc_frame: NDArray[np.int64]  # (c,) before which frame each damaged line came
+    idents: NDArray[np.int64]  # (i,) the frame after each identification
+    crc_frame: NDArray[np.int64]  # (c,) the frame after each damaged line
     crc_errors: int  # see `daq.wire.frames.FrameReader`
     discarded_bytes: int
     length: NDArray[np.int64]  # (f,) each frame's bytes on the line; 0 where that is not known
@@ -55,7 +55,7 @@ class Stream:
     unknown: int = 0
     # (f,) the time as sent less ``ticks``: not 0 where it was wrong and has been interpolated; None: as sent
     time_error: NDArray[np.int64] | None = None
-    # (m,) sequence number as sent of each row of truth, and the frame it came before
+    # (m,) sequence number as sent of each row of truth, and the frame after it
     truth_seq: NDArray[np.int64] = field(default_factory=_empty)
     truth_frame: NDArray[np.int64] = field(default_factory=_empty)
     truth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))  # (m, 4) time, x, v, F
@@ -309,7 +309,6 @@ def _sample_frames(
 
 
 def _sample_layout(ident: wire.Ident | None) -> np.dtype[np.void]:
-    """Return the layout of one sample from a board with this identification."""
     has = wire.Capability(0) if ident is None else ident.capabilities
     return _make_layout(["belt"] * (wire.Capability.BELT in has) + ["edge"] * (wire.Capability.EDGE_TIME in has))
 

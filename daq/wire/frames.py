@@ -35,11 +35,11 @@ IDENT, SAMPLES, CONFIG, TRUTH, NOTICE = b"ISCTX"  # the kinds, as byte values
 # Status bits of one sample.
 A_HIGH, B_HIGH, OVERRUN = 1, 2, 4
 LEVELS = A_HIGH | B_HIGH
-NO_EDGE = 0xFFFF  # "edge" of a sample whose last edge is 65,535 ticks back or longer, or never came
+NO_EDGE = 0xFFFF  # "edge" of a sample without an edge in the last 65,535 ticks
 
 
 class Capability(IntFlag):
-    """What a board's frames carry; declared once in the identification frame."""
+    """The content of a board's frames; declared once in the identification frame."""
 
     BLOCKS = 1  # more than one sample per frame
     LEVELS = 2  # the status bits A and B are real
@@ -277,7 +277,7 @@ def _decode_ident(payload: bytes) -> Ident | None:
 def _decode_samples(payload: bytes, belt: bool, edge: bool) -> SampleBlock | None:
     if len(payload) < SAMPLES_HEADER or payload[2] == 0:
         return None
-    layout, size = _layout(belt, edge, payload[2])
+    layout, size = _make_struct(belt, edge, payload[2])
     if len(payload) != layout.size:
         return None
     flat = layout.unpack(payload)
@@ -288,7 +288,7 @@ def _decode_samples(payload: bytes, belt: bool, edge: bool) -> SampleBlock | Non
 
 
 @cache
-def _layout(belt: bool, edge: bool, n: int) -> tuple[struct.Struct, int]:
+def _make_struct(belt: bool, edge: bool, n: int) -> tuple[struct.Struct, int]:
     """Return the struct of a whole SAMPLES payload, and how many numbers make one sample."""
     row = sample_format(belt, edge)
     return struct.Struct(_SAMPLES.format + row * n), len(row)

@@ -61,7 +61,7 @@ _Q_UP, _Q_DOWN = 4 * 1 + 3, 4 * 0 + 2  # B rises with A high, with A low: the fl
 
 @dataclass(frozen=True)
 class Steps:
-    """The changes in one chunk of levels, e of them."""
+    """The e changes in a chunk of levels."""
 
     index: NDArray[np.intp]  # (e,) first sample in the chunk with the new levels
     step: NDArray[np.int8]  # (e,) +1 counted up, -1 counted down, 0 not counted by this decoder

@@ -32,7 +32,7 @@ class RollOver:
 
 
 def find_roll_over(count: NDArray[np.int64]) -> RollOver | None:
-    """Return how integer readings roll over; None where they do not."""
+    """Return the range of a counter from its readings; None if it does not roll over."""
     step = np.diff(count)
     size = np.abs(step)
     if step.size < 3 or not size.any():
@@ -75,7 +75,7 @@ def unroll(count: NDArray[np.int64], roll_over: RollOver) -> NDArray[np.int64]:
 
 
 def survey_roll_over(count: NDArray[np.int64], segment: NDArray[np.unsignedinteger]) -> RollOver | None:
-    """Return how the readings of a long run roll over within its segments: the most frequent jump."""
+    """Return the most frequent roll-over within the segments of a long run."""
     times: dict[int, int] = {}
     for begin in range(0, count.size, PIECE):
         piece = slice(begin, begin + PIECE + 1)

@@ -1,4 +1,4 @@
-"""A byte stream cut into lines at its delimiter, however the bytes arrive: the one splitter behind every protocol."""
+"""A byte stream cut into lines at its delimiter, however the bytes arrive, for every protocol."""
 
 
 class Splitter:
@@ -21,7 +21,6 @@ class Splitter:
 
     @property
     def pending_bytes(self) -> int:
-        """Bytes of the line that is not complete yet."""
         return len(self._tail)
 
     def cut_lines(self, data: bytes) -> bytes:

@@ -30,10 +30,7 @@ from stickslip.compute.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """The adequacy of all runs together, and of each, by the law that was judged.
-
-    ``beaten`` is whether noise may have made what that law leaves, but another curve describes the runs better.
-    """
+    """The adequacy of all runs together, and of each, by the law that was judged."""
 
     law: int | str
     together: Adequacy
@@ -41,10 +38,7 @@ class Assessment:
     beaten: bool = False
 
     def by_others(self, laws: int) -> "Assessment":
-        """Return the assessment where another curve describes the runs better than each of the ``laws`` of the six.
-
-        Noise alone may have made what the best law leaves; less is left of the same record by a rival.
-        """
+        """Return the assessment where a curve other than the ``laws`` of the six describes the runs better."""
         outcome = NONE_FITTED if laws < len(ALL_LAWS) else NONE_OF_SIX
         runs = tuple(replace(own, verdict=outcome) for own in self.runs)
         return replace(self, together=replace(self.together, verdict=outcome), runs=runs, beaten=True)
@@ -52,8 +46,6 @@ class Assessment:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A law's goodness of fit, of all runs and of each; its fit made linear, with all cycles and the usual ones."""
-
     fit: FittedLaw
     linearised: LinearisedFit | None
     usual: LinearisedFit | None
@@ -64,8 +56,6 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What the six say of the runs, and the friction curve without a law."""
-
     fits: Sequence[Fit]  # of the six, best first
     members: Sequence[int]  # their set
     judged: Judged  # the first of it that describes the runs, else the best
@@ -76,13 +66,7 @@ class Measurement:
 def measure(
     fits: Sequence[Fit], members: Sequence[int], motions: Sequence[MeasuredMotion], alpha: float = 0.05
 ) -> Measurement:
-    """Judge the laws of a set until one describes the runs, and measure the friction curve without a law.
-
-    fits: Every law of the six that was fitted, best first.
-    members: Those that the record cannot distinguish from the best.
-    motions: Of each run.
-    alpha: 1 - confidence of the curve's band.
-    """
+    """Judge the compatible laws (``members``) until one fits, and measure the friction curve without a law."""
     judged = _first_not_rejected([fit for fit in fits if fit.law in members], motions)
     noise = np.array([own.noise_m for own in judged.slips])
     curve = measure_curve(_first(fits, judged.fit.law), noise, alpha)
@@ -96,14 +80,10 @@ def assess(
     laws: int,
     revolution: float | None = None,
 ) -> Assessment:
-    """Assess the laws of the set until one is not rejected, and say what else acts where all are.
+    """Assess the compatible laws until one is not rejected, and test departures where all are.
 
-    members: The laws of the set, best first, formulas among them.
-    motions: Of each run.
-    laws: How many of the six were asked for.
-    revolution: Travel per revolution of the encoder, m; scanned where it is not known.
-    Returns: By the first law that describes the record, or by the best where none does. Of a single run of several,
-        goodness of fit and the smallest visible departure alone: curve and departures are those of all together.
+    ``revolution`` is the travel per revolution of the encoder, m; None scans for it. Each run of several gets only a
+    goodness of fit and a smallest detectable deviation.
     """
     of_six, curve, noise, fits = measured.judged, measured.curve, measured.noise, measured.fits
     chosen = _first_not_rejected(members, motions, {of_six.fit.law: of_six})
@@ -150,36 +130,34 @@ def assess(
 
 
 def describes_all(fits: Sequence[FittedLaw], motions: Sequence[MeasuredMotion]) -> frozenset[int | str]:
-    """Return which of some formulas leave no more than noise, as far as that can be judged."""
+    """Return which formulas fit to within the noise; one that cannot be judged counts."""
     return frozenset(fit.law for fit in fits if not _judged(fit, motions).together.rejected)
 
 
 def _first(fits: Sequence[Fit], law: int | str) -> list[Fit]:
-    """Return the fits with that of one law before all others."""
     return sorted(fits, key=lambda fit: fit.law != law)
 
 
 def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
-    """Return the smallest departure that each run would show, % of the friction at rest."""
     if chosen.usual is None:
         return (None,) * len(motions)
     return smallest_visible(chosen.fit, chosen.usual, chosen.slips)
 
 
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
-    """Return whether one of the laws leaves no more than noise, as far as that can be judged."""
+    """Return whether a law fits to within the noise; one that cannot be judged counts."""
     return not _first_not_rejected(fits, motions).together.rejected
 
 
 def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
-    """Return the mass that turns the curve into newtons, kg; None when neither mass nor stiffness is known."""
+    """Return the mass that converts the curve to newtons, kg; None where neither mass nor stiffness is known."""
     if motion.mass is not None:
         return motion.mass.value
     return motion.stiffness.value / curve.k_over_m.value if motion.stiffness is not None else None
 
 
 def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> MeasuredCurve:
-    """Return the curve in newtons where the mass is known; k/m without its interval where it does not hold."""
+    """Return the curve in newtons where the mass is known; k/m without its interval where it is not trusted."""
     curve = replace(curve, k_over_m=replace(curve.k_over_m, trusted=trusted))
     return curve if mass is None else in_newtons(curve, mass)
 
@@ -222,10 +200,7 @@ def _judged_without_faults(
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
 ) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:
-    """Return the fit of the cycles that are judged, without those that a fault of the record has spoilt; their slips.
-
-    ``path`` is asked for where a cycle fits badly; ``fit`` is that whose cycles they are.
-    """
+    """Return the fit without the cycles that a fault of the record spoilt, and the slips; makes ``path`` if needed."""
     spoilt = windows.spoilt(linear.residual)
     landings = np.array([cycle.landing for cycle in fit.cycles])
     faults = left_out(path() if spoilt.any() else None, linear, landings, spoilt, windows.run)
@@ -249,10 +224,7 @@ def _departures(
     *,
     of_speed: bool,
 ) -> tuple[FoundDeparture, ...]:
-    """Return what would explain the misfit: of law and curve, or of the law alone where the curve hides it.
-
-    A curve that describes the record but is none of the published forms may be a law with a departure.
-    """
+    """Return the departures that explain the misfit of law and curve, or of the law alone if the curve hides them."""
     if of_speed and any(form.inside_band for form in curve.forms):
         return ()
 

@@ -48,21 +48,15 @@ WRITTEN = {"**": "^", "*": " ", "log": "ln", "_": ""}  # as people write a formu
 
 
 class Form(NamedTuple):
-    """A published form: its name, the law that it is, its source, and where the one parameter that bends it may lie.
-
-    ``bend`` is that parameter, fitted by its logarithm, and ``reach`` its bounds over its natural size
-    (`fitting.undetermined.natural_size`).  Nothing else is bounded: where the level is hardly known, only the shape
-    decides.  A speed that the law fixes is the largest slip speed here.
-    """
+    """A published form."""
 
     name: str
-    law: Law
+    law: Law  # a speed that it fixes is replaced by the largest slip speed
     source: str
-    bend: str | None = None
-    reach: tuple[float, float] = FALLS
+    bend: str | None = None  # the parameter that bends the curve, fitted by its logarithm, the only one with bounds
+    reach: tuple[float, float] = FALLS  # bounds of ``bend`` over its `natural_size`
 
     def on(self, friction: float, fastest: float) -> Law:
-        """Return the law for a curve of that friction (m/s^2), up to that slip speed (m/s)."""
         fix = dict.fromkeys(self.law.fix or {}, fastest)
         if self.bend is None:
             return replace(self.law, bounds=None, fix=fix)
@@ -87,11 +81,7 @@ FORM_OF_LAW = {form.law.name: form.name for form in FORMS if form.law.name in PU
 
 
 def fit_forms(fit: SplineFit, linear: LinearisedFit, speeds: Array) -> tuple[FormFit, ...]:
-    """Compare all forms with a curve, best first.
-
-    linear: About its solution.
-    speeds: (k,) Slip speeds beyond the ramp, m/s, at which the forms' values are wanted.
-    """
+    """Compare all forms with a curve, best first; ``speeds`` (k,) are slip speeds beyond the ramp, m/s."""
     target, samples = measured_target(fit, linear), fit.solution.residual.size
     near, shown = target.near, target.alone.aim.size
     found = []
@@ -102,7 +92,7 @@ def fit_forms(fit: SplineFit, linear: LinearisedFit, speeds: Array) -> tuple[For
 
 
 def _fitted(form: Form, search: StartSearch, shown: int, samples: int, speeds: Array) -> FormFit:
-    """Return a form at its nearest; ``shown`` distances from the curve count, of so many ``samples``."""
+    """Return the nearest curve of a form by the ``shown`` distances that count, of so many ``samples``."""
     law, start = search.law, search.nearest()
     values = start.values
     sizes = np.array([values[name] if name == form.bend else search.sizes[name] for name in law.free])
@@ -138,7 +128,7 @@ def _fitted(form: Form, search: StartSearch, shown: int, samples: int, speeds: A
 
 
 def _written(text: str, named: dict[str, str] | None = None) -> str:
-    """Return a formula, or a name of it, as people write it, ``named`` for some of its names."""
+    """Return a formula or name in the usual notation, with replacements for some names."""
     for old, new in ((named or {}) | WRITTEN).items():
         text = text.replace(old, new)
     return text

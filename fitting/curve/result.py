@@ -1,4 +1,4 @@
-"""What a measurement of the friction curve gives: values, no computation."""
+"""Results of a measurement of the friction curve."""
 
 from dataclasses import dataclass, field
 
@@ -14,8 +14,6 @@ LEVELS = ("Fs", "Fc")
 
 @dataclass(frozen=True, eq=False)
 class FormFit:
-    """A published form fitted to the measured curve."""
-
     name: str
     formula: str
     source: str
@@ -29,7 +27,7 @@ class FormFit:
 
     @property
     def determined(self) -> dict[str, Parameter]:
-        """The parameters without a level Fs or Fc that the record hardly determines, but then with Fs - Fc."""
+        """The parameters; Fs - Fc replaces a level Fs or Fc that the record hardly determines."""
         unknown = [name for name in LEVELS if name in self.parameters and not _known(self.parameters[name])]
         found = {name: item for name, item in self.parameters.items() if name not in unknown}
         return found if self.fall is None or not unknown else {"Fs - Fc": self.fall} | found
@@ -41,9 +39,9 @@ def _known(level: Parameter) -> bool:
 
 @dataclass(frozen=True)
 class BandExit:
-    """Where a law leaves the band the furthest: in half-widths of the band (below 1 it stays inside), and the speed.
+    """The largest exit from the band, in half-widths (below 1 it stays inside), and its speed.
 
-    Where the curve's level is hardly known, both are taken less their means over the speeds.
+    Where the curve's level is hardly known, both curves are taken less their means over the speeds.
     """
 
     half_widths: float
@@ -75,10 +73,10 @@ class MeasuredCurve:
 
     @property
     def level_assumed(self) -> bool:
-        """Whether the record says nothing of the level of friction (`fitting.curve.level`): only of its differences."""
+        """Whether the record constrains only differences of friction (`fitting.curve.level`)."""
         return self.spline_fit.rest is not None
 
     @property
     def level_known(self) -> bool:
-        """Whether the level is better known than to half of it."""
+        """Whether the error of the level is less than half of it."""
         return bool(np.median(self.hi - self.lo) < 2 * STATED_ERROR * np.median(self.friction))

@@ -27,11 +27,9 @@ ERRORS_SHOWN = 5.0  # standard errors by which an excess, or a growth, is shown
 
 
 def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation, level_error: float = 0.0) -> FoundDeparture | None:
-    """Return by how much the break-away level exceeds that of slip; None where it does not, or too few show it.
+    """Return the excess of the break-away level over that of slip; None where it is insignificant or rarely seen.
 
-    events: Of a law that describes the record.
-    level_error: Standard error of the spring's force at break-away over Fs that all cycles share: of rest position and
-        Fs (`fitting.estimation.derived.break_away_level_error`).
+    ``level_error`` is the error of the break-away force over Fs that all cycles share.
     """
     landing = {cycle.number + 1: cycle.landing for cycle in cut.cycles}
     good = [event for event in events if not event.flag and math.isfinite(event.break_away_level)]
@@ -52,7 +50,7 @@ def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation, level_error
 
 
 def _growth(stick: Array, ratio: Array) -> Measured | None:
-    """Return the slope of the log ratio over the log of the stick time, with a standard error robust to outliers."""
+    """Return the slope of the log ratio over the log stick time, with a standard error robust to outliers."""
     good = np.isfinite(stick) & (stick > 0)
     if good.sum() < FEWEST_BREAK_AWAYS:
         return None

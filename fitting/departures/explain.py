@@ -1,4 +1,4 @@
-"""Which assumption breaks: departures tested on a fit that misses the record, the strongest confirmed by a refit."""
+"""Departures tested on a fit that misses the record, the strongest confirmed by a refit."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -38,7 +38,7 @@ Judge = Callable[[Refit], bool]
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What departures are asked of: a record that no law describes."""
+    """The record that no law describes, with its best laws."""
 
     fits: Sequence[Fit]  # the laws, best first
     records: Sequence[MeasuredMotion]  # the runs
@@ -50,7 +50,6 @@ class Question:
     def of(
         cls, fits: Sequence[Fit], records: Sequence[MeasuredMotion], noise: float, revolution: float | None = None
     ) -> "Question":
-        """Linearise the best law."""
         return cls(fits, records, noise, revolution, base_of(fits[0], records, revolution))
 
     @property
@@ -62,16 +61,11 @@ class Question:
 def explain_misfit(
     asked: Question, curve: MeasuredCurve | None = None, describes: Judge | None = None
 ) -> tuple[FoundDeparture, ...]:
-    """Return the departures that a record shows, the strongest first.
+    """Return the departures that a record shows, the strongest first, where neither a law nor the free curve fits.
 
-    To be asked where neither a law nor the free curve describes the record.
-
-    curve: The free curve.  Departures are tested on the best law and on it: a law that is wrong by itself can hide a
-        departure, and a free curve can take part of one up.
-    describes: Asked of drags where the free curve leaves little more than the noise.
-    Returns: First where a law or the free curve describes the record together with it (``refitted``, ``law``): size and
-        error are then those of that fit. Else memory, where it is suspected, and what was tested on the base of which
-        the first explains more.
+    They are tested on the best law and on the free ``curve``: a wrong law can hide a departure, and a free curve can
+    absorb part of one. The first is the one with which law or curve fits (``refitted``, ``law``), else suspected
+    memory, else the strongest; ``describes`` judges drags where the curve nearly reaches the noise.
     """
     near = curve is not None and curve.chi < noise_levels.DESCRIBES
     free = None
@@ -100,11 +94,10 @@ def explain_misfit(
 
 
 def explain_beside_curve(asked: Question, describes: Judge) -> tuple[FoundDeparture, ...]:
-    """Return the departure with which a law describes a record that the free curve describes, and the others tested.
+    """Return the departure with which a law describes a record that the free curve describes, and the others.
 
-    Drag and a weak guide are nearly functions of the relative speed.  A law with one of them has fewer unknowns than
-    the curve, and is reported where it describes the record as well.  One linear step does not tell: wrong departures
-    of the curves that have a published form explain up to 1.0 of what the law leaves.
+    Drag and a weak guide are nearly functions of the relative speed, and a law with one has fewer unknowns than the
+    curve. A linear step is not enough: wrong departures explain up to all of the misfit of a law.
     """
     explained = _drag_with_laws([], asked, describes)
     if explained is not None or asked.first is None:
@@ -116,7 +109,7 @@ def explain_beside_curve(asked: Question, describes: Judge) -> tuple[FoundDepart
 def _with_laws(
     lists: Sequence["_List"], asked: Question, describes: Judge | None = None
 ) -> tuple[FoundDeparture, ...] | None:
-    """Return the first list whose strongest departure describes the record together with a law; None where none."""
+    """Return the first list whose strongest departure describes the record with a law; None without one."""
     tried: list[Tested] = []
     for one in lists:
         tested = one.tested[0]
@@ -130,7 +123,7 @@ def _with_laws(
 
 
 def _least_left(refit: Refit, listed: Sequence[Tested], asked: Question) -> tuple[Refit, float]:
-    """Return the refit of the first departure listed, or of a rival that leaves less; and how sure its test was."""
+    """Return the refit of the first departure or of a better rival, and the significance of its test."""
     best, sure = refit, listed[0].sigmas
     for rival in listed[1:]:
         if rival.score.gain > RIVAL_GAIN * listed[0].score.gain:
@@ -143,10 +136,9 @@ def _least_left(refit: Refit, listed: Sequence[Tested], asked: Question) -> tupl
 def _drag_with_laws(
     lists: Sequence["_List"], asked: Question, describes: Judge | None
 ) -> tuple[FoundDeparture, ...] | None:
-    """Return what was found with a drag first that describes the record together with a law; None where none does.
+    """Return the departures, first a drag that describes the record with a law; None without one.
 
-    The test of a drag, on a law that has ended far away without it, is a poor guess, and its refit does not start
-    there: it is fitted whether the test shows it or not.
+    It is fitted whether the test shows it or not: that test, on a law far away, is a poor guess.
     """
     tried = [one.tested[0].departure for one in lists]
     refits = [
@@ -163,7 +155,7 @@ def _drag_with_laws(
 
 
 def _with_curve(lists: Sequence["_List"], asked: Question) -> tuple[FoundDeparture, ...] | None:
-    """Return what was found on the free curve, if that describes the record together with the strongest; else None."""
+    """Return the departures of the free curve, if it fits with the strongest; else None."""
     for one in lists:
         refit = None if one.curve is None else confirm_on_curve(one.tested[0], one.curve, asked.noise)
         if refit is not None:
@@ -173,7 +165,7 @@ def _with_curve(lists: Sequence["_List"], asked: Question) -> tuple[FoundDepartu
 
 @dataclass(frozen=True, eq=False)
 class _List:
-    """What was found on one base: on a law, or on the free curve."""
+    """The departures of one base: of a law, or of the free curve."""
 
     base: Base
     tested: list[Tested]
@@ -186,14 +178,14 @@ class _List:
         return self.found[0].explained if self.found else 0.0
 
     def with_first(self, refit: Refit, sure: float, asked: Question) -> tuple[FoundDeparture, ...]:
-        """Return what was found, that of the refit first; how sure it is stays that of the test."""
+        """Return the departures, that of the refit first with the significance of its test."""
         return _in_front(refit, sure, self.found, asked)
 
 
 def _in_front(
     refit: Refit, sure: float, others: Sequence[FoundDeparture], asked: Question
 ) -> tuple[FoundDeparture, ...]:
-    """Return a departure as fitted, ``sure`` standard deviations from 0, and then the others."""
+    """Return a fitted departure, ``sure`` standard deviations from 0, and then the others."""
     excess = refit.score.gain + misfit_beyond_noise(refit.linear, asked.noise)
     first = describe(Tested(refit.departure, refit.scale, refit.score, sure), asked.records[0], excess)
     kept = tuple(one for one in others if one.name != first.name)
@@ -206,10 +198,7 @@ def _list(base: Base, asked: Question, curve: MeasuredCurve | None = None) -> _L
 
 
 def confirm(at: tuple[Departure, float, Array], asked: Question, *, hurried: bool = False) -> Refit | None:
-    """Fit a departure with the best laws; return the fit that leaves least where it reaches the noise, else None.
-
-    ``at`` are the departure, its scale and its coefficients as tested; ``hurried`` as in `refit_with`.
-    """
+    """Fit a departure (with scale and coefficients as tested) with the best laws; None where none reaches the noise."""
     curves: set[int] = set()
     best: Refit | None = None
     for fit in asked.fits:
@@ -226,7 +215,7 @@ def confirm(at: tuple[Departure, float, Array], asked: Question, *, hurried: boo
 
 
 def confirm_on_curve(tested: Tested, curve: MeasuredCurve, noise: float) -> Refit | None:
-    """Fit a departure with the free curve; None where that does not reach the noise, or stops before its end."""
+    """Fit a departure with the free curve; None where that stops early or does not reach the noise."""
     refit = _reached(refit_with(curve.spline_fit.at, None, *tested.at, curve.spline_fit.noise), noise)
     return None if refit is None or refit.score.gain < LEAST_GAIN_KEPT * tested.score.gain else refit
 
@@ -237,7 +226,7 @@ def _reached(refit: Refit | None, noise: float) -> Refit | None:
 
 
 def base_of(fit: Fit, records: Sequence[MeasuredMotion], revolution: float | None = None) -> Base | None:
-    """Linearise the fit of a law; None where the motion cannot be followed beside its solution."""
+    """Linearise the fit of a law; None where the motion near its solution cannot be followed."""
     linear = LinearisedFit.at(fit.at)
     path = fit.path()
     if linear is None or path is None or not math.isfinite(linear.cost):

@@ -23,11 +23,7 @@ MOST_EXPLAINED = 0.7
 
 
 def suspect_memory(base: Base, explained: float) -> FoundDeparture | None:
-    """Return memory as a departure without a parameter, None where nothing suggests it.
-
-    base: Of the free curve.
-    explained: Share of the free curve's misfit that the best departure explains.
-    """
+    """Return memory as a departure, or None; ``explained`` is the best departure's share of the misfit."""
     if explained > MOST_EXPLAINED:
         return None
     tested = score(base.linear, base.respond([lag(base)]), [1])[0]
@@ -38,7 +34,7 @@ def suspect_memory(base: Base, explained: float) -> FoundDeparture | None:
 
 
 def lag(base: Base) -> Forcing:
-    """Return what a lag of friction behind the speed, by 1 s, adds to the acceleration to first order."""
+    """Return the first-order effect on the acceleration of friction that lags the speed by 1 s."""
     path = base.path
     unknowns = path.u.reshape(-1, PER_RUN)[path.run]
     force = (

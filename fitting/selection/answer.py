@@ -1,4 +1,4 @@
-"""The answer of a ranking: its rows, sentences and warnings, from what was decided about the laws."""
+"""The answer of a ranking: its rows, sentences and warnings, from the decision about the laws."""
 
 import math
 import time as clock
@@ -41,7 +41,7 @@ Contradictions = list[list[Finding]]  # of each run
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What was decided about the laws, and from what."""
+    """The decision about the laws, and its basis."""
 
     asked: Asked
     records: Sequence[Kinematics]  # as smoothed, and in the fit's frame
@@ -55,17 +55,17 @@ class Decision:
 
     @property
     def rejected(self) -> bool:
-        """Whether none of the laws that were asked for describes the runs."""
+        """Whether none of the requested laws describes the runs."""
         return self.assessed.together.rejected
 
     @property
     def beaten(self) -> bool:
-        """Whether rivals describe the runs better than each law that was asked for, which noise may not rule out."""
+        """Whether rivals describe the runs better than each requested law, which noise may not rule out."""
         return self.competition.beaten and self.assessed.beaten
 
     @property
     def best(self) -> Fit | FormulaFit:
-        """The best of the laws that were asked for: of the six where some are in the set, which the verdict names."""
+        """The best of the requested laws, one of the six where any are in the set, as in the verdict."""
         law = self.competition.best
         return next(fit for fit in self.fits if fit.law == law)
 
@@ -78,8 +78,6 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of the laws, best first."""
-
     runs: tuple[tuple[LawResult, ...], ...]  # those of each run
     together: tuple[LawResult, ...]  # those of all runs together; of a single run its own
     depends: tuple[tuple[str, ...], ...]  # of each run: what of it depends on the law, in words
@@ -102,7 +100,7 @@ def without_law(
     records: Sequence[Kinematics],
     begun: float,
 ) -> RankedLaws:
-    """Return the verdict on stick-slip that no law comes near: no rows, and what is known without any law."""
+    """Return the verdict on stick-slip that no law fits: no rows, and what is known without a law."""
     words = name_contradictions(verdict.refused_sentence(reason, asked.competitors), contradicted)
     outcome = NONE_OF_SIX if asked.competitors.laws == ALL_LAWS else NONE_FITTED
     sides = []
@@ -129,9 +127,9 @@ def _rows(decision: Decision) -> Rows:
 
 
 def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
-    """Return a law's row for each run, and last the row for all of them together; one row for a single run.
+    """Return a law's row for each run, and last the row for all; one row for a single run.
 
-    Where no law describes the runs, no interval is given.
+    Where no law describes the runs, intervals are withheld.
     """
     runs, found = decision.runs, decision.competition
     parts = [fit.for_run(number) for number in range(len(runs))]
@@ -169,7 +167,7 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
 
 
 def _parameters(fit: Fit | FormulaFit, decision: Decision, run: int) -> dict[str, Parameter]:
-    """Return a law's parameters of a run; those that were given as they were given."""
+    """Return a law's parameters of a run; fixed ones as stated."""
     motion, alpha = decision.runs[run].motion, decision.asked.alpha
     own: dict[str, Parameter]
     if isinstance(fit, Fit):
@@ -188,7 +186,7 @@ def _parameters(fit: Fit | FormulaFit, decision: Decision, run: int) -> dict[str
 
 
 def _outside_band(fit: Fit | FormulaFit, decision: Decision) -> BandExit | None:
-    """Return where a law leaves the band of the measured curve the furthest."""
+    """Return the largest exit of a law from the band of the measured curve."""
     adequacy = decision.assessed.together
     if isinstance(fit, Fit):
         return adequacy.outside_band.get(fit.law)
@@ -199,9 +197,9 @@ def _outside_band(fit: Fit | FormulaFit, decision: Decision) -> BandExit | None:
 
 
 def _contradicted(decision: Decision, rows: Rows) -> tuple[Contradictions, bool]:
-    """Return what of each run's calibration its record contradicts, and whether that keeps all laws away from it.
+    """Return each run's contradicted calibrations, and whether they keep all laws away from it.
 
-    It is what the best of the laws that were asked for shows; where a law holds without the calibration, what it shows.
+    They are those of the best requested law or, where a law holds without the calibration, of that one.
     """
     best = [next(row.parameters for row in own if row.law == decision.best.law) for own in rows.runs]
     motions = [run.motion for run in decision.runs]
@@ -223,7 +221,6 @@ def _contradicted(decision: Decision, rows: Rows) -> tuple[Contradictions, bool]
 
 
 def _words(decision: Decision, rows: Rows, contradicted: Contradictions, *, kept_away: bool) -> str:
-    """Return the verdict."""
     if decision.beaten:
         return verdict.rival_sentence(rows.together, decision.competition)
     if decision.rejected:
@@ -278,7 +275,7 @@ def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted:
 
 
 def _level_error(fit: Fit | FormulaFit, run: Run, number: int) -> float:
-    """Return the standard error of a run's break-away level by what all cycles share."""
+    """Return the error of a run's break-away level that all cycles share."""
     if isinstance(fit, Fit):
         return derived.break_away_level_error(fit, run.motion, number)
     return formula_level_error(fit, number)

@@ -1,9 +1,9 @@
-"""Contradictions: what was stated of the rig beside what the record shows.
+"""Contradictions between the stated rig and the record.
 
 A calibration is a prior of the fit, so the fitted value lies between the two and hides the contradiction.  Each is
-therefore compared with what the record alone shows, by the best law (`fitting.estimation.covariance.without_prior`).
+therefore compared with the estimate without the prior, by the best law (`fitting.estimation.covariance.without_prior`).
 This is one Newton step, exact for a linear problem only; where no law holds, a correct damping may be contradicted.
-There the laws are fitted again without what was stated.
+There the laws are fitted again without the stated values.
 """
 
 import math
@@ -41,14 +41,10 @@ def find_contradictions(
     records: Sequence[Kinematics],
     effect: str = "",
 ) -> list[list[Finding]]:
-    """Return what of each run's calibration its record contradicts by more than `CONTRADICTED_BY` standard deviations.
+    """Return each run's calibrations that its record contradicts by more than `CONTRADICTED_BY` standard deviations.
 
-    fit: Of the best law, all runs together.
-    motions: Of each run.
-    parameters: The best law's of each run.
-    records: Of each run, with the calibration that its positions were made with.
-    effect: What a contradicted value does; by default, which of both the fit used.
-    Returns: Of each run, in the record's own signs, SI units.
+    In the record's signs, SI units; ``records`` have the calibration that made their positions, ``effect`` is the
+    consequence in words (by default which value the fit used).
     """
     return [
         _of_run(fit, motion, own, record.recording.rig, run, effect)
@@ -81,13 +77,10 @@ def _of_run(
 def contradicted_by_all_laws(
     asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics], effect: str
 ) -> list[list[Finding]]:
-    """Return what of each run's rest position and damping keeps every law away from the runs.
+    """Return each run's rest position and damping that keep every law away from the runs.
 
-    The laws are fitted without both.  Where the best of them then leaves no more than noise, it shows what the stated
-    values should be.
-
-    effect: What a contradicted value does.
-    Returns: Of each run; none where no law holds without them either.
+    The laws are fitted without both; where the best then fits to within the noise, its values replace them. Empty where
+    none fits.
     """
     nothing: list[list[Finding]] = [[] for _ in runs]
     if all(run.motion.datum_prior is None and run.motion.damping_prior is None for run in runs):
@@ -110,10 +103,10 @@ def contradicted_by_all_laws(
 def without_those_of_the_law(
     contradicted: Sequence[Sequence[Finding]], rivals: Sequence[FormulaFit]
 ) -> list[list[Finding]]:
-    """Return the contradictions of each run without those of rest position or damping that a rival does not have.
+    """Return the contradictions without those of rest position or damping that a rival does not have.
 
-    A wrong law moves what was stated to where its curve fits; a curve that describes the record as well or better
-    without moving it shows that the record does not contradict it.
+    A wrong law moves the stated value to where its curve fits; a curve that fits as well without that shows no
+    contradiction.
     """
     return [
         [one for one in own if not any(_agrees(fit, one.code, run) for fit in rivals)]
@@ -136,7 +129,7 @@ def _agrees(fit: FormulaFit, code: str, run: int) -> bool:
 
 
 def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:
-    """Return a verdict that says which calibrations its law contradicts; of several runs, each calibration once."""
+    """Return a verdict with the calibrations that its law contradicts, each once."""
     clauses = {}
     for one in (one for own in contradicted for one in own):
         unit, name = UNITS[one.code], one.code.replace("-", " ")
@@ -148,7 +141,7 @@ def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]])
 def _compared(
     fit: Fit | FormulaFit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
 ) -> Iterator[tuple[str, Measured, Measured, str]]:
-    """Yield code, what the record shows, what was stated, and which of both the fit used."""
+    """Yield code, the record's value, the stated value, and which of them the fit used."""
     speed = None if motion.stated_speed is None else _seen(fit, Global.V_DR, run)
     if motion.stated_speed is not None and speed is not None:
         # Without sticks the belt's speed depends on the datum, which constant friction does not show.
@@ -178,15 +171,12 @@ def _compared(
 
 
 def _used(prior: Measured | None) -> str:
-    """Return what the fit used of a stated value: as a prior, as a first value alone, or not at all."""
+    """Return the use of a stated value in the fit: as a prior, as a first value, or not at all."""
     return "both" if prior is not None and prior.sd > 0 else "the record's"
 
 
 def _seen(fit: Fit | FormulaFit, slot: Global, run: int) -> Measured | None:
-    """Return what the record alone shows of a parameter of a run, of those that runs share there is one.
-
-    None where a value was given, and where the record shows nothing of it.
-    """
+    """Return a run's parameter as constrained by the record alone; None where fixed or unconstrained."""
     place = PER_RUN * run + slot
     if isinstance(fit, FormulaFit):
         return fit.without_prior(slot, run)
@@ -198,5 +188,4 @@ def _seen(fit: Fit | FormulaFit, slot: Global, run: int) -> Measured | None:
 
 
 def _is_constant(fit: Fit | FormulaFit) -> bool:
-    """Return whether friction does not depend on speed."""
     return isinstance(fit, Fit) and LAWS[fit.law].curve == "constant"

@@ -13,10 +13,10 @@ from fitting.selection.evidence import Evidence, ModelSet
 def judge(
     fits: Sequence[Fit], laws: Sequence[int], runs: Sequence[Run], alpha: float, *, sustained: bool
 ) -> tuple[list[Fit], ModelSet]:
-    """Compare those of the fits whose ``laws`` compete, by their evidence; return all fits, best first, and the set.
+    """Compare the competing ``laws`` by their evidence; return all fits, best first, and the set.
 
-    A jump law on a compliant belt that is equivalent to the best ramp law takes its place.  Where none competes, since
-    formulas alone were asked for, the fit that errs least is the set: other fits start from it.
+    An equivalent jump law on a compliant belt replaces the best ramp law. Where only formulas compete, the best fit is
+    the set: other fits start from it.
     """
     competing = [fit for fit in fits if fit.law in laws]
     others = sorted((fit for fit in fits if fit.law not in laws), key=lambda fit: fit.geometric_mean_rms)

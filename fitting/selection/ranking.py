@@ -1,6 +1,6 @@
-"""`rank`: fits the laws to a smoothed record and ranks them; returns one, or the set that cannot be distinguished.
+"""`rank`: fits the laws to a smoothed record and ranks them; returns the best, or the set of compatible ones.
 
-What is evidence and who is in the set: `fitting.selection.evidence`.
+Evidence and set rule: `fitting.selection.evidence`.
 """
 
 import logging
@@ -47,15 +47,10 @@ def rank(
     progress: Callable[[float], None] | None = None,
     scheduler: str | None = None,
 ) -> RankedLaws:
-    """Fit the laws to a record, or to several records of one contact together, and rank them.
+    """Fit the laws to a record, or to several of one contact together, and rank them.
 
-    kinematics: The smoothed record (`processing.smooth`); plain differences are smoothed again, in memory.  Several are
-        taken as runs of one contact, at other belt speeds say: k/m, Fs/m, the curve, the ramp and the damping are one
-        for all; belt speed, rest position, wear and the belt's compliance are each run's own.
-    rig: Calibration; the recording's own by default, one for all, or one for each run.
-    belt_speed: m/s, signed, if known better than from the calibration.
-    laws, fix, bounds, start, excluded, alpha, jobs, progress, scheduler: As of `fitting.rank`, which also says what is
-        raised and what is not modelled (`fitting.competitors`, `fitting.selection.equivalence`, `fitting.data.ripple`).
+    Plain differences are smoothed again, in memory; ``rig`` is by default the recordings' own, ``belt_speed`` in m/s,
+    signed. Other arguments, errors and limits as in `fitting.rank`.
     """
     begun = clock.process_time()
     competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
@@ -96,7 +91,7 @@ def _smoothed(kinematics: Kinematics) -> Kinematics:
 
 
 def _cut(records: Sequence[Kinematics], rig: Rig | Sequence[Rig] | None, asked: Asked) -> list[Run]:
-    """Return each record in the fit's frame, cut into cycles."""
+    """Return each record in the fit's frame, divided into cycles."""
     for record in records:
         screening.refuse_wrong_times(record)
     rigs = [None] * len(records) if rig is None else [rig] * len(records) if isinstance(rig, Rig) else rig
@@ -120,7 +115,7 @@ def _compete(
     *,
     sustained: bool,
 ) -> Competition:
-    """Return who is in the set: of the six alone, or of all laws together."""
+    """Return the set: of the six alone, or of all laws together."""
     six = [fit for fit in fits if fit.law in asked.competitors.direct]
     if not formulas:
         return Competition.of_six(chosen)
@@ -131,9 +126,9 @@ def _compete(
 def _list_unfitted(
     fits: Sequence[Fit], formulas: Formulas, asked: Asked, records: Sequence[Kinematics], *, sustained: bool
 ) -> tuple[UnfittedLaw, ...]:
-    """Return the laws that were asked for and could not be fitted; raise DataError where no other was asked for.
+    """Return the requested laws that could not be fitted; DataError where no other was requested.
 
-    Laws with sticks are not fitted to a mass without, and are not among them.
+    Laws with sticks are not fitted to a mass without, and are not listed.
     """
     direct, followed = asked.competitors.direct, {fit.law for fit in fits}
     lost = [unfitted(law, "its motion cannot be followed") for law in direct if law not in followed and sustained]
@@ -158,7 +153,7 @@ def _decided(
     *,
     sustained: bool,
 ) -> Decision:
-    """Return what is decided: which laws describe the runs, and what is said of those that do not."""
+    """Return the decision: which laws describe the runs, and the assessment of the others."""
     motions = [run.motion for run in runs]
     by_law: dict[int | str, Fit | FormulaFit] = {fit.law: fit for fit in fits}
     by_law |= {fit.law: fit for fit in formulas.fits}
@@ -177,7 +172,7 @@ def _decided(
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
-    """Return the travel per revolution of the encoder, m, where the runs have the same; None otherwise."""
+    """Return the encoder's travel per revolution, m, if the same in all runs, else None."""
     found = set()
     for record in records:
         pitch, counts = record.recording.rig.metres_per_count, record.recording.rig.counts_per_revolution

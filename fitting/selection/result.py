@@ -33,7 +33,7 @@ CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the s
 
 
 def numbers(values: "ArrayLike", name: str) -> Array:
-    """Return what a caller gives as numbers; InputError, which names the argument, for anything else."""
+    """Return a caller's numbers; otherwise InputError, which names the argument."""
     try:
         return np.asarray(values, np.float64)
     except (TypeError, ValueError):
@@ -109,7 +109,7 @@ class LawResult:
 
     @property
     def called(self) -> str:
-        """The law in a sentence: what it is called, and its number or name; of a formula of one's own the formula."""
+        """The law in a sentence: its name and number, or name and, for a custom law, formula."""
         if self.formula is None:
             return f"law {self.law} ({self.name})"
         title = TITLES.get(str(self.law))
@@ -117,7 +117,7 @@ class LawResult:
 
     @property
     def shown(self) -> str:
-        """Its parameters in words, without those of the rig: per unit mass, what is determined alone."""
+        """Its parameters in words, without the rig's: per unit mass, those determined alone."""
         return ", ".join(
             f"{name} = {item.value:.3g} {item.unit}".rstrip()
             for name, item in self.parameters.items()
@@ -249,7 +249,6 @@ class LawResult:
             raise InputError(f"{self.fit.runs} runs together have no common time", what, do)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form."""
         of_formula = () if self.formula is None else ("formula", "asked")
         names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "cycles")
         document: dict[str, Any] = {name: getattr(self, name) for name in names} | {"fitted": True}
@@ -260,7 +259,7 @@ class LawResult:
 
 @dataclass(frozen=True)
 class UnfittedLaw:
-    """The row of a law that could not be started, or whose motion could not be followed: it has no numbers."""
+    """The row, without numbers, of a law that could not be started or followed."""
 
     law: int | str
     name: str
@@ -269,7 +268,7 @@ class UnfittedLaw:
 
     @property
     def title(self) -> str:
-        """The law in a table, as `LawResult.title`."""
+        """The law in a table, as in `LawResult.title`."""
         return f"{self.law} {self.name}" if self.formula is None else f"{self.law}: {self.formula}"
 
     def as_json(self) -> dict[str, Any]:
@@ -288,35 +287,10 @@ class UnfittedLaw:
 
 @dataclass(frozen=True, eq=False)
 class RankedLaws:
-    """The laws in order, with the verdict, the break-aways and the warnings.
+    """The laws in order, as `fitting.Ranking` describes them.
 
-    Attributes
-    ----------
-    verdict : str
-        A sentence; the laws it names are `members`, unless it says that none describes the record.
-    members : tuple of int or str
-        Model confidence set: laws that the record cannot distinguish, best first.  It compares the laws with each
-        other; whether any of them describes the record is said by ``adequacy``.
-    rows : tuple of LawResult
-        Best first, those in the set before all others; none where the record is stick-slip that no law comes near.
-    events : tuple of BreakAway
-    warnings : tuple of str
-        The texts of the findings among them.
-    findings : tuple of Finding
-        Contradictions between calibration and record, and the faults that smoothing found.
-    motion, cut
-        What was fitted, in the fit's frame; the first run's where there are several.
-    adequacy : Adequacy
-        Of all runs together.
-    cpu_s : float
-    runs : tuple of RankedLaws
-        Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
-    records : tuple of Kinematics
-        The smoothed runs.
-    alpha : float
-        1 - confidence of the intervals.
-    unfitted : tuple of UnfittedLaw
-        Laws that were asked for and could not be fitted, each with its reason; they follow ``rows`` in tables.
+    ``members`` compares the laws with each other; ``adequacy`` says whether any describes the record.  ``motion`` and
+    ``cut`` are in the fit's frame, the first run's of several; ``unfitted`` laws follow ``rows`` in tables.
     """
 
     verdict: str
@@ -360,7 +334,7 @@ class RankedLaws:
 
     @property
     def sides(self) -> "tuple[RankedLaws, ...]":
-        """Each run's own side; of a single run the ranking itself."""
+        """The side of each run; of a single run the ranking itself."""
         return self.runs or (self,)
 
     def row(self, law: int | str) -> LawResult:
@@ -407,10 +381,7 @@ class RankedLaws:
         }
 
     def correlations(self) -> Correlations | None:
-        """Return how the errors of the best law's parameters go together, of several runs those of the first.
-
-        None where their intervals are withheld.
-        """
+        """Return the correlations of the best law's parameters (first run); None where intervals are withheld."""
         if not self.rows or not all(item.trusted for item in self.best.parameters.values()):
             return None
         fit, motion = self.best.fit, self.sides[0].motion

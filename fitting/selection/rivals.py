@@ -1,8 +1,8 @@
-"""Laws given as formulas beside the six: those that were named, and published ones that the measured curve prefers.
+"""Laws given as formulas: the requested ones, and published ones that the measured curve prefers.
 
-A published form that was not named is fitted where its information criterion on the measured curve is below that of
-every form of the six, or so little above that the set rule would not exclude it, and so close to the best form that
-could be fitted.  What is evidence and who is in the set is decided as between the six (`fitting.selection.evidence`).
+A published form is fitted without a request where its information criterion on the measured curve is below that of
+every form of the six, or so little above that the set rule would not exclude it, and near the best form that could be
+fitted.  Evidence and set rule are those of the six (`fitting.selection.evidence`).
 """
 
 import logging
@@ -40,7 +40,7 @@ OF_THE_SIX = ("constant", "linear", "hyperbolic")
 
 @dataclass(frozen=True, eq=False)
 class Formulas:
-    """The formulas that were fitted, those that were named and could not be, and what is said of parameters."""
+    """The fitted formulas, the requested ones that could not be fitted, and notes on parameters."""
 
     fits: tuple[FormulaFit, ...]
     unfitted: tuple[UnfittedLaw, ...] = ()
@@ -49,7 +49,7 @@ class Formulas:
 
 @dataclass(frozen=True, eq=False)
 class Competition:
-    """All laws together: the six, those that were named, and rivals that were not."""
+    """All laws together: the six, requested formulas, and rivals that were not requested."""
 
     # best first, members of the set before all others; the six between themselves as they were judged alone
     order: tuple[int | str, ...]
@@ -61,29 +61,28 @@ class Competition:
 
     @classmethod
     def of_six(cls, chosen: ModelSet) -> "Competition":
-        """Return the six alone."""
         return cls(chosen.order, chosen.members, chosen.score, chosen.weight, chosen.behind, frozenset(chosen.order))
 
     @property
     def best(self) -> int | str:
-        """The best law that was asked for: of the six where some are in the set, which the verdict names first."""
+        """The best requested law, one of the six where any are in the set, as in the verdict."""
         asked = [law for law in self.order if law in self.asked]
         return next((law for law in asked if isinstance(law, int) and law in self.members), asked[0])
 
     @property
     def beaten(self) -> bool:
-        """Whether rivals that were not asked for leave no other law in the set."""
+        """Whether rivals that were not requested are alone in the set."""
         return not any(law in self.asked for law in self.members)
 
     def lead(self, law: int | str, other: int | str) -> float:
-        """By how much a law leads another one, in log evidence."""
+        """Lead of a law over another one, in log evidence."""
         return 0.5 * (self.score[other] - self.score[law])
 
 
 def preferred_forms(forms: Sequence[FormFit]) -> list[tuple[Law, float]]:
-    """Return the published laws whose forms the measured curve prefers to those of the six, best first.
+    """Return the published laws that the measured curve prefers to the six, or nearly, best first.
 
-    Each with its information criterion.  Those that it hardly distinguishes from the best of the six are among them.
+    Each with its information criterion.
     """
     by_name = {form.name: form for form in forms}
     limit = min(by_name[name].bic for name in OF_THE_SIX) + OPEN
@@ -92,10 +91,7 @@ def preferred_forms(forms: Sequence[FormFit]) -> list[tuple[Law, float]]:
 
 
 def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rivals: bool) -> Formulas:
-    """Fit the laws that were named and, where ``rivals``, those whose forms the measured curve prefers.
-
-    curve: From which each fit starts.
-    """
+    """Fit the requested formulas, from the measured curve, and with ``rivals`` those that it prefers."""
     if curve is None:
         laws: tuple[int | Law, ...] = (*competitors.formulas, *competitors.restated)
         return Formulas((), tuple(unfitted(law, "the friction curve could not be measured") for law in laws))
@@ -130,14 +126,13 @@ def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rival
 
 
 def unfitted(law: int | Law, reason: str) -> UnfittedLaw:
-    """Return the row of a law that could not be fitted."""
     if isinstance(law, int):
         return UnfittedLaw(law, LAWS[law].name, reason)
     return UnfittedLaw(law.name, law.name.replace("-", " "), reason, law.formula)
 
 
 def _named(competitors: Competitors, host: SplineFit) -> Iterator[tuple[Law, int | None]]:
-    """Yield the formulas that were named, with what is given of them, and the six that are fitted as formulas."""
+    """Yield the requested formulas with the conditions on them, and the six that are fitted as formulas."""
     motion = host.fit.problem.motions[0]
     for law in competitors.formulas:
         yield formula_given(law, competitors.of_law(law), motion), None
@@ -146,7 +141,7 @@ def _named(competitors: Competitors, host: SplineFit) -> Iterator[tuple[Law, int
 
 
 def _fitted(law: Law, host: SplineFit, number: int | None = None) -> FormulaFit | str:
-    """Fit one formula, or return why it cannot be; of parameters that it has only together some are held."""
+    """Fit one formula, or return why not; of jointly determined parameters some are fixed."""
     friction, fastest = float(np.median(host.spline.coefficients)), float(host.spline.knots[-1])
     together = undetermined(law, friction, fastest)
     held = [name for group in together for name in group.names[len(group.names) - group.free :]]
@@ -160,7 +155,7 @@ def _fitted(law: Law, host: SplineFit, number: int | None = None) -> FormulaFit 
 
 
 def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:
-    """Return whether a law that was named can be the curve of another one, which is then no rival of it."""
+    """Return whether a requested law can draw the curve of another one, which is then not a rival."""
     if law.ramp != rival.problem.ramp:
         return False
     speeds = seen_speeds(host)
@@ -190,10 +185,8 @@ def compete(
 ) -> Competition:
     """Judge the six and the formulas by the same evidence and set rule.
 
-    fits: Of the six that compete.
-    chosen: Of these alone: between themselves they are judged without others, which beat all of their set or none.
-    asked: The laws that were asked for.
-    sustained: Whether the mass sticks in the long run; else the start-up drags alone are evidence.
+    The six keep their order and set ``chosen`` among themselves; ``asked`` are the requested laws. Unless
+    ``sustained``, the start-up drags alone are evidence.
     """
     every: list[Candidate] = [*fits, *formulas]
     units = evidence.common_units(every, runs, sustained=sustained)
@@ -225,7 +218,7 @@ def compete(
 def _merged(
     six: Sequence[int | str], others: Sequence[int | str], members: set[int | str], score: dict[int | str, float]
 ) -> tuple[int | str, ...]:
-    """Return all laws in order, members of the set first; a law that is a limit of the best one may stand before it."""
+    """Return all laws in order, members of the set first; a limit of the best law may precede it."""
     found = sorted([*six, *others], key=lambda law: (law not in members, score[law]))
     own = iter(six)
     return tuple(law if law in others else next(own) for law in found)

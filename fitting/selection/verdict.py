@@ -36,12 +36,9 @@ def verdict_sentence(
     measured: bool = False,
     runs: int = 1,
 ) -> str:
-    """Return the verdict: the law, or the laws that the record cannot distinguish, and why.
+    """Return the verdict: the law, or the compatible laws, and why; rows are best first.
 
-    rows: Best first.
-    sustained: Whether the record has sustained sticks; without them friction is constant.
-    measured: Whether the belt's own counts were used.
-    runs: How many were fitted together.
+    Without ``sustained`` sticks friction is constant; ``measured`` is whether the belt's counts were used.
     """
     members = [row for row in rows if row.in_set]
     six = [row for row in members if isinstance(row.law, int)]
@@ -86,7 +83,7 @@ def _of_six(
 
 
 def _behind(best: LawResult, other: LawResult) -> str:
-    """Return how far the next best law is behind."""
+    """Return the lead over the next law in words."""
     ratio = other.rms_m / best.rms_m
     if ratio > 1.2:
         return f"the next best, {other.label}, has {ratio:.3g} times the error"
@@ -96,7 +93,6 @@ def _behind(best: LawResult, other: LawResult) -> str:
 
 
 def _constant_friction(rows: Sequence[LawResult], members: Sequence[LawResult], *, measured: bool) -> str:
-    """Return the verdict without a sustained stick."""
     best = rows[0]
     head = "no sustained stick: constant friction, "
     if len(members) == 1:
@@ -109,14 +105,14 @@ def _constant_friction(rows: Sequence[LawResult], members: Sequence[LawResult], 
 
 
 def _is_compliant(row: LawResult) -> bool:
-    """Return whether a law of the six was fitted on a belt that slows under load."""
+    """Return whether one of the six was fitted on a belt that slows under load."""
     return isinstance(row.fit, Fit) and Global.COMPLIANCE in row.fit.active
 
 
 def _named_sentence(
     rows: Sequence[LawResult], members: Sequence[LawResult], competition: Competition, cycles: str
 ) -> str:
-    """Return the verdict where laws that were named leave none of the six in the set."""
+    """Return the verdict where requested formulas exclude all six from the set."""
     best = members[0]
     head = f"{best.called}: {cycles} fit to {format_length(best.rms_m)} rms, {best.shown}"
     if len(members) > 1:
@@ -132,7 +128,7 @@ def _named_sentence(
 
 
 def _as_well(others: Sequence[LawResult]) -> str:
-    """Return what is said of formulas beside laws of the six in the set."""
+    """Return the statement about formulas that are compatible like the six."""
     if not others:
         return ""
     named = " or ".join(f"{row.called} ({row.shown})" for row in others)
@@ -140,10 +136,7 @@ def _as_well(others: Sequence[LawResult]) -> str:
 
 
 def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
-    """Return the verdict on a record that no law describes: what friction does instead, and how far off the laws are.
-
-    rows: Best first.
-    """
+    """Return the verdict where no law fits: what friction does instead, and how far off the laws are."""
     asked = [row for row in rows if row.asked]
     best = asked[0]
     if len(asked) == 1:
@@ -156,7 +149,7 @@ def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
 
 
 def rival_sentence(rows: Sequence[LawResult], competition: Competition) -> str:
-    """Return the verdict where rivals describe a record better than each of the laws, which noise may not rule out."""
+    """Return the verdict where rivals describe a record better than each law, which noise may not rule out."""
     best = next(row for row in rows if row.asked)
     rival, *others = [row for row in rows if row.in_set]
     six = [row for row in rows if isinstance(row.law, int)]
@@ -204,7 +197,7 @@ def _size(departure: FoundDeparture) -> str:
 
 
 def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
-    """Return how far the best law is from the record."""
+    """Return the distance of the best law from the record in words."""
     named = f"{best.called}, the closest," if laws > 1 else "it"
     left = f"{named} leaves residuals of {format_length(best.rms_m)} rms"
     found, outside = adequacy.goodness, best.outside_band
@@ -222,13 +215,13 @@ def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
 
 
 def refused_sentence(reason: str, competitors: Competitors) -> str:
-    """Return the verdict on stick-slip that was refused before, or after, its laws were fitted."""
+    """Return the verdict on stick-slip that was rejected before or after its laws were fitted."""
     which = "none of the six laws" if competitors.laws == ALL_LAWS else "none of the laws fitted"
     return f"stick-slip, but {which}: {reason}"
 
 
 def format_probability(p: float | None) -> str:
-    """Return a probability as "= 0.3", or as "< 1e-06": the tails of a null distribution are known roughly."""
+    """Return a p-value as "= 0.3", or as "< 1e-06": the tails of a null distribution are rough."""
     if p is None:
         return NOT_JUDGED
     return f"= {p:.2g}" if p >= REJECTED else f"< {REJECTED:g}"

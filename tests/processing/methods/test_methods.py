@@ -149,7 +149,7 @@ def test_an_offset_of_2_to_the_60_counts_changes_nothing(method, motion, recorde
 @pytest.mark.parametrize("name", ["spline", None])
 def test_an_unknown_method_names_the_known_ones(name):
     with pytest.raises(InputError, match=f"method is {name!r}; known: auto, segment, rts, sg, fd"):
-        registry.check(name)
+        registry.check_method(name)
 
 
 def test_finite_differences_have_no_window(imported):
