@@ -1,11 +1,11 @@
 """What the assessment of a record says: does a law describe it, and if none does, what else is known."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from fitting.adequacy.goodness import GoodnessOfFit
-from fitting.curve.result import BandExit, MeasuredCurve
+from fitting.curve.result import BandExit, FormFit, MeasuredCurve
 from fitting.departures.result import FoundDeparture
 
 ADEQUATE = "adequate"
@@ -35,12 +35,14 @@ class Adequacy:
         Friction against relative speed without a law, in newtons where mass or stiffness is known.
     curve_goodness : GoodnessOfFit or None
         Of the curve, where it was judged: no law is adequate, or it leaves far more than the noise.
-    outside_band : mapping of int to BandExit
+    outside_band : mapping of int or str to BandExit
         Where each law leaves the curve's band the furthest.
     unit : str
         Of the curve's friction.
     departures : tuple of FoundDeparture
-        What would explain the misfit, strongest first.
+        Those with which a law describes the record, strongest first.
+    forms : tuple of FormFit
+        The published laws as fitted to the record, nearest first.
     """
 
     verdict: str | None
@@ -49,9 +51,10 @@ class Adequacy:
     smallest_visible: float | None = None
     curve: MeasuredCurve | None = None
     curve_goodness: GoodnessOfFit | None = None
-    outside_band: Mapping[int, BandExit] = field(default_factory=dict)
+    outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)
     unit: str = "N/kg"
     departures: tuple[FoundDeparture, ...] = ()
+    forms: tuple[FormFit, ...] = ()
 
     @property
     def said(self) -> str:
@@ -85,12 +88,12 @@ class Adequacy:
             "p_value": found and found.p_value,
             "smallest_visible": self.smallest_visible,
             "departures": [departure.as_json() for departure in self.departures],
-            "curve": None if self.curve is None else curve_as_json(self.curve, self.unit),
+            "curve": None if self.curve is None else curve_as_json(self.curve, self.unit, self.forms),
         }
 
 
-def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
-    """Return the document's form of a measured curve."""
+def curve_as_json(curve: MeasuredCurve, unit: str, forms: Sequence[FormFit]) -> dict[str, Any]:
+    """Return the document's form of a measured curve, with the published laws."""
     k_over_m = curve.k_over_m.as_json()
     del k_over_m["unit"]
     return {
@@ -106,10 +109,10 @@ def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
                 "name": form.name,
                 "formula": form.formula,
                 "source": form.source,
-                "parameters": {name: item.as_json() for name, item in form.parameters.items()},
+                "parameters": {name: item and item.as_json() for name, item in form.parameters.items()},
                 "chi": form.chi,
                 "inside_band": form.inside_band,
             }
-            for form in curve.forms
+            for form in forms
         ],
     }

@@ -9,53 +9,21 @@ from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import STATED_ERROR, Parameter
 
-LEVELS = ("Fs", "Fc")
-
 
 @dataclass(frozen=True, eq=False)
 class FormFit:
-    """A published form fitted to the measured curve.
+    """A published law as it was fitted to the record.
 
-    Attributes
-    ----------
-    name, formula, source : str
-    parameters : dict of str to Parameter
-        With intervals of the curve's confidence; per unit mass.
-    fall : Parameter or None
-        Fs - Fc of a form that has both: determined even where the level of friction is not.
-    misfit : float
-        Chi square: distance from the measured curve in the metric of the record, all else fitted again.
-    chi : float
-        Square root of ``misfit`` over its degrees of freedom.
-    bic : float
-        ``misfit`` with what the parameters cost; the first form of a table has the lowest.
-    inside_band : bool
-        Whether the misfit is within what noise makes in 95 % of records.
-    values : (k,) f8
-        The form at the curve's speeds, m/s^2.
+    ``parameters`` are None where it was not fitted; ``chi`` is the rms residual over the noise of a position, and
+    ``inside_band`` is whether its curve stays inside the band of the measured one.
     """
 
     name: str
     formula: str
     source: str
-    parameters: dict[str, Parameter]
-    fall: Parameter | None
-    misfit: float
-    chi: float
-    bic: float
+    parameters: dict[str, Parameter | None]
+    chi: float | None
     inside_band: bool
-    values: Array
-
-    @property
-    def determined(self) -> dict[str, Parameter]:
-        """The parameters without a level Fs or Fc that the record hardly determines, but then with Fs - Fc."""
-        unknown = [name for name in LEVELS if name in self.parameters and not _known(self.parameters[name])]
-        found = {name: item for name, item in self.parameters.items() if name not in unknown}
-        return found if self.fall is None or not unknown else {"Fs - Fc": self.fall} | found
-
-
-def _known(level: Parameter) -> bool:
-    return level.stderr < STATED_ERROR * abs(level.value)
 
 
 @dataclass(frozen=True)
@@ -88,8 +56,6 @@ class MeasuredCurve:
         spring.
     ramp : float
         Half-width of the ramp that slip begins beyond, m/s; 0 for a jump.
-    forms : tuple of FormFit
-        Best first.
     spline_fit : SplineFit
     linear : LinearisedFit
         About the solution; the coordinates of the curve's coefficients are the last unknowns.
@@ -105,7 +71,6 @@ class MeasuredCurve:
     k_over_m: Parameter
     chi: float
     ramp: float
-    forms: tuple[FormFit, ...] = field(repr=False)
     spline_fit: SplineFit = field(repr=False)
     linear: LinearisedFit = field(repr=False)
     confidence: float

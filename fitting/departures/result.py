@@ -26,9 +26,8 @@ class FoundDeparture:
         Standard deviations of a normal variable that is as unlikely, the number of departures and scales that were
         tried taken into account.
     parameter : str
-        Symbol of its size; "" for one without a parameter.
+        Symbol of its size.
     value, stderr : float
-        NaN without a parameter.
     unit : str
     text : str
         What it says of the rig.
@@ -36,9 +35,9 @@ class FoundDeparture:
     gain : float
         By how much the cost falls with it.
     explained : float
-        Share of the misfit beyond the noise that it explains: in the fit with it, else in one linear step.
+        Share of the misfit beyond the noise that it explains.
     refitted : bool
-        Whether value and stderr come from a fit with it; else from one linear step.
+        Whether value and stderr come from a fit with it.
     law : int or None
         The law that describes the record together with it, where one does.
     """
@@ -62,14 +61,13 @@ class FoundDeparture:
         return Measured(self.value, self.stderr)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form; a number that does not exist is None."""
-        known = bool(self.parameter)
+        """Return the document's form."""
         row: dict[str, Any] = {
             "name": self.name,
             "sigmas": self.sigmas,
-            "parameter": self.parameter or None,
-            "value": self.value if known else None,
-            "stderr": self.stderr if known else None,
+            "parameter": self.parameter,
+            "value": self.value,
+            "stderr": self.stderr,
             "unit": self.unit,
             "text": self.text,
             "explained": self.explained,

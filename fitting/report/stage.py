@@ -4,6 +4,7 @@ In a run file the raw data beside them stay untouched.  In the file of a joint f
 what differs between the runs stand once for each: cycles_run1 ..., parameters_run1 ...; runs has what each run shows.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -89,8 +90,8 @@ def _table(path: str, of: str, *columns: Field) -> tree.Tree:
     return (
         tree.table(path, columns[0].name, "score", title, optional=True),
         columns[0],
-        Field(f"{path}/score", "f8[l]", "", "log error above the best law's, penalised", f"{of}.score"),
-        Field(f"{path}/weight", "f8[l]", "", "weight of evidence", f"{of}.weight"),
+        Field(f"{path}/score", "f8[l]", "", "log error above the best law's, penalised", value=_evidence(of, "score")),
+        Field(f"{path}/weight", "f8[l]", "", "weight of evidence", value=_evidence(of, "weight")),
         Field(f"{path}/in_set", "u1[l]", "", "1 in the confidence set", f"{of}.in_set"),
         Field(f"{path}/rms", "f8[l]", "m", "of the residuals", f"{of}.rms_m"),
         Field(f"{path}/cycles", "u4[l]", "", "cycles fitted", f"{of}.cycles"),
@@ -101,6 +102,11 @@ def _table(path: str, of: str, *columns: Field) -> tree.Tree:
 
 def _names(of: str) -> Callable[[_Stage], list[str] | None]:
     return lambda stage: [_shown_name(row) for row in attrgetter(of)(stage)] or None
+
+
+def _evidence(of: str, name: str) -> Callable[[_Stage], list[float]]:
+    """Return how a column of the evidence is read; NaN where no law describes the record."""
+    return lambda stage: [math.nan if (item := getattr(row, name)) is None else item for row in attrgetter(of)(stage)]
 
 
 def _cycles(path: str) -> tree.Tree:

@@ -4,33 +4,28 @@ import math
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
-from fitting.adequacy.assess import Assessment, known_mass
+from fitting.adequacy.assess import Assessment
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.competitors import ALL_LAWS
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.formula_parameters import formula_level_error, formula_parameters
-from fitting.curve.measure import furthest_exit
-from fitting.curve.result import BandExit
+from fitting.curve.result import FormFit
 from fitting.departures.ageing import find_ageing
 from fitting.estimation import break_aways, derived
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
+from fitting.law import PUBLISHED, SOURCES
 from fitting.model.problem import Run
 from fitting.selection import rig_intervals, verdict, verdict_warnings
 from fitting.selection.asked import Asked
-from fitting.selection.contradictions import (
-    CONTRADICTED_BY,
-    contradicted_by_all_laws,
-    find_contradictions,
-    name_contradictions,
-    without_those_of_the_law,
-)
+from fitting.selection.contradictions import Refit, find_contradictions, name_contradictions
+from fitting.selection.judgement import Competition
 from fitting.selection.phase_distance import MeasuredOrbit
-from fitting.selection.result import LawResult, RankedLaws
-from fitting.selection.rivals import Competition
+from fitting.selection.result import LawResult, RankedLaws, Unfitted
 from fitting.selection.verdict_warnings import JudgedRun
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
@@ -48,49 +43,34 @@ class Decision:
     asked : Asked
     records, runs : sequence
         As smoothed, and in the fit's frame.
-    fits : sequence of Fit or FormulaFit
-        Best first.
     competition : Competition
+    unfitted : tuple of Unfitted
+        The laws that were not fitted.
     assessed : Assessment
-    described : frozenset of int or str
-        The laws given as formulas that leave no more than noise.
     sustained : bool
         Whether the mass sticks in the long run.
-    said : tuple of str
-        What is to be said of formulas that could not be fitted, or not in all.
+    warnings : tuple of str
+        About formulas that could not be fitted, or not in all their parameters.
     """
 
     asked: Asked
     records: Sequence[Kinematics]
     runs: Sequence[Run]
-    fits: Sequence[Fit | FormulaFit]
     competition: Competition
+    unfitted: tuple[Unfitted, ...]
     assessed: Assessment
-    described: frozenset[int | str]
     sustained: bool
-    said: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def rejected(self) -> bool:
-        """Whether none of the laws that were asked for describes the runs."""
-        return self.assessed.together.rejected
-
-    @property
-    def beaten(self) -> bool:
-        """Whether rivals describe the runs better than each law that was asked for, which noise may not rule out."""
-        return self.competition.beaten and self.assessed.beaten
+        """Whether no law describes the runs."""
+        return not self.competition.described
 
     @property
     def best(self) -> Fit | FormulaFit:
-        """The best of the laws that were asked for: of the six where some are in the set, which the verdict names."""
-        law = self.competition.best
-        return next(fit for fit in self.fits if fit.law == law)
-
-    def trusts(self, fit: Fit | FormulaFit) -> bool:
-        """Return whether a law's intervals hold: it, or a law of its kind, describes the runs."""
-        if isinstance(fit, FormulaFit) and fit.law in self.competition.members:
-            return fit.law in self.described
-        return not self.rejected
+        """The law of the first row."""
+        return self.competition.best
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,13 +92,22 @@ class Rows:
     depends: tuple[tuple[str, ...], ...]
 
 
-def ranking(decision: Decision, begun: float) -> RankedLaws:
-    """Return the ranking; ``begun`` is the process's CPU time when it began, s."""
+def ranking(decision: Decision, refit: Refit, begun: float) -> RankedLaws:
+    """Return the ranking; ``begun`` is the CPU time at its begin, s, and ``refit`` as in `find_contradictions`."""
     rows = _rows(decision)
-    contradicted, kept_away = _contradicted(decision, rows)
-    words = _words(decision, rows, contradicted, kept_away=kept_away)
+    contradicted = find_contradictions(described_parameters(decision), decision.runs, decision.records, refit)
+    words = _words(decision, rows, contradicted)
     sides = [_side(decision, number, rows, words, contradicted[number]) for number in range(len(decision.runs))]
     return _together(decision, rows, words, sides, clock.process_time() - begun)
+
+
+def described_parameters(decision: Decision) -> list[list[dict[str, Parameter]]]:
+    """Return the parameters of each run, of each law that describes the runs, best first."""
+    return [
+        [_parameters(fit, decision, number) for number in range(len(decision.runs))]
+        for fit in decision.competition.fits
+        if decision.competition.describes(fit.law)
+    ]
 
 
 def without_law(
@@ -149,18 +138,16 @@ def without_law(
 def _rows(decision: Decision) -> Rows:
     """Return the rows of every law, each run's and those of all together."""
     orbits = [MeasuredOrbit.of(run.motion) for run in decision.runs]
-    tables = list(zip(*(_rows_of(fit, decision, orbits) for fit in decision.fits), strict=True))
+    tables = list(zip(*(_rows_of(fit, decision, orbits) for fit in decision.competition.fits), strict=True))
     depends = [() if decision.rejected else rig_intervals.law_dependent(own) for own in tables]
     found = [tuple(rig_intervals.over_the_set(own)) for own in tables]
     return Rows(tuple(found[: len(decision.runs)]), found[-1], tuple(depends[: len(decision.runs)]))
 
 
 def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
-    """Return a law's row for each run, and last the row for all of them together; one row for a single run.
-
-    Where no law describes the runs, no interval is given.
-    """
-    runs, found = decision.runs, decision.competition
+    """Return a law's row for each run, and last the row for all of them together; one row for a single run."""
+    runs, competition = decision.runs, decision.competition
+    chosen, competitors = competition.chosen, decision.asked.competitors
     parts = [fit.for_run(number) for number in range(len(runs))]
     parameters = [_parameters(fit, decision, number) for number in range(len(runs))]
     distances = [orbit.distance(part) for part, orbit in zip(parts, orbits, strict=True)]
@@ -176,20 +163,21 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
         LawResult(
             law=fit.law,
             name=LAWS[fit.law].name if isinstance(fit.law, int) else fit.law.replace("-", " "),
-            score=found.score[fit.law],
-            weight=found.weight[fit.law],
-            in_set=fit.law in found.members,
+            score=chosen.score.get(fit.law),
+            weight=chosen.weight.get(fit.law),
+            in_set=fit.law in chosen.members,
             rms_m=part.rms,
+            misfit=competition.misfit[fit.law],
             cycles=len(part.rows),
             parameters=own,
             cpu_s=fit.cpu_s,
-            behind=found.behind[fit.law],
+            behind=chosen.behind.get(fit.law),
             orbit=distance,
             fit=part,
             motion=motion,
-            outside_band=_outside_band(fit, decision),
+            outside_band=decision.assessed.together.outside_band.get(fit.law),
             formula=formula,
-            asked=fit.law in found.asked,
+            asked=fit.law in competitors.laws or fit.law in competitors.names,
         )
         for part, own, distance, motion in zip(parts, parameters, distances, motions, strict=True)
     ]
@@ -203,7 +191,7 @@ def _parameters(fit: Fit | FormulaFit, decision: Decision, run: int) -> dict[str
         own = derived.derived_parameters(fit, motion, alpha, run, sustained=decision.sustained)
     else:
         own = formula_parameters(fit, motion, alpha, run, sustained=decision.sustained)
-    trusted = decision.trusts(fit)
+    trusted = decision.competition.describes(fit.law)
     found = {name: replace(item, trusted=trusted and item.trusted) for name, item in own.items()}
     for name, value in decision.asked.fixed(fit.law).items():
         shown = name if name in found or f"{name}/m" not in found else f"{name}/m"
@@ -214,84 +202,48 @@ def _parameters(fit: Fit | FormulaFit, decision: Decision, run: int) -> dict[str
     return found
 
 
-def _outside_band(fit: Fit | FormulaFit, decision: Decision) -> BandExit | None:
-    """Return where a law leaves the band of the measured curve the furthest."""
-    adequacy = decision.assessed.together
-    if isinstance(fit, Fit):
-        return adequacy.outside_band.get(fit.law)
-    if adequacy.curve is None:
-        return None
-    mass = known_mass(decision.runs[0].motion, adequacy.curve)
-    return furthest_exit(adequacy.curve, np.abs(fit.force(-adequacy.curve.speed, mass or 1.0)))
-
-
-def _contradicted(decision: Decision, rows: Rows) -> tuple[Contradictions, bool]:
-    """Return what of each run's calibration its record contradicts, and whether that keeps all laws away from it.
-
-    It is what the best of the laws that were asked for shows; where a law holds without the calibration, what it shows.
-    """
-    best = [next(row.parameters for row in own if row.law == decision.best.law) for own in rows.runs]
-    motions = [run.motion for run in decision.runs]
-    found = find_contradictions(decision.best, motions, best, decision.records)
-    rivals = [
-        fit
-        for fit in decision.fits
-        if isinstance(fit, FormulaFit) and fit is not decision.best and fit.law in decision.competition.members
-    ]
-    holding = [fit for fit in rivals if fit.law in decision.described]
-    found = without_those_of_the_law(found, holding)
-    far = np.any(np.abs(decision.best.calibration_deviations) > CONTRADICTED_BY)
-    if decision.rejected and not holding and (far or any(found)):
-        effect = "no law describes the record with the stated one"
-        own = contradicted_by_all_laws(decision.asked, decision.runs, decision.records, effect)
-        if any(own):
-            return own, True
-    return found, False
-
-
-def _words(decision: Decision, rows: Rows, contradicted: Contradictions, *, kept_away: bool) -> str:
+def _words(decision: Decision, rows: Rows, contradicted: Contradictions) -> str:
     """Return the verdict."""
-    if decision.beaten:
-        return verdict.rival_sentence(rows.together, decision.competition)
     if decision.rejected:
         words = verdict.no_law_sentence(rows.together, decision.assessed.together)
-        return name_contradictions(words, contradicted) if kept_away else words
-    measured = all(run.motion.belt_measured for run in decision.runs)
-    words = verdict.verdict_sentence(
-        rows.together,
-        decision.competition,
-        sustained=decision.sustained,
-        measured=measured,
-        runs=len(decision.runs),
-    )
+    else:
+        words = verdict.verdict_sentence(
+            rows.together,
+            decision.competition.not_excluded,
+            sustained=decision.sustained,
+            measured=all(run.motion.belt_measured for run in decision.runs),
+            rest_known=all(run.motion.datum_prior is not None for run in decision.runs),
+            runs=len(decision.runs),
+        )
     return name_contradictions(words, contradicted)
 
 
 def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted: Sequence[Finding]) -> RankedLaws:
     """Return one run's side: its rows, break-aways, findings and warnings."""
     run, record, own = decision.runs[number], decision.records[number], rows.runs[number]
-    best = next(row for row in own if row.law == decision.best.law)
+    best = own[0]
     events = break_aways.find_break_aways(best.fit, run.motion, run.cut)
     # The fitted belt speed is compared with the stated one more exactly than the sticks that smoothing found.
     findings = (*(finding for finding in record.findings if finding.code != "belt-speed"), *contradicted)
     given = decision.asked.given(best.law)
-    members = decision.competition.members
-    judged = JudgedRun(own, best, members, run.motion, run.cut, record, findings, decision.sustained, given)
+    judged = JudgedRun(own, best, run.motion, run.cut, record, findings, decision.sustained, given)
     together, adequacy = decision.assessed.together, decision.assessed.runs[number]
     warnings = (
         *verdict_warnings.warnings(judged),
-        *decision.said,
+        *decision.warnings,
         *rows.depends[number],
         *verdict_warnings.not_judged(adequacy),
         *verdict_warnings.level_of_curve(together),
     )
+    if len(decision.runs) == 1:
+        adequacy = _with_forms(adequacy, own, decision.unfitted)
     if decision.sustained and not decision.rejected:  # a mass that merely grazes the belt does not break away from rest
         aged = find_ageing(events, run.cut, _level_error(decision.best, run, number))
         if aged is not None:
             adequacy = replace(adequacy, departures=(*adequacy.departures, aged))
     return RankedLaws(
         verdict=words,
-        members=members,
+        members=decision.competition.members,
         rows=own,
         events=tuple(replace(event, t=run.motion.begin + event.t) for event in events),
         warnings=warnings,
@@ -301,7 +253,31 @@ def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted:
         findings=findings,
         records=(record,),
         alpha=decision.asked.alpha,
+        unfitted=decision.unfitted,
+        not_excluded=decision.competition.not_excluded,
     )
+
+
+def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], unfitted: Sequence[Unfitted]) -> Adequacy:
+    """Return what is known of a record, with the published laws as they were fitted to it."""
+    forms = [
+        FormFit(
+            name=str(row.law),
+            formula=str(row.formula),
+            source=SOURCES[str(row.law)],
+            parameters={name: row.parameters[name] for name in PUBLISHED[str(row.law)].free},
+            chi=row.misfit,
+            inside_band=row.outside_band is not None and row.outside_band.half_widths <= 1,
+        )
+        for row in sorted(rows, key=attrgetter("misfit"))
+        if row.law in PUBLISHED
+    ]
+    forms += [
+        FormFit(name, one.formula, SOURCES[name], dict.fromkeys(PUBLISHED[name].free), None, inside_band=False)
+        for one in unfitted
+        if (name := str(one.law)) in PUBLISHED
+    ]
+    return replace(adequacy, forms=tuple(forms))
 
 
 def _level_error(fit: Fit | FormulaFit, run: Run, number: int) -> float:
@@ -324,12 +300,14 @@ def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Ranked
         warnings=warnings,
         motion=decision.runs[0].motion,
         cut=decision.runs[0].cut,
-        adequacy=decision.assessed.together,
+        adequacy=_with_forms(decision.assessed.together, rows.together, decision.unfitted),
         cpu_s=cpu_s,
         findings=findings,
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
         records=tuple(decision.records),
         alpha=decision.asked.alpha,
+        unfitted=decision.unfitted,
+        not_excluded=decision.competition.not_excluded,
     )
 
 

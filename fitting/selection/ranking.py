@@ -6,11 +6,12 @@ What is evidence and who is in the set: `fitting.selection.evidence`.
 import logging
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from daq.base.errors import DataError
 from daq.base.measured import Measured
 from daq.runfile.rig import Rig
-from fitting.adequacy.assess import Measurement, assess, describes_all, measure
+from fitting.adequacy.assess import assess, measure
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import FormulaFit
 from fitting.data import frame
@@ -20,12 +21,11 @@ from fitting.model.problem import Run
 from fitting.selection import answer, law_fits, screening
 from fitting.selection.answer import Decision
 from fitting.selection.asked import Asked
-from fitting.selection.contradictions import contradicted_by_all_laws
-from fitting.selection.evidence import ModelSet
+from fitting.selection.contradictions import LawParameters, find_contradictions
 from fitting.selection.given import known_rest, with_given
-from fitting.selection.judgement import judge
+from fitting.selection.judgement import compete
 from fitting.selection.result import RankedLaws
-from fitting.selection.rivals import Competition, Formulas, compete, fit_formulas
+from fitting.selection.rivals import fit_formulas
 from processing.record.kinematics import Kinematics
 
 logger = logging.getLogger(__name__)
@@ -72,25 +72,22 @@ def rank(
     records = [_smoothed(one) for one in ([kinematics] if isinstance(kinematics, Kinematics) else kinematics)]
     asked.check_together(records)
     runs = _cut(records, rig, asked)
+
+    def refit(free: Sequence[Run]) -> Sequence[LawParameters]:
+        try:
+            return answer.described_parameters(_decided(replace(asked, progress=None), records, free))
+        except (law_fits.NoLawError, DataError):
+            return []
+
     try:
-        fits, runs, sustained, doubt = law_fits.fit_runs(
-            competitors.searched, runs, records, jobs, progress, scheduler, formulas=bool(competitors.formulas)
-        )
-        fits, chosen = judge(fits, competitors.direct, runs, alpha, sustained=sustained)
-        measured = measure(fits, chosen.members, [run.motion for run in runs], alpha)
-        formulas = fit_formulas(competitors, measured.curve, rivals=sustained)
-        if doubt and not screening.comes_near(formulas.fits, runs):
-            law_fits.refuse(doubt, records)
+        decision = _decided(asked, records, runs)
     except law_fits.NoLawError as refused:
-        effect = "no law comes near the record with the stated one"
-        contradicted = contradicted_by_all_laws(asked, runs, records, effect)
+        contradicted = find_contradictions([], runs, records, refit)
         if refused.stick_slip:
             return answer.without_law(refused.reason, contradicted, asked, runs, records, begun)
         raise screening.refusal(refused.reason, contradicted, runs, records) from None
-    competition = _compete(fits, chosen, formulas.fits, asked, runs, sustained=sustained)
-    decision = _decided(asked, records, runs, fits, formulas, measured, competition, sustained=sustained)
     _log(decision)
-    return answer.ranking(decision, begun)
+    return answer.ranking(decision, refit, begun)
 
 
 def _smoothed(kinematics: Kinematics) -> Kinematics:
@@ -118,54 +115,31 @@ def _cut(records: Sequence[Kinematics], rig: Rig | Sequence[Rig] | None, asked: 
     return with_given(runs, asked.competitors)
 
 
-def _compete(
-    fits: Sequence[Fit],
-    chosen: ModelSet,
-    formulas: Sequence[FormulaFit],
-    asked: Asked,
-    runs: Sequence[Run],
-    *,
-    sustained: bool,
-) -> Competition:
-    """Return who is in the set: of the six alone, or of all laws together."""
-    six = [fit for fit in fits if fit.law in asked.competitors.direct]
-    if not formulas and six:
-        return Competition.of_six(chosen)
-    if not formulas:
-        raise DataError(
-            "none of the laws that were named can be fitted", "record", "add laws of the six, as --laws 1-6"
-        )
-    named: frozenset[int | str] = frozenset((*asked.competitors.laws, *asked.competitors.names))
-    return compete(six, chosen if six else None, formulas, runs, asked.alpha, named, sustained=sustained)
+def _decided(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -> Decision:
+    """Fit all laws to the runs, and let them compete.
 
-
-def _decided(
-    asked: Asked,
-    records: Sequence[Kinematics],
-    runs: Sequence[Run],
-    fits: Sequence[Fit],
-    formulas: Formulas,
-    measured: Measurement,
-    competition: Competition,
-    *,
-    sustained: bool,
-) -> Decision:
-    """Return what is decided: which laws describe the runs, and what is said of those that do not."""
+    Raises
+    ------
+    NoLawError
+        No law comes near the record.
+    """
+    competitors = asked.competitors
+    six, runs, sustained, doubt = law_fits.fit_runs(
+        competitors.searched, runs, records, asked.jobs, asked.progress, asked.scheduler
+    )
     motions = [run.motion for run in runs]
-    by_law: dict[int | str, Fit | FormulaFit] = {fit.law: fit for fit in fits}
-    by_law |= {fit.law: fit for fit in formulas.fits}
-    ordered = [by_law[law] for law in competition.order]
-    members = [by_law[law] for law in competition.members if law in competition.asked]
-    # where rivals leave none of them, those that were asked for are judged as if they were alone
-    alone = [fit for fit in ordered if fit.law in competition.asked]
-    named = [fit for fit in alone[:1] if isinstance(fit, FormulaFit)]
-    judged = members or [*named, *(fit for fit in alone if fit.law in measured.members)] or alone[:1]
-    count = len(asked.competitors.laws)
-    assessed = assess(measured, judged, motions, count, _revolution(records))
-    if competition.beaten and not assessed.together.rejected:
-        assessed = assessed.by_others(count)
-    described = describes_all([fit for fit in formulas.fits if fit.law in competition.members], motions)
-    return Decision(asked, records, runs, ordered, competition, assessed, described, sustained, formulas.warnings)
+    measured = measure(six, motions, asked.alpha)
+    formulas = fit_formulas(competitors, measured.curve, six)
+    fits: list[Fit | FormulaFit] = [*(fit for fit in six if fit.law in competitors.direct), *formulas.fits]
+    if doubt and not screening.comes_near(formulas.fits, runs):
+        law_fits.refuse(doubt, records)
+    if not fits:
+        what = "none of the laws that were named can be fitted"
+        raise DataError(what, "record", "add laws of the six, as --laws 1-6")
+    competition = compete(fits, measured.noise, measured.judged, runs, asked.alpha, sustained=sustained)
+    first = competition.judged[competition.best.law]
+    assessed = assess(measured, competition.fits, first, motions, len(competitors.laws), _revolution(records))
+    return Decision(asked, records, runs, competition, formulas.unfitted, assessed, sustained, formulas.warnings)
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
@@ -178,7 +152,7 @@ def _revolution(records: Sequence[Kinematics]) -> float | None:
 
 
 def _log(decision: Decision) -> None:
-    for fit in decision.fits:
+    for fit in decision.competition.fits:
         member = "in the set" if fit.law in decision.competition.members else "not in the set"
         logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
     logger.info("goodness of fit: %s", decision.assessed.together.said)

@@ -21,6 +21,7 @@ from fitting.estimation.result import STATED_ERROR, BreakAway, Correlations, Par
 from fitting.law import TITLES
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
+from rig_sim.friction.law import LAWS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,20 +52,23 @@ class LawResult:
         One of the six by its number, a law given as a formula by its name.
     name : str
         In words.
-    score : float
-        Penalised log error of the record (smaller is better), minus the best law's.
-    weight : float
-        exp(-score/2), normalised over the laws fitted.
+    score : float or None
+        Penalised log error of the record (smaller is better), minus the best law's; None where no law describes the
+        record.
+    weight : float or None
+        exp(-score/2), normalised over the laws that describe the record; None where no law does.
     in_set : bool
         Whether the record cannot distinguish this law from the best one.
     rms_m : float
         m, all windows together.
+    misfit : float
+        Rms residual of the usual cycles over the noise of a position.
     cycles : int
         Cycles fitted.
     parameters : dict
         By name; per unit mass, and in newtons when the mass or the spring's stiffness is known.
     cpu_s : float
-    behind : (float, float)
+    behind : (float, float) or None
         Mean paired difference of log error to the best law, penalty included, and its standard error.
     orbit : float
         Distance of the law's orbit to the measured one, of the orbit's size (`fitting.selection.phase_distance`).
@@ -77,19 +81,20 @@ class LawResult:
     formula : str or None
         Of a law given as one.
     asked : bool
-        Whether it was asked for; else the measured curve prefers it.
+        Whether it was asked for; every published law competes besides.
     """
 
     law: int | str
     name: str
-    score: float
-    weight: float
+    score: float | None
+    weight: float | None
     in_set: bool
     rms_m: float
+    misfit: float
     cycles: int
     parameters: dict[str, Parameter]
     cpu_s: float
-    behind: tuple[float, float]
+    behind: tuple[float, float] | None
     orbit: float
     fit: Fit | FormulaFit = field(repr=False, compare=False)
     motion: MeasuredMotion = field(repr=False, compare=False)
@@ -251,11 +256,33 @@ class LawResult:
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""
         of_formula = () if self.formula is None else ("formula", "asked")
-        names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "cycles")
+        names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "misfit", "cycles")
         document: dict[str, Any] = {name: getattr(self, name) for name in names}
         document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
         document["outside_band"] = None if self.outside_band is None else vars(self.outside_band)
-        return document | {"orbit_distance": self.orbit, "cpu_s": self.cpu_s}
+        return document | {"orbit_distance": self.orbit, "cpu_s": self.cpu_s, "fitted": True, "reason": None}
+
+
+@dataclass(frozen=True)
+class Unfitted:
+    """A law that was not fitted, with the reason; ``asked`` is whether it was asked for."""
+
+    law: int | str
+    formula: str
+    asked: bool
+    reason: str
+
+
+def unfitted_as_json(law: Unfitted) -> dict[str, Any]:
+    """Return the document's row of a law that was not fitted: its numbers are null."""
+    of_formula = {} if isinstance(law.law, int) else {"formula": law.formula, "asked": law.asked}
+    name = LAWS[law.law].name if isinstance(law.law, int) else law.law.replace("-", " ")
+    numbers = dict.fromkeys(("score", "weight", "rms_m", "misfit", "cycles", "outside_band", "orbit_distance", "cpu_s"))
+    return (
+        {"law": law.law, "name": name, **of_formula, "in_set": False, "parameters": {}}
+        | numbers
+        | {"fitted": False, "reason": law.reason}
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,6 +314,10 @@ class RankedLaws:
         The smoothed runs.
     alpha : float
         1 - confidence of the intervals.
+    unfitted : tuple of Unfitted
+        The laws that were not fitted, with the reasons.
+    not_excluded : tuple of int or str
+        Laws outside the set whose residual is no larger than the best law's within the noise of the comparison.
     """
 
     verdict: str
@@ -302,6 +333,8 @@ class RankedLaws:
     runs: "tuple[RankedLaws, ...]" = ()
     records: tuple[Kinematics, ...] = field(default=(), repr=False)
     alpha: float = 0.05
+    unfitted: tuple[Unfitted, ...] = ()
+    not_excluded: tuple[int | str, ...] = ()
 
     @property
     def laws_in_set(self) -> tuple[int, ...]:
@@ -310,12 +343,8 @@ class RankedLaws:
 
     @property
     def best(self) -> LawResult:
-        """The best row of those that were asked for: of the six where some are in the set, which the verdict names.
-
-        There is none where no law came near the record.
-        """
-        asked = [row for row in self.rows if row.asked]
-        return next((row for row in asked if isinstance(row.law, int) and row.in_set), asked[0])
+        """The first row; there is none where no law came near the record."""
+        return self.rows[0]
 
     @property
     def rivals(self) -> tuple[LawResult, ...]:
@@ -340,7 +369,8 @@ class RankedLaws:
             "verdict": self.verdict,
             "set": list(self.laws_in_set),
             "rivals": [row.law for row in self.rivals if row.in_set],
-            "ranking": [row.as_json() for row in self.rows],
+            "not_excluded": list(self.not_excluded),
+            "ranking": [row.as_json() for row in self.rows] + [unfitted_as_json(one) for one in self.unfitted],
             "cycles": [event.as_json() for event in self.events],
             "warnings": list(self.warnings),
             "findings": [vars(finding) for finding in self.findings],
@@ -450,7 +480,7 @@ class RankedLaws:
                     str(row.law),
                     row.formula or row.name,
                     f"{1e6 * row.rms_m:.4g}",
-                    f"{row.weight:.2f}",
+                    "" if row.weight is None else f"{row.weight:.2f}",
                     "yes" if row.in_set else "no",
                 )
                 for row in self.rows

@@ -1,176 +1,146 @@
-"""Laws given as formulas beside the six: those that were named, and published ones that the measured curve prefers.
+"""Laws given as formulas beside the six: those that were named, and every published one.
 
-A published form that was not named is fitted where its information criterion on the measured curve is below that of
-every form of the six, or so little above that the set rule would not exclude it, and so close to the best form that
-could be fitted.  What is evidence and who is in the set is decided as between the six (`fitting.selection.evidence`).
+All are fitted, whatever the measured curve looks like: where the rest position is unknown, the level of friction is,
+and the six are then richer than they look.  A law that contains another one that reaches the noise is not fitted, since
+the record cannot refute it.  What is evidence and who is in the set is decided as between the six
+(`fitting.selection.evidence`).
 """
 
 import logging
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
 import numpy as np
 
 from daq.base.errors import InputError
+from fitting import noise_levels
 from fitting.competitors import Competitors
 from fitting.curve.band import seen_speeds
-from fitting.curve.forms import FORM_OF_LAW
-from fitting.curve.formula_fit import FormulaFit, fit_formula
-from fitting.curve.result import FormFit, MeasuredCurve
+from fitting.curve.formula_fit import FormulaFit, contained, fit_formula
+from fitting.curve.metric import MeasuredTarget, measured_target
+from fitting.curve.result import MeasuredCurve
 from fitting.curve.spline_fit import SplineFit
+from fitting.driver.driver import CONTAINED_ERROR
 from fitting.driver.start_search import Target, find_starts
 from fitting.estimation.fit import Fit
 from fitting.law import PUBLISHED, Law
-from fitting.model.problem import Run
 from fitting.selection import evidence
-from fitting.selection.evidence import OPEN, Candidate, Evidence, ModelSet
 from fitting.selection.given import formula_given
+from fitting.selection.result import Unfitted
 from fitting.undetermined import natural_size, undetermined
 
 logger = logging.getLogger(__name__)
 # Difference over the friction: curves that differ by less are one.  Half or twice decides the same for formulas written
 # in another way, which agree to rounding, and for other families, which are off by more than a hundredth.
 SAME_CURVE = 1e-3
-OF_THE_SIX = ("constant", "linear", "hyperbolic")
+# Size of a parameter over that by its unit: beyond it the search has left every curve that the record may show.
+RUN_AWAY = 1e4
 
 
 @dataclass(frozen=True, eq=False)
 class Formulas:
-    """The formulas that were fitted, and what is said of those that were named and could not be, or not in all."""
+    """The formulas that were fitted, those that were not, and warnings about parameters that were named."""
 
     fits: tuple[FormulaFit, ...]
+    unfitted: tuple[Unfitted, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Competition:
-    """All laws together: the six, those that were named, and rivals that were not.
-
-    Attributes
-    ----------
-    order : tuple of int or str
-        Best first, members of the set before all others; the six between themselves as they were judged alone.
-    members : tuple of int or str
-        The combined set, best first.
-    score, weight, behind : dict
-        Of each law, as `fitting.selection.evidence.ModelSet`.
-    asked : frozenset of int or str
-        Which were asked for.
-    """
-
-    order: tuple[int | str, ...]
-    members: tuple[int | str, ...]
-    score: dict[int | str, float]
-    weight: dict[int | str, float]
-    behind: dict[int | str, tuple[float, float]]
-    asked: frozenset[int | str]
-
-    @classmethod
-    def of_six(cls, chosen: ModelSet) -> "Competition":
-        """Return the six alone."""
-        return cls(chosen.order, chosen.members, chosen.score, chosen.weight, chosen.behind, frozenset(chosen.order))
-
-    @property
-    def best(self) -> int | str:
-        """The best law that was asked for: of the six where some are in the set, which the verdict names first."""
-        asked = [law for law in self.order if law in self.asked]
-        return next((law for law in asked if isinstance(law, int) and law in self.members), asked[0])
-
-    @property
-    def beaten(self) -> bool:
-        """Whether rivals that were not asked for leave no other law in the set."""
-        return not any(law in self.asked for law in self.members)
-
-    def lead(self, law: int | str, other: int | str) -> float:
-        """By how much a law leads another one, in log evidence."""
-        return 0.5 * (self.score[other] - self.score[law])
-
-
-def preferred_forms(forms: Sequence[FormFit]) -> list[tuple[Law, float]]:
-    """Return the published laws whose forms the measured curve prefers to those of the six, best first.
-
-    Each with its information criterion.  Those that it hardly distinguishes from the best of the six are among them.
-    """
-    by_name = {form.name: form for form in forms}
-    limit = min(by_name[name].bic for name in OF_THE_SIX) + OPEN
-    found = [(PUBLISHED[name], by_name[form].bic) for name, form in FORM_OF_LAW.items() if by_name[form].bic < limit]
-    return sorted(found, key=itemgetter(1))
-
-
-def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rivals: bool) -> Formulas:
-    """Fit the laws that were named and, where ``rivals``, those whose forms the measured curve prefers.
+def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Formulas:
+    """Fit the laws that were named, and every published law.
 
     Parameters
     ----------
     competitors : Competitors
     curve : MeasuredCurve or None
         From which each fit starts.
-    rivals : bool
+    six : sequence of Fit
+        Of the six; a formula that errs more than one that it contains starts again where the best of them ended.
 
     Raises
     ------
     InputError
         For a law that was named and is no friction curve with any values of its parameters.
     """
-    if curve is None:
-        lost = "the motion cannot be followed with a curve of its own"
-        return Formulas((), tuple(f"law {law.name} was not fitted: {lost}" for law in competitors.formulas))
-    host = curve.spline_fit
-    found: list[FormulaFit] = []
+    fits: list[FormulaFit] = []
+    unfitted: list[Unfitted] = []
     warned: list[str] = []
-    for law, number in _named(competitors, host):
-        one = _fitted(law, host, number)
-        if one is None:
-            lost = "its motion cannot be followed; it was not fitted"
-            warned.append(f"law {law.name if number is None else number}: {lost}")
+    host = None if curve is None else curve.spline_fit
+    target = None if host is None else measured_target(host, host.linearised())
+    for law, number in _candidates(competitors, curve, six):
+        asked = number is not None or law.name in competitors.names
+        name = law.name if number is None else number
+        fit: FormulaFit | str = "no friction curve can follow the motion"
+        if host is not None and target is not None:
+            fit = _fit(law, number, host, target, [*six, *fits], asked=asked)
+        if isinstance(fit, str):
+            unfitted.append(Unfitted(name, law.formula, asked, fit))
+            warned += [f"law {name} was not fitted: {fit}"] if asked else []
             continue
-        found.append(one)
-        warned += [_said(law, str(group), group.names) for group in one.together]
-    named = [fit for fit in found if fit.number is None]
-    least = math.inf  # criterion of the best form that was fitted
-    for law, criterion in preferred_forms(curve.forms) if rivals else ():  # best first
-        if criterion >= least + OPEN:
-            break
-        if law.name in {own.name for own in competitors.formulas}:  # perhaps with parameters given
-            fitted = any(fit.law == law.name for fit in named)
-        else:
-            one = _rival(replace(law, ramp=bool(host.path.curve.ramp)), host)
-            fitted = one is not None
-            found += [] if one is None or any(_draws(fit.asked_for, one, host) for fit in named) else [one]
-        least = min(least, criterion) if fitted else least
-    for fit in found:
         logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
-    return Formulas(tuple(found), tuple(warned))
+        fits.append(fit)
+        warned += [_said(law, str(group), group.names) for group in fit.together] if asked else []
+    return Formulas(tuple(fits), tuple(unfitted), tuple(warned))
 
 
-def _named(competitors: Competitors, host: SplineFit) -> Iterator[tuple[Law, int | None]]:
-    """Yield the formulas that were named, with what is given of them, and the six that are fitted as formulas."""
-    motion = host.fit.problem.motions[0]
+def _candidates(
+    competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]
+) -> Iterator[tuple[Law, int | None]]:
+    """Yield the formulas that were named, the six that are fitted as formulas, with what is given; then the published.
+
+    A published law has the contact of the measured curve.
+    """
+    motion = six[0].problem.motions[0]
     for law in competitors.formulas:
         yield formula_given(law, competitors.of_law(law), motion), None
     for number, law in competitors.restated.items():
         yield formula_given(law, competitors.of_law(number), motion), number
+    ramp = curve is not None and bool(curve.spline_fit.path.curve.ramp)
+    for law in PUBLISHED.values():
+        if law.name not in competitors.names:
+            yield replace(law, ramp=ramp), None
 
 
-def _fitted(law: Law, host: SplineFit, number: int | None = None) -> FormulaFit | None:
-    """Fit one formula; of parameters that it has only together all but as many as it needs are held."""
+def _fit(
+    law: Law,
+    number: int | None,
+    host: SplineFit,
+    target: MeasuredTarget,
+    others: Sequence[Fit | FormulaFit],
+    *,
+    asked: bool,
+) -> FormulaFit | str:
+    """Fit one formula, or return why it is not fitted."""
+    if not asked:
+        least = min(other.geometric_mean_rms for other in others)
+        reached = min(noise_levels.DESCRIBES * float(np.max(host.noise)), CONTAINED_ERROR * least)
+        for other in others:
+            if other.law in evidence.nested(law.name) and other.geometric_mean_rms < reached:
+                return f"it contains law {other.law}, which no other law fits better: the record cannot exclude it"
     friction, fastest = float(np.median(host.spline.coefficients)), float(host.spline.knots[-1])
     together = undetermined(law, friction, fastest)
     held = [name for group in together for name in group.names[len(group.names) - group.free :]]
     start = law.start or {}
     free = law.given(fix={name: start.get(name, natural_size(law, name, friction, fastest)) for name in held})
-    return fit_formula(free, host, asked_for=law, number=number, together=together)
-
-
-def _rival(law: Law, host: SplineFit) -> FormulaFit | None:
-    """Fit a law that was not named; None too where it is no friction curve with any values near the measured one."""
     try:
-        return _fitted(law, host)
+        fit = fit_formula(free, host, others=others, target=target, asked_for=law, number=number, together=together)
     except InputError as error:
-        logger.info("law %s is no rival: %s", law.name, error.what)
-        return None
+        if asked:
+            raise
+        return error.what
+    if fit is None:
+        return "its motion cannot be followed"
+    if any(abs(fit.own_values[name]) > RUN_AWAY * natural_size(law, name, friction, fastest) for name in free.free):
+        return "its parameters grow without bound"
+    worse = [other for other in others if other.law in contained(law)]
+    worse = [other for other in worse if fit.geometric_mean_rms > CONTAINED_ERROR * other.geometric_mean_rms]
+    if worse:
+        return f"its fit errs more than law {worse[0].law}"
+    for other in others:
+        if isinstance(other, FormulaFit) and other.number is None and other.law not in PUBLISHED and not asked:
+            if _draws(other.asked_for, fit, host):
+                return f"law {other.law} can be the same curve"
+    return fit
 
 
 def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:
@@ -190,65 +160,3 @@ def _said(law: Law, how: str, names: Sequence[str]) -> str:
         f"law {law.name}: {how}: the record cannot determine them apart, and their errors are withheld (fix all but "
         f"one, as in --fix {law.name}.{names[-1]}=1, or write one parameter for them)"
     )
-
-
-def compete(
-    fits: Sequence[Fit],
-    chosen: ModelSet | None,
-    formulas: Sequence[FormulaFit],
-    runs: Sequence[Run],
-    alpha: float,
-    asked: frozenset[int | str],
-    *,
-    sustained: bool,
-) -> Competition:
-    """Judge the six and the formulas by the same evidence and set rule.
-
-    Parameters
-    ----------
-    fits : sequence of Fit
-        Of the six that compete.
-    chosen : ModelSet or None
-        Of these alone: between themselves they are judged without others, which beat all of their set or none.
-    formulas : sequence of FormulaFit
-    runs : sequence of Run
-    alpha : float
-    asked : frozenset of int or str
-        The laws that were asked for.
-    sustained : bool
-        Whether the mass sticks in the long run; else the start-up drags alone are evidence.
-    """
-    every: list[Candidate] = [*fits, *formulas]
-    units = evidence.common_units(every, runs, sustained=sustained)
-    errors = np.array([evidence.penalised(fit, evidence.unit_errors(fit, runs, units), units) for fit in every])
-    together = evidence.model_confidence_set(Evidence(tuple(fit.law for fit in every), errors, units.samples), alpha)
-    if chosen is None:
-        return Competition(together.order, together.members, together.score, together.weight, together.behind, asked)
-    beside = {fit.law for fit in formulas}
-    led_by_other = min(together.score, key=together.score.__getitem__) in beside
-    left = not led_by_other or any(law in together.members for law in chosen.members)
-    six = chosen.members if left else ()
-    lag = min(together.score[fit.law] for fit in fits)
-    score = {law: own + lag for law, own in chosen.score.items()} | {law: together.score[law] for law in beside}
-    total = sum(math.exp(-own / 2) for own in score.values())
-    behind = {law: together.behind[law] if led_by_other else own for law, own in chosen.behind.items()}
-    members = {*six, *(law for law in together.members if law in beside)}
-    ordered = [*six, *(law for law in chosen.order if law not in six)]
-    order = _merged(ordered, sorted(beside, key=score.__getitem__), members, score)
-    return Competition(
-        order=order,
-        members=tuple(law for law in order if law in members),
-        score=score,
-        weight={law: math.exp(-own / 2) / total for law, own in score.items()},
-        behind=behind | {law: together.behind[law] for law in beside},
-        asked=asked,
-    )
-
-
-def _merged(
-    six: Sequence[int | str], others: Sequence[int | str], members: set[int | str], score: dict[int | str, float]
-) -> tuple[int | str, ...]:
-    """Return all laws in order, members of the set first; a law that is a limit of the best one may stand before it."""
-    found = sorted([*six, *others], key=lambda law: (law not in members, score[law]))
-    own = iter(six)
-    return tuple(law if law in others else next(own) for law in found)

@@ -28,9 +28,7 @@ class JudgedRun:
     rows : sequence of LawResult
         Best first.
     best : LawResult
-        The best of those that were asked for.
-    members : sequence of int or str
-        The set, best first.
+        The first row.
     motion, cut : MeasuredMotion, CycleSegmentation
     record : Kinematics
     findings : sequence of Finding
@@ -42,7 +40,6 @@ class JudgedRun:
 
     rows: Sequence[LawResult]
     best: LawResult
-    members: Sequence[int | str]
     motion: MeasuredMotion
     cut: CycleSegmentation
     record: Kinematics

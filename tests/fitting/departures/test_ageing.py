@@ -1,16 +1,11 @@
-"""Memory and ageing: what has no parameter of its own, and what the break-aways show."""
+"""Ageing: what the break-aways show."""
 
-import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fitting.departures import explain, strongest
 from fitting.departures.ageing import find_ageing
-from fitting.departures.library import departures
-from fitting.departures.memory import suspect_memory
-from fitting.departures.result import FoundDeparture
 from fitting.estimation.result import BreakAway
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
@@ -60,36 +55,3 @@ def test_an_unknown_rest_position_is_no_ageing(belt_rig, tmp_path, law, noise, s
     ranking = rank(smooth(track))
     assert ranking.adequacy.adequate
     assert ranking.adequacy.departures == ()
-
-
-def test_a_contact_of_the_fitted_law_shows_no_memory(base_of):
-    assert suspect_memory(base_of(scatter=0.03), 0.0) is None
-
-
-@pytest.mark.parametrize(("on_curve", "first"), [("eccentricity", "eccentricity"), ("belt-ripple", "memory")])
-def test_memory_is_not_suspected_where_law_and_curve_show_the_same_departure(monkeypatch, on_curve, first):
-    """Memory came before an eccentric wheel that explained 0.93 on the law, but less than 0.7 on the curve."""
-    kinds = {departure.name: departure for departure in departures()}
-    memory = FoundDeparture("memory", 9.0, "", math.nan, math.nan, "", "")
-
-    def listed(base, asked, curve=None):
-        name, explained = (on_curve, 0.6) if curve else ("eccentricity", 0.93)
-        tested = strongest.Tested(kinds[name], 0.1257 if curve else 0.1117, None, 10.0)
-        found = FoundDeparture(name, 10.0, "e", 5e-4, 1e-5, "m", "", explained=explained)
-        return explain._List(base, [SimpleNamespace(**vars(tested), at=(), near=lambda _: False)], (found,), curve)
-
-    monkeypatch.setattr(explain, "_list", listed)
-    monkeypatch.setattr(explain, "confirm", lambda *_, **__: None)
-    monkeypatch.setattr(explain, "confirm_on_curve", lambda *_: None)
-    monkeypatch.setattr(explain, "suspect_memory", lambda base, explained: memory)
-    monkeypatch.setattr(explain.Base, "of", lambda *_: object())
-    curve = SimpleNamespace(chi=40.0, linear=None, spline_fit=SimpleNamespace(path=None))
-    asked = explain.Question([], [], 1e-6, None, object())
-    assert explain.explain_misfit(asked, curve)[0].name == first
-
-
-def test_memory_has_no_number_in_the_document():
-    row = FoundDeparture("memory", 7.0, "", math.nan, math.nan, "", "").as_json()
-    assert row["parameter"] is None
-    assert row["value"] is None
-    assert row["stderr"] is None
