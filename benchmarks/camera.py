@@ -26,9 +26,9 @@ import pages
 
 import fitting
 import processing
-from daq.base.errors import DataError
 from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
+from stickslip.errors import DataError
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results"

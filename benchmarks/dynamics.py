@@ -28,13 +28,13 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.base.compute.workers import workers
 from rig_sim.dynamics.analyses.sweep import sweep
 from rig_sim.dynamics.return_maps.stick import COARSE, EXACT, FINE, StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 from rig_sim.functions.systems import SweptScene, TwoMassAttractors
 from rig_sim.scenes.scene import scene
+from stickslip.compute.workers import workers
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FLOW = TwoMassFlow(Flow(v_belt=0.1))

@@ -37,12 +37,12 @@ import pages
 import fitting
 import processing
 import rig_sim
-from daq.base.errors import DataError
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
 from rig_sim.motion.play import ScenePlayer
+from stickslip.errors import DataError
 
 RESULTS = Path(__file__).resolve().parent / "results"
 K, FS, GAMMA, G_SLIP, D, MASS = 35.184, 0.13068, 9.618, 0.6, 0.03, 0.3

@@ -15,12 +15,12 @@ from types import ModuleType
 
 import numpy as np
 
-from daq.base.measured import Measured
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting.competitors import restated
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+from stickslip.units import Measured
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"

@@ -30,8 +30,6 @@ import matplotlib.pyplot as plt
 
 import processing
 import rig_sim
-from daq.base.compute.arrays import pieces
-from daq.base.measured import Measured
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
@@ -44,6 +42,8 @@ from processing.polynomial.even_fit import coefficients
 from processing.record import series
 from processing.record.setting import Setting
 from rig_sim.motion.play import ScenePlayer
+from stickslip.compute.arrays import pieces
+from stickslip.units import Measured
 
 RESULTS = Path(__file__).resolve().parent / "results"
 WINDOWS = (5, 21, 41, 101, 301, 1001, 1501, 3001)  # of Savitzky-Golay, order 4: their speed

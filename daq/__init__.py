@@ -4,10 +4,10 @@
 ``daq.record(source, path, rate_hz=...)`` records from a port or from blocks of samples.
 """
 
+from stickslip.lazy import lazy_names
+
 TYPE_CHECKING = False  # not from typing: until its entry point guards it, a command must import as little as can be
 if TYPE_CHECKING:
-    from typing import Any
-
     from daq.finalise.quality import RecordingQuality as RecordingQuality
     from daq.imports.load import load as load
     from daq.recorder.source import record as record
@@ -18,23 +18,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Recording", "RecordingQuality", "__version__", "load", "record", "recover"]
 
-_HOME = {
-    "Recording": "daq.runfile.recording",
-    "RecordingQuality": "daq.finalise.quality",
-    "load": "daq.imports.load",
-    "record": "daq.recorder.source",
-    "recover": "daq.recorder.source",
-}
-
-
-def __getattr__(name: str) -> "Any":
-    """Import what is asked for when it is first asked for: ``import daq`` alone loads nothing."""
-    if name == "__version__":
-        from daq.base.version import VERSION
-
-        return VERSION
-    if name in _HOME:
-        from importlib import import_module
-
-        return getattr(import_module(_HOME[name]), name)
-    raise AttributeError(f"module 'daq' has no attribute {name!r}")
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "Recording": "daq.runfile.recording",
+        "RecordingQuality": "daq.finalise.quality",
+        "load": "daq.imports.load",
+        "record": "daq.recorder.source",
+        "recover": "daq.recorder.source",
+    },
+)

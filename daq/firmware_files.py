@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from daq.base.errors import InputError, nearest
-from daq.base.output import disk
+from stickslip.errors import InputError, nearest
+from stickslip.output import disk
 
 VERSION = "1.0.0"
 FIRST_BAUD = 115_200  # what the board listens at first; it finds the other rates by itself
@@ -19,28 +19,16 @@ BAUDS = (FIRST_BAUD, 250_000, 500_000, 1_000_000)
 
 @dataclass(frozen=True)
 class BoardFirmware:
-    """The firmware of one kind of board: its file, and how avrdude reaches its bootloader.
-
-    Attributes
-    ----------
-    mcu, programmer : str
-        avrdude's ``-p`` and ``-c``.
-    bootloader_baud : int
-        avrdude's ``-b``.
-    encoder_pins, counter_pins : str
-        Where A and B go, and where the up and down pulses of a J-K box go.
-    other : str
-        What to try where the bootloader is another one.
-    """
+    """The firmware of one kind of board: its file, and how avrdude reaches its bootloader."""
 
     name: str
     hex_name: str
-    mcu: str
+    mcu: str  # avrdude's ``-p`` and ``-c``
     programmer: str
-    bootloader_baud: int
-    encoder_pins: str
+    bootloader_baud: int  # avrdude's ``-b``
+    encoder_pins: str  # where A and B go, and where the up and down pulses of a J-K box go
     counter_pins: str
-    other: str = ""
+    other: str = ""  # what to try where the bootloader is another one
 
 
 UNO = BoardFirmware(
@@ -55,34 +43,16 @@ BOARDS = {board.name: board for board in (UNO, NANO, MEGA)}
 
 @dataclass(frozen=True)
 class Sketch:
-    """A sketch that prints text lines, for one kind of board.
+    """A sketch that prints text lines, for one kind of board."""
 
-    Attributes
-    ----------
-    name, what : str
-        The board, and what it is called in full.
-    counter : str
-        What counts the edges.
-    encoder_pins : str
-        Where A and B go.
-    core : str
-        What must be installed to build it; "" for a file that is copied.
-    fqbn : str
-        The board's name for arduino-cli.
-    baud : int or None
-        Of its line; None for USB, where it is only a name.
-    tested : str
-        What was run on what.
-    """
-
-    name: str
+    name: str  # the board, and what it is called in full
     what: str
-    counter: str
-    encoder_pins: str
-    core: str
-    fqbn: str
-    baud: int | None
-    tested: str
+    counter: str  # what counts the edges
+    encoder_pins: str  # where A and B go
+    core: str  # what must be installed to build it; "" for a file that is copied
+    fqbn: str  # the board's name for arduino-cli
+    baud: int | None  # of its line; None for USB, where it is only a name
+    tested: str  # what was run on what
 
 
 ESP32 = Sketch(
@@ -139,10 +109,7 @@ def board(name: str) -> BoardFirmware | Sketch:
 def folder() -> Path:
     """Return where the firmware's files are.
 
-    Raises
-    ------
-    InputError
-        They are not there: the installation is incomplete.
+    Raises InputError: they are not there: the installation is incomplete.
     """
     here = Path(__file__).resolve().parent
     for place in (here.parent / "firmware", here / "firmware"):
@@ -154,24 +121,11 @@ def folder() -> Path:
 def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Path, list[Path]]:
     """Write a board's .hex, and the source it was built from, into a folder.
 
-    Parameters
-    ----------
-    target : Path
-        Made when it is not there.
-    force : bool
-        Replace files with different content.
-
-    Returns
-    -------
-    tuple of (Path, list of Path)
-        The .hex, and the source files.
-
-    Raises
-    ------
-    InputError
-        A file of that name holds something else, or the target is not a folder.
-    RefusedError
-        The disk refuses; each file is there whole or not at all.
+    target: Made when it is not there.
+    force: Replace files with different content.
+    Returns: The .hex, and the source files.
+    Raises InputError: A file of that name holds something else, or the target is not a folder.
+    Raises RefusedError: the disk refuses; each file is there whole or not at all.
     """
     source = folder()
     others = {other.hex_name for other in BOARDS.values()} - {kind.hex_name}
@@ -186,10 +140,7 @@ def write_sketch(sketch: Sketch, target: Path, *, force: bool = False) -> tuple[
 
     Parameters, errors as of `write`.
 
-    Returns
-    -------
-    tuple of (Path, list of Path)
-        The folder of the sketch, or the file for MicroPython; and all files.
+    Returns: The folder of the sketch, or the file for MicroPython; and all files.
     """
     source = folder() / "sketches"
     sketch_folder = source / sketch.name
@@ -208,7 +159,7 @@ def _copied(files: Mapping[Path, Path], target: Path, force: bool) -> list[Path]
         if place.exists() and not force and place.read_bytes() != file.read_bytes():
             do = "give another -o, or --force"
             raise InputError("exists with different content", str(place), do)
-    from daq.base.output import atomic
+    from stickslip.output import atomic
 
     if target.exists() and not target.is_dir():
         raise InputError("is not a folder", str(target), "give a folder, with -o")

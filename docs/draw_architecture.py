@@ -13,7 +13,8 @@ import matplotlib.pyplot as plt
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("daq", "rig_sim", "processing", "fitting")
+PACKAGES = ("stickslip", "daq", "rig_sim", "processing", "fitting")
+SHARED = "stickslip"  # by all others, box by box
 Node = tuple[str, str]  # package, folder or module
 
 
@@ -91,7 +92,7 @@ def draw(path: Path) -> None:
     rows = {package: [n for n in sizes if n[0] == package] for package in PACKAGES}
     widest = {p: max(sum(height[n] == f for n in nodes) for f in range(12)) for p, nodes in rows.items()}
     top = 1.6 * max(height.values())
-    figure, axes = plt.subplots(figsize=(21, 0.58 * (top + 3.7)))  # a floor has room for a name and its lines
+    figure, axes = plt.subplots(figsize=(25, 0.58 * (top + 3.7)))  # a floor has room for a name and its lines
     left, place = 0.0, {}
     for package, nodes in rows.items():
         for floor in sorted({height[n] for n in nodes}):
@@ -101,13 +102,13 @@ def draw(path: Path) -> None:
                 place[node] = (x, 1.6 * floor + (0.25 if number % 2 else -0.1))
         others = sorted({other for n in nodes for other in arrows[n] if other[0] != package})
         taken = "\n".join(
-            f"imports {p}: {', '.join(name for q, name in others if q == p)}"
+            f"imports {p}" if p == SHARED else f"imports {p}: {', '.join(name for q, name in others if q == p)}"
             for p in PACKAGES
             if p in {q for q, _ in others}
         )
         middle = left + widest[package] / 2
         axes.text(middle, top + 0.9, package, ha="center", fontsize=17, weight="bold")
-        axes.text(middle, -1.0, taken or "imports no sibling package", ha="center", va="top", fontsize=9, wrap=True)
+        axes.text(middle, -1.0, taken or "imports no other package", ha="center", va="top", fontsize=9, wrap=True)
         left += widest[package] + 0.7
     for node, others in arrows.items():
         for other in others:

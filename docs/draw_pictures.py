@@ -17,9 +17,9 @@ import daq
 import fitting
 import processing
 import rig_sim
-from daq.base.output.plot import STYLE, PngFigure, figure
 from fitting.drawing import curves
 from fitting.drawing.palette import COLOURS, DASHES, INK, MEASURED
+from stickslip.output.plot import STYLE, PngFigure, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

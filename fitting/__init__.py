@@ -1,27 +1,27 @@
 """Which friction law was it: ``fitting.rank(run)`` fits six laws, and laws of one's own, and ranks them."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from stickslip.lazy import lazy_names
 
 if TYPE_CHECKING:
     from fitting.entry import rank as rank
+    from fitting.entry import rank_each as rank_each
     from fitting.law import Law as Law
+    from fitting.ranked import RankedRuns as RankedRuns
     from fitting.ranked import Ranking as Ranking
 
     __version__: str
 
-__all__ = ["Law", "Ranking", "__version__", "rank"]
+__all__ = ["Law", "RankedRuns", "Ranking", "__version__", "rank", "rank_each"]
 
-_HOME = {"Law": "fitting.law", "Ranking": "fitting.ranked", "rank": "fitting.entry"}
-
-
-def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is first asked for: ``import fitting`` alone loads nothing."""
-    if name == "__version__":
-        from daq.base.version import VERSION
-
-        return VERSION
-    if name in _HOME:
-        from importlib import import_module
-
-        return getattr(import_module(_HOME[name]), name)
-    raise AttributeError(f"module 'fitting' has no attribute {name!r}")
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "Law": "fitting.law",
+        "RankedRuns": "fitting.ranked",
+        "Ranking": "fitting.ranked",
+        "rank": "fitting.entry",
+        "rank_each": "fitting.entry",
+    },
+)

@@ -3,20 +3,20 @@
 import os
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from daq.base import errors
-from daq.base.compute.workers import workers
-from daq.base.console import application
-from daq.base.errors import DeviceError, InputError, StickslipError
 from fitting import job
 from fitting.job import FitOptions, FitOutput, LoadedRun
 from fitting.report import comparison, page
 from fitting.report.comparison import ComparedRun
+from stickslip import errors
+from stickslip.compute.workers import workers
+from stickslip.console import application
+from stickslip.errors import DataError, DeviceError, InputError, StickslipError
 
 FAILURES = (errors.EXIT_DATA, errors.EXIT_INPUT, errors.EXIT_DEVICE, errors.EXIT_BUG)
 SEVERITY = (errors.EXIT_DONE, errors.EXIT_UNDECIDED, errors.EXIT_NO_LAW, *FAILURES)  # least first
@@ -31,6 +31,14 @@ class Failure:
     do: str
     code: int
     data: dict[str, Any] = field(default_factory=dict)
+
+    def as_error(self) -> StickslipError:
+        """Return the same as the error that `fitting.rank` raises."""
+        kinds = (InputError, DeviceError, DataError)
+        kind = next((kind for kind in kinds if kind.exit_code == self.code), StickslipError)
+        error = kind(self.what, self.where, self.do)
+        error.data |= self.data
+        return error
 
 
 @dataclass(frozen=True)
@@ -90,22 +98,36 @@ def fit(
         When all that fits was lost, processes or scheduler, before the first run was finished.  Later, the finished
         runs are kept and the error stands in the rows of the others.
     """
+    rows: list[BatchRow] = []
+    pairs = [(file, places[number : number + 1]) for number, file in enumerate(files)]
+    outcomes = fit_each(files, _read(pairs, options, force), options, jobs, scheduler)
+    for (file, place), outcome in zip(pairs, outcomes, strict=True):
+        rows.append(_saved(file, place, outcome, force))
+        if progress is not None:
+            progress(float(len(rows)))
+    return rows
+
+
+def fit_each(
+    files: Sequence[Path],
+    runs: Iterable[LoadedRun | Failure],
+    options: FitOptions,
+    jobs: int = 1,
+    scheduler: str | None = None,
+) -> Iterator[FitOutput | Failure]:
+    """Yield what was found of each run, in their order; raises as `fit`."""
     if jobs < 1:
         raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
-    rows: list[BatchRow] = []
+    done = 0
     try:
         with workers(min(jobs, len(files)), scheduler) as each:
-            pairs = [(file, places[number : number + 1]) for number, file in enumerate(files)]
-            outcomes = each(partial(_fitted, options=options), _read(pairs, options, force))
-            for (file, place), outcome in zip(pairs, outcomes, strict=True):
-                rows.append(_saved(file, place, outcome, force))
-                if progress is not None:
-                    progress(float(len(rows)))
+            for outcome in each(partial(_fitted, options=options), runs):
+                yield outcome
+                done += 1
     except DeviceError as error:
-        if not rows:
+        if done == 0:
             raise
-        rows += [BatchRow(file, {}, _failure(error, file)) for file in files[len(rows) :]]
-    return rows
+        yield from (read_failure(error, file) for file in files[done:])
 
 
 def exit_code(rows: Sequence[BatchRow]) -> int:
@@ -157,7 +179,7 @@ def _read(
                 page.refuse_foreign_file(place, [run.recording.digest], files=[file], force=force)
             yield run
         except Exception as error:
-            yield _failure(error, file)
+            yield read_failure(error, file)
 
 
 def _fitted(run: LoadedRun | Failure, options: FitOptions) -> FitOutput | Failure:
@@ -167,7 +189,7 @@ def _fitted(run: LoadedRun | Failure, options: FitOptions) -> FitOutput | Failur
     try:
         return job.fit_runs([run], options)
     except Exception as error:
-        return _failure(error, run.recording.source)
+        return read_failure(error, run.recording.source)
 
 
 def _saved(file: Path, places: Sequence[Path], outcome: FitOutput | Failure, force: bool) -> BatchRow:
@@ -177,11 +199,11 @@ def _saved(file: Path, places: Sequence[Path], outcome: FitOutput | Failure, for
     try:
         outcome.save(next(iter(places), None), force=force)
     except Exception as error:
-        return BatchRow(file, {}, _failure(error, file))
+        return BatchRow(file, {}, read_failure(error, file))
     return BatchRow(file, outcome.as_json() | {"report": next(iter(places), None)})
 
 
-def _failure(error: Exception, file: Path) -> Failure:
+def read_failure(error: Exception, file: Path) -> Failure:
     """Return what the command would say of an error, and end in."""
     if isinstance(error, StickslipError):
         return Failure(error.what, error.where, error.do, error.exit_code, error.data)

@@ -5,9 +5,6 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 from cyclopts import Parameter
 
-from daq.base.console import application
-from daq.base.console.application import Answer, Json
-from daq.base.errors import DataError
 from fitting.flags import (
     DEFAULT_LAWS,
     DEFAULT_OUTPUTS,
@@ -20,6 +17,9 @@ from fitting.flags import (
     PartFlags,
     WorkFlags,
 )
+from stickslip.console import application
+from stickslip.console.application import Answer, Json
+from stickslip.errors import DataError
 
 if TYPE_CHECKING:
     from fitting.job import FitOutput

@@ -25,9 +25,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
-from daq.base.errors import InputError, check_known, nearest
 from fitting.law import Bound, Law, check_values, read_law
 from rig_sim.friction.law import LAWS
+from stickslip.errors import InputError, check_known, nearest
 
 ALL_LAWS = tuple(LAWS)  # numbers of the six laws
 # Least value of each parameter of rig and contact, and whether it may be that.

@@ -2,7 +2,7 @@
 
 The kernel that predicts positions, on two windows of an imagined cycle, while another process records and smooths, then
 the smaller ones; ``motion``: the kernel that follows the motion, in a second process while the fit waits for the first.
-A process that needs a kernel meanwhile waits for its machine code (`daq.base.compute.compile`).
+A process that needs a kernel meanwhile waits for its machine code (`stickslip.compute.compile`).
 """
 
 import math
@@ -10,8 +10,6 @@ import sys
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.compile import compiled
 from fitting.least_squares import elimination
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.windows import ShootingWindows
@@ -20,6 +18,8 @@ from fitting.sensitivity.path import Path, follow, law_curve
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
 from fitting.sensitivity.values import positions
+from stickslip.compute.arrays import Array
+from stickslip.compute.compile import compiled
 
 SAMPLES = 5  # samples of each window: compiled code does not depend on how many
 

@@ -1,25 +1,26 @@
-"""``fitting.rank``: of a run, a file, a smoothed motion, two arrays, or several runs of one contact."""
+"""``fitting.rank``: of a run, a file, a smoothed motion, two arrays, or several runs of one contact; `rank_each`."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import daq
-from daq.base import units
-from daq.base.errors import InputError
-from daq.base.output import suffix
-from daq.base.units import Stated
 from daq.runfile import schema
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
-from fitting import job
+from fitting import batch, job
+from fitting.batch import Failure
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.job import FitOptions, LoadedRun
 from fitting.law import Bound, Law
-from fitting.ranked import Ranking
+from fitting.ranked import RankedRun, RankedRuns, Ranking
 from processing.record.kinematics import Kinematics
+from stickslip import units
+from stickslip.errors import InputError
+from stickslip.output import suffix
+from stickslip.units import Stated
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -128,9 +129,131 @@ def rank(
     """
     if isinstance(position, Rig) or (isinstance(position, list | tuple) and _are(position, Rig)):
         rig, position = position, None
+    options = _fit_options(
+        laws,
+        mass=mass,
+        stiffness=stiffness,
+        x0=x0,
+        damping=damping,
+        belt_speed=belt_speed,
+        fix=fix,
+        bounds=bounds,
+        start=start,
+        begin=begin,
+        end=end,
+        excluded=excluded,
+        alpha=alpha,
+    )
+    given = _runs(run_or_time, position)
+    runs = [_loaded(run, own, options) for run, own in zip(given, _rigs(rig, len(given)), strict=True)]
+    return Ranking.of(job.fit_runs(runs, options, jobs, scheduler, progress).ranking)
+
+
+def rank_each(
+    runs: "Iterable[Run]",
+    laws: int | str | Law | Sequence[int | str | Law] | Competitors = ALL_LAWS,
+    *,
+    rig: Rig | Sequence[Rig] | None = None,
+    jobs: int = 1,
+    progress: Callable[[float], None] | None = None,
+    scheduler: str | None = None,
+    **options: Any,
+) -> RankedRuns:
+    """Fit every run by itself, and rank its laws: what `fit-friction --each` does, without writing a file.
+
+    A run that cannot be fitted stops no other: its error stands in its place.
+
+    Parameters
+    ----------
+    runs : iterable of paths, Recording or Kinematics
+        As of `fitting.rank`, such as ``Path("monday").glob("*.h5")``.
+    laws : int, str, Law, or sequence of them
+        Which laws compete, as of `fitting.rank`.
+    rig : Rig or sequence of Rig, optional
+        The whole calibration instead of the runs' own: one for all, or one for each run.
+    jobs : int
+        Processes to fit in, each one run at a time.
+    progress : callable, optional
+        Called with the number of runs done.
+    scheduler : str, optional
+        Address of a dask scheduler, ``tcp://host:8786``, whose workers fit instead of processes on this machine.
+    **options
+        Further keywords of `fitting.rank`, the same for every run: ``mass``, ``stiffness``, ``x0``, ``damping``,
+        ``belt_speed``, ``fix``, ``bounds``, ``start``, ``begin``, ``end``, ``excluded`` and ``alpha``.
+
+    Returns
+    -------
+    RankedRuns
+        A list of `RankedRun` in the order of the runs; ``to_dataframe()`` has one row a run.
+
+    Raises
+    ------
+    InputError
+        For what `fitting.rank` refuses whatever the run, no run, what is not a run, fewer than one job, or a scheduler
+        that cannot be used.
+    DeviceError
+        All processes, or the scheduler, were lost before the first run was finished.
+
+    Examples
+    --------
+    >>> import fitting
+    >>> ranked = fitting.rank_each(["data_samples/law5.h5", "none.h5"], laws=(5, 6))
+    >>> ranked[0].ranking.laws_in_set
+    (5,)
+    >>> print(ranked[1].error)
+    none.h5: no such file; check the path
+    >>> ranked.to_dataframe()[["law", "gamma", "error"]].round(3)
+       law  gamma                                  error
+    0  5.0  9.613                                   None
+    1  NaN    NaN  none.h5: no such file; check the path
+    """
+    call = "fitting.rank_each"
+    if isinstance(runs, RUNS):
+        raise InputError("one run", call, "give a list of runs, as in fitting.rank_each([run]), or call fitting.rank")
+    given, asked = list(runs), _fit_options(laws, **options)
+    if not given or not _are(given, RUNS):
+        raise InputError("no run" if not given else "not all are runs", call, "give files, recordings or motions")
+    rigs = _rigs(rig, len(given))
+    files = [Path(run) if isinstance(run, str | os.PathLike) else _recording(run).source for run in given]
+
+    def load_each() -> Iterator[LoadedRun | Failure]:
+        for file, run, own in zip(files, given, rigs, strict=True):
+            try:
+                yield _loaded(run, own, asked)
+            except Exception as error:
+                yield batch.read_failure(error, file)
+
+    ranked = RankedRuns()
+    for file, outcome in zip(files, batch.fit_each(files, load_each(), asked, jobs, scheduler), strict=True):
+        if isinstance(outcome, Failure):
+            ranked.append(RankedRun(file, None, outcome.as_error()))
+        else:
+            ranked.append(RankedRun(file, Ranking.of(outcome.ranking), None))
+        if progress is not None:
+            progress(float(len(ranked)))
+    return ranked
+
+
+def _fit_options(
+    laws: int | str | Law | Sequence[int | str | Law] | Competitors,
+    *,
+    mass: Stated | None = None,
+    stiffness: Stated | None = None,
+    x0: Stated | None = None,
+    damping: Stated | None = None,
+    belt_speed: Stated | None = None,
+    fix: Mapping[str, float] | None = None,
+    bounds: Mapping[str, Bound] | None = None,
+    start: Mapping[str, float] | None = None,
+    begin: float | str | None = None,
+    end: float | str | None = None,
+    excluded: int | Sequence[int] = (),
+    alpha: float = 0.05,
+) -> FitOptions:
+    """Return the options that keywords of `rank` state."""
     if mass is not None and stiffness is not None:
         raise InputError("mass and stiffness together", "fitting.rank", "give one: the fit finds the other")
-    options = FitOptions(
+    return FitOptions(
         competitors=laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start),
         mass=units.stated(mass, "mass"),
         stiffness=units.stated(stiffness, "stiffness"),
@@ -143,12 +266,14 @@ def rank(
         end=_time(end, "end"),
         report=False,
     )
-    given = _runs(run_or_time, position)
-    rigs = [rig] * len(given) if rig is None or isinstance(rig, Rig) else list(rig)
-    if len(rigs) != len(given):
-        raise InputError(f"{len(rigs)} rigs for {len(given)} runs", "rig", "give one for all, or one for each run")
-    runs = [_loaded(one, calibration, options) for one, calibration in zip(given, rigs, strict=True)]
-    return Ranking.of(job.fit_runs(runs, options, jobs, scheduler, progress).ranking)
+
+
+def _rigs(rig: Rig | Sequence[Rig] | None, count: int) -> Sequence[Rig | None]:
+    """Return the calibration to use of each run; None where it is the run's own."""
+    rigs = [rig] * count if rig is None or isinstance(rig, Rig) else list(rig)
+    if len(rigs) != count:
+        raise InputError(f"{len(rigs)} rigs for {count} runs", "rig", "give one for all, or one for each run")
+    return rigs
 
 
 def _runs(run_or_time: Any, position: Any) -> list[Run]:
@@ -188,9 +313,13 @@ def _loaded(run: Run, rig: Rig | None, options: FitOptions) -> LoadedRun:
     motion = run if isinstance(run, Kinematics) else None
     if isinstance(run, str | os.PathLike):
         run = daq.load(run)
-    recording = run if isinstance(run, Recording) else run.recording
+    recording = _recording(run)
     if not recording.digest:  # by which a report knows its runs
         recording = replace(recording, digest=schema.digest(recording))
         motion = None if motion is None else replace(motion, recording=recording)
     ends = float(recording.time[0]), float(recording.time[-1])
     return LoadedRun(recording, motion, job.calibrated(recording.rig if rig is None else rig, options), "", ends)
+
+
+def _recording(run: Recording | Kinematics) -> Recording:
+    return run if isinstance(run, Recording) else run.recording

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from daq.base.console import flags
-from daq.base.console.rig_flags import Mass, RestPosition, Stiffness
-from daq.base.measured import Measured
+from stickslip.console import flags
+from stickslip.console.rig_flags import Mass, RestPosition, Stiffness
+from stickslip.units import Measured
 
 
 def _repeated(text: str) -> Parameter:

@@ -6,15 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
-from daq.base.measured import Measured
 from daq.runfile import joint
 from daq.runfile import store as runfile
 from daq.runfile.joint import FittedRun
 from daq.runfile.nexus import EVERY
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Rig
+from daq.runfile.rig import Rig, replaced
 from fitting.adequacy.result import ADEQUATE
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.report import page as report
@@ -22,9 +19,13 @@ from fitting.report import stage as store
 from fitting.selection.ranking import rank
 from fitting.selection.result import RankedLaws
 from processing import stage
+from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from processing.smoothing import smooth
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
+from stickslip.compute.arrays import Array
+from stickslip.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
+from stickslip.units import Measured, with_error
 
 # Share of a run that may be missing at either end of the whole: samples left out there as spikes are fewer.
 MISSING_AT_ENDS = 0.01
@@ -167,6 +168,7 @@ def fit_runs(
     """
     # Sticks are looked for at the record's own speed: a wrong stated one would hide them.
     motions = [smooth(run.recording) if run.kinematics is None else run.kinematics for run in runs]
+    motions = [_with_replaced(motion, run.rig, options) for motion, run in zip(motions, runs, strict=True)]
     counted = tuple(from_kinematics(motion) for motion in motions)
     try:
         ranking = rank(
@@ -186,10 +188,34 @@ def fit_runs(
         document = {"statistics": together.as_json(), "findings": findings}
         error.add_result(document, together.sentences(motions[0].unit))
         raise
+    ranking = _with_replaced_mass(ranking, runs, options)
     page = report.render(ranking, motions, counted, options.alpha) if options.report else None
     stages = tuple(run.stage for run in runs)
     part = fitted_part(runs, [motion.time for motion in motions], options)
     return FitOutput(ranking, counted, tuple(run.named for run in runs), stages, page, part)
+
+
+def _with_replaced(motion: Kinematics, rig: Rig, options: FitOptions) -> Kinematics:
+    """Return a motion with a finding for each value of its run's calibration that the fit's differs from."""
+    speed = options.belt_speed
+    if speed is not None and not isinstance(speed, str):
+        rig = replace(rig, belt_speed=speed if isinstance(speed, Measured) else Measured(speed))
+    rows = tuple(Finding("replaced", *row) for row in replaced(motion.recording.rig, rig))
+    return replace(motion, findings=(*rows, *motion.findings)) if rows else motion
+
+
+def _with_replaced_mass(ranking: RankedLaws, runs: Sequence[LoadedRun], options: FitOptions) -> RankedLaws:
+    """Return a ranking with a finding where the mass that a stated stiffness implies is not the stored one."""
+    ratio = ranking.rows[0].parameters.get("k/m") if ranking.rows else None
+    if options.stiffness is None or ratio is None or not ratio.value > 0:
+        return ranking
+    stated = with_error(options.stiffness)
+    mass = stated.value / ratio.value
+    implied = Rig(mass=Measured(mass, mass * math.hypot(stated.sd / stated.value, ratio.stderr / ratio.value)))
+    rows = {row for run in runs for row in replaced(Rig(mass=run.recording.rig.mass), implied)}
+    findings = tuple(Finding("replaced", *row) for row in sorted(rows))
+    warnings = (*(finding.text for finding in findings), *ranking.warnings)
+    return replace(ranking, findings=(*findings, *ranking.findings), warnings=warnings) if findings else ranking
 
 
 def fitted_part(runs: Sequence[LoadedRun], times: Sequence[Array], options: FitOptions) -> str:

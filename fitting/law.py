@@ -22,8 +22,8 @@ from functools import cached_property
 from numbers import Real
 from typing import Any
 
-from daq.base.errors import InputError, nearest
 from rig_sim.friction.formula import SPEED, Formula
+from stickslip.errors import InputError, nearest
 
 NAME = re.compile(r"[A-Za-z][\w-]*")
 # Part of a derivative beside those by other parameters, over the whole, or singular value over the largest: below,

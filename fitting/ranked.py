@@ -6,9 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import DataError, InputError
-from daq.base.output import suffix
 from fitting import rig_scene
 from fitting.adequacy.result import Adequacy
 from fitting.curve.result import MeasuredCurve
@@ -16,6 +13,9 @@ from fitting.estimation.result import Correlations, in_columns
 from fitting.report import page
 from fitting.selection import resampling, result
 from processing.statistics import from_kinematics
+from stickslip.compute.arrays import Array
+from stickslip.errors import DataError, InputError, StickslipError
+from stickslip.output import suffix
 
 if TYPE_CHECKING:
     import os
@@ -338,3 +338,54 @@ class Ranking(result.RankedLaws):
         if adequacy.curve is None:
             raise DataError("no friction curve could be measured", what, "record more cycles of stick-slip")
         return adequacy.curve
+
+
+@dataclass(frozen=True, eq=False)
+class RankedRun:
+    """One run of `fitting.rank_each`.
+
+    Attributes
+    ----------
+    file : Path
+        The run's file; of a run in memory its name.
+    ranking : Ranking or None
+        None where the run could not be fitted.
+    error : StickslipError or None
+        Why it could not: what was wrong, where, and what to do.
+    """
+
+    file: Path
+    ranking: Ranking | None
+    error: StickslipError | None
+
+
+class RankedRuns(list[RankedRun]):
+    """Runs that were each fitted by themselves, in their order: a list of `RankedRun`."""
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the runs as a pandas table, one row a run.
+
+        Columns: ``file``, ``verdict``, ``adequacy``, ``law`` and ``name`` of the best law, ``rms_m``, ``error``, and of
+        each parameter of that law its value under its name, and "NAME stderr", "NAME lo" and "NAME hi": missing where
+        the law has no such parameter, the interval is withheld, or the run could not be fitted.  ``attrs["units"]`` has
+        the unit of each parameter.
+        """
+        import pandas as pd
+
+        names = ("file", "verdict", "adequacy", "law", "name", "rms_m", "error")
+        table: list[dict[str, Any]] = []
+        units: dict[str, str] = {}
+        for run in self:
+            row: dict[str, Any] = dict.fromkeys(names) | {"file": str(run.file)}
+            if run.error is not None:
+                row["error"] = str(run.error)
+            if run.ranking is not None:
+                row |= {"verdict": run.ranking.verdict, "adequacy": run.ranking.adequacy.verdict}
+                if run.ranking.rows:
+                    best = run.ranking.best
+                    row |= {"law": best.law, "name": best.name, "rms_m": best.rms_m} | in_columns(best.parameters)
+                    units |= {name: item.unit for name, item in best.parameters.items()}
+            table.append(row)
+        frame = pd.DataFrame(table)
+        frame.attrs["units"] = units
+        return frame

@@ -7,27 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.output import atomic, suffix
 from daq.runfile import joint
 from fitting import rig_scene
 from fitting.competitors import Competitors, numbers
-from fitting.flags import (
-    DEFAULT_LAWS,
-    DEFAULT_OUTPUTS,
-    DEFAULT_PART,
-    DEFAULT_RIG,
-    DEFAULT_WORK,
-    CalibrationFlags,
-    LawFlags,
-    OutputFlags,
-    PartFlags,
-    WorkFlags,
-)
+from fitting.flags import CalibrationFlags, LawFlags, OutputFlags, PartFlags, WorkFlags
 from fitting.job import FitOptions
 from fitting.report import comparison, table
 from fitting.report import page as pages
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.output import atomic, suffix
 
 
 @dataclass(frozen=True)
@@ -64,11 +53,11 @@ class FitRequest:
     def of(
         cls,
         files: Sequence[Path],
-        laws: LawFlags = DEFAULT_LAWS,
-        rig: CalibrationFlags = DEFAULT_RIG,
-        part: PartFlags = DEFAULT_PART,
-        outputs: OutputFlags = DEFAULT_OUTPUTS,
-        work: WorkFlags = DEFAULT_WORK,
+        laws: LawFlags,
+        rig: CalibrationFlags,
+        part: PartFlags,
+        outputs: OutputFlags,
+        work: WorkFlags,
     ) -> "FitRequest":
         """Return the request that a command line makes.
 

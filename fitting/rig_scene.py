@@ -21,10 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import DataError
-from daq.base.measured import Measured
-from daq.base.output import atomic
 from fitting.curve.band import covariances
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.result import MeasuredCurve
@@ -40,6 +36,10 @@ from fitting.model.wear import FEWEST_LEVELS
 from fitting.selection.result import RankedLaws
 from processing.statistics import StickSlipStatistics
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
+from stickslip.errors import DataError
+from stickslip.output import atomic
+from stickslip.units import Measured
 
 DERIVATIVE_STEP = 1e-6  # step over an unknown or, where that is larger, over its error: derivatives err by 1e-9
 # A break-away level above that of slip is written where it exceeds it by this many standard errors, and by this share.

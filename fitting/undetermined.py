@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from fitting.law import DEPENDENT_BELOW, Law
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 DRAWS = 4  # sets of values: at half of them a chance dependence would pass, at twice nothing changes
 SIZES_DRAWN = (0.5, 2.0)  # least and largest size drawn, over the natural one

@@ -1,6 +1,8 @@
 """From counts to motion: ``processing.smooth(recording)`` rebuilds position, velocity and acceleration."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from stickslip.lazy import lazy_names
 
 if TYPE_CHECKING:
     from processing.entry import smooth as smooth
@@ -10,17 +12,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Kinematics", "__version__", "smooth"]
 
-_HOME = {"Kinematics": "processing.record.kinematics", "smooth": "processing.entry"}
-
-
-def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is first asked for: ``import processing`` alone loads nothing."""
-    if name == "__version__":
-        from daq.base.version import VERSION
-
-        return VERSION
-    if name in _HOME:
-        from importlib import import_module
-
-        return getattr(import_module(_HOME[name]), name)
-    raise AttributeError(f"module 'processing' has no attribute {name!r}")
+__getattr__, __dir__ = lazy_names(
+    __name__, {"Kinematics": "processing.record.kinematics", "smooth": "processing.entry"}
+)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.base.compute.arrays import Mask
 from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.methods.method_model import MethodModel
@@ -17,6 +16,7 @@ from processing.record.motion import BeltMotion, Motion
 from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.units import Units
+from stickslip.compute.arrays import Mask
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording

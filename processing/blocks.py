@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.measured import Measured
 from processing.belt_motion import BeltNoise, BeltRecord, learn_noise, smooth_belt
 from processing.defects import faults, frames
 from processing.defects.faults import CheckedRecord
@@ -42,6 +40,8 @@ from processing.record.stretches import Survey, moving_samples
 from processing.record.units import Units, measured_in, speed_in
 from processing.segmentation import plateaus
 from processing.segmentation.phase_layout import segment_at_corners
+from stickslip.compute.arrays import Array, Integers
+from stickslip.units import Measured
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording

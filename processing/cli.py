@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 from cyclopts import Parameter
 
-from daq.base.console import application
-from daq.base.console.application import Answer, Json
-from daq.base.errors import InputError
+from stickslip.console import application
+from stickslip.console.application import Answer, Json
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -65,9 +65,9 @@ def smooth(
 
     Example: process smooth run.h5 --from 5 --to 1.5min
     """
-    from daq.base.units import quantity, time_or_none
     from daq.runfile import store
     from processing import smoothing, stage, summary
+    from stickslip.units import quantity, time_or_none
 
     speed = belt_speed if belt_speed == "auto" else quantity(belt_speed, "speed", "--belt-speed")
     asked = (method, window, order, times, speed, repair_counts)
@@ -126,9 +126,9 @@ def inspect(
 
     Example: process inspect run.h5 --plot portrait.png
     """
-    from daq.base.output.plot import check_place, save
     from processing import statistics, summary
     from processing.plot import inspection
+    from stickslip.output.plot import check_place, save
 
     target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
     recording, stored = _stored(file)
@@ -162,8 +162,8 @@ def export(
 
     Example: process export run.h5 --csv motion.csv
     """
-    from daq.base.output import atomic, suffix
     from processing import export as tables
+    from stickslip.output import atomic, suffix
 
     if csv is None:
         raise InputError("nothing to write", "command line", "give --csv FILE")

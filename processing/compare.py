@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from daq.runfile.recording import Recording, Truth
 from processing.methods import registry
 from processing.record import series
 from processing.record.motion import Motion
 from processing.record.series import Series
 from processing.record.setting import Setting, parse_window
+from stickslip.compute.arrays import Array
 
 WINDOWS = (11, 21, 41, 81, 161)  # samples: what a table of windows shows
 ORDER = 4  # of the polynomials in that table

@@ -1,13 +1,16 @@
 """``processing.smooth``: of a run, of a file, or of two arrays."""
 
+import math
 import os
 from collections.abc import Mapping
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 import daq
-from daq.base.errors import InputError
 from processing import smoothing
 from processing.record.kinematics import Kinematics
+from stickslip import units
+from stickslip.errors import InputError, check_type
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -44,9 +47,9 @@ def smooth(
         Degree of the local polynomial; by default chosen with the window, or 4 beside a window that was given.
     times : {"recorded", "nominal"}
         Whether to trust the board's sample times or to assume an even grid.
-    belt_speed : float or "auto"
-        m/s, signed; "auto" takes it from the belt's own counts where there are any, else finds it in the plateaus of
-        the velocity.
+    belt_speed : float, text with a unit, or "auto"
+        m/s, or such as "22 cm/s"; signed.  "auto" takes it from the belt's own counts where there are any, else finds
+        it in the plateaus of the velocity.
     repair_counts : {"off", "flag", "fix"}
         What to do about steps of the position, as where counts are lost or the datum moves: not to look for them; to
         mark them, and leave the position as it was counted; or to mark them and put them back.  Where they are looked
@@ -79,17 +82,29 @@ def smooth(
     >>> float(motion.velocity[1000].round(4))
     0.0576
     """
+    where = "processing.smooth"
+    if not isinstance(position, str):
+        check_type(method, str, "method", where, "a name, such as 'auto'")
+    form = "'auto', an odd number of samples, or a time such as '20ms'"
+    check_type(window, (str, Real), "window", where, form)
+    check_type(order, Integral, "order", where, "a whole number")
+    check_type(repair_counts, str, "repair_counts", where, "'off', 'flag' or 'fix'")
+    check_type(model, Mapping, "model", where, "Kinematics.model of an earlier smoothing")
+    if isinstance(window, Real) and not math.isfinite(window):
+        raise InputError(f"window is {window}", where, f"give {form}")
+    if belt_speed != "auto":
+        belt_speed = units.in_si(belt_speed, "speed", "belt_speed").value
     if isinstance(run_or_time, daq.Recording | str | os.PathLike):
         if isinstance(position, str):
             method, position = position, None
         if position is not None:
             what = "a position beside a run, which has its own"
-            raise InputError(what, "processing.smooth", "give the run alone: processing.smooth(run, method=...)")
+            raise InputError(what, where, "give the run alone: processing.smooth(run, method=...)")
         run = run_or_time if isinstance(run_or_time, daq.Recording) else daq.load(run_or_time)
     elif position is None:
         what = f"a {type(run_or_time).__name__} and no position"
         do = "give a run, a file or two arrays: processing.smooth(time, position)"
-        raise InputError(what, "processing.smooth", do)
+        raise InputError(what, where, do)
     else:
         run = daq.Recording.from_arrays(run_or_time, position)
     return smoothing.smooth(run, method, window, order, times, belt_speed, repair_counts, model)

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from daq.base.output import tables
 from processing.record.kinematics import Kinematics
+from stickslip.output import tables
 
 
 def write_csv(kinematics: Kinematics, target: Path, *, force: bool = False) -> list[str]:

@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from daq.base.output.lengths import shown_length
-from daq.base.output.plot import STYLE, figure
 from processing.record.kinematics import Kinematics
 from processing.record.plot import BELT, MOTION, draw_motion
 from processing.statistics import FEWEST_SLIPS, StickSlipStatistics, from_kinematics
+from stickslip.output.lengths import shown_length
+from stickslip.output.plot import STYLE, figure
 
 if TYPE_CHECKING:
     from matplotlib.gridspec import GridSpecBase

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.errors import InputError, nearest
 from daq.runfile import store
 from daq.runfile.nexus import EVERY
 from processing import belt_motion, blocks, stage
@@ -29,6 +27,8 @@ from processing.record.series import Series
 from processing.record.setting import Setting, parse_belt_speed, parse_window
 from processing.record.stretches import survey
 from processing.record.units import Units
+from stickslip.compute.arrays import Array, Integers
+from stickslip.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording

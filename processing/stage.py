@@ -15,8 +15,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.runfile import nexus, store, tree, trust
 from daq.runfile.recording import Recording
 from daq.runfile.tree import LENGTH, Field, Group
@@ -28,6 +26,8 @@ from processing.record.motion import Corner, Fault, Phase, VelocityStep
 from processing.record.noise import position_noise
 from processing.record.position_steps import PositionStep, step_offsets
 from processing.statistics import SlipEvent, StickSlipStatistics, from_kinematics, statistics
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 SPEED = f"{LENGTH}/s"
 BREAK_AWAYS = {  # column: attribute of a `SlipEvent`, unit, what it is

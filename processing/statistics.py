@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.output.lengths import shown_length
 from processing.record.kinematics import Kinematics, SmoothingHeader
+from stickslip.compute.arrays import Array
+from stickslip.output.lengths import shown_length
 
 FEWEST_SLIPS = 3  # with fewer there is no scatter to speak of
 QUANTITIES = {"stick_s": "s", "slip_s": "s", "drop_m": "m", "break_away_m": "m"}

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.output.lengths import shown_range, shown_speed
 from processing.record.kinematics import Kinematics, SmoothingSummary
+from stickslip.output.lengths import shown_range, shown_speed
 
 METHOD_NAMES = {
     "segment": "sticks and slips smoothed apart, switching times fitted",

@@ -9,7 +9,9 @@ Nothing loads until it is asked for.
 'cycle'
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from stickslip.lazy import lazy_names
 
 if TYPE_CHECKING:
     from rig_sim.dynamics.system.formula import FormulaMap as FormulaMap
@@ -31,18 +33,6 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_HOMES = {
-    "rig_sim.dynamics.system.formula": ("FormulaMap",),
-    "rig_sim.functions.branches": ("continue_",),
-    "rig_sim.functions.control": ("lock", "quench", "shaker"),
-    "rig_sim.functions.maps": ("basins", "lyapunov", "map"),
-    "rig_sim.functions.motion": ("compare", "events", "run"),
-    "rig_sim.functions.one_mass": ("cycle", "fixed_point", "floquet"),
-    "rig_sim.functions.sweeps": ("sweep",),
-    "rig_sim.scenes.scene": ("scene",),
-}
-_HOME = {name: module for module, names in _HOMES.items() for name in names}
-
 __all__ = [
     "FormulaMap",
     "__version__",
@@ -63,19 +53,15 @@ __all__ = [
     "sweep",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is first asked for: ``import rig_sim`` alone loads nothing."""
-    if name == "__version__":
-        from daq.base.version import VERSION
-
-        return VERSION
-    if name in _HOME:
-        from importlib import import_module
-
-        return getattr(import_module(_HOME[name]), name)
-    raise AttributeError(f"module 'rig_sim' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+_NAMES = {
+    "rig_sim.dynamics.system.formula": ("FormulaMap",),
+    "rig_sim.functions.branches": ("continue_",),
+    "rig_sim.functions.control": ("lock", "quench", "shaker"),
+    "rig_sim.functions.maps": ("basins", "lyapunov", "map"),
+    "rig_sim.functions.motion": ("compare", "events", "run"),
+    "rig_sim.functions.one_mass": ("cycle", "fixed_point", "floquet"),
+    "rig_sim.functions.sweeps": ("sweep",),
+    "rig_sim.scenes.scene": ("scene",),
+}
+HOMES = {name: module for module, names in _NAMES.items() for name in names}
+__getattr__, __dir__ = lazy_names(__name__, HOMES)

@@ -15,9 +15,9 @@ from urllib.parse import unquote
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
-from daq.base.errors import InputError
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.scenes.scene import parse_changes, scene
+from stickslip.errors import InputError
 
 _SCHEME = "rig://"
 _SAMPLES_AT_ONCE = 1000  # or a quarter of a second, if that is less

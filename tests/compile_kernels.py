@@ -15,12 +15,12 @@ import numpy as np
 import daq
 import fitting
 import processing
-from daq.base.console import application
-from daq.base.errors import EXIT_DONE
 from daq.calibration import ring_down
 from rig_sim.cli.app import app
 from rig_sim.flow.flow import Flow
 from rig_sim.integrate.events import list_events
+from stickslip.console import application
+from stickslip.errors import EXIT_DONE
 
 fitting.rank(processing.smooth(daq.load(Path(__file__).parents[1] / "data_samples" / "law5.h5")))
 list_events(Flow(), 0.0, 0.0, 1e-9, compiled=True)

@@ -19,12 +19,12 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from daq.base.measured import Measured
 from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from stickslip.units import Measured
 
 STEP = 0.012  # of 1/omega: longest time between two looks for an event; the rig's 2 ms
 FIRST = 6e-6  # of 1/omega: the step by which a slip leaves the belt, so that it does not land where it begins

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("daq", "processing", "fitting", "rig_sim")
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
-PATHS = sorted(set(re.findall(r"`((?:daq|processing|fitting|rig_sim|tests|docs)/[\w/.]+)`", PAGE)))
-NAMED = re.findall(r"`((?:daq|processing|fitting|rig_sim)/[\w/]+\.py)` `(\w+)`", PAGE)
+PATHS = sorted(set(re.findall(r"`((?:stickslip|daq|processing|fitting|rig_sim|tests|docs)/[\w/.]+)`", PAGE)))
+NAMED = re.findall(r"`((?:stickslip|daq|processing|fitting|rig_sim)/[\w/]+\.py)` `(\w+)`", PAGE)
 
 
 def test_the_page_was_read():

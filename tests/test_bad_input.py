@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.base.console import application
+from stickslip.console import application
 
 COMMANDS = {
     "daq": "daq.cli.app",

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.console import application
+from stickslip.console import application
 
 SAMPLES = Path(__file__).resolve().parent.parent / "data_samples"
 MANIFEST = json.loads((SAMPLES / "manifest.json").read_text())

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray
 
-from daq.base.console import application
+from stickslip.console import application
 
 APPS = {"daq": "daq.cli.app", "process": "processing.cli", "fit-friction": "fitting.cli"}
 

@@ -9,11 +9,11 @@ import pytest
 
 import daq
 import processing
-from daq.base.console import application
 from daq.cli.app import app as daq_app
 from processing import stage
 from processing.cli import app as process_app
 from processing.record.kinematics import Kinematics
+from stickslip.console import application
 
 SAMPLES = Path(__file__).resolve().parent.parent / "data_samples"
 

@@ -29,12 +29,12 @@ from hand.polynomial import (
 from numba import njit
 from numba.extending import register_jitable
 
-from daq.base.compute.compile import register
 from rig_sim.integrate.compiled import JIT_OPTIONS, KERNEL_MODULES, unbox_records
 from rig_sim.integrate.linear import FreeMotion, change, fundamental, linear_exit, stick_lateness
 from rig_sim.integrate.newton import EPS, newton_step
 from rig_sim.integrate.phases import sum_of
 from rig_sim.integrate.work import unboxed
+from stickslip.compute.compile import register
 
 STICK, NEGATIVE, POSITIVE, RAMP, KICK = 0, 1, 2, 3, 99
 LEAST_FACTOR = 0.05

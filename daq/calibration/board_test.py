@@ -20,24 +20,12 @@ HAND_EDGES = 40  # a hand moves a mass by more
 
 @dataclass(frozen=True)
 class BoardCheck:
-    """The result of one check.
+    """The result of one check."""
 
-    Attributes
-    ----------
-    name : str
-        Of the check.
-    ok : bool or None
-        None when it could not be checked.
-    seen : str
-        What was found, with its number.
-    do : str
-        What to do when it failed.
-    """
-
-    name: str
-    ok: bool | None
-    seen: str
-    do: str = ""
+    name: str  # of the check
+    ok: bool | None  # none when it could not be checked
+    seen: str  # what was found, with its number
+    do: str = ""  # what to do when it failed
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.calibration.ring_down import RingDown
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 STILL_S = 0.5  # at either end of a known distance the mass must stand for so long
 STILL_COUNTS = 4
@@ -29,17 +29,9 @@ def metres_per_count(run: Recording, distance: Measured) -> Measured:
 
     Where it did not stand before (`stands_at_first`), the distance counts from the first sample.
 
-    Parameters
-    ----------
-    run : Recording
-        One segment.
-    distance : Measured
-        Towards +x, m; negative towards -x.
-
-    Raises
-    ------
-    DataError
-        The mass did not stand at the end, or hardly moved.
+    run: One segment.
+    distance: Towards +x, m; negative towards -x.
+    Raises DataError: the mass did not stand at the end, or hardly moved.
     """
     count = _counts(run)
     n = max(1, round(STILL_S * run.rate_hz))

@@ -25,11 +25,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import autocorrelation_time
-from daq.base.compute.compile import compiled
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.calibration import swing_kernel
+from stickslip.compute.arrays import autocorrelation_time
+from stickslip.compute.compile import compiled
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 KERNELS = ("daq.calibration.swing_kernel",)
 FEWEST_SWINGS = 3  # half-swings; with fewer, friction and damping cannot be separated
@@ -45,58 +45,27 @@ POOR_FIT = 0.002  # residual rms over first amplitude, above which the model is 
 
 @dataclass(frozen=True)
 class RingDown:
-    """Result of a ring-down; lengths in the unit of the positions given, here called u.
+    """Result of a ring-down; lengths in the unit of the positions given, here called u."""
 
-    Attributes
-    ----------
-    omega0 : Measured
-        Undamped angular frequency, rad/s.
-    zeta : Measured
-        Damping over critical damping.
-    friction : Measured
-        Friction at low speed over stiffness, u.
-    velocity_weakening : Measured or None
-        g, s/u; None where constant friction describes the motion.
-    equilibrium : Measured
-        The spring's rest position, u.
-    rms : float
-        Of the residuals, u.
-    amplitude : float
-        At the release, u.
-    swings : int
-        Half-swings fitted.
-    samples : int
-        Samples fitted.
-    poor : bool
-        Whether the model does not describe the motion: the values mean little then.
-    """
-
-    omega0: Measured
-    zeta: Measured
-    friction: Measured
-    velocity_weakening: Measured | None
-    equilibrium: Measured
-    rms: float
-    amplitude: float
-    swings: int
-    samples: int
-    poor: bool
+    omega0: Measured  # undamped angular frequency, rad/s
+    zeta: Measured  # damping over critical damping
+    friction: Measured  # friction at low speed over stiffness, u
+    velocity_weakening: Measured | None  # g, s/u; None where constant friction describes the motion
+    equilibrium: Measured  # the spring's rest position, u
+    rms: float  # of the residuals, u
+    amplitude: float  # at the release, u
+    swings: int  # Half-swings fitted
+    samples: int  # samples fitted
+    poor: bool  # whether the model does not describe the motion: the values mean little then
 
 
 def fit(time: NDArray[np.float64], position: NDArray[np.float64], resolution: float) -> RingDown:
     """Fit the model to a recording that holds one ring-down.
 
-    Parameters
-    ----------
-    time, position : (n,) float64
-        s; u.  Before the release the mass may be moved or held; after it has come to rest it must be left alone.
-    resolution : float
-        One count, u.
-
-    Raises
-    ------
-    DataError
-        The record holds no ring-down, or too few swings of one.
+    time, position: (n,) s; u.  Before the release the mass may be moved or held; after it has come to rest it must be
+        left alone.
+    resolution: One count, u.
+    Raises DataError: the record holds no ring-down, or too few swings of one.
     """
     here, centre, crossings = _free_part(time, position, resolution)
     thin = max(1, (here.stop - here.start) // MOST_SAMPLES)

@@ -1,12 +1,12 @@
 """Kernel: the nodes of a damped swing against friction, exact between them where friction does not change with speed.
 
 The equation of motion is that of `daq.calibration.ring_down`.  Runs as written or compiled
-(`daq.base.compute.compile`).
+(`stickslip.compute.compile`).
 """
 
 import math
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 
 def follow(

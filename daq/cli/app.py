@@ -2,8 +2,8 @@
 
 from typing import NoReturn
 
-from daq.base.console import application
 from daq.cli import board, files, firmware, live, notes, record, setup
+from stickslip.console import application
 
 app = application.application(
     "daq", "Record stick-slip runs from an encoder board or the simulated rig.", "daq record --rate 1000 -o run.h5"

@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import cyclopts
 from cyclopts import Parameter
 
-from daq.base.console import application, flags
-from daq.base.console.application import Answer, Json
-from daq.base.console.flags import Force
-from daq.base.console.settings import NO_FLAGS, BoardFlags, board_toml, resolve
-from daq.base.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
-from daq.base.measured import QUANTITIES, Measured
 from daq.cli import sentences
 from daq.cli.record import rig_port
+from daq.cli.settings import NO_FLAGS, BoardFlags, board_toml, resolve
 from daq.runfile.rig import Rig
+from stickslip.console import application, flags
+from stickslip.console.application import Answer, Json
+from stickslip.console.flags import Force
+from stickslip.console.rig_flags import Mass
+from stickslip.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
+from stickslip.units import QUANTITIES, Measured
 
 if TYPE_CHECKING:
     from daq.calibration.ring_down import RingDown
@@ -113,9 +114,7 @@ def calibrate(
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")] = Path("rig.toml"),
     distance: Annotated[Measured | None, flags.measured("--distance", "length", DISTANCE)] = None,
     ring_down: Annotated[bool, Parameter(name="--ring-down", help="Record and fit a ring-down.")] = True,
-    mass: Annotated[
-        Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
-    ] = None,
+    mass: Mass = None,
     duration: Annotated[
         float, flags.quantity("--duration", "time", "Time of the ring-down, s or with a unit.")
     ] = RING_DOWN_S,
@@ -138,9 +137,9 @@ def calibrate(
 
     Example: daq calibrate --mass "300 g +- 1 g"
     """
-    from daq.base.output import atomic, suffix
     from daq.calibration import rig_constants as measure
     from daq.protocols.request import RecordRequest
+    from stickslip.output import atomic, suffix
 
     if not ring_down and distance is None:
         raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
@@ -214,9 +213,9 @@ def _take(
     request: "RecordRequest", progress: Callable[[float], None] = lambda seconds: None
 ) -> "tuple[RecordingQuality, Recording]":
     """Record into a temporary folder, and return the quality and the run."""
-    from daq.base.output import disk
     from daq.recorder.record import RecordingInterruptedError, record
     from daq.runfile import store
+    from stickslip.output import disk
 
     with tempfile.TemporaryDirectory(prefix="daq-") as folder:
         output = Path(folder) / "run.h5"

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import cyclopts
 from cyclopts import Parameter
 
-from daq.base.console import application
-from daq.base.console.application import Answer, Json
-from daq.base.console.flags import Force
-from daq.base.console.notes import NO_NOTES, NoteFlags
-from daq.base.console.rig_flags import NO_RIG, RigFlags
-from daq.base.errors import InputError
 from daq.cli import sentences
 from daq.imports.options import NO_CAPTURE, NO_OPTIONS, NO_PROBES, CaptureOptions, ImportOptions, ProbeOptions
+from daq.recorder.notes import NO_NOTES, NoteFlags
+from stickslip.console import application
+from stickslip.console.application import Answer, Json
+from stickslip.console.flags import Force
+from stickslip.console.rig_flags import NO_RIG, RigFlags
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     from daq.runfile.rig import Rig
@@ -65,9 +65,10 @@ def import_table(
     """
     from dataclasses import replace
 
-    from daq.base.output import atomic, names, suffix
     from daq.imports import table_to_run
+    from daq.recorder import names
     from daq.runfile import store
+    from stickslip.output import atomic, suffix
 
     given = notes.given()
     target = names.completed(output or file.with_suffix(".h5"))
@@ -101,10 +102,10 @@ def replay(
 
     Example: daq replay run.h5 --counts-per-rev 16384 --circumference "125.66 mm" -o calibrated.h5
     """
-    from daq.base.output import atomic, suffix
     from daq.imports import replay as again
     from daq.runfile import store
-    from daq.runfile.rig import Rig
+    from daq.runfile.rig import Rig, replaced
+    from stickslip.output import atomic, suffix
 
     kind = again.kind_of(source)
     target = output or _default_output(source, kind)
@@ -128,7 +129,9 @@ def replay(
         run = again.from_run(source)
         extra = again.findings(run) | {"warnings": [], "clock_ppm": run.clock_ppm}
     if calibration is not None or stated:
-        run = again.recalibrated(run, (calibration or run.rig).stating(stated))
+        used = (calibration or run.rig).stating(stated)
+        extra["warnings"] = [*extra["warnings"], *(row.text for row in replaced(run.rig, used))]
+        run = again.recalibrated(run, used)
     store.write(target, run, force=force)
     data = sentences.run_data(run, target, extra["warnings"]) | extra | {"file": target}
     return Answer(data, sentences.run_text(f"replayed the {kind} {source}:", run, data))
@@ -182,8 +185,8 @@ def export(
 
     Example: daq export run.h5 -o run.csv
     """
-    from daq.base.output import atomic, suffix, tables
     from daq.runfile import store
+    from stickslip.output import atomic, suffix, tables
 
     forms = {"csv": suffix.CSV, "parquet": suffix.PARQUET}
     targets = [] if output is None else [(suffix.chosen(output, forms), output)]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 
-from daq.base.console.application import Answer, Json
+from stickslip.console.application import Answer, Json
 
 if TYPE_CHECKING:
     from daq.firmware_files import Sketch

@@ -13,9 +13,10 @@ from typing import Annotated
 
 import cyclopts
 
-from daq.base.console import application, flags
-from daq.base.console.application import Answer, Json
-from daq.base.errors import InputError
+from stickslip.compute.interpreter import start_python
+from stickslip.console import application, flags
+from stickslip.console.application import Answer, Json
+from stickslip.errors import InputError
 
 NICE = 5  # the viewer gives way to the recorder on a busy computer
 APPEARS_S = 30.0  # how long the viewer of `daq record --live` waits for the journal: a board may take 5 s to answer
@@ -88,9 +89,9 @@ def _wait_for(journal: Path, wait: float) -> None:
 
 def open_browser(url: str) -> None:
     """Open the user's browser on a page; what it prints goes nowhere."""
-    line = [sys.executable, "-m", "webbrowser", "-t", url]
+    nowhere = subprocess.DEVNULL
     with contextlib.suppress(OSError):
-        subprocess.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        start_python("webbrowser", "-t", url, stdin=nowhere, stdout=nowhere, stderr=nowhere)
 
 
 @contextmanager
@@ -100,12 +101,10 @@ def viewer(journal: Path, no_browser: bool) -> Iterator[None]:
     The URL of its page goes to stderr.  Nothing that happens to the viewer reaches the recording, and it ends by itself
     soon after the recording has ended.
     """
-    line = [sys.executable, "-m", "daq.cli.app", "watch", str(journal), "--wait", str(APPEARS_S), "--no-browser"]
-    nowhere = subprocess.DEVNULL
+    words = ("watch", str(journal), "--wait", str(APPEARS_S), "--no-browser")
+    streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     try:
-        process = subprocess.Popen(
-            line, stdin=nowhere, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, text=True
-        )
+        process = start_python("daq.cli.app", *words, **streams, start_new_session=True, text=True)
     except OSError as error:
         application.note(f"the live view could not be started: {error.strerror}")
         yield

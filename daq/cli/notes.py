@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import cyclopts
 from cyclopts import Parameter
 
-from daq.base.console.application import Answer, Json
-from daq.base.console.notes import NO_NOTES, NoteFlags, check_text
+from daq.recorder.notes import NO_NOTES, NoteFlags, check_text
+from stickslip.console.application import Answer, Json
 
 if TYPE_CHECKING:
     from daq.runfile.listing import RunRow
@@ -20,7 +20,7 @@ LONGEST_NOTE = 2 * WIDTH  # characters of a note in a list; 'daq note RUN.h5' pr
 
 
 def _marker(type_: Any, tokens: Sequence[cyclopts.Token]) -> list[tuple[float, str]]:
-    from daq.base import units
+    from stickslip import units
 
     typed = [token.value for token in tokens]
     return [(units.quantity(time, "time", "--mark"), text) for time, text in zip(typed[::2], typed[1::2], strict=True)]

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 
-from daq.base.console import application, flags
-from daq.base.console.application import Answer, Json, SetChanges
-from daq.base.console.flags import Force
-from daq.base.console.notes import NO_NOTES, NoteFlags
-from daq.base.console.rig_flags import NO_RIG, RigFlags
-from daq.base.console.settings import NO_FLAGS, BoardFlags, resolve
-from daq.base.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, InputError
 from daq.cli import sentences
 from daq.cli.live import NoBrowser, viewer
+from daq.cli.settings import NO_FLAGS, BoardFlags, resolve
+from daq.protocols.request import RecordRequest
+from daq.recorder.notes import NO_NOTES, NoteFlags
+from stickslip.console import application, flags
+from stickslip.console.application import Answer, Json, SetChanges
+from stickslip.console.flags import Force
+from stickslip.console.rig_flags import NO_RIG, RigFlags
+from stickslip.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, InputError
 
 if TYPE_CHECKING:
     from daq.recorder.record import StopRequest
@@ -55,8 +56,8 @@ def register(app: cyclopts.App) -> None:
 
 def record(
     *,
-    duration: Duration = 20.0,
-    output: Output = Path("run.h5"),
+    duration: Duration = RecordRequest.duration_s,
+    output: Output = RecordRequest.output,
     scene: Scene = None,
     set_: SetChanges = None,
     realtime: Realtime = False,
@@ -86,8 +87,7 @@ def record(
 
     Example: daq record -o 'run-{n:03}.h5' --sample "brass on steel" --operator Ada --tag humidity=45
     """
-    from daq.base.output import names
-    from daq.protocols.request import RecordRequest
+    from daq.recorder import names
     from daq.recorder.record import record as take
 
     if live:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.output.lengths import shown_range
+from stickslip.output.lengths import shown_range
 
 if TYPE_CHECKING:
     from daq.calibration.ring_down import RingDown

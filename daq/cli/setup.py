@@ -10,10 +10,11 @@ from typing import Self, TextIO
 
 import cyclopts
 
-from daq.base.console.application import Answer, Json
-from daq.base.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
+from stickslip.compute.interpreter import start_python
+from stickslip.console.application import Answer, Json
+from stickslip.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
 
-PACKAGES = ("daq", "processing", "fitting", "rig_sim")
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 DEMO_FOLDER = "stickslip-demo"
 
 
@@ -103,7 +104,7 @@ def _needs() -> Check:
 def _commands() -> Check:
     scripts = Path(sys.executable).parent
     elsewhere = []
-    for command in ("daq", "process", "fit-friction", "rig-sim"):
+    for command in ("stickslip", "daq", "process", "fit-friction", "rig-sim"):
         path = shutil.which(command)
         if path is not None and Path(path).parent.resolve() != scripts.resolve():
             elsewhere.append(f"{command} is {path}")
@@ -220,8 +221,7 @@ class _KernelsOfAFit:
     @staticmethod
     def _begun(*which: str) -> subprocess.Popen[bytes]:
         quiet = subprocess.DEVNULL
-        line = [sys.executable, "-m", "fitting.compile_ahead", *which]
-        return subprocess.Popen(line, stdin=quiet, stdout=quiet, stderr=quiet)
+        return start_python("fitting.compile_ahead", *which, stdin=quiet, stdout=quiet, stderr=quiet)
 
 
 def _demo_steps(folder: Path, out: TextIO, kernels: _KernelsOfAFit) -> tuple[list[dict[str, object]], str]:
@@ -237,7 +237,7 @@ def _demo_steps(folder: Path, out: TextIO, kernels: _KernelsOfAFit) -> tuple[lis
         out.flush()
         if module == "fitting.cli":
             kernels.fit_waits()
-        code, lines = _echo([sys.executable, "-m", module, *typed[1:]], folder, out)
+        code, lines = _echo(module, typed[1:], folder, out)
         steps.append({"command": " ".join(typed), "exit_code": code})
         if code not in (EXIT_DONE, EXIT_UNDECIDED):
             raise StepError(f"'{' '.join(typed)}' ended with exit code {code}", str(folder), "run 'daq doctor'")
@@ -251,10 +251,11 @@ class StepError(StickslipError):
     exit_code = EXIT_DEVICE
 
 
-def _echo(command: list[str], folder: Path, out: TextIO) -> tuple[int, list[str]]:
+def _echo(module: str, words: list[str], folder: Path, out: TextIO) -> tuple[int, list[str]]:
     """Run a command in a folder, pass its stdout through as it comes, return its exit code and lines."""
     lines = []
-    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True, encoding=out.encoding) as process:
+    streams = {"stdout": subprocess.PIPE, "text": True, "encoding": out.encoding}
+    with start_python(module, *words, cwd=folder, **streams) as process:
         if process.stdout is not None:
             for line in process.stdout:
                 out.write(line)

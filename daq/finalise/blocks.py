@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
 from daq.finalise.integrity import CheckedCounts, SegmentReason
 from daq.finalise.timeline import Piece, Samples
 from daq.protocols import blocks
 from daq.runfile import journal
 from daq.wire.decode import Stream
+from stickslip.compute.arrays import Array, Integers
 
 COUNTER_BITS = 32  # no counter of the source's rolls over; the widest there is
 

@@ -1,4 +1,4 @@
-"""Who may finish or remove a journal: one process at a time, which holds its lock (`daq.base.output.lock`)."""
+"""Who may finish or remove a journal: one process at a time, which holds its lock (`stickslip.output.lock`)."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -6,19 +6,16 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from daq.base.errors import InputError
-from daq.base.output.lock import FileLock
 from daq.runfile import journal, journal_records
+from stickslip.errors import InputError
+from stickslip.output.lock import FileLock
 
 
 @contextmanager
 def claimed(path: Path) -> Iterator[Callable[[], None]]:
     """Hold a journal's lock, where the file system has locks; yield what removes the journal.
 
-    Raises
-    ------
-    InputError
-        A recording is writing it, another process is finishing it, or it does not exist.
+    Raises InputError: A recording is writing it, another process is finishing it, or it does not exist.
     """
     try:
         lock = FileLock(path)

@@ -5,26 +5,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import joined, rows
-from daq.base.output.spill import Spill
 from daq.finalise.clock_sync import ClockPoints, ClockSync, Points
 from daq.finalise.timeline import Piece, parts_of
 from daq.protocols.link_budget import BITS_PER_BYTE
+from daq.runfile.spill import Spill
+from stickslip.compute.arrays import joined, rows
 
 
 class PartClock:
     """The clocks over one part of a run, whose pieces come in order.
 
-    Parameters
-    ----------
-    part : int
-        The part: the longest one of the run.
-    baud : int or None
-        On a serial line of known speed every byte has its time, so reads that ended inside a frame count as well.
-    by_bytes : bool
-        It is known how long the frames were: not of text lines.
-    spill : Spill
-        Where the points are put aside.
+    part: The part: the longest one of the run.
+    baud: On a serial line of known speed every byte has its time, so reads that ended inside a frame count as well.
+    by_bytes: It is known how long the frames were: not of text lines.
+    spill: Where the points are put aside.
     """
 
     def __init__(self, part: int, baud: int | None, by_bytes: bool, spill: Spill) -> None:

@@ -32,8 +32,8 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import joined, rows
-from daq.base.output.spill import Shelf, Spill
+from daq.runfile.spill import Shelf, Spill
+from stickslip.compute.arrays import joined, rows
 
 MOST_POINTS = 600  # the pairwise slopes of so many take 180,000 values; longer runs get wider bins
 FEWEST_POINTS = 3
@@ -48,50 +48,28 @@ TOO_EARLY_S = 0.05  # below the robust line by more than this, a stamp is wrong 
 
 @dataclass(frozen=True)
 class ClockSync:
-    """How the host's clock and the device's went together.
+    """How the host's clock and the device's went together."""
 
-    Attributes
-    ----------
-    index : (c,) int64
-        Samples at the points with the least delay of their second.
-    offset : (c,) float64
-        Host minus device there, s: of the byte that came, or, `by_bytes`, of the middle between it and the next.
-    ppm : float or None
-        Device seconds per host second, minus 1, in ppm; None where the two cannot be compared: a simulated rig that
-        runs faster than real time, or too few seconds.
-    ppm_error : float or None
-        How far off the drift may be, ppm.
-    offset_error : (c,) float64
-        How far off each offset may be, s, but for a constant delay.  NaN where it is not known.
-    """
-
-    index: NDArray[np.int64]
+    index: NDArray[np.int64]  # (c,) samples at the points with the least delay of their second
+    # (c,) host minus device there, s: of the byte that came, or, `by_bytes`, of the middle between it and the next
     offset: NDArray[np.float64]
+    # device seconds per host second, minus 1, in ppm; None where the two cannot be compared: a simulated rig that runs
+    # faster than real time, or too few seconds
     ppm: float | None
-    ppm_error: float | None = None
+    ppm_error: float | None = None  # how far off the drift may be, ppm
+    # (c,) how far off each offset may be, s, but for a constant delay.  NaN where it is not known.
     offset_error: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)
 class Points:
-    """Readings of both clocks, k of them, and the samples that they belong to.
+    """Readings of both clocks, k of them, and the samples that they belong to."""
 
-    Attributes
-    ----------
-    host : (k,) float64
-        When each frame, or part of a frame, had come in, s.
-    device : (k,) float64
-        The device's time when it had sent that much, s, not decreasing.
-    following : (k,) float64
-        The device's time when it had sent more, of which nothing had come in yet; NaN where that is not known.
-    sample : (k,) int64
-        The sample.
-    """
-
-    host: NDArray[np.float64]
-    device: NDArray[np.float64]
+    host: NDArray[np.float64]  # (k,) when each frame, or part of a frame, had come in, s
+    device: NDArray[np.float64]  # (k,) the device's time when it had sent that much, s, not decreasing
+    # (k,) the device's time when it had sent more, of which nothing had come in yet; NaN where that is not known
     following: NDArray[np.float64]
-    sample: NDArray[np.int64]
+    sample: NDArray[np.int64]  # (k,) the sample
 
     @property
     def delay(self) -> NDArray[np.float64]:
@@ -127,13 +105,10 @@ class ClockPoints:
     def compare(self, *, by_bytes: bool) -> ClockSync:
         """Compare the two clocks.
 
-        Parameters
-        ----------
-        by_bytes : bool
-            Both times are those of bytes on a serial line, which come in as they are sent or at the next poll.  Then a
-            wide interval means polls in step with the host, for which every line within is as likely: the middle is
-            taken, of drift and offset.  Whole frames that come at once leave a wide interval, too, and there the line
-            below is right.
+        by_bytes: Both times are those of bytes on a serial line, which come in as they are sent or at the next poll.
+            Then a wide interval means polls in step with the host, for which every line within is as likely: the middle
+            is taken, of drift and offset.  Whole frames that come at once leave a wide interval, too, and there the
+            line below is right.
         """
         nothing = ClockSync(np.empty(0, dtype=np.int64), np.empty(0), None)
         if self.n < 2:

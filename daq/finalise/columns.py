@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.output.spill import Column, Shelf, Spill
 from daq.finalise.connections import TICK_NS
 from daq.finalise.integrity import CheckedCounts
 from daq.finalise.timeline import Samples, TruthRows, parts_of, sample_keys
@@ -14,27 +13,18 @@ from daq.runfile import belt_counter
 from daq.runfile.belt_counter import BeltCount
 from daq.runfile.recording import Raw, Truth
 from daq.runfile.rig import Rig
+from daq.runfile.spill import Column, Shelf, Spill
 from daq.wire import frames
 
 
 class RunColumns:
     """The columns of a run whose pieces come in order.
 
-    Parameters
-    ----------
-    rig : Rig
-        Its calibration.
-    idents : sequence of Ident or None
-        The identifications that it was sent under.
-    truth : Shelf of TruthRows
-        The exact motion as sent.
-    spill : Spill
-        Where the columns are put aside.
-
-    Attributes
-    ----------
-    first_ns : int
-        Host's stamp of the first sample.
+    rig: Its calibration.
+    idents: The identifications that it was sent under.
+    truth: The exact motion as sent.
+    spill: Where the columns are put aside.
+    first_ns: Host's stamp of the first sample.
     """
 
     def __init__(self, rig: Rig, idents: Sequence[frames.Ident | None], truth: Shelf[TruthRows], spill: Spill) -> None:

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import protocols
-from daq.base.errors import InputError
-from daq.base.measured import Measured
-from daq.base.output.spill import Shelf, Spill
 from daq.runfile import journal
 from daq.runfile.recording import SentAs
 from daq.runfile.rig import Rig
+from daq.runfile.spill import Shelf, Spill
 from daq.wire import counters, decode
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 # Two calibrations contradict each other that differ by more standard errors.  With half, 13 % of sound pairs do; double
 # passes a change that is certain.
@@ -35,10 +35,7 @@ COUNTER_BITS, TICK_NS = 16, 1000  # those of the firmware, for an implausible id
 def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Stream]]:
     """Return the decoded stream of each connection, in pieces: a new one begins where the port was reopened.
 
-    Raises
-    ------
-    InputError
-        The journal is in a protocol that this version does not know.
+    Raises InputError: the journal is in a protocol that this version does not know.
     """
     backend = protocols.load(taken.header["protocol"], str(taken.path))
     shelves = []
@@ -137,23 +134,12 @@ def _believed(ident: wire.Ident) -> wire.Ident:
 
 @dataclass(frozen=True)
 class CountUnits:
-    """What counts are under each of k identifications.
+    """What counts are under each of k identifications."""
 
-    Attributes
-    ----------
-    bits : (k,) int64
-        Width of the counters.
-    scale : (k,) int64
-        Counts of the run in one count of the board.
-    edges : (k,) int64
-        Edges in one count of the board.
-    phase, illegal : (k,) bool
-        Whether counts can be held against the levels sent with them; whether illegal transitions are counted.
-    """
-
-    bits: NDArray[np.int64]
-    scale: NDArray[np.int64]
-    edges: NDArray[np.int64]
+    bits: NDArray[np.int64]  # (k,) width of the counters
+    scale: NDArray[np.int64]  # (k,) counts of the run in one count of the board
+    edges: NDArray[np.int64]  # (k,) edges in one count of the board
+    # (k,) whether counts can be held against the levels sent with them; whether illegal transitions are counted
     phase: NDArray[np.bool_]
     illegal: NDArray[np.bool_]
 

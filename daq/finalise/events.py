@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import runs
 from daq.finalise.integrity import CheckedCounts
 from daq.finalise.timeline import Piece
 from daq.runfile.recording import EVENTS
 from daq.wire import counters
 from daq.wire import frames as wire
+from stickslip.compute.arrays import runs
 
 RunEvent = tuple[int, int, str]
 FLAGS = {
@@ -28,12 +28,8 @@ FLAGS = {
 class RunEvents:
     """The events of a run whose pieces come in order.
 
-    Parameters
-    ----------
-    markers : sequence of (int, str)
-        Stamp in monotonic ns, text, in order; markers set before or after the run are omitted.
-    rate_hz : float
-        Nominal rate, Hz.
+    markers: Stamp in monotonic ns, text, in order; markers set before or after the run are omitted.
+    rate_hz: Nominal rate, Hz.
     """
 
     def __init__(self, markers: Sequence[tuple[int, str]], rate_hz: float) -> None:

@@ -26,49 +26,22 @@ PEAK_OVER_S = 1e-3  # over less, one count more or less would look like a fast m
 
 @dataclass(frozen=True)
 class CheckedCounts:
-    """The counts of n samples in s segments, and what is wrong with them.
+    """The counts of n samples in s segments, and what is wrong with them."""
 
-    Attributes
-    ----------
-    count : (n,) int64
-        Unwrapped net count.
-    segment : (n,) uint16, or uint32 where the run may have more than 65,536 segments
-        From 0.
-    flags : (n,) uint16
-        Status as sent, less the levels, and the host's checks (`daq.wire.counters`).
-    lost : (n,) int64
-        Samples missing right before each one.
-    illegal : int
-        Illegal transitions the board counted during this run.
-    peak_count_rate : float
-        Fastest counting over `PEAK_OVER_S` (over a sample where that is longer), counts/s.
-    starts : (s,) int64
-        First sample of each segment.
-    reasons : tuple of SegmentReason
-        What began each segment; of the first one it means nothing.
-    gap_s : (s,) float64
-        How long after the sample before it each segment begins; 0 for the first one.
-    leap_s : (s,) float64
-        By how much the board's clock leapt there, s; 0 where it did not.
-    paused, paused_s : (p,) int64, (p,) float64
-        Samples before which the board paused without a gap in its sequence, and for how long.
-    source : (s,) int64
-        Under which identification each segment was sent.
-    """
-
-    count: NDArray[np.int64]
-    segment: NDArray[np.uint16] | NDArray[np.uint32]
-    flags: NDArray[np.uint16]
-    lost: NDArray[np.int64]
-    illegal: int
-    peak_count_rate: float
-    reasons: tuple[SegmentReason, ...]
-    starts: NDArray[np.int64]
-    gap_s: NDArray[np.float64]
-    leap_s: NDArray[np.float64]
+    count: NDArray[np.int64]  # (n,) unwrapped net count
+    segment: NDArray[np.uint16] | NDArray[np.uint32]  # (n,) from 0
+    flags: NDArray[np.uint16]  # (n,) status as sent, less the levels, and the host's checks (`daq.wire.counters`)
+    lost: NDArray[np.int64]  # (n,) samples missing right before each one
+    illegal: int  # illegal transitions the board counted during this run
+    peak_count_rate: float  # fastest counting over `PEAK_OVER_S` (over a sample where that is longer), counts/s
+    reasons: tuple[SegmentReason, ...]  # what began each segment; of the first one it means nothing
+    starts: NDArray[np.int64]  # (s,) first sample of each segment
+    gap_s: NDArray[np.float64]  # (s,) how long after the sample before it each segment begins; 0 for the first one
+    leap_s: NDArray[np.float64]  # (s,) by how much the board's clock leapt there, s; 0 where it did not
+    # (p,) samples before which the board paused without a gap in its sequence, and for how long
     paused: NDArray[np.int64]
     paused_s: NDArray[np.float64]
-    source: NDArray[np.int64]
+    source: NDArray[np.int64]  # (s,) under which identification each segment was sent
 
 
 def check(
@@ -76,10 +49,7 @@ def check(
 ) -> CheckedCounts:
     """Unwrap the counts of a whole run, cut it into segments, and flag what does not agree (`CountCheck`).
 
-    Raises
-    ------
-    ValueError
-        There is no sample.
+    Raises ValueError: there is no sample.
     """
     if len(samples) == 0:
         raise ValueError("nothing to check: there is no sample")
@@ -92,18 +62,10 @@ def check(
 class CountCheck:
     """Unwrap the counts, cut the run into segments, and flag what does not agree: piece by piece, of whole frames.
 
-    Parameters
-    ----------
-    idents, rig, rate_hz
-        The identifications that the run was sent under, its calibration, and its nominal rate.
-    starts_at_phase : bool
-        The board's rule: an x4 counter starts at the phase of its levels.  Another sketch's may start anywhere; then
-        the offset that most samples of a segment have is taken as its own.
-
-    Attributes
-    ----------
-    peak_count_rate : float
-        Of the whole run, once it has been surveyed (`CheckedCounts`).
+    idents, rig, rate_hz: The identifications that the run was sent under, its calibration, and its nominal rate.
+    starts_at_phase: The board's rule: an x4 counter starts at the phase of its levels.  Another sketch's may start
+        anywhere; then the offset that most samples of a segment have is taken as its own.
+    peak_count_rate: Of the whole run, once it has been surveyed (`CheckedCounts`).
     """
 
     def __init__(
@@ -263,30 +225,14 @@ _BEGINS = {"paused": _PAUSE, "clock": _LEAP}
 
 
 class _Follows(NamedTuple):
-    """Samples, k of them, with the last one before them, and of each how it follows, (k,).
+    """Samples, k of them, with the last one before them, and of each how it follows, (k,)."""
 
-    Attributes
-    ----------
-    window : Samples
-        The samples.
-    fresh : bool
-        A segment begins with it: it begins a part, and the board has not only paused.
-    lost : int64
-        How many are missing before it.
-    interval : float64
-        How long after the one before it comes, s.
-    gap : bool
-        Whether that is a gap.
-    begins : int64
-        What begins with it: `_NOTHING`, or a part.
-    """
-
-    window: Samples
-    fresh: NDArray[np.bool_]
-    lost: NDArray[np.int64]
-    interval: NDArray[np.float64]
-    gap: NDArray[np.bool_]
-    begins: NDArray[np.int64]
+    window: Samples  # the samples
+    fresh: NDArray[np.bool_]  # a segment begins with it: it begins a part, and the board has not only paused
+    lost: NDArray[np.int64]  # how many are missing before it
+    interval: NDArray[np.float64]  # how long after the one before it comes, s
+    gap: NDArray[np.bool_]  # whether that is a gap
+    begins: NDArray[np.int64]  # what begins with it: `_NOTHING`, or a part
 
 
 def _source(samples: Samples) -> NDArray[np.int64]:
@@ -340,5 +286,4 @@ class _PeakRate:
         self._time, self._moved, self._broken = time[-kept:], moved[max(0, len(moved) - kept + 1) :], broken[-kept:]
 
     def found(self) -> float:
-        """Return the rate."""
         return self._peak[max(self._peak)] if self._peak else 0.0

@@ -132,51 +132,30 @@ class RecordingQuality:
 
 @dataclass
 class DataTotals:
-    """What is counted in the samples of a run, piece by piece; see `RecordingQuality` where nothing is said.
-
-    Attributes
-    ----------
-    gaps : int
-        Places where samples are missing.
-    longest_gap, longest_after_s : int, float
-        Samples missing in the longest gap, and when it begins.
-    overruns : int
-        Samples at which the board missed its own pace.
-    reasons : list of str
-        What began each segment.
-    jumped_s : list of float
-        When sequence numbers jumped.
-    leapt : list of (float, float)
-        When the board's clock leapt, and by how much, s.
-    paused : list of (float, float)
-        When the board paused without a gap in its sequence, and for how long, s.
-    segment, source : list of int
-        From which segment on the samples were sent under which identification.
-    places : tuple of two int, or None
-        Sample periods from the start of the run to the first and to the last sample.
-    last_s : float
-        Time of the last sample.
-    """
+    """What is counted in the samples of a run, piece by piece; see `RecordingQuality` where nothing is said."""
 
     samples: int = 0
     lost: int = 0
-    gaps: int = 0
-    longest_gap: int = 0
+    gaps: int = 0  # places where samples are missing
+    longest_gap: int = 0  # samples missing in the longest gap, and when it begins
     longest_after_s: float = 0.0
     illegal: int = 0
     phase_errors: int = 0
     both_moved: int = 0
     retimed: int = 0
-    overruns: int = 0
-    reasons: list[str] = field(default_factory=list)
-    jumped_s: list[float] = field(default_factory=list)
-    leapt: list[tuple[float, float]] = field(default_factory=list)
+    overruns: int = 0  # samples at which the board missed its own pace
+    reasons: list[str] = field(default_factory=list)  # what began each segment
+    jumped_s: list[float] = field(default_factory=list)  # when sequence numbers jumped
+    leapt: list[tuple[float, float]] = field(default_factory=list)  # when the board's clock leapt, and by how much, s
+    # when the board paused without a gap in its sequence, and for how long, s
     paused: list[tuple[float, float]] = field(default_factory=list)
+    # from which segment on the samples were sent under which identification
     segment: list[int] = field(default_factory=list)
     source: list[int] = field(default_factory=list)
     travel: tuple[float, float] = (np.inf, -np.inf)
+    # sample periods from the start of the run to the first and to the last sample
     places: tuple[int, int] | None = None
-    last_s: float = 0.0
+    last_s: float = 0.0  # time of the last sample
 
     def take(self, piece: Piece, checked: CheckedCounts, position: NDArray[np.float64]) -> None:
         """Take the next samples, and their positions."""
@@ -273,6 +252,7 @@ def _incomplete(quality: RecordingQuality, totals: DataTotals) -> list[str]:
             journal.BOARD_STOPPED: "the board stopped",
             journal.SOURCE_FAILED: "the source failed",
             journal.SOURCE_ENDED: "the source ended",
+            journal.SOURCE_SILENT: "the source gave no more samples",
         }
         held_s = quality.samples / quality.rate_hz
         because = why.get(quality.ended, f"ended by {quality.ended}")

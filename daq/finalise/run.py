@@ -13,11 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.base import toml
-from daq.base.errors import DataError, InputError
-from daq.base.output import atomic
-from daq.base.output.spill import Column, Spill
-from daq.base.text import storable
 from daq.finalise import blocks, claim, connections, quality
 from daq.finalise.clock_points import PartClock
 from daq.finalise.columns import RunColumns
@@ -29,7 +24,13 @@ from daq.protocols import blocks as block_records
 from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import EVENT_NAMES, Recording, positions
 from daq.runfile.rig import Rig
+from daq.runfile.spill import Column, Spill
 from daq.wire import decode, frames
+from daq.wire.roll_over import survey_roll_over
+from stickslip import toml
+from stickslip.errors import DataError, InputError
+from stickslip.output import atomic
+from stickslip.text import storable
 
 logger = logging.getLogger(__name__)
 WITHOUT_PITCH = "no metres per count are known, so positions are counts"
@@ -40,21 +41,12 @@ def finalise(
 ) -> RecordingQuality:
     """Build the run file of a journal; then remove the journal and its markers, unless the journal was damaged.
 
-    Parameters
-    ----------
-    part, output : Path
-        The journal, and the run file to write.
-    finished_by : str
-        The command, for the provenance.
-    remove : callable, optional
-        Removes the journal: from the recorder, which holds its lock.  Without it the lock is taken here.
-
-    Raises
-    ------
-    InputError
-        The journal is missing, not a journal, or still being written; or ``output`` exists.
-    DataError
-        The journal holds no samples.  It is kept, as after every other error.
+    part, output: The journal, and the run file to write.
+    finished_by: The command, for the provenance.
+    remove: Removes the journal: from the recorder, which holds its lock.  Without it the lock is taken here.
+    Raises InputError: the journal is missing, not a journal, or still being written; ``output`` exists, or cannot be
+        read back.
+    Raises DataError: the journal holds no samples.  It is kept, as after every other error.
     """
     if remove is None:
         with claim.claimed(part) as removing:
@@ -69,6 +61,7 @@ def finalise(
     # A command that was killed after it had put the file in place left the journal: what is missing is its removal.
     if not (exists and not recorded.damaged and store.holds(output, run)):
         store.write(output, run, force=force)
+        store.read_back(output)
     if not recorded.damaged:
         try:
             markers.unlink(missing_ok=True)
@@ -90,14 +83,10 @@ def run_data(
     """Return the run in a journal, and its quality.
 
     The samples are worked on piece by piece, in memory that does not grow with their number; where they are many, the
-    columns of the run are in a file (`daq.base.output.spill.Column`) beside ``output``.
+    columns of the run are in a file (`daq.runfile.spill.Column`) beside ``output``.
 
-    Raises
-    ------
-    InputError
-        The journal is in a protocol this version does not know.
-    DataError
-        It holds no samples.
+    Raises InputError: the journal is in a protocol this version does not know.
+    Raises DataError: it holds no samples.
     """
     recorded = replace(recorded, header=journal_header.complete(recorded.header, recorded.path))
     header = recorded.header
@@ -136,36 +125,18 @@ def run_data(
 
 @dataclass(frozen=True)
 class _Gathered:
-    """What the records of a journal hold.
+    """What the records of a journal hold."""
 
-    Attributes
-    ----------
-    rig, config : Rig, str
-        The calibration, and its text.
-    columns : dict
-        The attributes of the run that are columns over its samples, or follow from them.
-    totals, events, clock : DataTotals, RunEvents, PartClock
-        What was counted, what happened, and how the clocks went.
-    streams : list of Stream
-        What was sent, without its arrays.
-    warnings : list of str
-        What is wrong with the calibration.
-    first_ns : int
-        Host's stamp of the first sample.
-    peak_count_rate, repeated
-        See `CountCheck`, `Timeline`.
-    """
-
-    rig: Rig
+    rig: Rig  # the calibration, and its text
     config: str
-    columns: dict[str, Any]
-    totals: DataTotals
+    columns: dict[str, Any]  # the attributes of the run that are columns over its samples, or follow from them
+    totals: DataTotals  # what was counted, what happened, and how the clocks went
     events: RunEvents
     clock: PartClock
-    streams: list[decode.Stream]
-    warnings: list[str]
-    first_ns: int
-    peak_count_rate: float
+    streams: list[decode.Stream]  # what was sent, without its arrays
+    warnings: list[str]  # what is wrong with the calibration
+    first_ns: int  # Host's stamp of the first sample
+    peak_count_rate: float  # see `CountCheck`, `Timeline`
     repeated: int = 0
 
 
@@ -228,6 +199,11 @@ def _of_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spi
     belt_count, belt_velocity = columns.belt(rate_hz)
     if columns.has("belt_count") and belt_velocity is None:
         warnings.append("no metres per belt count are known, so the belt's counts give no speed")
+    if (roll_over := survey_roll_over(columns["count"], columns["segment"])) is not None:
+        warnings.append(
+            f"the count jumps {roll_over}, as a counter does that rolls over or restarts, and the motion holds these "
+            "jumps; for a counter of 16 bits declare its width, as in --columns t_us,count:16, and record again"
+        )
     whole = {
         "time": columns["time"],
         "position": columns["position"],
@@ -257,10 +233,7 @@ def _of_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spi
 class _CountedPieces:
     """The samples of a timeline's pieces, whenever they are iterated over.
 
-    Attributes
-    ----------
-    lengths : dict of int to int
-        How many samples each part of the run has; after the last piece.
+    lengths: How many samples each part of the run has; after the last piece.
     """
 
     def __init__(self, line: Timeline) -> None:

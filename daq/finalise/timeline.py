@@ -19,9 +19,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute import arrays
-from daq.base.output.spill import Shelf, Spill
+from daq.runfile.spill import Shelf, Spill
 from daq.wire import counters, decode, frames
+from stickslip.compute import arrays
 
 # Seconds on either side of a gap in which the least delay is searched.  Half finds fewer undelayed reads; double lets
 # the drift of the clocks (100 ppm) add 0.2 ms more to the placement.  Not swept.
@@ -35,49 +35,31 @@ PartReason = Literal["reopened", "restarted", "jumped", "clock", "paused"]
 
 @dataclass(frozen=True)
 class Samples:
-    """Samples in order of time, n of them.
+    """Samples in order of time, n of them."""
 
-    Attributes
-    ----------
-    time : (n,) float64
-        Seconds since the first one, increasing.
-    part : (n,) int64
-        Which part, from 0.
-    begun_by : tuple of PartReason
-        What began each part: a port that came back (the first part, too), a restart of the board that it announced, a
-        sequence number that does not follow, a clock that leapt, or a pause of the board.  The sequence goes on in the
-        last two, and the last one interrupts nothing.
-    index, ticks : (n,) int64
-        Sequence number and device time without roll-over, in the board's units.
-    frame : (n,) int64
-        Which frame it came in, counted over all connections; frames that gave no sample are counted, too.
-    stamp_ns : (n,) int64
-        Host's monotonic clock when that frame had come in.
-    time_error : (n,) int64 or None
-        The time as sent less ``ticks``; None where no time is interpolated.
-    up, down, status, illegal, belt, edge
-        As sent (`daq.wire.decode.Stream`), the illegal count repeated over its frame.
-    source : (n,) int64 or None
-        Under which of the run's identifications it was sent (`Timeline.idents`); None: there is one.
-    repeated : int
-        Samples left out because their time did not advance: repeated, late, or stamped wrongly by the board.
-    """
-
-    time: NDArray[np.float64]
-    part: NDArray[np.int64]
+    time: NDArray[np.float64]  # (n,) seconds since the first one, increasing
+    part: NDArray[np.int64]  # (n,) which part, from 0
+    # what began each part: a port that came back (the first part, too), a restart of the board that it announced, a
+    # sequence number that does not follow, a clock that leapt, or a pause of the board.  The sequence goes on in the
+    # last two, and the last one interrupts nothing.
     begun_by: tuple[PartReason, ...]
-    index: NDArray[np.int64]
+    index: NDArray[np.int64]  # (n,) sequence number and device time without roll-over, in the board's units
     ticks: NDArray[np.int64]
+    # (n,) which frame it came in, counted over all connections; frames that gave no sample are counted, too
     frame: NDArray[np.int64]
-    stamp_ns: NDArray[np.int64]
+    stamp_ns: NDArray[np.int64]  # (n,) Host's monotonic clock when that frame had come in
+    # as sent (`daq.wire.decode.Stream`), the illegal count repeated over its frame
     up: NDArray[np.uint16] | NDArray[np.uint32]
     down: NDArray[np.uint16] | NDArray[np.uint32]
     status: NDArray[np.uint8]
     illegal: NDArray[np.uint16]
     belt: NDArray[np.uint16] | None
     edge: NDArray[np.uint16] | None
+    # (n,) the time as sent less ``ticks``; None where no time is interpolated
     time_error: NDArray[np.int64] | None = None
+    # (n,) under which of the run's identifications it was sent (`Timeline.idents`); None: there is one
     source: NDArray[np.int64] | None = None
+    # samples left out because their time did not advance: repeated, late, or stamped wrongly by the board
     repeated: int = 0
 
     def __len__(self) -> int:
@@ -98,80 +80,41 @@ class TruthRows:
 
 @dataclass(frozen=True)
 class Piece:
-    """Some samples of a run, k of them, and what they are from.
+    """Some samples of a run, k of them, and what they are from."""
 
-    Attributes
-    ----------
-    samples : Samples
-        The samples; whole frames.
-    stream : Stream
-        All frames that the piece is from, those without a sample too.
-    frames : int
-        Frames before it, over all connections.
-    place : (k,) int64
-        Sample periods from the start of the run to each sample, lost samples and gaps included.
-    """
-
-    samples: Samples
-    stream: decode.Stream
-    frames: int
+    samples: Samples  # the samples; whole frames
+    stream: decode.Stream  # all frames that the piece is from, those without a sample too
+    frames: int  # frames before it, over all connections
+    # (k,) sample periods from the start of the run to each sample, lost samples and gaps included
     place: NDArray[np.int64]
 
 
 @dataclass
 class _Part:
-    """A part's place on the time axis.
+    """A part's place on the time axis."""
 
-    Attributes
-    ----------
-    ticks, last_ticks : int
-        Device time of its first and last sample.
-    index, last_index : int
-        Their sequence numbers.
-    tick_ns : int
-        Tick of the device's clock, ns.
-    prompt_s : float
-        Host's clock less the device's time since the first sample, the least of the first seconds.
-    start_s : float
-        Time of its first sample in the run.
-    """
-
-    ticks: int
+    ticks: int  # device time of its first and last sample
     last_ticks: int
-    index: int
+    index: int  # their sequence numbers
     last_index: int
-    tick_ns: int
-    prompt_s: float
-    start_s: float = 0.0
+    tick_ns: int  # tick of the device's clock, ns
+    prompt_s: float  # Host's clock less the device's time since the first sample, the least of the first seconds
+    start_s: float = 0.0  # time of its first sample in the run
 
 
 class Timeline:
     """The samples of all connections on one time axis, piece by piece, each time it is iterated over.
 
-    Parameters
-    ----------
-    connections : sequence
-        The pieces of each connection (`daq.finalise.connections`); each is iterated over several times.
-    rate_hz : float
-        Nominal rate, Hz.
-    tick_ns : int
-        Tick of the clock of a device that has not identified itself, ns.
-    most : int or None
-        Sample periods from the start of the run that samples are taken of.
-    spill : Spill
-        Takes the rows of the exact motion.
-
-    Attributes
-    ----------
-    idents : list of Ident or None
-        The identifications that samples were sent under, each once, in the order of their first samples; None for that
-        of a board which did not identify itself.
-    truth : Shelf of TruthRows
-        The exact motion.
-    times_bytes : bool
-        The recorder knows how long the frames were on the line.
-    repeated : int
-        Samples left out because their time did not advance; after the last piece.
+    connections: The pieces of each connection (`daq.finalise.connections`); each is iterated over several times.
+    rate_hz: Nominal rate, Hz.
+    tick_ns: Tick of the clock of a device that has not identified itself, ns.
+    most: Sample periods from the start of the run that samples are taken of.
+    spill: Takes the rows of the exact motion.
+    idents: The identifications that samples were sent under, each once, in the order of their first samples; None for
+        that of a board which did not identify itself.
+    truth: The exact motion.
+    times_bytes: The recorder knows how long the frames were on the line.
+    repeated: Samples left out because their time did not advance; after the last piece.
     """
 
     def __init__(

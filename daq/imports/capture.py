@@ -9,28 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import InputError, check_known
 from daq.imports.options import ProbeOptions
 from daq.imports.sigrok import Capture
 from daq.wire.quadrature import DECODERS, Decoder, PulseDecoder, Steps
+from stickslip.errors import InputError, check_known
 
 TWO_COUNTER = "two-counter"
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """Which probes carry the pair, and what decodes it.
+    """Which probes carry the pair, and what decodes it."""
 
-    Attributes
-    ----------
-    bits : (int, int)
-        Probes of A and B, or of step and direction.
-    decoder : str
-        One of `daq.wire.quadrature.DECODERS`, or "two-counter" for step and direction.
-    """
-
-    bits: tuple[int, int]
-    decoder: str
+    bits: tuple[int, int]  # (int, int) probes of A and B, or of step and direction
+    decoder: str  # one of `daq.wire.quadrature.DECODERS`, or "two-counter" for step and direction
 
 
 @dataclass(frozen=True)
@@ -47,10 +39,7 @@ class Totals:
 def wiring(capture: Capture, options: ProbeOptions) -> Wiring:
     """Return the wiring given by the flags --channels, or --step and --dir.
 
-    Raises
-    ------
-    InputError
-        For missing or mixed flags, an unknown decoder, or a probe that the capture does not have.
+    Raises InputError: for missing or mixed flags, an unknown decoder, or a probe that the capture does not have.
     """
     channels, step, direction, decoder = options.channels, options.step, options.direction, options.decoder
     pair = "give --channels A=NAME,B=NAME or --step NAME --dir NAME"

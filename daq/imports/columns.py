@@ -3,14 +3,13 @@
 import re
 from dataclasses import replace
 
-from daq.base import units
-from daq.base.errors import InputError, in_python, nearest
-from daq.imports import layout
+from daq.imports import layout, source
+from daq.imports.layout import POSITION_NAMES, TIME_NAMES
 from daq.imports.table import Table, short
+from stickslip import units
+from stickslip.errors import InputError, in_python, nearest
 
-TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")
 FRAME_NAMES = ("frame", "frames", "frame number", "frame no", "frameno", "image", "slice", "bild")
-POSITION_NAMES = ("x", "position", "pos", "displacement", "distance", "weg", "ort", "auslenkung")
 FORCE_NAMES = (
     *("f", "force", "fx", "fy", "ft", "friction force", "tangential force", "lateral force", "load", "load cell"),
     *("kraft", "reibkraft"),
@@ -52,45 +51,32 @@ def find(
 ) -> tuple[int | None, int, bool]:
     """Find the columns of times and positions: as they are called, by name, by unit, by elimination.
 
-    Parameters
-    ----------
-    cells : Table
-        The table.
-    time, position : str or None
-        What the user called them: a name, or a number from 1.
-    rate_known : bool
-        Whether times can be made from a frame rate.
-    flag : str
-        The flag that ``position`` came from.
-    belt : int or None
-        The column of the belt, which is neither.
-
-    Returns
-    -------
-    tuple
-        Column of times or None, column of positions, and whether the times are frame numbers.
-
-    Raises
-    ------
-    InputError
-        When a column is missing or there is more than one choice, listing the columns.
+    cells: The table.
+    time, position: What the user called them: a name, or a number from 1.
+    rate_known: Whether times can be made from a frame rate.
+    flag: The flag that ``position`` came from.
+    belt: The column of the belt, which is neither.
+    Returns: Column of times or None, column of positions, and whether the times are frame numbers.
+    Raises InputError: when a column is missing or there is more than one choice, listing the columns.
     """
     t_column = None if time is None else called(cells, time, "--time")
     x_column = None if position is None else called(cells, position, flag)
-    free = [i for i in range(cells.width) if i not in (t_column, x_column, belt)]
+    clocks = {clock for clock in cells.clocks if clock is not None}
+    free = [i for i in range(cells.width) if i not in (t_column, x_column, belt) and i not in clocks]
     frames = False
     if cells.names:
         plain = [_bare(name) for name in cells.names]
-        if t_column is None:
+        if t_column is None and not clocks:
             t_column = next((i for i in free if plain[i] in TIME_NAMES), None)
             if t_column is None:
                 t_column = next((i for i in free if plain[i] in FRAME_NAMES), None)
             t_column = _only(cells, free, "time", x_column) if t_column is None else t_column
+        elif t_column is None and len(clocks) == 1:
+            t_column = next(iter(clocks))
         if x_column is None:
             places = [i for i in free if plain[i] in POSITION_NAMES and i != t_column]
             if len(places) > 1 and plain[places[0]] == plain[places[1]]:
-                both = " and ".join(f"{short(cells.names[i])} (column {i + 1})" for i in places[:2])
-                raise InputError(f"which column is the position: {both}?", str(cells.path), "give --position=NUMBER")
+                raise _ambiguous(cells, "the position", places, "--position")
             x_column = places[0] if places else None
             x_column = _only(cells, free, "length", t_column) if x_column is None else x_column
         frames = t_column is not None and plain[t_column] in FRAME_NAMES
@@ -113,6 +99,7 @@ def find(
             what, str(cells.path), do.format("--position", flags), python=do.format("position=NAME", keywords)
         )
     free = [i for i in free if i != x_column]
+    t_column = check_clock(cells, x_column, t_column)
     if t_column is None and len(free) == 1 and not rate_known:
         t_column = free[0]
     if t_column is None and len(free) > 1 and not rate_known:
@@ -126,9 +113,11 @@ def called(cells: Table, name: str, flag: str) -> int:
     """Return the column of a name, or of a number from 1; InputError where there is none."""
     wanted = name.strip()
     for same in (str, str.lower, _bare):
-        for i, found in enumerate(cells.names):
-            if same(found) == same(wanted):
-                return i
+        places = [i for i, column in enumerate(cells.names) if same(column) == same(wanted)]
+        if len(places) > 1:
+            raise _ambiguous(cells, repr(wanted), places, flag)
+        if places:
+            return places[0]
     if wanted.isdecimal() and 1 <= int(wanted) <= cells.width:
         return int(wanted) - 1
     known = f"the columns are numbered 1 to {cells.width}"
@@ -136,6 +125,26 @@ def called(cells: Table, name: str, flag: str) -> int:
         near = nearest(wanted, cells.names)
         known = (near + " " if near.startswith("did") else "") + f"the columns are: {cells.listed}"
     raise InputError(f"{flag}: no column {name!r}", str(cells.path), known)
+
+
+def _ambiguous(cells: Table, which: str, places: list[int], flag: str) -> InputError:
+    choice = source.shorten(f"{cells.names[i]!r} (column {i + 1})" for i in places)
+    return InputError(f"which column is {which}: {choice}?", str(cells.path), f"give {flag}=NUMBER")
+
+
+def check_clock(cells: Table, column: int, times: int | None) -> int | None:
+    """Return the column of a channel's times: the file's own clock of that channel, where it states one.
+
+    Raises InputError: ``times`` are those of another channel.
+    """
+    own = cells.clocks[column] if cells.clocks else None
+    if own is None or times is None or times == own:
+        return times if own is None else own
+    is_clock = times in cells.clocks
+    if is_clock and any(row[times].strip() != row[own].strip() for row in cells.rows):
+        what = f"{cells.label(times)} holds the times of another channel, not of {cells.label(column)}"
+        raise InputError(what, str(cells.path), f"leave --time out: {cells.label(own)} holds its times")
+    return times
 
 
 def _bare(name: str) -> str:
@@ -183,9 +192,12 @@ def _mark_at_end(text: str) -> tuple[int, int] | None:
 
 
 def _stated_unit(name: str) -> str | None:
+    """Return the unit that follows a name, or a name that is itself one, as ``ms``."""
     _, stated = split_unit(name)
     if stated is not None:
         return stated
+    if any(units.known(name.strip(), dimension) for dimension in ("time", "length")) and _bare(name) not in TIME_NAMES:
+        return name.strip()
     head, _, tail = name.rpartition("_")
     return tail if head and any(units.known(tail, dimension) for dimension in DIMENSIONS) else None
 
@@ -248,10 +260,7 @@ def check_length(cells: Table, column: int) -> None:
 def belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[str, float, str]:
     """Return what a column of the belt holds, "length" or "speed", the size of its unit in SI, and its name.
 
-    Raises
-    ------
-    InputError
-        Its unit is neither stated nor given, or is one of neither dimension.
+    Raises InputError: its unit is neither stated nor given, or is one of neither dimension.
     """
     stated = flag_value or (_stated_unit(cells.names[column]) if cells.names else None)
     for dimension in ("length", "speed"):
@@ -272,10 +281,7 @@ def unit(
 ) -> tuple[float, str]:
     """Return the size of a column's unit in SI and its name: the flag's, else the header's, else SI.
 
-    Raises
-    ------
-    InputError
-        When the header's unit is unknown and the flag was not given.
+    Raises InputError: when the header's unit is unknown and the flag was not given.
     """
     stated = _stated_unit(cells.names[column]) if cells.names else None
     if dimension == "length" and flag_value is None:
@@ -287,6 +293,10 @@ def unit(
         return size, flag_value
     if stated is None:
         return 1.0, units.si_unit(dimension)
+    base = split_unit(cells.names[column])[0].strip()
+    if base != stated and units.known(base, dimension):
+        what = f"column {base!r} has the name of a unit, and its unit is stated as {stated}"
+        raise InputError(what, cells.place(cells.header_line, column), f"give {flag}, for example {flag} {base}")
     if not units.known(stated, dimension):
         example = f"'0.25 mm' for {stated} of that size" if dimension == "length" else EXAMPLE_UNITS[dimension]
         what = f"{cells.label(column)} is in {short(stated)}, which is not a known unit of {dimension}"

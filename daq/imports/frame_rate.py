@@ -40,22 +40,12 @@ def check_half_period(
 
 @dataclass(frozen=True)
 class Swing:
-    """The time from a turning point to the opposite one in a slip: medians over ``number`` slips.
+    """The time from a turning point to the opposite one in a slip: medians over ``number`` slips."""
 
-    Attributes
-    ----------
-    duration : float
-        Between the extreme samples, s; not a number when there is none.
-    shortest, longest : float
-        What it can have been, s: between the samples beside the extreme ones, inside and outside of them.
-    number : int
-        Of slips; 0 when the track has no whole one.
-    """
-
-    duration: float
-    shortest: float
+    duration: float  # between the extreme samples, s; not a number when there is none
+    shortest: float  # what it can have been, s: between the samples beside the extreme ones, inside and outside of them
     longest: float
-    number: int
+    number: int  # of slips; 0 when the track has no whole one
 
 
 def half_period(time: NDArray[np.float64], position: NDArray[np.float64]) -> Swing:

@@ -1,55 +1,50 @@
 """A LabVIEW measurement (.lvm) as a table: channels are its columns, with the units of the header.
 
 A file header, then segments, each with a header of its own (``Multi_Headings``) or only the first.  The X values stand
-in a column (``X_Columns`` One), in one before each channel (Multi), or follow from ``X0`` and ``Delta_X`` (No).
-Segments whose X begins anew are placed by the date and time of their headers.  ``Samples`` is not believed: lines
-count.  Source: National Instruments, Specification for the LabVIEW Measurement File, versions 0.92 to 2.0.
+in a column (``X_Columns`` One), in one before each channel (Multi), or follow from ``X0`` and ``Delta_X`` of each
+channel (No).  Segments whose X begins anew are placed by the date and time of their headers, and belong together where
+they follow each other within `LONGEST_BREAK` steps; else each is a measurement, as is each part of ``Samples`` lines
+below one header without X values.  Source: National Instruments, Specification for the LabVIEW Measurement File,
+versions 0.92 to 2.0.
 
-Not read: special blocks (they are passed over), and X values of different times in one line.
+Special blocks are skipped.
 """
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from daq.base.errors import InputError
-from daq.imports import layout
-from daq.imports.table import Table, short
+from daq.imports import layout, source
+from daq.imports.table import Table
+from stickslip.errors import InputError
 
 BEGINS = "LabVIEW Measurement"
 _END, _SPECIAL, _SPECIAL_END = "***End_of_Header***", "***Start_Special***", "***End_Special***"
 DAY_S = 86400.0
 MOST_TAGS = 30  # lines of the header in which the separator is looked for; there are a dozen
+# Steps between two segments of one measurement.  Blocks of one acquisition follow each other after one step, and the
+# stamps of their headers are rounded to ms; a trigger comes later.
+LONGEST_BREAK = 10.0
 _COLUMNS = "X_Value"  # how the line of names begins
 _SEPARATORS = {"Tab": "\t", "Comma": ","}
 
 
 @dataclass(frozen=True)
 class _Segment:
-    """A segment: its header by tags, names of columns, cells of its lines and their numbers in the file."""
-
-    tags: dict[str, list[str]]
-    names: list[str]
+    tags: dict[str, list[str]]  # its header
+    names: list[str]  # of its columns
     rows: list[list[str]]
-    lines: list[int]
+    lines: list[int]  # numbers of its lines in the file
 
 
 def read(path: Path, text: str) -> Table:
-    """Read a LabVIEW measurement.
+    """Read a LabVIEW measurement from its text.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    text : str
-        What it holds.
-
-    Raises
-    ------
-    InputError
-        For a file without a segment of numbers, segments with other channels, or whose times cannot be placed.
+    Raises InputError: there is no segment of numbers, X is not a time, or segments have other channels or times that
+        cannot be placed.
     """
     where = str(path)
     lines = text.split("\n")
@@ -59,46 +54,77 @@ def read(path: Path, text: str) -> Table:
     if end is None:
         raise InputError("its header does not end", where, "export it again, or delete what stands above the table")
     header = _tags(lines[:end], separator)
-    segments = [segment for segment in _segments(lines, end + 1, separator) if segment.rows]
+    segments = [segment for segment in _segments(lines, end + 1, separator, where) if segment.rows]
     if not segments:
         raise InputError("holds no numbers", where, "give a measurement with a channel of positions")
     first = segments[0]
     decimal = header.get("Decimal_Separator", [""])[0] or _decimal(first.rows[0])  # before version 2 nobody says it
-    for other in segments[1:]:
-        if other.names != first.names:
-            what = f"a segment has the channels {', '.join(other.names)}, the first one {', '.join(first.names)}"
-            raise InputError(what, f"{where}, line {other.lines[0]}", "export segments with equal channels")
-    kind = header.get("X_Columns", ["One"])[0]
-    names, numbers = _columns(first), list[int]()
-    rows: list[Sequence[str]] = []
-    begun: tuple[int, float] | None = None
-    last = float("-inf")
     for segment in segments:
-        own = _with_times(segment, kind, decimal, where)
-        if not segment.rows or not own:
-            continue
-        start = _stamp(segment.tags)
-        begun = start if begun is None else begun
-        time = layout.number(own[0][0], decimal)
+        _check_segment(segment, first, where)
+    kind = header.get("X_Columns", ["One"])[0]
+    names, clocks = _columns(first, kind, decimal, where)
+    rows: list[Sequence[str]] = []
+    numbers: list[int] = []
+    starts: list[int] = []
+    origin = _stamp(first.tags)
+    last = -math.inf
+    for segment in segments:
+        timed, begins = _with_times(segment, kind, decimal, where)
+        times = [layout.number(row[0], decimal) for row in timed]
+        begin = next((time for time in times if time is not None), None)
         shift = 0.0
-        if time is not None and time <= last:
-            if start is not None and begun is not None:
-                shift = DAY_S * (start[0] - begun[0]) + (start[1] - begun[1])
-            if time + shift <= last:
-                what = f"the times of a segment begin again with {own[0][0].strip()}, and its header does not say when"
-                raise InputError(
-                    what, f"{where}, line {segment.lines[0]}", "export the segments into files of their own"
-                )
-        for row in own:
-            value = layout.number(row[0], decimal)
-            if value is not None and shift:
-                row[0] = repr(value + shift).replace(".", decimal)
-            last = last if value is None else value + shift
-        rows += own
+        if begin is not None and begin <= last:
+            stamp = _stamp(segment.tags)
+            if stamp is not None and origin is not None:
+                shift = DAY_S * (stamp[0] - origin[0]) + (stamp[1] - origin[1])
+            if begin + shift <= last:
+                shift = math.nan  # nobody knows when
+        step = _usual_step(times)
+        new = begin is None or not begin + shift - last <= LONGEST_BREAK * step
+        starts += [len(rows) + row for row in begins if row or new]
+        if shift > 0:
+            for row in timed:
+                for column in range(clocks.count(None)):
+                    value = layout.number(row[column], decimal)
+                    row[column] = row[column] if value is None else repr(value + shift).replace(".", decimal)
+        known = [time for time in times if time is not None]
+        last = known[-1] + (shift if shift > 0 else 0.0) if known else last
+        rows += timed
         numbers += segment.lines
     recorded = " ".join(header.get(tag, [""])[0].strip() for tag in ("Date", "Time")).strip()
-    width = len(names)
-    return Table(path, tuple(names), rows, numbers, width, separator, decimal, first.lines[0] - 1, "LabVIEW", recorded)
+    return Table(
+        path,
+        tuple(names),
+        rows,
+        numbers,
+        len(names),
+        separator,
+        decimal,
+        first.lines[0] - 1,
+        "LabVIEW",
+        recorded,
+        clocks=tuple(clocks),
+        starts=tuple(starts) or (0,),
+    )
+
+
+def _usual_step(times: Sequence[float | None]) -> float:
+    """Return the mean step of times; infinite for fewer than two."""
+    known = [time for time in times if time is not None]
+    return (known[-1] - known[0]) / (len(known) - 1) if len(known) > 1 else math.inf
+
+
+def _check_segment(segment: _Segment, first: _Segment, where: str) -> None:
+    place = f"{where}, line {segment.lines[0]}"
+    source.check_size(len(segment.rows), len(segment.names), where)
+    if segment.names != first.names:
+        others, names = source.shorten(segment.names), source.shorten(first.names)
+        what = f"a segment has the channels {others}, the first one {names}"
+        raise InputError(what, place, "export segments with equal channels")
+    for dimension in segment.tags.get("X_Dimension", []):
+        if dimension not in ("", "Time"):
+            what = f"X_Dimension is {dimension[:40]!r}: the X values are not times"
+            raise InputError(what, place, "export the signal against time")
 
 
 def _is(line: str, tag: str, separator: str) -> bool:
@@ -114,8 +140,8 @@ def _tags(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
     return tags
 
 
-def _segments(lines: Sequence[str], at: int, separator: str) -> list[_Segment]:
-    """Return the segments in the lines from one on."""
+def _segments(lines: Sequence[str], at: int, separator: str, where: str) -> list[_Segment]:
+    cells_kept = 0
     segments: list[_Segment] = []
     header: list[str] = []
     special = named = False
@@ -133,10 +159,13 @@ def _segments(lines: Sequence[str], at: int, separator: str) -> list[_Segment]:
         elif _is(line, _COLUMNS, separator) and not named:
             names = [name.strip() for name in line.rstrip(separator).split(separator)]
             names = names[:-1] if names[-1] == "Comment" else names
+            source.check_size(1, len(names), where)
             segments.append(_Segment(_tags(header, separator), names, [], []))
             named = True
         elif named:
             width = len(segments[-1].names)
+            cells_kept += width
+            source.check_size(cells_kept, 1, where)
             cells = [*line.split(separator), *[""] * width]  # a line of a shorter channel, or without a comment
             segments[-1].rows.append(cells[:width])
             segments[-1].lines.append(number)
@@ -150,43 +179,89 @@ def _decimal(cells: Sequence[str]) -> str:
     return "," if commas else "."
 
 
-def _columns(segment: _Segment) -> list[str]:
-    """Return the names of the columns with their units: the times first."""
-    tags = segment.tags
-    dimension = tags.get("X_Dimension", ["Time"])[0] or "Time"
-    x_name = "Time (s)" if dimension == "Time" else dimension
-    units = tags.get("Y_Unit_Label", [])
-    names = []
-    for k, name in enumerate(segment.names):
-        if name == _COLUMNS:
-            names += [x_name] if k == 0 else []
-            continue
-        unit = units[k - 1] if k <= len(units) else ""
+def _columns(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[str], list[int | None]]:
+    """Return the names of the columns with their units, and of each channel the column with its times.
+
+    The times come first: one column where they are the same, else one for each channel.
+    """
+    units = segment.tags.get("Y_Unit_Label", [])
+    channels = [(place, name) for place, name in enumerate(segment.names) if name != _COLUMNS]
+    count = len({clock for clock, _ in _clocks(segment, kind, decimal, where)})
+    names = ["Time (s)"] if count == 1 else [f"Time {number + 1} (s)" for number in range(count)]
+    clocks: list[int | None] = [None] * count
+    for (_, name), (clock, place) in zip(channels, _clocks(segment, kind, decimal, where), strict=True):
+        unit = units[place] if place < len(units) else ""
         names.append(f"{name} ({unit})" if unit else name)
-    return names
+        clocks.append(clock)
+    return names, clocks
 
 
-def _with_times(segment: _Segment, kind: str, decimal: str, where: str) -> list[list[str]]:
-    """Return the rows of a segment, each with one time before its channels."""
+def _clocks(segment: _Segment, kind: str, decimal: str, where: str) -> list[tuple[int, int]]:
+    """Return of each channel the number of its clock, and its number among the channels' tags."""
+    channels = [place for place, name in enumerate(segment.names) if name != _COLUMNS]
     if kind == "No":
-        begin, step = (_first(segment.tags, tag, decimal) for tag in ("X0", "Delta_X"))
+        waveforms = _waveforms(segment, len(channels), decimal, where)
+        distinct = list(dict.fromkeys(waveforms))
+        return [(distinct.index(waveform), number) for number, waveform in enumerate(waveforms)]
+    if kind != "Multi":
+        return [(0, place - 1) for place in channels]
+    times: list[int] = []
+    clocks = []
+    for place in channels:
+        column = _times_before(segment, place)
+        clock = next((index for index, other in enumerate(times) if _agree(segment, column, other)), len(times))
+        times += [column] if clock == len(times) else []
+        clocks.append((clock, place - 1))
+    return clocks
+
+
+def _times_before(segment: _Segment, channel: int) -> int:
+    """Return the column of X values before a channel."""
+    return max(place for place, name in enumerate(segment.names[:channel]) if name == _COLUMNS)
+
+
+def _agree(segment: _Segment, column: int, other: int) -> bool:
+    """Return whether two columns hold the same times; of a shorter channel the last are missing."""
+    pairs = ((row[column].strip(), row[other].strip()) for row in segment.rows)
+    return column == other or all(one == two or not one or not two for one, two in pairs)
+
+
+def _waveforms(segment: _Segment, channels: int, decimal: str, where: str) -> list[tuple[float, float]]:
+    """Return X0 and Delta_X of each channel."""
+    found = []
+    for number in range(channels):
+        begin, step = (_tag(segment.tags, tag, number, decimal) for tag in ("X0", "Delta_X"))
         if begin is None or not step:
             what = "has neither a column of X values nor X0 and Delta_X"
             raise InputError(what, f"{where}, line {segment.lines[0]}", "export it with X_Columns One")
-        return [[repr(begin + k * step).replace(".", decimal), *row[1:]] for k, row in enumerate(segment.rows)]
-    others = [k for k, name in enumerate(segment.names) if name == _COLUMNS and k]
-    if not others:
-        return segment.rows
-    for row, line in zip(segment.rows, segment.lines, strict=True):
-        times = {row[k].strip() for k in (0, *others) if row[k].strip()}
-        if len(times) > 1:
-            what = f"the channels have different times, {' and '.join(map(short, sorted(times)[:2]))}"
-            raise InputError(what, f"{where}, line {line}", "export it with X_Columns One")
-    return [[cell for k, cell in enumerate(row) if k not in others] for row in segment.rows]
+        found.append((begin, step))
+    return found
 
 
-def _first(tags: dict[str, list[str]], tag: str, decimal: str) -> float | None:
-    return layout.number(tags.get(tag, [""])[0], decimal)
+def _with_times(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[list[str]], list[int]]:
+    """Return the rows of a segment, with the columns of times before the channels, and where measurements begin."""
+    channels = [place for place, name in enumerate(segment.names) if name != _COLUMNS]
+    if kind == "No":
+        distinct = list(dict.fromkeys(_waveforms(segment, len(channels), decimal, where)))
+        samples = _tag(segment.tags, "Samples", 0, decimal) or 0.0
+        size = int(samples) if 0 < samples < len(segment.rows) else len(segment.rows)
+        rows = [
+            [*(repr(begin + row % size * step).replace(".", decimal) for begin, step in distinct), *cells[1:]]
+            for row, cells in enumerate(segment.rows)
+        ]
+        return rows, list(range(0, len(rows), size))
+    if kind != "Multi":
+        return segment.rows, [0]
+    clocks = _clocks(segment, kind, decimal, where)
+    first = {clock: place for (clock, _), place in reversed(list(zip(clocks, channels, strict=True)))}
+    times = [_times_before(segment, first[clock]) for clock in sorted(first)]
+    return [[row[place] for place in (*times, *channels)] for row in segment.rows], [0]
+
+
+def _tag(tags: dict[str, list[str]], tag: str, number: int, decimal: str) -> float | None:
+    """Return a channel's number under a tag; the first channel's where there is only one."""
+    values = tags.get(tag, [""])
+    return layout.number(values[min(number, len(values) - 1)], decimal)
 
 
 def _stamp(tags: dict[str, list[str]]) -> tuple[int, float] | None:

@@ -14,13 +14,17 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import date
 
-from daq.base import units
+from stickslip import units
 
+TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")
+POSITION_NAMES = ("x", "position", "pos", "displacement", "distance", "weg", "ort", "auslenkung")
 # Delimiter and decimal sign; " " is any run of blanks.
 CANDIDATES = tuple((d, s) for d in "\t;, |" for s in ".," if (d, s) != (",", ","))
 FORMAT_LINES = 400  # lines from which delimiter and decimal sign are found; of a longer file, evenly spaced
 LOGGED = ("time", "length", "speed", "force", "rate")  # dimensions in a line of units; no mass: t is a time's name
+YEAR_DIGITS, MONTHS = 4, 12
 LONGEST_NUMBER = 1000  # characters; the time that `float` takes for one grows with their square
 ALIKE = 3  # lines that must look like data below a header for what stands above it to be a preamble
 
@@ -28,6 +32,7 @@ ALIKE = 3  # lines that must look like data below a header for what stands above
 _NUMBER = re.compile(r"[+-]?+(?:(?:\d++\.?+\d*+|\.\d++)(?>[eE][+-]?+\d++)?+|nan|inf(?>inity)?+)", re.IGNORECASE)
 _PLAIN = r"[ \t]*+[+-]?+(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?>[eE][+-]?+[0-9]++)?+[ \t]*+"
 _PLAIN_NUMBERS = re.compile(rf"{_PLAIN}(?>\n{_PLAIN})*+")
+_DATE = re.compile(r"(\d++)([-/.])(\d++)[-/.](\d++)")
 _CLOCK = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?>[.,]\d*+)?+)")
 _TIMECODE = re.compile(r"\d{1,2}(?::[0-5]\d){2}:\d{2,3}")
 _DATE_END = re.compile("[T ]")
@@ -59,9 +64,34 @@ def plain_numbers(cells: Sequence[str], decimal: str) -> list[float] | None:
     return list(map(float, text.split("\n")))
 
 
+def time_of(cell: str) -> str:
+    """Return the part of a cell behind a date."""
+    return _DATE_END.split(cell.strip())[-1]
+
+
+def day(cell: str) -> int | None:
+    """Return the date before a time of day as a number of days; None without one that can be read.
+
+    Of 25.03.2026 the day comes first, of 03/25/2026 the month; where both are possible, points mean the day.
+    """
+    parts = _DATE.match(cell.strip()) if len(cell) <= LONGEST_NUMBER else None
+    if parts is None:
+        return None
+    first, mark, middle, last = parts.groups()
+    year, number, month = (first, last, middle) if len(first) == YEAR_DIGITS else (last, first, middle)
+    if len(year) != YEAR_DIGITS or max(len(number), len(month)) > 2:
+        return None
+    if year == last and (int(month) > MONTHS or (mark != "." and int(number) <= MONTHS)):
+        number, month = month, number
+    try:
+        return date(int(year), int(month), int(number)).toordinal()
+    except ValueError:
+        return None
+
+
 def clock(cell: str) -> float | None:
-    """Return a time of day such as 12:00:00.000 in seconds since midnight, or None; a date before it is ignored."""
-    parts = _CLOCK.fullmatch(_DATE_END.split(cell.strip())[-1]) if len(cell) <= LONGEST_NUMBER else None
+    """Return a time of day such as 12:00:00.000 in seconds since midnight, or None; `day` reads a date before it."""
+    parts = _CLOCK.fullmatch(time_of(cell)) if len(cell) <= LONGEST_NUMBER else None
     if parts is None:
         return None
     hours, minutes, seconds = parts.groups()
@@ -171,10 +201,7 @@ def find_start(texts: Sequence[str], delimiter: str, decimal: str, width: int) -
 def name_columns(head: Sequence[str], delimiter: str, width: int) -> tuple[str, ...] | None:
     """Return the names in the lines above the data; a line of units below them is added to them.
 
-    Returns
-    -------
-    tuple of str or None
-        Empty where the last line is free text; None where it names another number of columns.
+    Returns: Empty where the last line is free text; None where it names another number of columns.
     """
     if not head:
         return ()
@@ -183,10 +210,16 @@ def name_columns(head: Sequence[str], delimiter: str, width: int) -> tuple[str, 
         return () if len(cells) == 1 and width > 1 else None
     above = tuple(cell.strip() for cell in header(head[-2], delimiter, width)) if len(head) > 1 else ()
     bare = [cell.strip("()[] ") for cell in cells]
-    if len(above) == width and all(above) and any(bare) and all(not unit or _is_unit(unit) for unit in bare):
+    if len(above) == width and all(above) and _are_units(bare, above):
         return tuple(f"{name} ({unit})" if unit else name for name, unit in zip(above, bare, strict=True))
     return cells
 
 
-def _is_unit(text: str) -> bool:
-    return text in ("-", "1") or any(units.known(text, dimension) for dimension in LOGGED)
+def _are_units(cells: Sequence[str], above: Sequence[str]) -> bool:
+    """Return whether a line holds the units of the names above it: at least two are known, or one below a known name.
+
+    The others are units that cannot be converted, such as V, or of columns without one.
+    """
+    known = sum(any(units.known(cell, dimension) for dimension in LOGGED) for cell in cells)
+    named = any(name.lower() in TIME_NAMES + POSITION_NAMES for name in above)
+    return known > 1 or (known == 1 and named)

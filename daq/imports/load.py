@@ -5,7 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import InputError, in_python, nearest
+from stickslip.errors import InputError, in_python, nearest
 
 if TYPE_CHECKING:
     from daq.imports.options import ImportOptions
@@ -88,13 +88,10 @@ def _is_run(path: Path) -> bool:
 def _options(given: dict[str, Any]) -> "ImportOptions":
     """Return the options of an import as a caller states them.
 
-    Raises
-    ------
-    InputError
-        For a keyword that is none, naming the nearest, or a value that it cannot have.
+    Raises InputError: for a keyword that is none, naming the nearest, or a value that it cannot have.
     """
-    from daq.base import units
     from daq.imports.options import ImportOptions
+    from stickslip import units
 
     known = {field.name for field in fields(ImportOptions)}
     options: dict[str, Any] = {}

@@ -5,9 +5,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from daq.base.console import flags
-from daq.base.console.rig_flags import RigFlags
-from daq.base.measured import Measured
+from stickslip.console import flags
+from stickslip.console.rig_flags import RigFlags
+from stickslip.units import Measured
 
 
 @Parameter(name="*")
@@ -45,6 +45,10 @@ class ImportOptions(RigFlags):
     ] = None
     clock: Annotated[bool, Parameter(negative=(), help="Times are times of day, 12:00:00.000.")] = False
     sheet: Annotated[str | None, Parameter(help="Sheet of a workbook (.xlsx), if several hold a table.")] = None
+    segment: Annotated[
+        int | None,
+        Parameter(help="Which measurement of a file that holds several, from 1; 0 reads all of them as one record."),
+    ] = None
     preamble: Annotated[int, Parameter(help="Lines to skip above the header.")] = 0
     skip_bad: Annotated[bool, Parameter(negative=(), help="Leave out lines that cannot be read, and count them.")] = (
         False

@@ -5,20 +5,18 @@ Asked only of columns whose unit nobody stated, and only of tables long enough t
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.imports.table import Table
+from daq.runfile.run_data import FEWEST_ROWS, implausible_motion
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
-# No mass on a spring in a laboratory is as fast, or moves as far.  The thesis's rig reaches 0.6 m/s and 0.3 m, so that
-# its track in cm (60 m/s, 30 m) and in mm is asked about.  Halved, a fast rig of 5 m/s would be asked; doubled, a slow
-# one in cm (0.15 m/s, 0.2 m) is not.
-FASTEST_M_PER_S, LONGEST_M = 10.0, 10.0
 SLOWEST_S = (
     0.5  # between samples: 400 frames/s in ms are 2.5, 1 kHz in ms is 1; a record with fewer than 2 samples/s is rare
 )
-FEWEST_ROWS = 100  # samples; nothing is asked of a shorter table, which is too short to be fitted
 FARTHEST_M = 1e6  # a larger position is a typing error or a wrong unit
-SPANS = 200  # pieces that the record is cut into to measure its speed: noise between neighbours is none
+GAP = 100.0  # steps: a longer one is reported as a gap
+HOUR_S = 3600.0
+MOST_ROUNDINGS = 3.0  # longest steps of rounded times by which they may differ from even ones
 
 
 def check_range(values: Array, most: float, cells: Table, column: int, unit: str, flag: str) -> None:
@@ -36,13 +34,46 @@ def check_range(values: Array, most: float, cells: Table, column: int, unit: str
 def check_increasing(time: Array, cells: Table, column: int) -> None:
     """Refuse times that do not increase, naming the first line."""
     wrong = np.flatnonzero(np.diff(time) <= 0)
-    if wrong.size:
-        row = int(wrong[0]) + 1
-        raise InputError(
-            f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s",
-            cells.place(cells.lines[row], column),
-            "delete or correct that line; if these are not times, choose the column by --time",
-        )
+    if not wrong.size:
+        return
+    row = int(wrong[0]) + 1
+    what = f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s"
+    do = "delete or correct that line; if these are not times, choose the column by --time"
+    if row == 1 and wrong.size == 1:
+        do += f"; if the table begins here, give --preamble {cells.lines[0]}"
+    if wrong.size > 1 and np.all(np.diff(time) >= 0):
+        rate = (time.size - 1) / (time[-1] - time[0])
+        what += f"; {wrong.size} lines repeat a time, which is rounded too coarsely"
+        do = f"number the samples evenly: --frame-rate '{rate:.4g} Hz', or your board's exact rate"
+    raise InputError(what, cells.place(cells.lines[row], column), do)
+
+
+def number_evenly(time: Array, rate_hz: float, cells: Table, column: int, warnings: list[str]) -> Array:
+    """Return even times in place of rounded ones that repeat, where they agree with a stated sample rate.
+
+    Raises InputError: samples are missing, or the rate is another.
+    """
+    even: Array = time[0] + np.arange(time.size) / rate_hz
+    rounding = float(np.max(np.diff(time)[np.diff(time) > 0], initial=0.0))
+    worst = int(np.argmax(np.abs(time - even)))
+    if abs(time[worst] - even[worst]) > MOST_ROUNDINGS * rounding:
+        what = f"{cells.label(column)} differs by {time[worst] - even[worst]:.3g} s from even samples at {rate_hz:g} Hz"
+        do = "check --frame-rate; where samples are missing, record times with more digits"
+        raise InputError(what, cells.place(cells.lines[worst], column), do)
+    warnings.append(f"{cells.label(column)} repeats times; the samples were numbered evenly at {rate_hz:g} Hz")
+    return even
+
+
+def describe_gap(time: Array, cells: Table, *, clock: bool) -> list[str]:
+    """Return a warning that names the longest gap, where it is far longer than the steps."""
+    step = np.diff(time)
+    row = int(np.argmax(step))
+    if step[row] <= GAP * np.median(step):
+        return []
+    hours = round(step[row] / HOUR_S)
+    summer = clock and hours and abs(step[row] - hours * HOUR_S) <= GAP * np.median(step)
+    why = "; did the clock change (summer time)?" if summer else ""
+    return [f"a gap of {step[row]:.6g} s without samples before line {cells.lines[row + 1]}{why}"]
 
 
 def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
@@ -61,24 +92,13 @@ def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
 def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int, force: bool) -> None:
     """Raise InputError when positions that were taken for metres, or forces for newtons, can hardly be.
 
-    Parameters
-    ----------
-    time, position : array of shape (n,)
-        s, m.
-    cells, column : Table, int
-        Where the positions come from, for the message.
-    force : bool
-        Whether they were made of forces.
+    time, position: s, m.
+    cells, column: Where the positions come from, for the message.
+    force: Whether they were made of forces.
     """
-    if time.size < FEWEST_ROWS:
+    moved = implausible_motion(time, position)
+    if moved is None:
         return
-    low, high = np.percentile(position, [1, 99])  # a single wild sample is a fault, not a unit
-    lag = max(1, time.size // SPANS)
-    speed = float(np.percentile(np.abs(position[lag:] - position[:-lag]) / (time[lag:] - time[:-lag]), 90))
-    travel = float(high - low)
-    if speed <= FASTEST_M_PER_S and travel <= LONGEST_M:
-        return
-    moved = f"the mass would move {travel:.3g} m, at {speed:.3g} m/s"
     if force:
         what = f"the unit of the forces is not known: none is stated, and in N {moved}"
         do = "give it: --force-unit mN? --force-unit kgf? (--force-unit N if they are newtons)"

@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import runs
-from daq.base.errors import InputError
-from daq.base.output import provenance
-from daq.base.toml import quoted
 from daq.imports import capture as decode
 from daq.imports import sigrok
-from daq.runfile import belt_counter, store
+from daq.runfile import belt_counter, provenance, store
 from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, SentAs, lost_samples, positions
+from daq.runfile.regular import regular_file
 from daq.runfile.rig import Rig
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
+from stickslip.compute.arrays import runs
+from stickslip.errors import InputError
+from stickslip.toml import quoted
 
 HOST_FLAGS = {
     "illegal": counters.FLAG_ILLEGAL,
@@ -36,17 +36,10 @@ HOST_FLAGS = {
 def kind_of(source: Path) -> str:
     """Return "journal", "run" or "capture" by a file's first bytes.
 
-    Raises
-    ------
-    InputError
-        When it is none of them, or missing.
+    Raises InputError: when it is none of them, or missing.
     """
     where = str(source)
-    if not source.exists():
-        raise InputError("no such file", where, "check the path")
-    if source.is_dir():
-        raise InputError("is a folder", where, "give a journal, a run file or a .sr capture")
-    with source.open("rb") as stream:
+    with regular_file(source, "give a journal, a run file or a .sr capture") as stream:
         head = stream.read(32)
     kinds = {b"stickslip journal": "journal", b"\x89HDF\r\n\x1a\n": "run", b"PK": "capture"}
     for magic, kind in kinds.items():
@@ -158,21 +151,11 @@ def from_capture(
 ) -> tuple[Recording, decode.Totals]:
     """Sample a capture as a board would.
 
-    Parameters
-    ----------
-    capture, wired
-        The capture and its wiring.
-    rate_hz : float
-        Sample rate of the board, at most the capture's own.
-    rig : Rig
-        Calibration; without metres per count the run's positions are counts.
-    progress : callable
-        Called with the number of capture samples done.
-
-    Raises
-    ------
-    InputError
-        When the capture does not state its rate, or is slower than ``rate_hz``.
+    capture, wired: The capture and its wiring.
+    rate_hz: Sample rate of the board, at most the capture's own.
+    rig: Calibration; without metres per count the run's positions are counts.
+    progress: Called with the number of capture samples done.
+    Raises InputError: when the capture does not state its rate, or is slower than ``rate_hz``.
     """
     where = str(capture.path)
     if capture.rate_hz is None:

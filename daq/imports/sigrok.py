@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import InputError, nearest
+from daq.runfile.regular import regular_file
+from stickslip.errors import InputError, nearest
 
 MOST_METADATA = 1 << 20  # bytes; a capture of 16 channels has 500
 PIECE = 1 << 18  # bytes read at a time; what is made of larger pieces is given back to the system each time
@@ -34,41 +35,21 @@ _PREFIX = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
 
 @dataclass(frozen=True)
 class Capture:
-    """A capture, its samples still on disk.
+    """A capture, its samples still on disk."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    probes : dict of int to str
-        Name of each probe by its bit.
-    unitsize : int
-        Bytes a sample.
-    rate_hz : float or None
-        Sample rate; None where the metadata do not state it.
-    samples : int
-        How many.
-    stamp : tuple of int
-        Year, month, day, hour, minute, second at which the capture was written, in a zone that the file does not state.
-    entries : tuple of str
-        Names of the zip entries with the samples, in order.
-    """
-
-    path: Path
-    probes: dict[int, str]
-    unitsize: int
-    rate_hz: float | None
-    samples: int
+    path: Path  # the file
+    probes: dict[int, str]  # name of each probe by its bit
+    unitsize: int  # bytes a sample
+    rate_hz: float | None  # sample rate; None where the metadata do not state it
+    samples: int  # how many
+    # Year, month, day, hour, minute, second at which the capture was written, in a zone that the file does not state
     stamp: tuple[int, int, int, int, int, int]
-    entries: tuple[str, ...]
+    entries: tuple[str, ...]  # names of the zip entries with the samples, in order
 
     def bit(self, probe: str, flag: str) -> int:
         """Return the bit of a probe called by name or index.
 
-        Raises
-        ------
-        InputError
-            For an unknown probe, listing the capture's probes.
+        Raises InputError: for an unknown probe, listing the capture's probes.
         """
         for bit, name in self.probes.items():
             if name == probe:
@@ -83,10 +64,7 @@ class Capture:
     def levels(self, *bits: int) -> Iterator[NDArray[np.uint8]]:
         """Yield the samples chunk by chunk: bit i of each value is the level of the i-th probe asked for.
 
-        Raises
-        ------
-        InputError
-            When the file turns out to be damaged or ends within a sample.
+        Raises InputError: when the file turns out to be damaged or ends within a sample.
         """
         rest = b""
         with _zip(self.path) as archive:
@@ -111,10 +89,7 @@ def _pick(data: NDArray[np.uint8], bits: tuple[int, ...], unitsize: int) -> NDAr
 def read(path: Path) -> Capture:
     """Read the metadata of a capture; its samples stay on disk.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, no zip, cut short, has no metadata, no logic samples or no probes.
+    Raises InputError: when the file is missing, no zip, cut short, has no metadata, no logic samples or no probes.
     """
     where = str(path)
     with _zip(path) as archive:
@@ -145,12 +120,8 @@ def read(path: Path) -> Capture:
 @contextmanager
 def _zip(path: Path) -> Iterator[zipfile.ZipFile]:
     where = str(path)
-    if not path.exists():
-        raise InputError("no such file", where, "check the path")
-    if path.is_dir():
-        raise InputError("is a folder", where, "give the .sr file in it")
     try:
-        with zipfile.ZipFile(path) as archive:
+        with regular_file(path, "give the .sr file in it") as file, zipfile.ZipFile(file) as archive:
             yield archive
     except DAMAGE as error:
         if isinstance(error, OSError) and error.errno != errno.EINVAL:

@@ -1,24 +1,27 @@
 """A table of numbers in a text file, as cameras, trackers and spreadsheets write it.
 
-Found, not asked for: encoding (UTF-8, UTF-16 with a mark, else Windows-1252), line ends, comment lines (``#``, ``%``,
-``//``), and the layout (`daq.imports.layout`).  A line with any number in it is data, unless it is part of a preamble:
-from there on every line must be, or is left out on request and counted.
+Detected: encoding (UTF-8, UTF-16 with a mark, else Windows-1252), line ends, comment lines (``#``, ``%``, ``//``), the
+time stamps that a serial monitor puts before each line, and the layout (`daq.imports.layout`).  A line with any number
+in it is data, unless it is part of a preamble: from there on every line must be, or is left out on request and counted.
+A line that repeats the header begins another measurement.
 """
 
+import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError, in_python
-from daq.imports import layout
+from daq.imports import layout, source
+from daq.imports.source import Parsed, Source
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError, in_python
 
 DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar"}
-COMMENTS = ("#", "%", "//")
+COMMENTS = ("#", "%", "//", "=~=~")  # the last begins the log of a terminal program
 HDF5 = b"\x89HDF\r\n\x1a\n"  # how such a file begins, a run file among them
 # A column, what makes a number of its cells (None where it cannot), and what a cell should be.
 ColumnReader = tuple[int, Callable[[str], float | None], str]
@@ -28,6 +31,7 @@ LISTED = 5  # lines named in a message about many
 # Characters.  A table of 4000 columns has lines of half of it; at twice, a file that is no table takes a second to be
 # found out, since every delimiter and decimal sign is tried on each line.
 LONGEST_LINE = 100_000
+_STAMP = re.compile(r"\d{2}:\d{2}:\d{2}\.\d{3} -> ")  # of the serial monitor of Arduino, before each line
 
 
 @dataclass(frozen=True)
@@ -40,43 +44,25 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Table:
-    """The cells of a table, not yet numbers.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    names : tuple of str
-        The header; empty without one.
-    rows : list of sequence of str
-        The cells of each line of data.
-    lines : list of int
-        Line number of each row in the file, from 1.
-    width : int
-        Number of columns, that of most lines.
-    delimiter, decimal : str
-        As found.
-    header_line : int
-        Line number of the header; 0 without one.
-    kind : str
-        What the file is, "LabVIEW", "MATLAB", "TDMS" or "workbook"; "" for a text file of any program.
-    recorded : str
-        When it was recorded, as the file says it; "" where it does not.
-    comments : tuple of str
-        The comment lines above the data, the nearest first.
-    """
+    """The cells of a table, not yet numbers."""
 
     path: Path
-    names: tuple[str, ...]
-    rows: list[Sequence[str]]
-    lines: list[int]
-    width: int
+    names: tuple[str, ...]  # the header; empty without one
+    rows: list[Sequence[str]]  # the cells of each line of data
+    lines: list[int]  # line number of each row in the file, from 1
+    width: int  # columns, as most lines have
     delimiter: str
     decimal: str
-    header_line: int = 0
-    kind: str = ""
-    recorded: str = ""
-    comments: tuple[str, ...] = ()
+    header_line: int = 0  # 0 without a header
+    kind: str = ""  # "LabVIEW", "MATLAB", "TDMS" or "workbook"; "" for a text file of any program
+    recorded: str = ""  # when it was recorded, as the file says it
+    comments: tuple[str, ...] = ()  # the comment lines above the data, the nearest first
+    sha256: str = ""  # of the file
+    modified_s: float = 0.0  # time of the file's last change, s since 1970
+    clocks: tuple[int | None, ...] = ()  # of each column the one with its times, where the file says so
+    starts: tuple[int, ...] = (0,)  # first row of each measurement
+    left_out: str = ""  # names of columns of another length
+    beside: tuple[int, ...] = ()  # lines with nothing but cells beside the table, which are not rows of it
 
     @property
     def delimiter_name(self) -> str:
@@ -90,7 +76,7 @@ class Table:
     @property
     def listed(self) -> str:
         """The names of the columns, for messages; empty without a header."""
-        return ", ".join(short(name)[1:-1] for name in self.names)
+        return source.shorten(self.names) + (f" (of another length: {self.left_out})" if self.left_out else "")
 
     def place(self, line: int, column: int | None = None) -> str:
         """Return where a line, or a cell of it, stands in the file, for messages."""
@@ -102,28 +88,67 @@ class Table:
         value = layout.number(cell, self.decimal)
         return None if value is None or value - value != 0 else value
 
+    @classmethod
+    def of_columns(cls, path: Path, parsed: Parsed, kind: str) -> "Table":
+        """Return the table of the columns that have the usual length, with their waveforms' times before them."""
+        length = source.usual_length(parsed.columns)
+        columns = [column for column in parsed.columns if column.values.size == length]
+        clocks = list(dict.fromkeys(column.clock for column in columns if column.clock is not None))
+        names = ["Time (s)"] if len(clocks) == 1 else []
+        for clock in clocks if len(clocks) > 1 else ():
+            first = next(column.name for column in columns if column.clock == clock)
+            names.append(f"Time of {first.split(' (')[0]} (s)")
+        cells = [list(map(repr, (begin + step * np.arange(length)).tolist())) for begin, step in clocks]
+        cells += [list(map(repr, column.values.tolist())) for column in columns]
+        names += [column.name for column in columns]
+        return cls(
+            path,
+            tuple(names),
+            list(zip(*cells, strict=True)),
+            list(range(1, length + 1)),
+            len(names),
+            "",
+            ".",
+            kind=kind,
+            recorded=parsed.recorded,
+            sha256=parsed.sha256,
+            modified_s=parsed.modified_s,
+            clocks=(
+                *[None] * len(clocks),
+                *(None if column.clock is None else clocks.index(column.clock) for column in columns),
+            ),
+            left_out=source.shorten(column.name for column in parsed.columns if column.values.size != length),
+        )
+
+    def segment(self, number: int | None) -> "Table":
+        """Return one of the measurements, from 1, or all as one record (0); None: the only one.
+
+        Raises InputError: there is no such measurement, or several and none was chosen.
+        """
+        count = len(self.starts)
+        if number is None and count > 1:
+            begins = source.shorten(f"line {self.lines[start]}" for start in self.starts)
+            what = f"holds {count} measurements, which begin at {begins}"
+            do = f"choose one with --segment 1 to --segment {count}; --segment 0 reads them as one record"
+            raise InputError(what, str(self.path), do)
+        if number is None or number == 0:
+            return self
+        if not 1 <= number <= count:
+            what = f"--segment {number}: the file holds {count} measurement{'s' if count > 1 else ''}"
+            raise InputError(what, str(self.path), f"choose 1 to {count}" if count > 1 else "leave it out")
+        chosen = slice(*[*self.starts, len(self.rows)][number - 1 : number + 1])
+        return replace(self, rows=self.rows[chosen], lines=self.lines[chosen], starts=(0,))
+
     def columns(
         self, readers: Sequence[ColumnReader], *, skip: bool, progress: Stages = silent
     ) -> "tuple[Array, Table, tuple[Skipped, ...]]":
         """Return columns as numbers.
 
-        Parameters
-        ----------
-        readers : sequence of ColumnReader
-        skip : bool
-            Leave out the lines that cannot be read, instead of refusing them.
-        progress : callable
-            Called with the stage, the lines done, and all lines.
-
-        Returns
-        -------
-        array of shape (columns, n), Table, tuple of Skipped
-            The numbers; the table of the lines that they were read from; the lines left out.
-
-        Raises
-        ------
-        InputError
-            For a line of another length or a cell that cannot be read, naming line and column, and how many there are.
+        skip: Leave out the lines that cannot be read, instead of refusing them.
+        progress: Called with the stage, the lines done, and all lines.
+        Returns: The numbers; the table of the lines that they were read from; the lines left out.
+        Raises InputError: for a line of another length or a cell that cannot be read, naming line and column, and how
+            many there are.
         """
         values: list[Array] = []
         kept: list[int] = []
@@ -177,14 +202,16 @@ class Table:
         return values if np.isfinite(values).all() else None
 
 
-def listed(bad: Sequence[Skipped]) -> str:
+def listed(lines: Sequence[int]) -> str:
     """Return the numbers of the first few lines: ``3, 4, 9 and 12 more``."""
-    more = f" and {len(bad) - LISTED} more" if len(bad) > LISTED else ""
-    return ", ".join(str(one.line) for one in bad[:LISTED]) + more
+    more = f" and {len(lines) - LISTED} more" if len(lines) > LISTED else ""
+    return ", ".join(map(str, lines[:LISTED])) + more
 
 
 def _bad_lines(bad: Sequence[Skipped]) -> str:
-    return bad[0].what + (f"; {len(bad)} lines cannot be read: {listed(bad)}" if len(bad) > 1 else "")
+    return bad[0].what + (
+        f"; {len(bad)} lines cannot be read: {listed([each.line for each in bad])}" if len(bad) > 1 else ""
+    )
 
 
 def _advice(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> tuple[str, str]:
@@ -202,49 +229,43 @@ def short(cell: str) -> str:
 
 
 def read(path: Path, preamble: int = 0, progress: Stages = silent) -> Table:
-    """Read a table of numbers.
+    """Read a table of numbers; ``preamble`` is how many lines at its top to pass over."""
+    file = source.read(path)
+    cells = of_lines(path, enumerate(text_of(file).split("\n"), start=1), preamble, progress)
+    return replace(cells, sha256=file.sha256, modified_s=file.modified_s)
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    preamble : int
-        How many lines at its top to pass over.
-    progress : callable
-        Called with the stage, the lines done, and all lines.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, not text or empty, has a line longer than `LONGEST_LINE`, or a header that names
-        another number of columns than the lines have.
+def of_lines(
+    path: Path,
+    numbered: Iterable[tuple[int, str]],
+    preamble: int = 0,
+    progress: Stages = silent,
+    named: str | None = None,
+) -> Table:
+    """Return the table in numbered lines; ``named`` is the delimiter, where it is known.
+
+    Raises InputError: there are no numbers, a line is longer than `LONGEST_LINE`, or the header names another number of
+        columns than the lines have.
     """
-    return of_lines(path, text_of(path).split("\n"), preamble, progress)
-
-
-def of_lines(path: Path, lines_of_file: Sequence[str], preamble: int = 0, progress: Stages = silent) -> Table:
-    """Return the table in the lines of a file; arguments and errors as of `read`."""
-    lines, comments, named = _kept(path, lines_of_file, preamble, progress)
+    lines, comments, own = _kept(path, numbered, preamble, progress)
+    named = own if named is None else named
     texts = [text for _, text in lines]
+    if all(_STAMP.match(text) for text in texts):
+        texts = [_STAMP.sub("", text, count=1) for text in texts]
     delimiter, decimal = layout.find_format(texts, named)
-    rows: list[Sequence[str]] = []
-    data = []
-    for begin in range(0, len(texts), TOGETHER):
-        progress("splitting lines", begin, len(texts))
-        rows += [layout.split(text, delimiter) for text in texts[begin : begin + TOGETHER]]
-        some = rows[begin : begin + TOGETHER]
-        if layout.plain_numbers([row[0] if row else "" for row in some], decimal) is None:
-            some = [row for row in some if any(layout.number(cell, decimal) is not None for cell in row)]
-        data += some
-    if data and all(len(row) > 1 and not row[-1].strip() for row in data):
+    rows, data = _split(texts, delimiter, decimal, progress)
+    if data and delimiter != " " and all(len(row) > 1 and not row[-1].strip() for row in data):
         # Every line closes with a delimiter.
-        rows = [row[:-1] if len(row) > 1 and not row[-1].strip() else row for row in rows]
-        data = [row[:-1] for row in data]
+        texts = [
+            text.rstrip()[:-1] if text.rstrip().endswith(delimiter.strip() or delimiter) else text for text in texts
+        ]
+        rows, data = _split(texts, delimiter, decimal, silent)
     if not data:
         raise InputError("holds no numbers", str(path), "give a CSV with a column of positions")
     width = Counter(map(len, data)).most_common(1)[0][0]
+    source.check_size(len(data), width, str(path))
     start = layout.find_start(texts, delimiter, decimal, width)
-    head = [text for _, text in lines[:start]]
+    head = texts[:start]
     names = layout.name_columns(head, delimiter, width)
     if names is None:
         count = len(layout.header(head[-1], delimiter, width))
@@ -254,25 +275,68 @@ def of_lines(path: Path, lines_of_file: Sequence[str], preamble: int = 0, progre
             "separate columns by semicolons if numbers have decimal commas",
         )
     header_line = lines[start - 1][0] if names else 0
-    numbers = [line for line, _ in lines[start:]]
-    above = tuple(text for line, text in reversed(comments) if line < numbers[0])
-    return Table(path, names, rows[start:], numbers, width, delimiter, decimal, header_line, comments=above)
+    first_line = lines[start][0]
+    above = tuple(text for line, text in reversed(comments) if line < first_line)
+    kept, starts, beside = _measurements(rows, start, head, delimiter, width)
+    return Table(
+        path,
+        names,
+        [rows[index] for index in kept],
+        [lines[index][0] for index in kept],
+        width,
+        delimiter,
+        decimal,
+        header_line,
+        comments=above,
+        starts=starts,
+        beside=tuple(lines[index][0] for index in beside),
+    )
 
 
-def text_of(path: Path) -> str:
-    """Return the text of a file, its lines ended by line feeds.
+def _split(
+    texts: Sequence[str], delimiter: str, decimal: str, progress: Stages
+) -> tuple[list[Sequence[str]], list[Sequence[str]]]:
+    """Return the cells of each line, and those of the lines that hold a number."""
+    rows: list[Sequence[str]] = []
+    data: list[Sequence[str]] = []
+    for begin in range(0, len(texts), TOGETHER):
+        progress("splitting lines", begin, len(texts))
+        some: list[Sequence[str]] = [layout.split(text, delimiter) for text in texts[begin : begin + TOGETHER]]
+        rows += some
+        if layout.plain_numbers([row[0] if row else "" for row in some], decimal) is None:
+            some = [row for row in some if any(layout.number(cell, decimal) is not None for cell in row)]
+        data += some
+    return rows, data
 
-    Raises
-    ------
-    InputError
-        The file is missing, or no text.
+
+def _measurements(
+    rows: Sequence[Sequence[str]], start: int, head: Sequence[str], delimiter: str, width: int
+) -> tuple[list[int], tuple[int, ...], list[int]]:
+    """Return the rows of data, which of them begin a measurement, and rows of cells beside the table, such as notes.
+
+    A measurement begins below each repeated header.
     """
-    where = str(path)
-    if not path.exists():
-        raise InputError("no such file", where, "check the path")
-    if path.is_dir():
-        raise InputError("is a folder", where, "give the CSV file in it")
-    data = path.read_bytes()
+    header = {tuple(layout.split(text, delimiter)) for text in head if text}
+    kept: list[int] = []
+    beside: list[int] = []
+    starts = [0]
+    for index in range(start, len(rows)):
+        row = rows[index]
+        if header and tuple(row) in header:
+            if kept and starts[-1] != len(kept):
+                starts.append(len(kept))
+        elif len(row) <= width or any(cell.strip() for cell in row[:width]):
+            kept.append(index)
+        else:
+            beside.append(index)
+    if starts[-1] == len(kept) > 0:
+        starts.pop()
+    return kept, tuple(starts), beside
+
+
+def text_of(file: Source) -> str:
+    """Return the text of a file, its lines ended by line feeds; InputError where it is not text."""
+    data, where = file.data, str(file.path)
     if data.startswith(HDF5):
         do = "a run file needs no import: process smooth reads it; of another file export a CSV"
         raise InputError("is an HDF5 file, not a table", where, do)
@@ -285,15 +349,20 @@ def text_of(path: Path) -> str:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("cp1252", "replace")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if (count := text.count("\n")) > source.MOST_LINES:
+        what = f"has {count:,} lines; a table has at most {source.MOST_LINES:,}"
+        raise InputError(what, where, source.PARTS)
+    return text
 
 
 def _kept(
-    path: Path, lines: Sequence[str], preamble: int, progress: Stages
+    path: Path, lines: Iterable[tuple[int, str]], preamble: int, progress: Stages
 ) -> tuple[list[tuple[int, str]], list[tuple[int, str]], str | None]:
     """Return number and text of each line that may hold data, of comments, and the delimiter that the file names."""
     where = str(path)
-    numbered = list(enumerate(lines, start=1))[preamble:]
+    every = list(lines)
+    numbered = [(line, text) for line, text in every if line > preamble]
     kept: list[tuple[int, str]] = []
     comments: list[tuple[int, str]] = []
     for begin in range(0, len(numbered), TOGETHER):
@@ -307,7 +376,7 @@ def _kept(
     if kept and kept[0][1].lower().startswith("sep=") and len(kept[0][1]) == 5:
         named = kept.pop(0)[1][4]  # written by spreadsheets
     if not kept:
-        what = "holds no data" if any(lines) else "is empty"
+        what = "holds no data" if any(text for _, text in every) else "is empty"
         raise InputError(what, where, "give a CSV with a column of positions")
     for line, content in kept:
         if len(content) > LONGEST_LINE:

@@ -6,28 +6,30 @@ A column may hold the force of a spring that pulls a slider.  In the frame of th
 position is the spring's stretch, force / stiffness, and the belt's speed is the pulling speed, both positive.
 """
 
-import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
-from daq.base.measured import Measured
-from daq.base.output import provenance
-from daq.base.toml import quoted
-from daq.imports import labview, layout, plausible, table
-from daq.imports.columns import belt_unit, called, find, is_length, is_stated, named, unit
+from daq.imports import labview, layout, plausible, source, table
+from daq.imports.columns import belt_unit, called, check_clock, find, is_length, is_stated, named, unit
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
+from daq.runfile import provenance
 from daq.runfile.in_memory import counts, sample_rate, with_belt
 from daq.runfile.recording import FASTEST_HZ, LONGEST_S, OF_FILE, Recording, impossible_motion, positions
 from daq.runfile.rest_position import question
 from daq.runfile.rig import Rig
+from daq.wire.roll_over import find_roll_over, unroll
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError
+from stickslip.toml import quoted
+from stickslip.units import Measured
 
 # Ratio of the times' rate to --frame-rate beyond which the times are corrected.  An error of 1 % in time
 # is 1 % in velocity: double leaves 2 % uncorrected, half corrects what rounded times cause.  Not swept.
@@ -35,6 +37,7 @@ FRAME_RATE_TOLERANCE = 1.01
 GRAVITY = 9.80665  # m/s^2, standard
 WEIGHT = ("weight", "mg")  # words for a force divided by the slider's weight
 DAY_S = 86400.0
+MOST_TICKS = 2.0**53  # whole numbers up to here are exact
 
 
 @dataclass(frozen=True)
@@ -54,86 +57,69 @@ class Imported:
     assumed: tuple[str, ...] = ()
 
 
+class Columns(NamedTuple):
+    """Which columns hold what; None where there is none."""
+
+    time: int | None
+    position: int
+    belt: int | None
+    frames: bool  # whether the times are frame numbers
+
+
 def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Imported:
     """Read a table into a run; ``progress`` is called with the stage, the lines done, and all lines.
 
-    Raises
-    ------
-    InputError
-        For an unreadable table, an unknown column or unit, a cell that is not a number, or times that do not increase:
-        each naming line and column and what to do; for numbers that cannot be in the unit they are taken for.
+    Raises InputError: an unreadable table, several measurements of which none was chosen, an unknown column or unit, a
+        cell that is not a number, times that do not increase, numbers that are impossible in their unit.
     """
     stated = options.stated()
     _check_options(options, stated)
     cells = named(_cells(path, options, progress))
     warnings: list[str] = []
     forces = options.spring_force is not None
-    wanted, flag = (options.spring_force, "--spring-force") if forces else (options.position, "--position")
-    b_column = None if options.belt_column is None else called(cells, options.belt_column, "--belt-column")
-    rate_known = options.frame_rate_hz is not None
-    t_column, x_column, frames = find(cells, options.time, wanted, rate_known, flag, b_column)
-    coded = t_column is not None and _is_timecode(cells, t_column)
-    if coded and not rate_known:
-        what = f"{cells.label(t_column or 0)} holds time codes, whose last part may be frames or hundredths"
-        raise InputError(what, str(path), "give --frame-rate, one line a frame, for example --frame-rate '400 fps'")
-    t_column = None if coded else t_column
-    if (t_column is None or frames) and options.frame_rate_hz is None:
-        what = "has frame numbers but no times" if frames else "has no column of times"
-        raise InputError(what, str(path), "give --frame-rate, for example --frame-rate '400 fps'")
+    columns = _choose_columns(cells, options)
+    if len(cells.starts) > 1:
+        cells = cells.segment(options.segment)
+        options = options if options.segment == 0 else replace(options, segment=None)
     pitch = stated.get("metres_per_count")
     if isinstance(pitch, Measured):
-        _check_counts(cells, x_column, options)
+        _check_counts(cells, columns.position, options)
         x_size, x_unit = 1.0, f"counts of {pitch.value:g} m"
     else:
-        x_size, x_unit = _position_unit(cells, x_column, options, warnings)
-    readers: list[table.ColumnReader] = [(x_column, cells.number, "a number")]
-    if t_column is not None:
-        readers.append((t_column, layout.clock, "a time of day") if options.clock else _times(cells, t_column))
-    if b_column is not None:
-        readers.append((b_column, cells.number, "a number"))
+        x_size, x_unit = _position_unit(cells, columns.position, options, warnings)
+    readers: list[table.ColumnReader] = [(columns.position, cells.number, "a number")]
+    if columns.time is not None:
+        readers.append(_times(cells, columns.time, clock=options.clock))
+    if columns.belt is not None:
+        readers.append((columns.belt, cells.number, "a number"))
     values, cells, skipped = cells.columns(readers, skip=options.skip_bad, progress=progress)
     if skipped:
         share = 100 * len(skipped) / (len(skipped) + len(cells.lines))
-        warnings.append(
-            f"{len(skipped)} lines ({share:.2g} %) could not be read and were left out: {table.listed(skipped)}"
-        )
+        lines = table.listed([line.line for line in skipped])
+        warnings.append(f"{len(skipped)} lines ({share:.2g} %) could not be read and were left out: {lines}")
+    if cells.beside:
+        count_of = f"{len(cells.beside)} line{'s' if len(cells.beside) > 1 else ''}"
+        warnings.append(f"{count_of} with cells beside the table only: left out: {table.listed(cells.beside)}")
     if values.shape[1] < 2:
         raise InputError(
             f"holds {('no', 'a single')[values.shape[1]]} sample", str(path), "give a track of at least two"
         )
-    count = counts(values[0], pitch, cells.label(x_column)) if isinstance(pitch, Measured) else None
+    time, t_unit, chosen = _read_times(values, cells, columns, options, warnings)
+    values = values[:, chosen]
+    cells = replace(cells, lines=cells.lines[chosen], rows=cells.rows[chosen])
+    count = counts(values[0], pitch, cells.label(columns.position)) if isinstance(pitch, Measured) else None
+    if count is not None and (roll_over := find_roll_over(count)) is not None:
+        count = unroll(count, roll_over)
+        warnings.append(f"the counter rolled over or restarted {roll_over}; these jumps were removed")
     rig = _rig(options, stated)
     position = values[0] * x_size if count is None else positions(count, replace(rig, datum=None))
-    plausible.check_range(position, plausible.FARTHEST_M, cells, x_column, "m", "its unit")
-    t_unit = "frames"
-    if t_column is None or frames:
-        if options.frame_rate_hz is None:
-            raise ValueError("frames without a frame rate")
-        time = (values[1] if t_column is not None else np.arange(position.size)) / options.frame_rate_hz
-    elif options.clock:
-        t_unit = ""
-        midnights = np.cumsum(np.diff(values[1], prepend=values[1][0]) < -DAY_S / 2)
-        time = values[1] + DAY_S * midnights
-    else:
-        t_size, t_unit = unit(cells, t_column, options.t_unit, "time", "--t-unit", warnings)
-        time = values[1] * t_size
-    if t_column is not None:
-        plausible.check_range(time, LONGEST_S, cells, t_column, "s", "--t-unit")
-        plausible.check_increasing(time, cells, t_column)
-        if not (frames or options.clock):
-            if options.frame_rate_hz is not None:
-                time = _retimed(time, options.frame_rate_hz, warnings)
-            elif not is_stated(cells, t_column, options.t_unit):
-                plausible.ask_for_time_unit(time, cells, t_column)
-    time = time - time[0]
+    plausible.check_range(position, plausible.FARTHEST_M, cells, columns.position, "m", "its unit")
     if (wrong := impossible_motion(time, position)) is not None:
         do = "give the unit of the times with --t-unit" if options.frame_rate_hz is None else "check --frame-rate"
         raise InputError(wrong, str(path), do)
-    sure = count is not None or is_stated(cells, x_column, options.force_unit if forces else options.x_unit)
+    sure = count is not None or is_stated(cells, columns.position, options.force_unit if forces else options.x_unit)
     if not sure:
-        plausible.ask_for_length_unit(time, position, cells, x_column, forces)
-    step = np.diff(time)
-    rate = sample_rate(time)
+        plausible.ask_for_length_unit(time, position, cells, columns.position, forces)
     rest = options.x0
     if options.datum is not None:
         rest = replace(options.datum, value=-options.datum.value)
@@ -143,28 +129,116 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
     if rig.mass is not None and rig.stiffness is not None:
         warnings += check_half_period(time, position, rig.mass.value, rig.stiffness.value)
     in_unit = ", times of day" if options.clock else f" in {t_unit}"
-    columns = {
-        "time": "frame rate" if t_column is None else f"{cells.label(t_column)}{in_unit}",
-        "position": f"{cells.label(x_column)} in {x_unit}",
+    how = {
+        "time": "frame rate" if columns.time is None else f"{cells.label(columns.time)}{in_unit}",
+        "position": f"{cells.label(columns.position)} in {x_unit}",
     }
-    run = Recording("", "", "", rate, rig, time, position, count)
-    if b_column is not None:
-        of, size, name = belt_unit(cells, b_column, options.belt_unit)
+    run = Recording("", "", "", sample_rate(time), rig, time, position, count)
+    if columns.belt is not None:
+        of, size, name = belt_unit(cells, columns.belt, options.belt_unit)
         moved = values[-1] * size
-        plausible.check_range(moved, plausible.FARTHEST_M, cells, b_column, "m", "--belt-unit")
+        plausible.check_range(moved, plausible.FARTHEST_M, cells, columns.belt, "m", "--belt-unit")
         run = with_belt(run, moved if of == "length" else _travelled(time, moved))
-        columns["belt"] = f"{cells.label(b_column)} in {name}, its {'position' if of == 'length' else of}"
-    run = _run(path, options, run, cells, columns, skipped)
+        how["belt"] = f"{cells.label(columns.belt)} in {name}, its {'position' if of == 'length' else of}"
+    run = _run(path, options, run, cells, how, skipped)
+    step = np.diff(time)
     even = bool(np.all(np.abs(step - step.mean()) <= 1e-3 * step.mean() + 1e-9))
     assumed = [] if sure else ["N" if forces else "m"]
-    if t_column is not None and not (frames or options.clock or is_stated(cells, t_column, options.t_unit)):
+    if columns.time is not None and not (
+        columns.frames or options.clock or is_stated(cells, columns.time, options.t_unit)
+    ):
         assumed.append("s")
-    return Imported(
-        run, columns, cells.delimiter_name, cells.decimal, even, len(skipped), tuple(warnings), tuple(assumed)
-    )
+    return Imported(run, how, cells.delimiter_name, cells.decimal, even, len(skipped), tuple(warnings), tuple(assumed))
 
 
-def _travelled(time: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
+def _choose_columns(cells: table.Table, options: ImportOptions) -> Columns:
+    """Return the columns that options name, or that names and units show."""
+    forces = options.spring_force is not None
+    wanted, flag = (options.spring_force, "--spring-force") if forces else (options.position, "--position")
+    belt = None if options.belt_column is None else called(cells, options.belt_column, "--belt-column")
+    rate_known = options.frame_rate_hz is not None
+    time, position, frames = find(cells, options.time, wanted, rate_known, flag, belt)
+    if belt is not None and check_clock(cells, belt, time) != time:
+        what = f"{cells.label(belt)} has other times than {cells.label(position)}"
+        raise InputError(what, str(cells.path), "export both channels at the same times")
+    coded = time is not None and _is_timecode(cells, time)
+    if coded and not rate_known:
+        what = f"{cells.label(time or 0)} holds time codes, whose last part may be frames or hundredths"
+        do = "give --frame-rate, one line a frame, for example --frame-rate '400 fps'"
+        raise InputError(what, str(cells.path), do)
+    time = None if coded else time
+    if (time is None or frames) and not rate_known:
+        what = "has frame numbers but no times" if frames else "has no column of times"
+        raise InputError(what, str(cells.path), "give --frame-rate, for example --frame-rate '400 fps'")
+    return Columns(time, position, belt, frames)
+
+
+def _read_times(
+    values: Array, cells: table.Table, columns: Columns, options: ImportOptions, warnings: list[str]
+) -> tuple[Array, str, slice]:
+    """Return the times from the first sample on, s, their unit, and the lines of the chosen measurement."""
+    every = slice(0, values.shape[1])
+    rate = options.frame_rate_hz
+    if columns.time is None:
+        return np.arange(values.shape[1]) / (rate or math.nan), "frames", every
+    time, t_unit = values[1], "frames"
+    if columns.frames:
+        time = time / (rate or math.nan)
+    elif options.clock:
+        t_unit = ""
+        time = time + DAY_S * np.cumsum(np.diff(time, prepend=time[0]) < -DAY_S / 2)  # times past midnight
+    else:
+        size, t_unit = unit(cells, columns.time, options.t_unit, "time", "--t-unit", warnings)
+        time = _unrolled_times(time, warnings) * size
+    time, chosen = _choose_measurement(time, cells, options.segment)
+    cells = replace(cells, lines=cells.lines[chosen])
+    time = time[chosen]
+    plausible.check_range(time - time[0], LONGEST_S, cells, columns.time, "s", "--t-unit")
+    if not (columns.frames or options.clock) and rate is not None and np.any(np.diff(time) == 0):
+        time = plausible.number_evenly(time, rate, cells, columns.time, warnings)
+    plausible.check_increasing(time, cells, columns.time)
+    if not (columns.frames or options.clock):
+        if rate is not None:
+            time = _retimed(time, rate, warnings)
+        elif not is_stated(cells, columns.time, options.t_unit):
+            plausible.ask_for_time_unit(time, cells, columns.time)
+    warnings += plausible.describe_gap(time, cells, clock=options.clock)
+    return time - time[0], t_unit, chosen
+
+
+def _unrolled_times(time: Array, warnings: list[str]) -> Array:
+    """Return the stamps of a board's clock, micros() or millis(), without the jumps where it rolled over."""
+    if np.all(np.diff(time) >= 0) or not np.all(time == np.rint(time)) or np.max(np.abs(time)) > MOST_TICKS:
+        return time
+    ticks = time.astype(np.int64)
+    roll_over = find_roll_over(ticks)
+    if roll_over is None or roll_over.counts not in (1 << 16, 1 << 32):
+        return time
+    warnings.append(f"the clock of the times rolled over {roll_over}; these jumps were removed")
+    return unroll(ticks, roll_over).astype(np.float64)
+
+
+def _choose_measurement(time: Array, cells: table.Table, segment: int | None) -> tuple[Array, slice]:
+    """Return times, and which lines belong to the chosen measurement: one begins where the times start again.
+
+    As one record (0) each measurement follows the one before after a usual step.
+    """
+    step = np.diff(time)
+    again = np.flatnonzero(step < 0) + 1
+    restarts = again[time[again] <= time[0] + np.median(np.abs(step))]
+    starts = (0, *(int(row) for row in restarts))
+    if again.size != restarts.size or min(np.diff([*starts, time.size])) < 2:
+        starts = (0,)  # times out of order, of which `plausible` names the line
+    if segment == 0:
+        lag = np.zeros(time.size)
+        lag[list(starts[1:])] = np.median(np.abs(step)) - step[np.array(starts[1:], int) - 1]
+        return time + np.cumsum(lag), slice(0, time.size)
+    chosen = replace(cells, starts=starts).segment(segment)
+    first = cells.lines.index(chosen.lines[0])
+    return time, slice(first, first + len(chosen.lines))
+
+
+def _travelled(time: Array, speed: Array) -> Array:
     """Return the positions, m, of a belt whose speeds, m/s, were measured: by the trapezoidal rule."""
     return np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
 
@@ -256,22 +330,25 @@ def _rig(options: ImportOptions, stated: Mapping[str, Measured | int]) -> Rig:
 
 def _cells(path: Path, options: ImportOptions, progress: Stages) -> table.Table:
     kind = path.suffix.lower()
-    if kind not in (".mat", ".xlsx", ".tdms"):
-        text = table.text_of(path)
-        if not text.startswith(labview.BEGINS):
-            return table.of_lines(path, text.split("\n"), options.preamble, progress)
-        _check_plain("a LabVIEW measurement", path, options)
-        return labview.read(path, text)
     if kind == ".xlsx":
         from daq.imports import workbook
 
         return workbook.read(path, options.sheet, options.preamble, progress)
-    from daq.imports import matfile, tdms
+    if kind in (".mat", ".tdms"):
+        from daq.imports import matfile, tdms
 
-    name, module = ("a MATLAB file", matfile) if kind == ".mat" else ("a TDMS file", tdms)
-    _check_plain(name, path, options)
-    cells: table.Table = module.read(path)
-    return cells
+        name, module = ("a MATLAB file", matfile) if kind == ".mat" else ("a TDMS file", tdms)
+        _check_plain(name, path, options)
+        cells: table.Table = module.read(path)
+        return cells
+    file = source.read(path)
+    text = table.text_of(file)
+    if text.startswith(labview.BEGINS):
+        _check_plain("a LabVIEW measurement", path, options)
+        cells = labview.read(path, text)
+    else:
+        cells = table.of_lines(path, enumerate(text.split("\n"), start=1), options.preamble, progress)
+    return replace(cells, sha256=file.sha256, modified_s=file.modified_s)
 
 
 def _check_plain(kind: str, path: Path, options: ImportOptions) -> None:
@@ -281,8 +358,10 @@ def _check_plain(kind: str, path: Path, options: ImportOptions) -> None:
             raise InputError(f"{flag} is for text; this is {kind}", str(path), "leave it out")
 
 
-def _times(cells: table.Table, column: int) -> table.ColumnReader:
-    """Return how to read a column of times; InputError for times of day, which need a flag."""
+def _times(cells: table.Table, column: int, *, clock: bool) -> table.ColumnReader:
+    """Return how to read a column of times; InputError for times of day without the flag that names them."""
+    if clock:
+        return column, _Clock().read, "a time of day, with a date such as 2026-03-27 if any"
     row = next((row for row in cells.rows if len(row) == cells.width), None)
     if row is not None and cells.number(row[column]) is None and layout.clock(row[column]) is not None:
         what = f"{cells.label(column)} holds times of day such as {row[column].strip()}"
@@ -292,7 +371,25 @@ def _times(cells: table.Table, column: int) -> table.ColumnReader:
     return column, cells.number, "a number"
 
 
-def _retimed(time: NDArray[np.float64], rate_hz: float, warnings: list[str]) -> NDArray[np.float64]:
+class _Clock:
+    """Reads times of day, with the dates before them, as seconds from the first midnight."""
+
+    def __init__(self) -> None:
+        self._date: str | None = None
+        self._day: int | None = None
+
+    def read(self, cell: str) -> float | None:
+        """Return a cell in s; None where it is not a time, or its date is another one that cannot be read."""
+        seconds, day = layout.clock(cell), layout.day(cell)
+        date = cell.strip()[: -len(layout.time_of(cell))].strip(" T")
+        if self._date is None:
+            self._date, self._day = date, day
+        if seconds is None or (date != self._date and (day is None or self._day is None)):
+            return None
+        return seconds + (DAY_S * (day - self._day) if day is not None and self._day is not None else 0.0)
+
+
+def _retimed(time: Array, rate_hz: float, warnings: list[str]) -> Array:
     # The flag is the camera's true rate; the column of times uses the rate that the tracking program assumed.
     assumed = sample_rate(time)
     ratio = assumed / rate_hz
@@ -313,14 +410,13 @@ def _run(
     columns: dict[str, str],
     skipped: Sequence[table.Skipped],
 ) -> Recording:
-    data = path.read_bytes()
     if options.started is None:
-        start = datetime.fromtimestamp(path.stat().st_mtime, UTC).replace(microsecond=0)
+        start = datetime.fromtimestamp(cells.modified_s, UTC).replace(microsecond=0)
     else:
         start = _start(options.started)
     settings = {
         "source": path.name,
-        "source_sha256": hashlib.sha256(data).hexdigest(),
+        "source_sha256": cells.sha256,
         "delimiter": cells.delimiter_name,
         "decimal": cells.decimal,
         **columns,
@@ -332,7 +428,11 @@ def _run(
         lines.append(f"recorded = {quoted(cells.recorded)}")
     if skipped:
         lines.append(f"skipped_lines = {[one.line for one in skipped]}")
-    end = start + timedelta(seconds=float(run.time[-1]))
+    try:
+        end = start + timedelta(seconds=float(run.time[-1]))
+        end.timestamp()
+    except (OverflowError, ValueError) as error:  # beyond the years that a calendar has
+        raise InputError(f"a run of {run.time[-1]:g} s cannot start at {start}", "--start", "correct it") from error
     origin = OF_FILE if options.started is None else "--start"
     return replace(
         run,

@@ -1,104 +1,116 @@
 """A sheet of an Excel workbook (.xlsx) as a table, its header and units found as in a text file.
 
 A child process reads the file, with openpyxl of the extra ``formats``.  Formulas count by the values that the
-spreadsheet has stored beside them; of a date with a time the time of day is taken, as of text (--clock).
+spreadsheet has stored beside them.  What a sheet says of its own size is not believed.  A date or a time is read from
+its serial number, to the microsecond: the library rounds it to milliseconds.
 """
 
+import io
 import json
+import zipfile
 from dataclasses import replace
 from datetime import datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from daq.base.compute.isolation import BrokenOffError, isolated
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
-from daq.imports import layout, table
-from daq.imports.extra import needed
+from daq.imports import layout, source, table
 from daq.imports.table import Table
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError
 
 SAVE = "save it again as .xlsx, or export the sheet as CSV"
 # CPU time of the child and its memory beyond that of Python: 100,000 rows of four columns take 5 s and 150 MB.
 SECONDS, MEMORY = 120.0, 1 << 30
 FEWEST_ROWS = 2  # with two numbers or more, of a sheet with a table
+DAY_US = 86_400_000_000
 
 
 def read(path: Path, sheet: str | None, preamble: int = 0, progress: Stages = silent) -> Table:
-    """Read a sheet of a workbook.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    sheet : str or None
-        Name of the sheet; None: the only one with a table.
-    preamble, progress
-        As of `daq.imports.table.read`.
-
-    Raises
-    ------
-    InputError
-        The file is missing, damaged or no workbook, openpyxl is not installed, there is no such sheet, or several
-        sheets hold a table.
-    """
+    """Read a sheet of a workbook; without ``sheet`` the only one with a table."""
     where = str(path)
-    if not path.is_file():
-        raise InputError("no such file", where, "check the path")
-    needed("openpyxl", path)
-    try:
-        sheets: dict[str, list[str]] = json.loads(isolated(_sheets, path, SECONDS, MEMORY))
-    except BrokenOffError as error:
-        raise InputError(f"cannot be read: it {error}", where, SAVE) from error
-    tables = [name for name, lines in sheets.items() if sum(map(_is_row, lines)) >= FEWEST_ROWS]
+    source.require("openpyxl", path)
+    sent = json.loads(source.parse_isolated(_parse, path, SECONDS, MEMORY, "workbook", SAVE))
+    sheets: dict[str, list[tuple[int, str]]] = sent["sheets"]
+    tables = [name for name, lines in sheets.items() if sum(_is_row(line) for _, line in lines) >= FEWEST_ROWS]
     if sheet is None:
         if len(tables) != 1:
-            what = f"which sheet is the table? {', '.join(map(repr, tables))}" if tables else "no sheet holds a table"
+            what = (
+                f"which sheet is the table? {source.shorten(map(repr, tables))}" if tables else "no sheet holds a table"
+            )
             raise InputError(what, where, "give --sheet=NAME" if tables else "give a sheet with times and positions")
         sheet = tables[0]
     elif sheet not in sheets:
-        raise InputError(f"no sheet {sheet!r}", where, f"the sheets are: {', '.join(map(repr, sheets))}")
-    found = table.of_lines(path, ["sep=\t", *sheets[sheet]], preamble + 1 if preamble else 0, progress)
-    lines = [line - 1 for line in found.lines]
-    return replace(found, lines=lines, header_line=max(found.header_line - 1, 0), kind="workbook")
+        raise InputError(f"no sheet {sheet!r}", where, f"the sheets are: {source.shorten(map(repr, sheets))}")
+    cells = table.of_lines(path, sheets[sheet], preamble, progress, named="\t")
+    return replace(cells, kind="workbook", sha256=sent["sha256"], modified_s=sent["modified_s"])
 
 
 def _is_row(line: str) -> bool:
-    return sum(layout.number(cell, ".") is not None for cell in line.split("\t")) >= 2
+    return sum(layout.number(cell, ".") is not None or layout.clock(cell) is not None for cell in line.split("\t")) >= 2
 
 
-def _sheets(path: Path) -> bytes:
-    """Return the sheets of a workbook by name, each as lines of cells separated by tabs."""
+def _parse(path: Path) -> bytes:
+    """Return the sheets of a workbook by name, each as numbered lines of cells separated by tabs."""
     import warnings
 
     from openpyxl import load_workbook
 
+    file = source.read(path, "give the workbook in it")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about extensions that hold no cells
-            book = load_workbook(path, read_only=True, data_only=True)
-            sheets = {
-                sheet.title: ["\t".join(map(_cell, row)) for row in sheet.iter_rows(values_only=True)]
-                for sheet in book.worksheets
-            }
-    except MemoryError:
+            unpacked = sum(entry.file_size for entry in zipfile.ZipFile(io.BytesIO(file.data)).infolist())
+            source.check_bytes(unpacked, str(path))
+            book = load_workbook(io.BytesIO(file.data), read_only=True, data_only=True)
+            state = vars(book)
+            dates, durations = state["_date_formats"], state["_timedelta_formats"]
+            state["_date_formats"] = frozenset()  # so that serial numbers come as they are
+            sheets = {sheet.title: _lines(sheet, dates, durations, book.epoch, path) for sheet in book.worksheets}
+    except (MemoryError, InputError):
         raise
     except Exception as error:  # whatever the library stumbles over
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"is not a workbook ({reason})", str(path), SAVE) from error
-    return json.dumps(sheets).encode()
+        raise InputError(f"is not a workbook ({reason[:200]})", str(path), SAVE) from error
+    return json.dumps({"sha256": file.sha256, "modified_s": file.modified_s, "sheets": sheets}).encode()
 
 
-def _cell(value: Any) -> str:
+def _lines(sheet: Any, dates: set[int], durations: set[int], epoch: datetime, path: Path) -> list[tuple[int, str]]:
+    """Return number and text of each row that holds something."""
+    sheet.reset_dimensions()
+    lines: list[tuple[int, str]] = []
+    cells = 0
+    for number, row in enumerate(sheet.iter_rows(), start=1):
+        texts = [_text(cell, dates, durations, epoch) for cell in row]
+        while texts and not texts[-1]:
+            texts.pop()
+        if texts:
+            cells += len(row)
+            source.check_size(cells, 1, f"{path}, sheet {sheet.title!r}")
+            lines.append((number, "\t".join(texts)))
+    return lines
+
+
+def _text(cell: Any, dates: set[int], durations: set[int], epoch: datetime) -> str:
+    value = cell.value
     if value is None:
         return ""
-    if isinstance(value, bool):
-        return str(value)
-    if isinstance(value, datetime):
-        return value.time().isoformat()
-    if isinstance(value, time):
-        return value.isoformat()
+    style = getattr(cell, "_style_id", None)
+    if style in dates and isinstance(value, int | float):
+        return _time(float(value), epoch, is_duration=style in durations)
+    if isinstance(value, datetime | time):  # a cell that holds a date as text
+        return value.isoformat(" ") if isinstance(value, datetime) else value.isoformat()
     if isinstance(value, timedelta):
         return repr(value.total_seconds())
-    if isinstance(value, int | float):
-        return repr(value)
-    return " ".join(str(value).split())
+    if isinstance(value, bool):
+        return str(value)
+    return repr(value) if isinstance(value, int | float) else " ".join(str(value).split())
+
+
+def _time(days: float, epoch: datetime, *, is_duration: bool) -> str:
+    """Return a serial number as a duration in s, a time of day, or a date with one."""
+    microseconds = round(days * DAY_US)
+    if is_duration:
+        return repr(microseconds / 1e6)
+    moment = epoch + timedelta(microseconds=microseconds)
+    text = moment.isoformat(" ", "microseconds")
+    return text if days >= 1 else text.split(" ")[1]

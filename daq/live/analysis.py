@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, joined, rows
 from daq.live.friction import QuickFriction
 from daq.live.motion import SHORTEST_PARABOLA, LiveFilter, LiveMotion, noise_density
 from daq.live.overview import Overview
 from daq.live.sticks import FEWEST_RECENT, NOISE, SLIP_SHARE, Slip, Spread, StickSlip, usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
+from stickslip.compute.arrays import Array, joined, rows
 
 FEWEST_CYCLES = 4  # cycles that a fit takes: `fitting.selection.evidence`
 FEW_CYCLES = 8  # cycles so few that every one must agree: `fitting.selection.screening`
@@ -41,45 +41,24 @@ class BeltSpeed:
 
 @dataclass(frozen=True)
 class ForceBalance:
-    """What turns motion into friction: F/m = a + k_over_m (x - x0) + c_over_m v.
+    """What turns motion into friction: F/m = a + k_over_m (x - x0) + c_over_m v."""
 
-    Attributes
-    ----------
-    k_over_m, x0, c_over_m : float
-        s^-2, m or counts, 1/s.
-    mass : float
-        kg; NaN where neither mass nor stiffness is known: then friction is per unit mass.
-    level_known : bool
-        Whether x0 is known; where it is not, friction is shown up to a constant.
-    """
-
-    k_over_m: float
+    k_over_m: float  # s^-2, m or counts, 1/s
     x0: float
     c_over_m: float
-    mass: float
-    level_known: bool
+    mass: float  # kg; NaN where neither mass nor stiffness is known: then friction is per unit mass
+    level_known: bool  # whether x0 is known; where it is not, friction is shown up to a constant
 
 
 class LiveAnalysis:
     """Take samples as they come, and say what is known so far.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Nominal rate of the samples.
-    window : int, optional
-        Samples of a parabola to begin with.
-
-    Attributes
-    ----------
-    rig, unit : Rig, str
-        Calibration, and "m" or "count" of the positions; they may be set while samples come.
-    belt : BeltSpeed
-        Of the belt, now.
-    overview : Overview
-        Rows of the whole record as `feed` returns them, thinned.
-    break_aways : deque of (float, float, float)
-        Time, s, and position of the last `MOST_BREAK_AWAYS` ones, and time of the landing after each.
+    rate_hz: Nominal rate of the samples.
+    window: Samples of a parabola to begin with.
+    rig, unit: Calibration, and "m" or "count" of the positions; they may be set while samples come.
+    belt: Of the belt, now.
+    overview: Rows of the whole record as `feed` returns them, thinned.
+    break_aways: Time, s, and position of the last `MOST_BREAK_AWAYS` ones, and time of the landing after each.
     """
 
     def __init__(self, rate_hz: float, window: int | None = None) -> None:

@@ -7,7 +7,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from daq.base.errors import InputError
+from stickslip.errors import InputError
 
 PAGE = Path(__file__).parent / "page"
 KINDS = {

@@ -16,24 +16,11 @@ PIECE = 1 << 16  # samples read at once: half reads compressed parts of the file
 class RunSamples:
     """The samples of a run file.
 
-    Parameters
-    ----------
-    path : Path
-        The run file; it is only read.
-
-    Attributes
-    ----------
-    times : (n,) float64
-        Of all samples, s.
-    header : Recording
-        The run with its first samples alone: title, calibration, markers.
-    counts : JournalTotals
-        Totals of the pieces so far; a table has no sequence numbers that could show a loss.
-
-    Raises
-    ------
-    InputError
-        The file is missing, or no run (`daq.runfile.store.load`).
+    path: The run file; it is only read.
+    times: (n,) Of all samples, s.
+    header: The run with its first samples alone: title, calibration, markers.
+    counts: Totals of the pieces so far; a table has no sequence numbers that could show a loss.
+    Raises InputError: the file is missing, or no run (`daq.runfile.store.load`).
     """
 
     def __init__(self, path: Path) -> None:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from daq.live.sticks import Slip
+from stickslip.compute.arrays import Array
 
 SLIPS = 24  # the last ones, of which the curve is made: half as many err by 1.4 times as much, twice as many lag behind
 PER_SLIP = 400  # samples kept of a slip: with half of them noise counts 1.4 times as much
@@ -32,22 +32,12 @@ FEWEST_SLIPS = 3  # with fewer there is no scatter to speak of
 
 @dataclass(frozen=True)
 class QuickCurve:
-    """Friction against slip speed.
+    """Friction against slip speed."""
 
-    Attributes
-    ----------
-    speed : (k,) float64
-        Slip speed, m/s or counts/s.
-    friction, sd : (k,) float64
-        Mean over the slips, per unit mass, and standard deviation between them (NaN of one).
-    slips : int
-        Slips of which it is made.
-    """
-
-    speed: Array
-    friction: Array
+    speed: Array  # (k,) slip speed, m/s or counts/s
+    friction: Array  # (k,) mean over the slips, per unit mass, and standard deviation between them (NaN of one)
     sd: Array
-    slips: int
+    slips: int  # slips of which it is made
 
 
 class QuickFriction:
@@ -119,15 +109,8 @@ class QuickFriction:
 def regressed(x: Array, w: Array, a: Array) -> float:
     """Return k/m, s^-2, of one slip by least squares: the acceleration by position and a linear spline of the speed.
 
-    Parameters
-    ----------
-    x, w, a : (n,) float64
-        Position, m or counts; relative velocity and acceleration in its units a second.
-
-    Returns
-    -------
-    float
-        NaN where the slip does not pass its velocities twice.
+    x, w, a: (n,) Position, m or counts; relative velocity and acceleration in its units a second.
+    Returns: NaN where the slip does not pass its velocities twice.
     """
     speed, span = np.abs(w), float(np.ptp(x))
     if not (speed.max() > 0 and span > 0):

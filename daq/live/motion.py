@@ -11,8 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import HOLE, Array, Mask, joined
 from daq.live.tail import NewSamples
+from stickslip.compute.arrays import HOLE, Array, Mask, joined
 
 # Length of the window before a slip has been seen.  Half leaves so much noise in the velocity of a camera that no
 # stick is seen, double rounds the landings of a cycle of 0.5 s over a tenth of it.
@@ -32,24 +32,13 @@ CHANGED = 1.25  # a better window takes the place of one that differs by so much
 
 @dataclass(frozen=True)
 class LiveMotion:
-    """Motion at k times, each array of shape (k,).
-
-    Attributes
-    ----------
-    time : s
-    x : m or counts
-        The reading itself.
-    v, a : m/s and m/s^2, or counts/s and counts/s^2
-        Of the parabola; NaN where its window has a gap.
-    fresh : bool
-        True where nothing connects with the time before: at the first one of a segment, and after a hole.
-    """
+    """Motion at k times, each array of shape (k,)."""
 
     time: Array
-    x: Array
-    v: Array
+    x: Array  # the reading itself
+    v: Array  # of the parabola; NaN where its window has a gap
     a: Array
-    fresh: Mask
+    fresh: Mask  # true where nothing connects with the time before: at the first one of a segment, and after a hole
 
 
 @dataclass(frozen=True)
@@ -64,17 +53,9 @@ class MotionErrors:
 class LiveFilter:
     """Fit parabolas to samples as they come.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Nominal rate of the samples.
-    window : int, optional
-        Samples of a parabola, odd; by default those of `WINDOW_S`.
-
-    Attributes
-    ----------
-    window : int
-        Samples of the next parabolas.
+    rate_hz: Nominal rate of the samples.
+    window: Samples of a parabola, odd; by default those of `WINDOW_S`.
+    window: Samples of the next parabolas.
     """
 
     def __init__(self, rate_hz: float, window: int | None = None) -> None:
@@ -189,19 +170,10 @@ def samples_of(window_s: float, rate_hz: float) -> int:
 def parabolas(time: Array, position: Array, window: int, longest: float) -> Array:
     """Return velocity and acceleration by least-squares parabolas over every ``window`` samples.
 
-    Parameters
-    ----------
-    time, position : (n,) float64
-        s, and m or counts; the times need not be even.
-    window : int
-        Samples of each parabola, odd.
-    longest : float
-        A window that lasts longer, s, has a gap: its motion is NaN.
-
-    Returns
-    -------
-    (2, n - window + 1) float64
-        At the middle sample of each window.
+    time, position: (n,) s, and m or counts; the times need not be even.
+    window: Samples of each parabola, odd.
+    longest: A window that lasts longer, s, has a gap: its motion is NaN.
+    Returns: (2, n - window + 1) At the middle sample of each window.
     """
     middle = window // 2
     t = np.lib.stride_tricks.sliding_window_view(time, window)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 ROWS = 1 << 14  # kept at most: eight for each pixel of a wide screen, 0.5 MB
 PICKED = 4  # rows kept of a stretch: where position and velocity are least and largest
@@ -11,10 +11,7 @@ PICKED = 4  # rows kept of a stretch: where position and velocity are least and 
 class Overview:
     """Rows of a record; when they are too many, half of them are kept, and of later ones as many in proportion.
 
-    Parameters
-    ----------
-    columns : int
-        Numbers in a row: time, position, velocity, and more.
+    columns: Numbers in a row: time, position, velocity, and more.
     """
 
     def __init__(self, columns: int) -> None:

@@ -32,14 +32,14 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, joined, rows
-from daq.base.errors import InputError
 from daq.finalise import claim
 from daq.live.analysis import LiveAnalysis, columns, number
 from daq.live.finished import RunSamples
 from daq.live.motion import LONGEST_PARABOLA, LiveFilter, LiveMotion
 from daq.live.tail import JournalTail, JournalTotals
 from daq.runfile import journal
+from stickslip.compute.arrays import Array, joined, rows
+from stickslip.errors import InputError
 
 # From one look at the journal to the next: the page draws what came in two halves, 20 frames/s.  A look takes 2 to 3 ms
 # of CPU time, nearly the same for 50 samples as for 100: half of it takes almost twice the share of a core.
@@ -75,19 +75,10 @@ class NotPossibleError(Exception):
 class Publisher(ABC):
     """The events of a view, and whoever waits for the next one.
 
-    Parameters
-    ----------
-    path : Path
-        The journal, or the run file.
-    rate_hz : float
-        Nominal rate of the samples.
-
-    Attributes
-    ----------
-    ended : str
-        How the view has ended, "" while it goes on.
-    failure : Exception or None
-        What has ended it.
+    path: The journal, or the run file.
+    rate_hz: Nominal rate of the samples.
+    ended: How the view has ended, "" while it goes on.
+    failure: What has ended it.
     """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
@@ -170,10 +161,7 @@ class Publisher(ABC):
 class LiveRun(Publisher):
     """A recording while it runs.
 
-    Parameters
-    ----------
-    path : Path
-        The journal.
+    path: The journal.
     """
 
     def __init__(self, path: Path) -> None:
@@ -334,10 +322,7 @@ class LiveRun(Publisher):
 class FinishedRun(Publisher):
     """A run file in the same view.
 
-    Parameters
-    ----------
-    path : Path
-        The run file.
+    path: The run file.
     """
 
     def __init__(self, path: Path) -> None:

@@ -54,16 +54,10 @@ NO_VIEW = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="vi
 def application(run: Publisher, token: str, host: str, finished: Callable[[], None]) -> Starlette:
     """Return the web application.
 
-    Parameters
-    ----------
-    run : Publisher
-        The recording, or the run.
-    token : str
-        What every path begins with.
-    host : str
-        ``address:port`` of the server: other Host headers are refused.
-    finished : callable
-        Called `FAREWELL_S` after the end of the recording.
+    run: The recording, or the run.
+    token: What every path begins with.
+    host: ``address:port`` of the server: other Host headers are refused.
+    finished: Called `FAREWELL_S` after the end of the recording.
     """
 
     async def page(request: Request) -> Response:
@@ -189,22 +183,10 @@ class Guard:
 def serve(path: Path, show: Callable[[str], None]) -> str:
     """Serve the view of a journal until its recording ends, or of a run file; until SIGINT comes.
 
-    Parameters
-    ----------
-    path : Path
-        The journal (``.part``), or the run file.
-    show : callable
-        Called with the page's URL when the server accepts connections.
-
-    Returns
-    -------
-    str
-        How the recording ended; "" after SIGINT.
-
-    Raises
-    ------
-    InputError
-        The file is missing, or no journal or run.
+    path: The journal (``.part``), or the run file.
+    show: Called with the page's URL when the server accepts connections.
+    Returns: How the recording ended; "" after SIGINT.
+    Raises InputError: the file is missing, or no journal or run.
     """
     import uvicorn
 

@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, joined, rows
 from daq.live.motion import LiveMotion, MotionErrors
+from stickslip.compute.arrays import Array, Mask, joined, rows
 
 # Share of the belt's speed: farther from it the mass slips.  In every cycle of stick-slip it comes back, at more than
 # 1.  Half takes noise, and the creep of a wide ramp, for slips; double misses the first slips of a record.
@@ -41,28 +41,14 @@ RECENT = 5  # sticks over which the belt's speed is a median: half follows one o
 
 @dataclass(frozen=True)
 class Slip:
-    """One slip between two sticks.
+    """One slip between two sticks."""
 
-    Attributes
-    ----------
-    break_away, landing : float
-        Their times, s.
-    stick_s : float
-        Duration of the stick before, NaN where its landing was not seen.
-    break_away_x : float
-        Position at the break-away, m or counts.
-    drop : float
-        Between the extremes of the positions from break-away to landing.
-    motion : LiveMotion
-        From break-away to landing.
-    """
-
-    break_away: float
+    break_away: float  # their times, s
     landing: float
-    stick_s: float
-    break_away_x: float
-    drop: float
-    motion: LiveMotion
+    stick_s: float  # duration of the stick before, NaN where its landing was not seen
+    break_away_x: float  # position at the break-away, m or counts
+    drop: float  # between the extremes of the positions from break-away to landing
+    motion: LiveMotion  # from break-away to landing
 
     @property
     def slip_s(self) -> float:
@@ -98,15 +84,10 @@ class Spread:
 class StickSlip:
     """Follow sticks and slips.
 
-    Attributes
-    ----------
-    state : str
-        "stick", "slip", or "" where neither is known.
-    cycles : int
-        Sticks with the slip after them, both whole.
-    belt_speed : float
-        The belt's speed, m/s or counts/s: the median of the mean velocities of the last `RECENT` sticks.  NaN before
-        the first one.
+    state: "stick", "slip", or "" where neither is known.
+    cycles: Sticks with the slip after them, both whole.
+    belt_speed: The belt's speed, m/s or counts/s: the median of the mean velocities of the last `RECENT` sticks.  NaN
+        before the first one.
     """
 
     def __init__(self) -> None:
@@ -123,16 +104,10 @@ class StickSlip:
     def feed(self, motion: LiveMotion, belt_speed: float, window: int, errors: MotionErrors) -> list[Slip]:
         """Return the slips that have ended.
 
-        Parameters
-        ----------
-        motion : LiveMotion
-            What came since the last call.
-        belt_speed : float
-            The belt's speed as known so far.
-        window : int
-            Samples of a parabola of the motion.
-        errors : MotionErrors
-            What the noise of the readings makes of the motion.
+        motion: What came since the last call.
+        belt_speed: The belt's speed as known so far.
+        window: Samples of a parabola of the motion.
+        errors: What the noise of the readings makes of the motion.
         """
         slips: list[Slip] = []
         slipping = np.abs(motion.v - belt_speed) > max(SLIP_SHARE * abs(belt_speed), NOISE * errors.v)

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 
 from daq import protocols
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.finalise import connections, timeline
 from daq.finalise.integrity import CheckedCounts, check
 from daq.finalise.run import calibration
@@ -24,6 +22,8 @@ from daq.runfile.journal import Record
 from daq.runfile.recording import positions
 from daq.runfile.rig import Rig
 from daq.wire import counters, decode, frames
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 # Lines decoded again with the next chunk.  A text line needs neighbours on both sides for its time to be judged; half
 # leaves few where several are damaged in a row, double costs 0.1 ms more a chunk.
@@ -34,21 +34,13 @@ MOST_BYTES = 1 << 18  # part of a journal read at once, 0.2 s of CPU time: a vie
 
 @dataclass(frozen=True)
 class NewSamples:
-    """Samples since the last look, k of them, in order.
+    """Samples since the last look, k of them, in order."""
 
-    Attributes
-    ----------
-    time, position : (k,) float64
-        s since the first sample of the recording, and m (counts without a calibration).
-    fresh : (k,) bool
-        True for the first sample of a segment: nothing connects it with the one before.
-    belt : (k,) float64 or None
-        m, of the belt's own encoder, from the first sample of each segment; None without one.
-    """
-
-    time: Array
+    time: Array  # (k,) s since the first sample of the recording, and m (counts without a calibration)
     position: Array
+    # (k,) true for the first sample of a segment: nothing connects it with the one before
     fresh: np.typing.NDArray[np.bool_]
+    # (k,) m, of the belt's own encoder, from the first sample of each segment; None without one
     belt: Array | None = None
 
 
@@ -78,37 +70,18 @@ class _Last:
 class JournalTail:
     """The samples of a journal, as they come.
 
-    Parameters
-    ----------
-    path : Path
-        The journal; it is only read.
-
-    Attributes
-    ----------
-    header : dict
-        How the recording was started.
-    rig : Rig
-        Its calibration, once the board has sent it.
-    counts : JournalTotals
-        Totals so far.
-    ended : str
-        How the recording ended, "" while it goes on (`daq.runfile.journal`).
-    port_lost : str
-        Why the port was lost, "" while it is there.
-
-    Raises
-    ------
-    InputError
-        The file is missing, or no journal.
+    path: The journal; it is only read.
+    header: How the recording was started.
+    rig: Its calibration, once the board has sent it.
+    counts: Totals so far.
+    ended: How the recording ended, "" while it goes on (`daq.runfile.journal`).
+    port_lost: Why the port was lost, "" while it is there.
+    Raises InputError: the file is missing, or no journal.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            header = journal.beginning(path)
-        except OSError as error:
-            do = "give the RUN.h5.part of a recording that is running"
-            raise InputError(f"no such journal ({error.strerror})", str(path), do) from error
+        header = journal.beginning(path)
         self.header: dict[str, Any] = journal_header.complete(header, path)
         self.rig = Rig()
         self.counts = JournalTotals()
@@ -145,12 +118,8 @@ class JournalTail:
     def poll(self, most: int = MOST_BYTES) -> list[NewSamples]:
         """Return what came since the last call, in order, of at most so many bytes; an empty list when nothing did.
 
-        Raises
-        ------
-        FileNotFoundError
-            The journal is gone: its run file is in place, or its folder was removed.
-        InputError
-            Another journal has its name.
+        Raises FileNotFoundError: the journal is gone: its run file is in place, or its folder was removed.
+        Raises InputError: another journal has its name.
         """
         with self.path.open("rb") as file:
             if file.seek(0, os.SEEK_END) < self._at:

@@ -13,7 +13,7 @@ The header of a journal names its protocol.  `daq.protocols.session` defines the
 
 from typing import TYPE_CHECKING, cast
 
-from daq.base.errors import check_known
+from stickslip.errors import check_known
 
 if TYPE_CHECKING:
     from daq.protocols.session import Backend

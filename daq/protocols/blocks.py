@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
+from stickslip.compute.arrays import Array, Integers
 
 NAME = "blocks"
 COUNTS, POSITIONS = "t_s,count", "t_s,x_m"

@@ -10,10 +10,10 @@ from decimal import Decimal
 from functools import lru_cache, reduce
 from operator import xor
 
-from daq.base.errors import InputError, check_known
 from daq.protocols.lines import Other, Row
 from daq.wire import frames
 from daq.wire.splitter import Splitter
+from stickslip.errors import InputError, check_known
 
 TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
 _COUNTS = ("up", "down", "count", "ticks")
@@ -80,45 +80,21 @@ LONGEST_LINE = 256
 
 @dataclass(frozen=True)
 class Columns:
-    """How to read a line of the declared columns.
+    """How to read a line of the declared columns."""
 
-    Attributes
-    ----------
-    pattern : re.Pattern
-        Of a whole line; its last group is empty and takes the place of every column that is not declared.
-    names : tuple of str
-        Columns in the order of the line; empty when none are declared.
-    labels : tuple of str
-        Labels of the columns in the line; empty when the line holds values only.
-    counters : tuple of two str
-        Columns of the counters: up (or the net count) and down; "" for none.
-    counts : tuple of int
-        Groups that hold the time's whole part and fraction, up (or the net count) and down.
-    checks : tuple of int
-        Groups that hold a, b, illegal and xor; empty when none of them is declared.
-    us_per_unit : int
-        Unit of the time, us.
-    net : bool
-        There is only one count, signed.
-    bits : int
-        Width of the counters.
-    decimals : int or None
-        Of a measured number in place of a count: the count is that of its last decimal.  None for counts.
-    capabilities : Capability
-        What the columns hold in addition to counts.
-    """
-
+    # of a whole line; its last group is empty and takes the place of every column that is not declared
     pattern: re.Pattern[bytes]
-    names: tuple[str, ...]
-    labels: tuple[str, ...]
-    counters: tuple[str, str]
-    counts: tuple[int, ...]
-    checks: tuple[int, ...]
-    us_per_unit: int
-    net: bool
-    bits: int
+    names: tuple[str, ...]  # columns in the order of the line; empty when none are declared
+    labels: tuple[str, ...]  # labels of the columns in the line; empty when the line holds values only
+    counters: tuple[str, str]  # columns of the counters: up (or the net count) and down; "" for none
+    counts: tuple[int, ...]  # groups that hold the time's whole part and fraction, up (or the net count) and down
+    checks: tuple[int, ...]  # groups that hold a, b, illegal and xor; empty when none of them is declared
+    us_per_unit: int  # unit of the time, us
+    net: bool  # there is only one count, signed
+    bits: int  # width of the counters
+    # of a measured number in place of a count: the count is that of its last decimal.  None for counts.
     decimals: int | None
-    capabilities: frames.Capability
+    capabilities: frames.Capability  # what the columns hold in addition to counts
 
     @property
     def measured(self) -> tuple[str, float] | None:
@@ -186,10 +162,7 @@ class Columns:
 def columns(declared: str | None) -> Columns:
     """Return how to read lines of the declared columns; None: labelled lines with a time and a net count.
 
-    Raises
-    ------
-    InputError
-        A column is unknown or declared twice, or time or counts are missing.
+    Raises InputError: A column is unknown or declared twice, or time or counts are missing.
     """
     where = "--columns"
     if declared is None:

@@ -5,14 +5,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import DeviceError, InputError, check_known
-from daq.base.text import printable, storable
 from daq.protocols import link_budget
 from daq.protocols import session as sessions
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session, Tally
 from daq.wire import frames
 from daq.wire.counters import fits, is_late, signed
+from stickslip.errors import DeviceError, InputError, check_known
+from stickslip.text import printable, storable
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream
@@ -57,10 +57,7 @@ class Frames(Session):
     def identify(self) -> Identity:
         """Stop a running stream and ask for the identification.
 
-        Raises
-        ------
-        DeviceError
-            No answer, or none in this protocol; or the board does not have the decoder.
+        Raises DeviceError: no answer, or none in this protocol; or the board does not have the decoder.
         """
         self.send("", "X")  # the empty line ends an incomplete command of a program that crashed
         strange = self.drain()
@@ -79,10 +76,7 @@ class Frames(Session):
     def prepare(self, plan: Plan) -> Identity:
         """Set rate and samples per frame; the next identification confirms them.
 
-        Raises
-        ------
-        DeviceError
-            The board refuses; the message contains its reason.
+        Raises DeviceError: the board refuses; the message contains its reason.
         """
         self._settings = f"R {round(plan.rate_hz)}", f"B {plan.block}"
         self.send(*self._settings)

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute import arrays
-from daq.base.compute.arrays import Array
 from daq.protocols.neighbours import LOOK_AHEAD, leaps, off_course, periods_between, running, spread, time_ahead
 from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, moves
+from stickslip.compute import arrays
+from stickslip.compute.arrays import Array
 
 # Lines before and behind one that stages 2 to 4 keep.  They look 6, 19 (`SPIKE_AMONG` lines, and three about each) and
 # 16 lines far; `off_course` judges no fewer than 32 lines at once.  Half is too few, double gives the same result.
@@ -30,36 +30,18 @@ ANCHOR = 4  # lines into those kept from which on their numbers do not depend on
 
 @dataclass(frozen=True)
 class Lines:
-    """Lines with a sample, n of them, in order.
+    """Lines with a sample, n of them, in order."""
 
-    Attributes
-    ----------
-    sent : (n,) int64
-        Times as sent, modulo 2^32.
-    ticks : (n,) int64
-        The same; once judged, interpolated where the time as sent was not true.
-    up, down : (n,) int64
-        Counters modulo their width.
-    status, illegal, stamp_ns : (n,) int64
-        See `daq.wire.decode.Stream`.
-    fresh : (n,) bool
-        The board has started anew before this line.
-    damaged : (n,) int64
-        Damaged lines between the line before and this one.
-    number : (n,) int64
-        Once judged: periods since the start that the line follows, made from the times.
-    """
-
-    sent: NDArray[np.int64]
-    ticks: NDArray[np.int64]
-    up: NDArray[np.int64]
+    sent: NDArray[np.int64]  # (n,) times as sent, modulo 2^32
+    ticks: NDArray[np.int64]  # (n,) the same; once judged, interpolated where the time as sent was not true
+    up: NDArray[np.int64]  # (n,) counters modulo their width
     down: NDArray[np.int64]
-    status: NDArray[np.int64]
+    status: NDArray[np.int64]  # (n,) see `daq.wire.decode.Stream`
     illegal: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
-    fresh: NDArray[np.bool_]
-    damaged: NDArray[np.int64]
-    number: NDArray[np.int64]
+    fresh: NDArray[np.bool_]  # (n,) the board has started anew before this line
+    damaged: NDArray[np.int64]  # (n,) damaged lines between the line before and this one
+    number: NDArray[np.int64]  # (n,) once judged: periods since the start that the line follows, made from the times
 
     def __len__(self) -> int:
         return len(self.ticks)
@@ -68,10 +50,7 @@ class Lines:
 class Between:
     """What stands between lines: what follows the last of some is before the first of the next ones.
 
-    Attributes
-    ----------
-    damaged : int
-        Damaged lines behind the last line.
+    damaged: Damaged lines behind the last line.
     """
 
     def __init__(self) -> None:
@@ -103,18 +82,12 @@ class Between:
 class Judge:
     """Judge lines by their neighbours, in pieces of any size.
 
-    Parameters
-    ----------
-    bits : int
-        Width of the counters.
-    period : float
-        Nominal sample interval, ticks.
-    resolution : int
-        Ticks by which a coarse clock advances at once: so much may a time differ from the sample's.  0: none is coarse.
-    tick_ns : int
-        Tick of the board's clock, ns.
-    net : bool
-        There is but one counter, a signed net count, in place of ``up``; it is split into two.
+    bits: Width of the counters.
+    period: Nominal sample interval, ticks.
+    resolution: Ticks by which a coarse clock advances at once: so much may a time differ from the sample's.  0: none is
+        coarse.
+    tick_ns: Tick of the board's clock, ns.
+    net: There is but one counter, a signed net count, in place of ``up``; it is split into two.
     """
 
     def __init__(self, bits: int, period: float, resolution: int, tick_ns: int, *, net: bool) -> None:

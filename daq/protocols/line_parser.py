@@ -44,37 +44,20 @@ _DIGITS_AND_SIGNS = bytes(byte if byte in b"-0123456789" else 32 for byte in ran
 
 @dataclass(frozen=True)
 class Shape:
-    """What lines have in common.
+    """What lines have in common."""
 
-    Attributes
-    ----------
-    pattern : re.Pattern
-        Of any number of whole lines.
-    form : Columns
-        Their columns.
-    numbers : int
-        Numbers in a line.
-    place : dict of str to int
-        Which of them are columns: by name, the whole part and the fraction of the time as ``time`` and ``fraction``.
-    taken, masks : (k,) int64
-        Which number is each value of a row (the lower of two levels), and the bits of it; no bits of a value that the
-        line does not have.
-    fraction_digits : int
-        Digits of the time's fraction.
-    pointless : bool
-        The points are taken out before the numbers are read.
-    unguarded, xor : int
-        Bytes of a line from the end of what its xor covers on, and from the xor's digits on; 0 without an xor.
-    """
-
-    pattern: re.Pattern[bytes]
-    form: Columns
-    numbers: int
+    pattern: re.Pattern[bytes]  # of any number of whole lines
+    form: Columns  # their columns
+    numbers: int  # numbers in a line
+    # which of them are columns: by name, the whole part and the fraction of the time as ``time`` and ``fraction``
     place: dict[str, int]
+    # (k,) which number is each value of a row (the lower of two levels), and the bits of it; no bits of a value that
+    # the line does not have
     taken: NDArray[np.intp]
     masks: NDArray[np.int64]
-    fraction_digits: int
-    pointless: bool
+    fraction_digits: int  # digits of the time's fraction
+    pointless: bool  # the points are taken out before the numbers are read
+    # bytes of a line from the end of what its xor covers on, and from the xor's digits on; 0 without an xor
     unguarded: int
     xor: int
 
@@ -188,10 +171,7 @@ def _measured(decimals: int) -> bytes:
 class LineParser:
     """Parse the lines of one stream; from two lines in a row with the same labels on, other labels are damage.
 
-    Attributes
-    ----------
-    alike : re.Pattern or None
-        See `daq.protocols.lines.Parser`.
+    alike: See `daq.protocols.lines.Parser`.
     """
 
     def __init__(self, form: Columns) -> None:

@@ -21,7 +21,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute import arrays
 from daq.protocols.judge import Between, Judge, Lines
 from daq.protocols.neighbours import LOOK_AHEAD, time_ahead
 from daq.protocols.session import Tally
@@ -30,6 +29,7 @@ from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
+from stickslip.compute import arrays
 
 BLOCK_BYTES = 1 << 16  # size of reads that are parsed at once; half costs 10 % more CPU time, double 5 % less
 # Lines that are read together.  Half costs a tenth more CPU time in short reads where every tenth line is damaged, and
@@ -71,45 +71,23 @@ class Parser(Protocol):
 
 
 class LineBatch(NamedTuple):
-    """What some bytes hold: n samples in m lines.
+    """What some bytes hold: n samples in m lines."""
 
-    Attributes
-    ----------
-    rows : (n, k) int64
-        Their values: `Row`.
-    line : (n,) int64
-        Which of the lines each is from.
-    others : list of (int, Other)
-        Damage and starts: behind how many of the samples each is.
-    lines : int
-        m.
-    """
-
-    rows: NDArray[np.int64]
-    line: NDArray[np.int64]
-    others: list[tuple[int, Other]]
-    lines: int
+    rows: NDArray[np.int64]  # (n, k) their values: `Row`
+    line: NDArray[np.int64]  # (n,) which of the lines each is from
+    others: list[tuple[int, Other]]  # damage and starts: behind how many of the samples each is
+    lines: int  # m
 
 
 class LineReader:
     """Read samples from a stream of lines; never raises on garbage, back in step at the next delimiter.
 
-    Parameters
-    ----------
-    delimiter, longest : bytes, int
-        What ends a line, and bytes beyond which a line is damaged.
-    parser : Parser
-        Reads the lines.
-    trusts_first : bool
-        A first line that has lost its beginning is seen as damaged by its form.  It is no error then; where it could
-        not be seen, the first line is no sample either.
-
-    Attributes
-    ----------
-    delimiter : bytes
-        What ends a line.
-    example : bytes
-        The last line that was damaged; the first one of a stream may only be cut.
+    delimiter, longest: What ends a line, and bytes beyond which a line is damaged.
+    parser: Reads the lines.
+    trusts_first: A first line that has lost its beginning is seen as damaged by its form.  It is no error then; where
+        it could not be seen, the first line is no sample either.
+    delimiter: What ends a line.
+    example: The last line that was damaged; the first one of a stream may only be cut.
     """
 
     def __init__(self, delimiter: bytes, longest: int, parser: Parser, *, trusts_first: bool) -> None:
@@ -278,19 +256,14 @@ def pieces(
     Lines that cannot be true are counted as damaged.  The pieces make together what a single one is; a start or damage
     behind a piece's last frame belongs to the first frame of the next one.
 
-    Parameters
-    ----------
-    reads : iterable of (int, bytes)
-        Host's monotonic stamp in ns at the end of each read, and the bytes it gave.  With more than one piece, it must
-        give the same whenever it is asked.
-    make_reader, ident, period_ticks
-        Makes a reader of this protocol's lines; what is known of the board; the nominal sample interval.
-    net : bool
-        There is but one counter, a signed net count.
-    most_bytes : float
-        A piece is made of about so many; infinite: one piece.
-    resolution : int
-        Ticks by which its clock may advance at once, if its times are multiples of that; 0: its times are exact.
+    reads: Host's monotonic stamp in ns at the end of each read, and the bytes it gave.  With more than one piece, it
+        must give the same whenever it is asked.
+    make_reader, ident, period_ticks: Makes a reader of this protocol's lines; what is known of the board; the nominal
+        sample interval.
+    net: There is but one counter, a signed net count.
+    most_bytes: A piece is made of about so many; infinite: one piece.
+    resolution: Ticks by which its clock may advance at once, if its times are multiples of that; 0: its times are
+        exact.
     """
     source = _taken(reads, make_reader(), most_bytes)
     begun = next(source)
@@ -314,24 +287,12 @@ def pieces(
 
 
 class _Taken(NamedTuple):
-    """What some reads hold.
+    """What some reads hold."""
 
-    Attributes
-    ----------
-    lines : Lines
-        The lines with samples.
-    damaged : int
-        Damaged lines behind the last of these.
-    discarded_bytes : int
-        See `LineReader`; of these reads.
-    last : bool
-        No more reads follow.
-    """
-
-    lines: Lines
-    damaged: int
-    discarded_bytes: int
-    last: bool
+    lines: Lines  # the lines with samples
+    damaged: int  # damaged lines behind the last of these
+    discarded_bytes: int  # see `LineReader`; of these reads
+    last: bool  # no more reads follow
 
 
 def _taken(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_bytes: float) -> Iterator[_Taken]:

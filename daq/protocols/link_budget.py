@@ -3,12 +3,12 @@
 Line: 8N1, so 10 bits a byte.  A frame of n samples is 15 + 7 n bytes on the line, 2 n more for each optional column.
 """
 
-from daq.base.errors import InputError
 from daq.protocols.session import Plan
 from daq.runfile.rig import Rig
 from daq.wire import frames
 from daq.wire.counters import longest_gap_s
 from daq.wire.quadrature import EDGES_PER_COUNT
+from stickslip.errors import InputError
 
 BITS_PER_BYTE = 10
 TIGHT = 0.95  # load of the line or the decoder, over what it can carry: beyond this it warns
@@ -33,22 +33,10 @@ def bytes_per_s(ident: frames.Ident, rate_hz: float, block: int) -> float:
 def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[str]:
     """Check a recording against the board, its decoder and its line.
 
-    Parameters
-    ----------
-    plan : Plan
-        Its rate, samples per frame and load on the line.
-    baud : int or None
-        Bits per second of the line; None where it has no such limit (USB, a socket, the simulated rig).
-
-    Returns
-    -------
-    list of str
-        Warnings.
-
-    Raises
-    ------
-    InputError
-        When it cannot work: names the number and what would.
+    plan: Its rate, samples per frame and load on the line.
+    baud: Bits per second of the line; None where it has no such limit (USB, a socket, the simulated rig).
+    Returns: Warnings.
+    Raises InputError: when it cannot work: names the number and what would.
     """
     rate_hz = plan.rate_hz
     if rate_hz > ident.max_rate_hz:

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import DeviceError, InputError
 from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineReader, LineTally, Other, Row
@@ -33,6 +32,7 @@ from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
 from daq.wire.splitter import Splitter
+from stickslip.errors import DeviceError, InputError
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream
@@ -138,10 +138,7 @@ class Qsb(Session):
     def identify(self) -> Identity:
         """Stop a running stream and ask for the identity.
 
-        Raises
-        ------
-        DeviceError
-            No answer, or not that of a QSB.
+        Raises DeviceError: no answer, or not that of a QSB.
         """
         self.send("", "W160", "R0E")
         heard = len(self.drain())
@@ -172,10 +169,7 @@ class Qsb(Session):
     def prepare(self, plan: Plan) -> Identity:
         """Set reply format, decoder, interval and time; each is acknowledged.
 
-        Raises
-        ------
-        DeviceError
-            It did not acknowledge a setting.
+        Raises DeviceError: it did not acknowledge a setting.
         """
         mode = MODES[self.request.decoder or "x4"]
         # Older devices may lack register 0B; they send every sample anyway.

@@ -64,64 +64,34 @@ class Port(Protocol):
 
 @dataclass(frozen=True)
 class Identity:
-    """Identification sent by the board, or implied by its protocol; and the calibration, if the board has one.
+    """Identification sent by the board, or implied by its protocol; and the calibration, if the board has one."""
 
-    Attributes
-    ----------
-    ident : Ident
-        The identification.
-    config : str or None
-        The calibration, TOML.
-    measured : (str, float) or None
-        Where positions are measured numbers: what they are, "length", "force" or "" of a unit that nobody stated, and
-        a count in SI.
-    """
-
-    ident: frames.Ident
-    config: str | None = None
+    ident: frames.Ident  # the identification
+    config: str | None = None  # the calibration, TOML
+    # (str, float) where positions are measured numbers: what they are, "length", "force" or "" of a unit that nobody
+    # stated, and a count in SI
     measured: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How a recording will go.
+    """How a recording will go."""
 
-    Attributes
-    ----------
-    rate_hz : float
-        The rate that the board will sample at.
-    block : int
-        Samples per frame.
-    bytes_per_s : float
-        Load on the line.
-    notes : tuple of str
-        Remarks for the user, such as a rate that differs slightly from the requested one.
-    comes_already : bool
-        The load was measured on the line, so the line carries it.
-    """
-
-    rate_hz: float
-    block: int
-    bytes_per_s: float
-    notes: tuple[str, ...] = ()
-    comes_already: bool = False
+    rate_hz: float  # the rate that the board will sample at
+    block: int  # samples per frame
+    bytes_per_s: float  # load on the line
+    notes: tuple[str, ...] = ()  # remarks for the user, such as a rate that differs slightly from the requested one
+    comes_already: bool = False  # the load was measured on the line, so the line carries it
 
 
 class Tally(ABC):
     """How far a stream has come, in sample periods from its start: lost samples count, gaps of a lost port too.
 
-    Attributes
-    ----------
-    reached : int
-        Sample periods.
-    received : int
-        Samples among them that came, and all periods while the port was lost.
-    illegal : int or None
-        Illegal transitions as the board counts them; None where it does not.
-    resets : int
-        Restarts of the board seen after the first sample.
-    notice : str
-        The board's message when it stopped on its own.
+    reached: Sample periods.
+    received: Samples among them that came, and all periods while the port was lost.
+    illegal: Illegal transitions as the board counts them; None where it does not.
+    resets: Restarts of the board seen after the first sample.
+    notice: The board's message when it stopped on its own.
     """
 
     def __init__(self) -> None:
@@ -150,11 +120,8 @@ class Tally(ABC):
 class Session(ABC):
     """One board on one port: the interface of every protocol, and the reading that they share.
 
-    Attributes
-    ----------
-    received : list of (int, bytes)
-        Bytes received before the start, from the last identification on, with the host's monotonic time stamp in ns.
-        They are the first in the journal.
+    received: Bytes received before the start, from the last identification on, with the host's monotonic time stamp in
+        ns. They are the first in the journal.
 
     Notes
     -----

@@ -41,7 +41,6 @@ from itertools import pairwise
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import DeviceError, InputError, check_known
 from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, columns, lacking, with_decimals
@@ -50,6 +49,7 @@ from daq.protocols.lines import LineReader, LineTally
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
+from stickslip.errors import DeviceError, InputError, check_known
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream
@@ -132,10 +132,7 @@ class Text(Session):
     def identify(self) -> Identity:
         """Read lines until their rate is known; and their columns, if they are labelled and none are declared.
 
-        Raises
-        ------
-        DeviceError
-            Nothing is received, or no line with the declared columns.
+        Raises DeviceError: nothing is received, or no line with the declared columns.
         """
         listener = reader(self._form)
         vote, kept = ColumnVote(), b""
@@ -193,10 +190,7 @@ class Text(Session):
     def plan(self, identity: Identity) -> Plan:
         """Return the sketch's own rate.
 
-        Raises
-        ------
-        InputError
-            It is not the requested one.
+        Raises InputError: it is not the requested one.
         """
         rate_hz, requested = self._rate_hz, self.request.rate_hz
         if requested is not None:

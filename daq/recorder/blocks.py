@@ -1,12 +1,14 @@
 """Record blocks of samples that a program hands over: the journal, its safety and the run file are those of a board.
 
-The program's blocks are taken in the caller's thread.  Each is handed to the system before the next one is asked for,
-so that a process that is killed keeps every block that was taken; another thread syncs the disk meanwhile.
+A thread takes the program's blocks, so that the recording can be stopped while the program gives none.  Each is handed
+to the system before the next one is asked for, so that a process that is killed keeps every block that was taken;
+another thread syncs the disk meanwhile.
 """
 
 import contextlib
 import inspect
 import json
+import queue
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -15,12 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.errors import DataError, DeviceError, InputError
 from daq.protocols import blocks
 from daq.protocols.request import RecordRequest
 from daq.recorder.journal_place import JournalPlace
+from daq.recorder.reader import SILENT_S
 from daq.recorder.record import (
+    LEAVE_S,
     WAKE_S,
     RecordingInterruptedError,
     begun,
@@ -33,6 +35,9 @@ from daq.recorder.record import (
 )
 from daq.runfile import journal
 from daq.runfile.recording import FARTHEST, LONGEST_S
+from stickslip.compute.arrays import Array, Integers, numbers
+from stickslip.errors import DataError, DeviceError, InputError
+from stickslip.text import storable
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
@@ -48,29 +53,37 @@ def record_blocks(
     request: RecordRequest,
     rate_hz: float,
     seconds: float | None,
+    warnings: list[str],
     *,
     progress: Callable[[float], None] = lambda seconds: None,
     stop: threading.Event | None = None,
 ) -> "RecordingQuality":
     """Record the blocks of a source into ``request.output``; see `daq.recorder.source.record`.
 
-    Parameters
-    ----------
-    source : iterable
-        Its items are blocks.
-    request : RecordRequest
-        Output, calibration and notes; what concerns a board is not looked at.
-    rate_hz : float
-        Nominal rate.
-    seconds : float or None
-        How long; None: until the source ends.
-    progress, stop
-        As of `daq.recorder.record.record`.
+    source: Its items are blocks.
+    request: Output, calibration and notes; what concerns a board is not looked at.
+    rate_hz: Nominal rate.
+    seconds: How long; None: until the source ends.
+    warnings: What is to be said of the calibration.
+    progress, stop: As of `daq.recorder.record.record`.
     """
     check_output(request)
     samples = None if seconds is None else samples_wanted(seconds, rate_hz)
-    taking = _Taking(iter(source), rate_hz)
     stop = stop or threading.Event()
+    taking = _Taking(source, rate_hz, stop, None if seconds is None else max(seconds, SILENT_S))
+    with contextlib.closing(taking.items):
+        return _record(source, taking, samples, request, warnings, progress)
+
+
+def _record(
+    source: Iterable[Any],
+    taking: "_Taking",
+    samples: int | None,
+    request: RecordRequest,
+    warnings: list[str],
+    progress: Callable[[float], None],
+) -> "RecordingQuality":
+    stop, rate_hz = taking.stop, taking.rate_hz
     try:
         first = taking.next()
     except KeyboardInterrupt as error:
@@ -78,8 +91,11 @@ def record_blocks(
     except _SourceError as error:
         what = f"the source failed before its first block: {_words(error)}"
         raise DeviceError(what, WHERE, "mend it") from error.__cause__
+    if first is None and taking.ended == journal.STOPPED:
+        raise RecordingInterruptedError("stopped before the first block came", WHERE, "record again")
     if first is None:
-        raise DataError("the source gave no block", WHERE, DO)
+        silent = f" in {taking.patience_s:g} s" if taking.ended == journal.SOURCE_SILENT else ""
+        raise DataError(f"the source gave no block with a sample{silent}", WHERE, DO)
     how: dict[str, Any] = {
         "protocol": blocks.NAME,
         "columns": blocks.COUNTS if first.counted else blocks.POSITIONS,
@@ -89,7 +105,7 @@ def record_blocks(
         "rate_hz": rate_hz,
         "samples": samples,
         "title": f"{'counts' if first.counted else 'positions'} of a program, {rate_hz:g} Hz",
-        "warnings": [],
+        "warnings": warnings,
     }
     try:
         writer = journal.Writer(request.part, begun(how, request.notes, {"source": type(source).__name__}))
@@ -102,7 +118,7 @@ def record_blocks(
         if request.calibration is not None:
             writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
         with _syncing(writer, place, stop) as lock:
-            failure = _take(first, taking, samples, writer, lock, progress, stop)
+            failure = _take(first, taking, samples, writer, lock, progress)
         writer.sync()
         place.check()
         if isinstance(failure, _WrongRateError):
@@ -125,7 +141,6 @@ def _take(
     writer: journal.Writer,
     lock: threading.Lock,
     progress: Callable[[float], None],
-    stop: threading.Event,
 ) -> "InputError | _SourceError | None":
     """Write block after block until there are enough, or the source ends; return what it failed with."""
     failure: InputError | _SourceError | None = None
@@ -137,17 +152,15 @@ def _take(
                 for data in blocks.packed(block.time, block.values):
                     writer.append(journal.RECEIVED, stamp, data)
                 if writer.tick() and writer.is_asked_to_stop():
-                    stop.set()
+                    taking.stop.set()
             progress(taking.taken_s)
-            if stop.is_set():
-                reason = journal.STOPPED
-                break
-            if samples is not None and taking.taken >= samples:
+            if samples is not None and taking.taken >= samples and not taking.stop.is_set():
                 break
             block = taking.next()
         else:
-            reason = journal.COMPLETE if samples is None else journal.SOURCE_ENDED
-        taking.close()
+            ended_early = samples is not None or taking.ended != journal.SOURCE_ENDED
+            reason = taking.ended if ended_early else journal.COMPLETE
+        taking.items.end()
     except KeyboardInterrupt:
         reason = journal.STOPPED
     except (InputError, _SourceError) as error:
@@ -189,6 +202,62 @@ class _WrongRateError(InputError):
     """The times of the blocks have another rate than was stated."""
 
 
+class _Items:
+    """The items of a source, which a thread takes, one whenever it is asked."""
+
+    def __init__(self, source: Iterable[Any]) -> None:
+        self.asked = False  # for an item that has not come yet
+        self._questions: queue.SimpleQueue[bool] = queue.SimpleQueue()  # False: close the source
+        self._answers: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
+        self._closed = False
+        threading.Thread(target=self._answer, args=(source,), name="daq source", daemon=True).start()
+
+    def _answer(self, source: Iterable[Any]) -> None:
+        items: Iterator[Any] | None = None
+        while self._questions.get():
+            try:
+                items = iter(source) if items is None else items
+                self._answers.put((next(items), None))
+            except BaseException as error:
+                self._answers.put((None, error))
+        try:
+            if inspect.isgenerator(items):
+                items.close()  # so that it can close its device
+            self._answers.put((None, None))
+        except BaseException as error:
+            self._answers.put((None, error))
+
+    def ask(self) -> None:
+        """Ask for the next item, unless one is waited for."""
+        if not self.asked:
+            self.asked = True
+            self._questions.put(True)
+
+    def take(self, patience_s: float) -> Any:
+        """Return the item; `queue.Empty` if it does not come."""
+        item, error = self._answers.get(timeout=patience_s)
+        self.asked = False
+        if error is not None:
+            if isinstance(error, Exception) and not isinstance(error, StopIteration):
+                raise _SourceError from error
+            raise error
+        return item
+
+    def close(self) -> None:
+        """Let the thread close a generator that has not ended by itself, as soon as it waits for no item."""
+        if not self._closed:
+            self._closed = True
+            self._questions.put(False)
+
+    def end(self) -> None:
+        """Close the source, and wait until it is; not for one that still owes an item."""
+        blocked = self.asked
+        self.close()
+        if not blocked:
+            with contextlib.suppress(queue.Empty):
+                self.take(LEAVE_S)
+
+
 @dataclass(frozen=True)
 class _Block:
     """Times, s, and counts or positions, m, of one block, (n,) each."""
@@ -202,18 +271,14 @@ class _Block:
 
 
 class _Taking:
-    """Takes the blocks of a source, checked.
+    """Takes the blocks of a source, checked; after the last one ``ended`` is the reason, as in a journal."""
 
-    Attributes
-    ----------
-    taken : int
-        Samples taken.
-    """
-
-    def __init__(self, source: Iterator[Any], rate_hz: float) -> None:
-        self.taken = 0
-        self._source, self._rate_hz = source, rate_hz
+    def __init__(self, source: Iterable[Any], rate_hz: float, stop: threading.Event, patience_s: float | None) -> None:
+        self.taken = 0  # samples
+        self.ended = ""
+        self.items, self.rate_hz, self.stop, self.patience_s = _Items(source), rate_hz, stop, patience_s
         self._number = 0
+        self._stopped_s = 0.0
         self._counted: bool | None = None
         self._first_s = self._last_s = 0.0
         self._steps: list[float] | None = []  # periods of the first samples; None once their rate was checked
@@ -221,29 +286,35 @@ class _Taking:
     @property
     def taken_s(self) -> float:
         """Seconds taken."""
-        return self._last_s - self._first_s + 1 / self._rate_hz
+        return self._last_s - self._first_s + 1 / self.rate_hz
 
     def next(self) -> _Block | None:
-        """Return the next block with a sample; None where the source has ended."""
-        while True:
+        """Return the next block with a sample; None where there is none, for the reason ``ended``."""
+        began = time.monotonic()
+        while not self._is_over(began):
+            self.items.ask()
             try:
-                item = next(self._source)
+                item = self.items.take(WAKE_S)
+            except queue.Empty:
+                continue
             except StopIteration:
-                return None
-            except Exception as error:
-                raise _SourceError from error
+                self.ended = journal.SOURCE_ENDED
+                break
             self._number += 1
             block = self._checked(item)
             if len(block.time):
                 return block
+        return None
 
-    def close(self) -> None:
-        """End a generator that has not ended by itself, so that it can close its device."""
-        if inspect.isgenerator(self._source):
-            try:
-                self._source.close()
-            except Exception as error:
-                raise _SourceError from error
+    def _is_over(self, began: float) -> bool:
+        """Return whether to wait no longer; a block that was asked for before the stop has `LEAVE_S` to come."""
+        if self.stop.is_set():
+            self._stopped_s = self._stopped_s or time.monotonic()
+            if not self.items.asked or time.monotonic() - self._stopped_s > LEAVE_S:
+                self.ended = journal.STOPPED
+        elif self.patience_s is not None and time.monotonic() - began > self.patience_s:
+            self.ended = journal.SOURCE_SILENT
+        return bool(self.ended)
 
     def _checked(self, item: Any) -> _Block:
         try:
@@ -252,14 +323,9 @@ class _Taking:
             what = f"block {self._number} is {_kind(item)}, not two arrays"
             do = f"{DO}; for arrays that are complete use daq.Recording.from_arrays(t, x).save(path)"
             raise InputError(what, WHERE, do) from error
-        try:
-            time, column = np.atleast_1d(np.asarray(times)), np.atleast_1d(np.asarray(values))
-        except ValueError as error:
-            raise InputError(f"block {self._number} holds no columns of numbers", WHERE, DO) from error
-        for name, numbers in (("times", time), ("values", column)):
-            if numbers.ndim != 1 or numbers.dtype.kind not in "iuf":
-                what = f"the {name} of block {self._number} are {numbers.dtype} of shape {numbers.shape}"
-                raise InputError(what, WHERE, DO)
+        where = f"{WHERE}, block {self._number}"
+        time = numbers(times, "time", where, DO, single=True)
+        column = numbers(values, "position", where, DO, single=True)
         if len(time) != len(column):
             what = f"block {self._number} holds {len(time)} times and {len(column)} values"
             raise InputError(what, WHERE, DO)
@@ -277,10 +343,10 @@ class _Taking:
         return _Block(seconds, column.astype(np.int64) if counted else column.astype(np.float64))
 
     def _check_values(self, time: Array, column: "np.ndarray[Any, Any]") -> None:
-        for name, numbers, most in (("time", time, np.inf), ("value", column, FARTHEST)):
-            wrong = np.flatnonzero(~((np.abs(numbers) <= most) & np.isfinite(numbers)))
+        for name, values, most in (("time", time, np.inf), ("value", column.astype(np.float64), FARTHEST)):
+            wrong = np.flatnonzero(~((np.abs(values) <= most) & np.isfinite(values)))
             if wrong.size:
-                what = f"the {name} of sample {wrong[0]} in block {self._number} is {numbers[wrong[0]]:g}"
+                what = f"the {name} of sample {wrong[0]} in block {self._number} is {values[wrong[0]]:g}"
                 raise InputError(what, WHERE, "leave out samples that are no numbers")
         steps = np.diff(time, prepend=self._last_s if self.taken else -np.inf)
         wrong = np.flatnonzero(~(steps > 0))
@@ -290,7 +356,7 @@ class _Taking:
             what = f"time does not increase at sample {at} in block {self._number}"
             do = "give the times of one clock, in s, that go on from block to block"
             raise InputError(f"{what}: {time[at]:.9g} s after {before:.9g} s", WHERE, do)
-        if self.taken and len(time) and time[-1] - self._first_s > LONGEST_S:
+        if len(time) and time[-1] - (self._first_s if self.taken else time[0]) > LONGEST_S:
             raise InputError(f"its times reach {time[-1]:.3g} s", WHERE, "give times in s")
 
     def _check_rate(self, time: Array) -> None:
@@ -302,8 +368,8 @@ class _Taking:
             return
         rate_hz = 1 / float(np.median(self._steps))
         self._steps = None
-        if abs(rate_hz / self._rate_hz - 1) > RATE_WITHIN:
-            what = f"the times step at {rate_hz:.4g} Hz, and rate_hz is {self._rate_hz:g}"
+        if abs(rate_hz / self.rate_hz - 1) > RATE_WITHIN:
+            what = f"the times step at {rate_hz:.4g} Hz, and rate_hz is {self.rate_hz:g}"
             raise _WrongRateError(what, WHERE, f"give rate_hz={rate_hz:.4g}, or the times in s")
 
 
@@ -316,4 +382,8 @@ def _words(error: InputError | _SourceError) -> str:
     if isinstance(error, InputError):
         return error.what
     cause = error.__cause__
-    return f"{type(cause).__name__}: {cause}".rstrip(": ")
+    try:
+        text = str(cause)
+    except Exception:
+        text = ""
+    return storable(f"{type(cause).__name__}: {text}".rstrip(": "))

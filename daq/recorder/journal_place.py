@@ -16,21 +16,11 @@ from daq.runfile import journal
 class JournalPlace:
     """The place of a journal while it is written, and of the run file that is made of it.
 
-    Parameters
-    ----------
-    writer : Writer
-        The journal.
-    output : Path
-        The run file that was asked for.
-    say : callable
-        Called with a line of text when the place has changed, or could not.
-
-    Attributes
-    ----------
-    output : Path
-        The run file as it will be called now.
-    changes : list of str
-        What happened, one sentence each.
+    writer: The journal.
+    output: The run file that was asked for.
+    say: Called with a line of text when the place has changed, or could not.
+    output: The run file as it will be called now.
+    changes: What happened, one sentence each.
     """
 
     def __init__(self, writer: journal.Writer, output: Path, say: Callable[[str], None]) -> None:

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import cast
 from urllib.parse import quote, unquote
 
-from daq.base.errors import DeviceError, InputError
 from daq.protocols.session import Port
+from stickslip.errors import DeviceError, InputError
 
 SIMULATED_RIG = "rig://rig"
 LONGEST_SHOWN = 100  # characters of a port in a message
@@ -58,12 +58,8 @@ def waits_for_reader(url: str) -> bool:
 def open_port(url: str, baud: int = BAUD) -> Port:
     """Open a port for reading and writing; reads return after `READ_TIMEOUT_S` with what came.
 
-    Raises
-    ------
-    DeviceError
-        The port does not exist, is held by another program, or may not be opened.
-    InputError
-        The URL has an unknown scheme, or the simulated rig's scene is wrong.
+    Raises DeviceError: the port does not exist, is held by another program, or may not be opened.
+    Raises InputError: the URL has an unknown scheme, or the simulated rig's scene is wrong.
     """
     import serial
 

@@ -15,10 +15,10 @@ import threading
 import time
 from collections.abc import Callable
 
-from daq.base.errors import StickslipError
 from daq.protocols.session import Session
 from daq.recorder import ports
 from daq.runfile import journal
+from stickslip.errors import StickslipError
 
 QUEUE_READS = 20_000  # half a minute of a 5 kHz stream
 QUEUE_READS_WAITING = 8
@@ -56,29 +56,16 @@ class Waiting:
 class Reader(threading.Thread):
     """Start the board, read until enough samples came or `stop` is called, stop the board, read the rest.
 
-    Parameters
-    ----------
-    board : Session
-        Prepared, not started.
-    reopen : callable
-        Opens the port again and returns a prepared session; raises StickslipError or OSError while it cannot.
-    rate_hz, samples : float, int
-        Samples per second, and in all.
-    say : callable
-        Called with a line of text when the port is lost and when it is available again.
-
-    Attributes
-    ----------
-    items : Queue of Item or None
-        Journal records in order; None ends them.
-    tally : Tally
-        Progress of the stream.
-    heard : int
-        Bytes received since the start.
-    failure : BaseException or None
-        Error that ended the thread early.
-    ended : str
-        One of the words in `daq.runfile.journal`: "complete", "stopped", "board stopped" (with a NOTICE), "port lost".
+    board: Prepared, not started.
+    reopen: Opens the port again and returns a prepared session; raises StickslipError or OSError while it cannot.
+    rate_hz, samples: Samples per second, and in all.
+    say: Called with a line of text when the port is lost and when it is available again.
+    items: Journal records in order; None ends them.
+    tally: Progress of the stream.
+    heard: Bytes received since the start.
+    failure: Error that ended the thread early.
+    ended: One of the words in `daq.runfile.journal`: "complete", "stopped", "board stopped" (with a NOTICE), "port
+        lost".
     """
 
     def __init__(

@@ -20,9 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from daq import protocols
-from daq.base.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
-from daq.base.measured import Measured
-from daq.base.output import disk, provenance
 from daq.finalise import claim
 from daq.protocols import link_budget
 from daq.protocols.columns import FORCE
@@ -31,10 +28,13 @@ from daq.protocols.session import Identity, Plan, Session
 from daq.recorder import ports
 from daq.recorder.journal_place import JournalPlace
 from daq.recorder.reader import Reader
-from daq.runfile import journal
+from daq.runfile import journal, provenance
 from daq.runfile.journal_header import MOST_SAMPLES
-from daq.runfile.rig import Rig
+from daq.runfile.rig import Rig, replaced
 from daq.wire import frames
+from stickslip.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from stickslip.output import disk
+from stickslip.units import Measured
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
@@ -53,10 +53,7 @@ class RecordingInterruptedError(StickslipError):
 class StopRequest(threading.Event):
     """Ends a recording when it is set.
 
-    Attributes
-    ----------
-    reason : str
-        For the journal: "stopped" for a person who has enough, else the name of the signal.
+    reason: For the journal: "stopped" for a person who has enough, else the name of the signal.
     """
 
     reason = journal.STOPPED
@@ -90,8 +87,8 @@ def check_request(request: RecordRequest) -> None:
 
 def check_output(request: RecordRequest) -> None:
     """Raise InputError for a run file that may not be written, or whose journal is in use or was left."""
-    from daq.base.output.atomic import refuse_existing
-    from daq.base.output.suffix import check_run
+    from stickslip.output.atomic import refuse_existing
+    from stickslip.output.suffix import check_run
 
     check_run(request.output)
     refuse_existing(request.output, request.force)
@@ -113,7 +110,6 @@ def journal_exists(part: Path) -> InputError:
 
 
 def samples_wanted(duration_s: float, rate_hz: float) -> int:
-    """Return the samples wanted of a duration at a rate."""
     if not 1 <= duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
         what = f"the duration is {duration_s:g} s, {duration_s * rate_hz:g} samples at {rate_hz:g} Hz"
         raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples", python="give seconds of it")
@@ -130,30 +126,18 @@ def record(
 ) -> "RecordingQuality":
     """Record a run into ``request.output``, or where its folder has gone meanwhile (`daq.recorder.journal_place`).
 
-    Parameters
-    ----------
-    progress : callable
-        Called with the seconds recorded so far, many times a second.
-    status : callable
-        Called with the rate at which samples come, and those lost and illegal, in words, as often.
-    say : callable
-        Called with a line of text for the user: the identity of the board, a lost port.
-    stop : Event
-        Ends the recording when it is set (a `StopRequest` gives the reason); the data received so far become the file.
-
-    Raises
-    ------
-    InputError
-        The request is wrong, the file exists, or board and line cannot carry it; nothing has been touched.  Or the
-        file exists by the end of the recording, and the journal stays.
-        The simulated rig's scene cannot be played; nothing is left behind.
-    DeviceError
-        The port cannot be opened or does not answer; or the disk refuses, and the journal stays.
-    DataError
-        Not one sample came.
-    RecordingInterruptedError
-        KeyboardInterrupt came, and the journal stays; or ``stop`` was set before the first sample came, and nothing
-        is left behind.
+    progress: Called with the seconds recorded so far, many times a second.
+    status: Called with the rate at which samples come, and those lost and illegal, in words, as often.
+    say: Called with a line of text for the user: the identity of the board, a lost port.
+    stop: Ends the recording when it is set (a `StopRequest` gives the reason); the data received so far become the
+        file.
+    Raises InputError: the request is wrong, the file exists, or board and line cannot carry it; nothing has been
+        touched.  Or the file exists by the end of the recording, and the journal stays. The simulated rig's scene
+        cannot be played; nothing is left behind.
+    Raises DeviceError: the port cannot be opened or does not answer; or the disk refuses, and the journal stays.
+    Raises DataError: not one sample came.
+    Raises RecordingInterruptedError: keyboardInterrupt came, and the journal stays; or ``stop`` was set before the
+        first sample came, and nothing is left behind.
     """
     check_request(request)
     board, identity, plan, warnings, calibration = _connect(request)
@@ -272,7 +256,9 @@ def _connect(request: RecordRequest) -> _Connected:
         baud = ports.line_baud(request.port, port)
         calibration = _calibration(request, identity)
         known = _known(calibration or identity.config or "", identity)
+        stored = _known(request.calibration or identity.config or "", identity)
         warnings = [*plan.notes, *link_budget.check(identity.ident, known, plan, baud)]
+        warnings += [row.text for row in replaced(stored, stored.stating(request.stated))]
         identity = board.prepare(plan)
     except OSError as error:
         port.close()
@@ -288,10 +274,7 @@ def _calibration(request: RecordRequest, identity: Identity) -> str | None:
 
     Where the board sends measured numbers, a count is metres by their unit, of a force by the spring's stiffness.
 
-    Raises
-    ------
-    InputError
-        For forces of a spring of unknown stiffness, and metres per count beside numbers with a unit.
+    Raises InputError: for forces of a spring of unknown stiffness, and metres per count beside numbers with a unit.
     """
     of, size = identity.measured or ("", 0.0)
     if not request.stated and not of:

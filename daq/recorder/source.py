@@ -2,27 +2,28 @@
 
 import contextlib
 import os
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.console.notes import NoteFlags
-from daq.base.errors import InputError
-from daq.base.output import names
-from daq.base.units import Stated, stated
 from daq.protocols.request import RecordRequest
-from daq.recorder.blocks import record_blocks
+from daq.recorder import names
+from daq.recorder.blocks import WHERE, record_blocks
+from daq.recorder.notes import NoteFlags
 from daq.recorder.record import record as record_board
-from daq.runfile.rig import Rig
+from daq.runfile.journal_header import FASTEST_HZ, SLOWEST_HZ
+from daq.runfile.rig import Rig, replaced
+from stickslip.compute.interpreter import start_python
+from stickslip.errors import InputError, check_type
+from stickslip.units import Stated, in_si, stated
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
 
-DURATION_S = 20.0  # recording time where none is stated, as in the command
+DURATION_S = RecordRequest.duration_s  # where none is stated
 APPEARS_S = "30 s"  # how long the live view waits for a recording that begins
 
 
@@ -30,8 +31,8 @@ def record(
     source: str | Iterable[Any],
     output: str | os.PathLike[str],
     *,
-    rate_hz: float | None,
-    seconds: float | None = None,
+    rate_hz: float | str | None,
+    seconds: float | str | None = None,
     mass: Stated | None = None,
     stiffness: Stated | None = None,
     damping: Stated | None = None,
@@ -67,11 +68,12 @@ def record(
         times in s by one clock and positions in m, or counts as integers.
     output : path
         The run file; ``run-{n:03}.h5`` is numbered.
-    rate_hz : float or None
-        Nominal sample rate.  Where times step by n periods, n - 1 samples are counted as lost.  None for a port whose
-        rate is its own (text lines).
-    seconds : float, optional
-        How long; by default until the iterable ends, and 20 s from a port.
+    rate_hz : float, text with a unit, or None
+        Nominal sample rate, Hz or ``"1 kHz"``.  Where times step by n periods, n - 1 samples are counted as lost.  None
+        for a port whose rate is its own (text lines).
+    seconds : float or text with a unit, optional
+        How long, s or ``"2 min"``; by default until the iterable ends, and 20 s from a port.  An iterable that gives no
+        sample for as long, or for 5 s if that is longer, ends the recording.
     mass, stiffness, damping, belt_speed, x0, metres_per_count : quantity, optional
         What is known of the rig, as for `Recording.from_arrays`; in place of what a board sends or ``rig`` says.
     rig : path, optional
@@ -87,7 +89,7 @@ def record(
     progress, say : callable
         Called with the seconds recorded so far, and with a line of text about a board.
     stop : threading.Event, optional
-        Ends the recording when it is set.
+        Ends the recording when it is set; at most 3 s later where the iterable gives nothing.
 
     Returns
     -------
@@ -119,6 +121,16 @@ def record(
     >>> daq.load("card.h5").rig.mass
     Measured(value=0.3, sd=0.0)
     """
+    texts = {"title": title, "operator": operator, "sample": sample, "note": note}
+    for name, text in (texts | {"protocol": protocol, "columns": columns, "decoder": decoder}).items():
+        check_type(text, str, name, WHERE, "text")
+    check_type(output, (str, os.PathLike), "output", WHERE, "a path")
+    check_type(rig, (str, os.PathLike), "rig", WHERE, "the path of a rig.toml")
+    check_type(tags, Mapping, "tags", WHERE, "a mapping of texts, such as {'humidity': '45 %'}")
+    check_type(baud, Integral, "baud", WHERE, "a whole number, such as 115200")
+    check_type(stop, threading.Event, "stop", WHERE, "a threading.Event")
+    rate = None if rate_hz is None else in_si(rate_hz, "rate", "rate_hz").value
+    length_s = None if seconds is None else in_si(seconds, "time", "seconds").value
     target = names.completed(Path(output))
     typed = [f"{name}={value}" for name, value in (tags or {}).items()]
     notes = NoteFlags(title, operator, sample, note, typed or None).given()
@@ -142,8 +154,8 @@ def record(
             request = replace(
                 request,
                 port=source,
-                rate_hz=_whole(rate_hz),
-                duration_s=DURATION_S if seconds is None else seconds,
+                rate_hz=_whole(rate),
+                duration_s=DURATION_S if length_s is None else length_s,
                 protocol=protocol,
                 columns=columns,
                 baud=baud,
@@ -152,12 +164,14 @@ def record(
             return record_board(request, progress=progress, say=say, stop=stop)
         if isinstance(source, Mapping) or not isinstance(source, Iterable):
             what = f"the source is a {type(source).__name__}"
-            raise InputError(what, "daq.record", "give a port, a URL, or an iterable of blocks (t, x)")
-        if rate_hz is None or not rate_hz > 0:
-            raise InputError(f"rate_hz is {rate_hz}", "daq.record", "give the samples per second of the source")
-        calibration = Rig.from_toml(request.calibration or "", str(rig)).stating(request.stated).to_toml()
-        request = replace(request, calibration=calibration)
-        return record_blocks(source, request, float(rate_hz), seconds, progress=progress, stop=stop)
+            raise InputError(what, WHERE, "give a port, a URL, or an iterable of blocks (t, x)")
+        if rate is None or not SLOWEST_HZ <= rate <= FASTEST_HZ:
+            raise InputError(f"rate_hz is {rate_hz}", WHERE, "give the samples per second of the source")
+        stored = Rig.from_toml(request.calibration or "", str(rig))
+        used = stored.stating(request.stated)
+        warnings = [row.text for row in replaced(stored, used)]
+        request = replace(request, calibration=used.to_toml())
+        return record_blocks(source, request, rate, length_s, warnings, progress=progress, stop=stop)
 
 
 def recover(
@@ -190,8 +204,8 @@ def recover(
     >>> import daq
     >>> found = daq.recover("run.h5.part")  # doctest: +SKIP
     """
-    from daq.base.output import suffix
     from daq.finalise.run import finalise
+    from stickslip.output import suffix
 
     part = Path(journal)
     if part.suffix != ".part":
@@ -202,8 +216,8 @@ def recover(
 
 
 def _whole(rate_hz: float | None) -> int | None:
-    if rate_hz is not None and float(rate_hz) != int(rate_hz):
-        raise InputError(f"rate_hz is {rate_hz}", "daq.record", "a port takes whole Hz, such as rate_hz=1000")
+    if rate_hz is not None and not rate_hz.is_integer():  # nor are infinity and NaN
+        raise InputError(f"rate_hz is {rate_hz}", WHERE, "a port takes whole Hz, such as rate_hz=1000")
     return None if rate_hz is None else int(rate_hz)
 
 
@@ -217,8 +231,7 @@ def _text(rig: Path) -> str:
 @contextlib.contextmanager
 def _viewer(part: Path) -> Iterator[None]:
     """Show a recording that is about to begin in the browser, by a process that ends soon after it."""
-    line = [sys.executable, "-m", "daq.cli.app", "watch", str(part), "--wait", APPEARS_S]
-    process = subprocess.Popen(line, start_new_session=True)
+    process = start_python("daq.cli.app", "watch", str(part), "--wait", APPEARS_S, start_new_session=True)
     try:
         yield
     except BaseException:

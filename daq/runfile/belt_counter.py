@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.output.spill import BLOCK
 from daq.runfile.rig import Rig
+from daq.runfile.spill import BLOCK
 from daq.wire import counters
 
 # Time over which counts are subtracted: a 7.7 um count then reads to 0.3 mm/s, and a corner is blurred by 10 ms.
@@ -69,14 +69,9 @@ class BeltCount:
 def unwrapped(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the belt's count without roll-over, (n,), each segment beginning at its own first reading.
 
-    Parameters
-    ----------
-    values : (n,) integers
-        As sent, modulo 2^bits.
-    bits : int
-        Width of the counter.
-    starts : (s,) int64
-        First sample of each segment: nothing is carried over.
+    values: (n,) As sent, modulo 2^bits.
+    bits: Width of the counter.
+    starts: (s,) First sample of each segment: nothing is carried over.
     """
     begins = np.zeros(len(values), dtype=np.bool_)
     begins[starts] = True
@@ -105,7 +100,7 @@ def velocity_pieces(
     rate_hz: float,
     metres_per_count: float,
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield the same piece by piece; count and time may be columns (`daq.base.output.spill.Column`)."""
+    """Yield the same piece by piece; count and time may be columns (`daq.runfile.spill.Column`)."""
     half = max(1, round(SPAN_S * rate_hz / 2))
     for first, last in pairwise([*starts.tolist(), len(count)]):
         if last - first < 2:

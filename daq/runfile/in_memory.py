@@ -1,5 +1,6 @@
 """A run made of arrays: the positions or counts that a program already has in memory, and what is known of the rig."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -7,13 +8,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.errors import InputError
-from daq.base.measured import Measured
-from daq.base.units import Stated, stated
 from daq.runfile import belt_counter
 from daq.runfile.rig import Rig
-from daq.runfile.run_data import FARTHEST, RunData, impossible_motion, positions
+from daq.runfile.run_data import FARTHEST, RunData, implausible_motion, impossible_motion, positions
+from stickslip.compute.arrays import Array, Integers, numbers
+from stickslip.errors import InputError, check_type
+from stickslip.units import Measured, Stated, stated
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ Made = TypeVar("Made", bound=RunData)
 # Decimals of a position in m.  A coarser power of ten of which all readings are multiples is taken in their place; half
 # as many are 30 um, more than most encoders resolve, and at 18 a belt of 9 m no longer fits into a whole number.
 FINEST_DECIMALS = 9
+DO = "give a sequence of numbers"
 # Share of the largest reading by which a decimal may be off where binary numbers hold it, after a change of units or
 # two.
 ULPS = 4.0
@@ -42,9 +43,10 @@ def from_arrays(
     title: str = "",
 ) -> Made:
     """Return a run made of arrays by ``make``, its class; see `daq.runfile.recording.Recording.from_arrays`."""
-    from daq.base.output import provenance
+    from daq.runfile import provenance
 
-    times, values = _column(time, "time"), _column(position, "position")
+    check_type(title, str, "title", "from_arrays", "text")
+    times, values = numbers(time, "time", "from_arrays", DO), numbers(position, "position", "from_arrays", DO)
     if len(times) != len(values):
         raise InputError(f"time holds {len(times)} values and position {len(values)}", "from_arrays", "give one each")
     if len(times) < 2:
@@ -52,12 +54,14 @@ def from_arrays(
     seconds = times.astype(np.float64)
     seconds = seconds - seconds[0]
     pitch = stated(metres_per_count, "metres_per_count")
-    count = counts(values, pitch, "position")
     metres = values.astype(np.float64)
     for name, column in (("time", seconds), ("position", metres)):
         _check_finite(column, name)
+    count = counts(values, pitch, "position")
     if (wrong := impossible_motion(seconds, metres)) is not None:
         raise InputError(wrong, "from_arrays", "give times in s that increase, and positions in m or counts")
+    if count is None and (moved := implausible_motion(seconds, metres)) is not None:
+        warnings.warn(f"are the positions in m? {moved}; if they are in mm, give x / 1000", UserWarning, stacklevel=3)
     rig = Rig(
         metres_per_count=pitch,
         mass=stated(mass, "mass"),
@@ -81,7 +85,7 @@ def from_arrays(
     )
     if belt_position is None:
         return run
-    belt = _column(belt_position, "belt_position").astype(np.float64)
+    belt = numbers(belt_position, "belt_position", "from_arrays", DO).astype(np.float64)
     if len(belt) != len(seconds):
         raise InputError(
             f"belt_position holds {len(belt)} values and time {len(seconds)}", "from_arrays", "give one each"
@@ -93,10 +97,7 @@ def from_arrays(
 def counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: str) -> Integers | None:
     """Return positions as counts: whole numbers of any type with a pitch, integers without; None where they are metres.
 
-    Raises
-    ------
-    InputError
-        There is a pitch, and the values are no whole numbers.
+    Raises InputError: there is a pitch, and the values are no whole numbers.
     """
     if values.dtype.kind in "iu":
         return np.asarray(values, np.int64)
@@ -116,12 +117,8 @@ def with_belt(run: Made, belt: Array) -> Made:
     The count is the last decimal of the positions, `FINEST_DECIMALS` at most, so that rounded readings are counts of
     their own rounding.
 
-    Parameters
-    ----------
-    run : RunData
-        Of n samples.
-    belt : (n,) float64
-        Positions of the belt, m, positive towards +x.
+    run: Of n samples.
+    belt: (n,) Positions of the belt, m, positive towards +x.
     """
     pitch = last_decimal(belt)
     count = np.rint(belt / pitch).astype(np.int64)
@@ -143,40 +140,6 @@ def sample_rate(time: Array) -> float:
     """Return the rate of samples at times in s, Hz: that of the steps in which no sample is missing."""
     step = np.diff(time)  # their mean: the median alone carries the rounding of printed times
     return float(1 / step[step < 1.5 * np.median(step)].mean())
-
-
-def _column(values: "ArrayLike", name: str) -> "np.ndarray[Any, Any]":
-    """Return numbers as an array of shape (n,)."""
-    try:
-        column = np.asarray(values)
-    except ValueError as error:  # rows of unequal length
-        raise InputError(f"{name} is no column of numbers", "from_arrays", "give a sequence of numbers") from error
-    if column.dtype == object and column.ndim == 1:  # a column of a table with a number as text or None in it
-        try:
-            column = column.astype(np.float64)
-        except (TypeError, ValueError) as error:
-            what = f"{name} holds {_odd(column)!r:.40}, not numbers"
-            raise InputError(what, "from_arrays", "give a sequence of numbers") from error
-    if column.dtype.kind in "mM":
-        what = f"{name} holds dates or durations"
-        do = "give seconds: (t - t[0]) / np.timedelta64(1, 's')"
-        raise InputError(what, "from_arrays", do)
-    if column.dtype.kind not in "iuf":
-        raise InputError(f"{name} holds {column.dtype} values, not numbers", "from_arrays", "give numbers")
-    if column.ndim != 1:
-        raise InputError(
-            f"{name} has shape {column.shape}", "from_arrays", f"give one dimension, as in {name}[:, 0] or .ravel()"
-        )
-    return column
-
-
-def _odd(column: "np.ndarray[Any, Any]") -> Any:
-    for value in column:
-        try:
-            float(value)
-        except (TypeError, ValueError):
-            return value
-    return None
 
 
 def _check_finite(values: Array, name: str) -> None:

@@ -12,10 +12,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq.base.errors import InputError
-from daq.base.output import atomic, disk
-from daq.base.version import VERSION
 from daq.runfile import nexus, trust
+from stickslip.errors import InputError
+from stickslip.output import atomic, disk
+from stickslip.version import VERSION
 
 SUFFIX = ".fit.h5"
 KEPT = "move it away, or --force to replace it"
@@ -56,21 +56,10 @@ def refuse_foreign_file(path: Path, runs: Sequence[FittedRun], *, force: bool = 
 def write(path: Path, runs: Sequence[FittedRun], writer: Callable[[h5py.Group], None], *, force: bool = False) -> None:
     """Write the fit of several runs; an older one of the same runs is replaced.
 
-    Parameters
-    ----------
-    path : Path
-    runs : sequence of FittedRun
-    writer : callable
-        Takes /entry, open for writing, and adds the group ``fit`` and those beside it.
-    force : bool
-        Replace any other file too, except the runs themselves.
-
-    Raises
-    ------
-    InputError
-        As `refuse_foreign_file`.
-    RefusedError
-        The disk refuses; an older file still stands.
+    writer: Takes /entry, open for writing, and adds the group ``fit`` and those beside it.
+    force: Replace any other file too, except the runs themselves.
+    Raises InputError: as `refuse_foreign_file`.
+    Raises RefusedError: the disk refuses; an older file still stands.
     """
     refuse_foreign_file(path, runs, force=force)
     with atomic.replacing(path, force=True) as temporary, disk.hdf5(temporary, "w") as file:
@@ -93,10 +82,7 @@ def write(path: Path, runs: Sequence[FittedRun], writer: Callable[[h5py.Group], 
 def opened(path: Path) -> Iterator[h5py.Group]:
     """Open the file of a joint fit for reading, and give its /entry.
 
-    Raises
-    ------
-    InputError
-        For a file that is none, of another schema, or not to be trusted.
+    Raises InputError: for a file that is none, of another schema, or not to be trusted.
     """
     wrong = InputError("is not the file of a joint fit", str(path), "give one that fit-friction wrote")
     try:

@@ -13,7 +13,7 @@ that is cut short is a crash's mark.
     C  configuration TOML text that replaces the board's CONFIG
     E  end           JSON: how the recording ended
 
-While a recording runs it holds the journal's lock (`daq.base.output.lock`): whoever wants to finish the journal asks
+While a recording runs it holds the journal's lock (`stickslip.output.lock`): whoever wants to finish the journal asks
 for it first, whoever only reads does not.  A marker comes from another process: one line ``<monotonic ns> <text>``
 appended to ``RUN.h5.markers``; and so does the wish to stop: a file ``RUN.h5.stop``.
 """
@@ -28,12 +28,8 @@ from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
-from daq.base.errors import InputError
-from daq.base.output import disk
-from daq.base.output.lock import FileLock
-from daq.base.text import storable
 from daq.runfile import journal_header, journal_records
 from daq.runfile.journal_records import (
     CONFIGURATION,
@@ -48,6 +44,11 @@ from daq.runfile.journal_records import (
     Place,
     Record,
 )
+from daq.runfile.regular import regular_file
+from stickslip.errors import InputError
+from stickslip.output import disk
+from stickslip.output.lock import FileLock
+from stickslip.text import storable
 
 __all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIVED", "REOPENED", "Content", "Record"]
 
@@ -62,7 +63,8 @@ HEADER_EVERY = 1 << 16
 
 # What ended a recording, in its last record; another word there is the name of a signal.
 COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
-SOURCE_ENDED, SOURCE_FAILED = "source ended", "source failed"  # how blocks that a program hands over can end
+# How blocks that a program hands over can end.
+SOURCE_ENDED, SOURCE_FAILED, SOURCE_SILENT = "source ended", "source failed", "source silent"
 
 
 class Records:
@@ -111,19 +113,10 @@ class Journal:
 class Writer:
     """Append records to a new journal; synced to disk each second.
 
-    Attributes
-    ----------
-    path : Path
-        Where the journal is; `move` changes it.
-    locked : bool
-        False where the file system has no locks: nothing then keeps another process from finishing the journal.
-
-    Raises
-    ------
-    FileExistsError
-        When the file exists: a journal is never overwritten.
-    OSError
-        When the disk refuses: full, read-only, gone.
+    path: Where the journal is; `move` changes it.
+    locked: False where the file system has no locks: nothing then keeps another process from finishing the journal.
+    Raises FileExistsError: when the file exists: a journal is never overwritten.
+    Raises OSError: when the disk refuses: full, read-only, gone.
     """
 
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
@@ -156,10 +149,7 @@ class Writer:
     def tick(self) -> bool:
         """Hand what was appended to the system; sync when the last time is a second ago.  Called often.
 
-        Returns
-        -------
-        bool
-            Whether it was synced.
+        Returns: Whether it was synced.
         """
         self._file.flush()
         due = time.monotonic() - self._synced >= SYNC_EVERY_S
@@ -201,10 +191,7 @@ class Writer:
     def move(self, path: Path) -> None:
         """Write on in another file, a copy of this one: for a journal whose name is gone.
 
-        Raises
-        ------
-        OSError
-            The new file exists or cannot be written; the journal stays what it was.
+        Raises OSError: the new file exists or cannot be written; the journal stays what it was.
         """
         file, lock = _create(path)
         try:
@@ -282,7 +269,7 @@ def _has_no_record(content: bytes | Content) -> bool:
 
 def beginning(path: Path) -> dict[str, Any]:
     """Return the header of a journal that is being written; InputError as for `read`."""
-    with path.open("rb") as file:
+    with _open(path) as file:
         content = Content(file.read(2 * HEADER_EVERY))
     found = journal_records.header(content, journal_records.scan(content))
     if journal_records.wrong_in_magic(content) is None or found is None:
@@ -293,19 +280,19 @@ def beginning(path: Path) -> dict[str, Any]:
 def read(path: Path) -> Journal:
     """Read a journal, whole or cut short.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, is no journal, has no header that can be read, or one that cannot be true.
+    Raises InputError: when the file is missing, is no journal, has no header that can be read, or one that cannot be
+        true.
     """
-    try:
-        file = path.open("rb", buffering=0)
-    except FileNotFoundError as error:
-        raise missing(path) from error
-    except IsADirectoryError as error:
-        raise is_a_folder(path) from error
-    with file:
+    with _open(path) as file:
         return _read(path, Content(file))
+
+
+def _open(path: Path) -> BinaryIO:
+    if not path.exists():
+        raise missing(path)
+    if path.is_dir():
+        raise is_a_folder(path)
+    return regular_file(path, "give a journal")
 
 
 def _read(path: Path, content: Content) -> Journal:

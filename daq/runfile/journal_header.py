@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from daq.base.errors import InputError
-from daq.base.text import storable
+from stickslip.errors import InputError
+from stickslip.text import storable
 
 # Rates that a board, a sketch or a QSB may have, Hz, with room on both sides.
 SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e7
@@ -80,19 +80,11 @@ _DEFAULTS: dict[str, Any] = {
 
 
 def parse(text: bytes, path: Path) -> dict[str, Any]:
-    """Return a header; its texts are `daq.base.text.storable`.
+    """Return a header; its texts are `stickslip.text.storable`.
 
-    Parameters
-    ----------
-    text : bytes
-        JSON.
-    path : Path
-        The journal, for the message.
-
-    Raises
-    ------
-    InputError
-        It is no JSON object, or one of its fields cannot be true.
+    text: JSON.
+    path: The journal, for the message.
+    Raises InputError: it is no JSON object, or one of its fields cannot be true.
     """
     try:
         header = json.loads(text)
@@ -109,7 +101,7 @@ def parse(text: bytes, path: Path) -> dict[str, Any]:
 
 
 def _storable(value: Any) -> Any:
-    """Return a field with its texts as a run file can hold them (`daq.base.text.storable`)."""
+    """Return a field with its texts as a run file can hold them (`stickslip.text.storable`)."""
     if isinstance(value, str):
         return storable(value)
     if isinstance(value, list):

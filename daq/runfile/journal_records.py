@@ -66,10 +66,7 @@ def packed(kind: int, stamp_ns: int, data: bytes) -> tuple[bytes, bytes, bytes]:
 class Content:
     """The bytes of a journal, of which a window is in memory; slices of it are bytes.
 
-    Parameters
-    ----------
-    source : bytes or binary file
-        The file must be open for reading; its length is that of this moment.
+    source: The file must be open for reading; its length is that of this moment.
     """
 
     def __init__(self, source: bytes | IO[bytes]) -> None:
@@ -164,12 +161,8 @@ def _following(content: Content, at: int) -> int | None:
 def header(content: Content, found: Iterable[Place]) -> Record | None:
     """Return a journal's header: the first copy that holds, or a single copy in which one byte was wrong.
 
-    Parameters
-    ----------
-    content : Content
-        The journal.
-    found : iterable of Place
-        Its records; the first one that holds and the first header are enough.
+    content: The journal.
+    found: Its records; the first one that holds and the first header are enough.
     """
     following = len(content)
     for place in found:

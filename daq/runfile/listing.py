@@ -7,9 +7,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq.base.errors import InputError
 from daq.runfile import joint, nexus, schema, store, tree, trust
 from daq.runfile.recording import OF_FILE, lost_samples
+from stickslip.errors import InputError
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
 UNFINISHED = "a journal: still recording, or left by one that was killed (daq recover)"
@@ -20,53 +20,26 @@ VERDICT, PART = "fit/parameters/verdict", "fit/parameters/part"
 
 @dataclass(frozen=True)
 class RunRow:
-    """One run, or the joint fit of several; None where the file does not say.
+    """One run, or the joint fit of several; None where the file does not say."""
 
-    Attributes
-    ----------
-    file : Path
-        The run file, the journal of a recording that has not ended, or the file of a joint fit.
-    title, date, operator, sample, note : str or None
-        Title, time of the first sample (ISO 8601 with zone; of a joint fit, of its first run), who recorded, what was
-        measured, remarks.
-    duration : float or None
-        s.
-    rate : float or None
-        Nominal, Hz.
-    lost : int or None
-        Samples that the sequence numbers skip; None for an import.
-    sticks : int or None
-        None before ``process smooth``.
-    verdict : str or None
-        None before ``fit-friction``.
-    part : str or None
-        What was fitted, where it was not the whole run, all laws and all cycles.
-    tags : dict
-        Named values.
-    runs : int or None
-        How many were fitted jointly; None for a run.
-    of_file : bool
-        The date is that of the file that was imported: nobody stated when it was recorded.
-    problem : str or None
-        Why nothing else is known: not a run, damaged, not finished.
-    """
-
-    file: Path
+    file: Path  # the run file, the journal of a recording that has not ended, or the file of a joint fit
+    # Title, time of the first sample (ISO 8601 with zone; of a joint fit, of its first run), who recorded, what was
+    # measured, remarks
     title: str | None = None
     date: str | None = None
-    duration: float | None = None
-    rate: float | None = None
-    lost: int | None = None
-    sticks: int | None = None
-    verdict: str | None = None
-    part: str | None = None
+    duration: float | None = None  # s
+    rate: float | None = None  # Nominal, Hz
+    lost: int | None = None  # samples that the sequence numbers skip; None for an import
+    sticks: int | None = None  # none before ``process smooth``
+    verdict: str | None = None  # none before ``fit-friction``
+    part: str | None = None  # what was fitted, where it was not the whole run, all laws and all cycles
     operator: str | None = None
     sample: str | None = None
     note: str | None = None
-    tags: dict[str, str] = field(default_factory=dict)
-    runs: int | None = None
-    of_file: bool = False
-    problem: str | None = None
+    tags: dict[str, str] = field(default_factory=dict)  # named values
+    runs: int | None = None  # how many were fitted jointly; None for a run
+    of_file: bool = False  # the date is that of the file that was imported: nobody stated when it was recorded
+    problem: str | None = None  # why nothing else is known: not a run, damaged, not finished
 
 
 def runs(folders: Sequence[Path]) -> list[RunRow]:
@@ -74,10 +47,7 @@ def runs(folders: Sequence[Path]) -> list[RunRow]:
 
     A joint fit comes after its first run.
 
-    Raises
-    ------
-    InputError
-        For a folder that is not there or cannot be read.
+    Raises InputError: for a folder that is not there or cannot be read.
     """
     rows = []
     for folder in folders:

@@ -14,9 +14,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.base.errors import InputError
-from daq.base.output.spill import BLOCK, Column
-from daq.base.text import storable
+from daq.runfile.spill import BLOCK, Column
+from stickslip.errors import InputError
+from stickslip.text import storable
 
 CHUNK = 16384
 # With shuffle, higher levels of gzip cost time and gain little.
@@ -37,24 +37,13 @@ def group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -> h5
 def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **attributes: Any) -> h5py.Dataset:
     """Write one field.
 
-    Parameters
-    ----------
-    parent : h5py.Group
-        Where it goes.
-    name : str
-        Its name.
-    data : array, Column, number, str or sequence of str
-        What HDF5 cannot hold of a text is escaped (`daq.base.text.storable`).
-        Arrays are stored in their own type, chunked by 16384, with gzip, shuffle and a checksum per chunk.
-    units : str, optional
-        Stored as ``@units``; a float without units is refused; "" means dimensionless.
-    **attributes
-        Further attributes.
-
-    Raises
-    ------
-    ValueError
-        For a float field without units.
+    parent: Where it goes.
+    name: Its name.
+    data: What HDF5 cannot hold of a text is escaped (`stickslip.text.storable`). Arrays are stored in their own type,
+        chunked by 16384, with gzip, shuffle and a checksum per chunk.
+    units: Stored as ``@units``; a float without units is refused; "" means dimensionless.
+    **attributes: Further attributes.
+    Raises ValueError: for a float field without units.
     """
     if isinstance(data, str):
         made = parent.create_dataset(name, data=storable(data), dtype=h5py.string_dtype())

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.output.lengths import shown_length, shown_range
-from daq.base.text import storable
 from daq.runfile.run_data import (
     EVENT_NAMES,
     EVENTS,
@@ -25,6 +23,8 @@ from daq.runfile.run_data import (
     lost_samples,
     positions,
 )
+from stickslip.output.lengths import shown_length, shown_range
+from stickslip.text import storable
 
 if TYPE_CHECKING:
     import os
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
-    from daq.base.units import Stated
+    from stickslip.units import Stated
 
 __all__ = [
     "EVENTS",
@@ -208,8 +208,8 @@ class Recording(RunData):
             The file exists and ``force`` is not given, its folder does not exist, or its name has the suffix of
             another format.
         """
-        from daq.base.output import suffix
         from daq.runfile.write import write
+        from stickslip.output import suffix
 
         target = Path(path)
         suffix.check_run(target)
@@ -278,8 +278,8 @@ class Recording(RunData):
         matplotlib Figure
             ``figure.savefig(path)`` writes it, a notebook shows it.
         """
-        from daq.base.compute.arrays import pieces
-        from daq.base.output.plot import lines_over_time
+        from stickslip.compute.arrays import pieces
+        from stickslip.output.plot import lines_over_time
 
         factor, unit = shown_length(self.unit)
         whole = pieces(self.time, self.segment, 1 / self.rate_hz) if self.time.size > 1 else (slice(None),)
@@ -317,6 +317,6 @@ class Recording(RunData):
         )
 
     def _repr_html_(self) -> str:
-        from daq.base.output import notebook
+        from stickslip.output import notebook
 
         return notebook.table(f"Recording {self.name}: {self.title}", self.facts().items())

@@ -9,8 +9,8 @@ much friction falls.  In a slip the mass swings about x0 + Fk/k, from x0 + Fs/k 
 without damping and with one kinetic friction Fk.  This is a question to the user, not a limit.
 """
 
-from daq.base.measured import Measured
-from daq.base.output.lengths import format_length, shown_range
+from stickslip.output.lengths import format_length, shown_range
+from stickslip.units import Measured
 
 # Travels between the travel and a rest position that is asked about: friction would fall by less than 10 % of Fs in a
 # slip.  Chosen: at 2 those who measure a fall of 15 % are asked each time; at 8 a sign that is wrong by five travels
@@ -24,12 +24,8 @@ def question(x0: Measured, low: float, high: float) -> str:
 
     Asked is about one that lies `FAR` travels outside the travel, and about one outside whose negative lies inside it.
 
-    Parameters
-    ----------
-    x0 : Measured
-        Rest position, m, with the sign of the positions.
-    low, high : float
-        The travel of the mass: its smallest and largest position, m.
+    x0: Rest position, m, with the sign of the positions.
+    low, high: The travel of the mass: its smallest and largest position, m.
     """
     outside = max(low - x0.value, x0.value - high)
     if outside <= X0_ERRORS * x0.sd or high <= low:
@@ -51,12 +47,8 @@ def question(x0: Measured, low: float, high: float) -> str:
 def impossible(x0: Measured, low: float, high: float, direction: float) -> str:
     """Return why a rest position cannot be that of a mass which the belt draws in a direction; empty where it can.
 
-    Parameters
-    ----------
-    x0, low, high
-        As of `question`.
-    direction : float
-        The sign of the belt's speed; 0 where it is not known.
+    x0, low, high: As of `question`.
+    direction: The sign of the belt's speed; 0 where it is not known.
     """
     beyond = direction * x0.value - max(direction * low, direction * high)
     if not direction or beyond <= X0_ERRORS * x0.sd:

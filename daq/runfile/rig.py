@@ -17,14 +17,15 @@ The text form is TOML, the same in a board's CONFIG frame and in a lab's ``rig.t
 A quantity that nobody measured is absent, never zero.  SI throughout; ``*_sd`` is one standard deviation.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
-from daq.base import toml
-from daq.base.errors import InputError, nearest
-from daq.base.measured import QUANTITIES, Measured, checked
-from daq.base.toml import check_keys, quoted
+from stickslip import toml
+from stickslip.errors import InputError, nearest
+from stickslip.toml import check_keys, quoted
+from stickslip.units import OF_QUANTITY, QUANTITIES, Measured, checked, si_unit, with_error
 
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")
 COUNTER_BITS = (8, 16, 24, 32)
@@ -34,28 +35,6 @@ COUNTER_BITS = (8, 16, 24, 32)
 class Rig:
     """What is known of a rig beforehand.
 
-    Attributes
-    ----------
-    name : str
-        What the lab calls it.
-    decoder : str
-        One of `DECODERS`: how edges became counts.
-    metres_per_count : Measured or None
-        Metres of travel per count; negative when counting up means towards -x.
-    counts_per_revolution : int or None
-        Counts of one turn of the encoder.
-    counter_bits : int
-        Width of the board's counters.
-    mass, stiffness, damping, belt_speed : Measured or None
-        kg, N/m, N s/m, m/s (signed).
-    datum : Measured or None
-        Position of count zero relative to the spring's rest, m: -x0 of the readings.  It is added to them, so that
-        positions are measured from the spring's rest.
-    x0 : Measured or None
-        Reading at the spring's rest, m.  The positions are the readings themselves.
-    belt_metres_per_count : Measured or None
-        Metres of belt per count of the belt's own encoder; negative when counting up means towards -x.
-
     Notes
     -----
     A rig has a datum or an x0, not both: either says where the spring is at rest, for positions of its own.
@@ -63,18 +42,21 @@ class Rig:
     Not modelled: the correlation between these errors, and a cog whose pitch varies within a turn.
     """
 
-    name: str = ""
-    decoder: str = "x4"
-    metres_per_count: Measured | None = None
-    counts_per_revolution: int | None = None
-    counter_bits: int = 16
-    mass: Measured | None = None
+    name: str = ""  # what the lab calls it
+    decoder: str = "x4"  # one of `DECODERS`: how edges became counts
+    metres_per_count: Measured | None = None  # metres of travel per count; negative when counting up means towards -x
+    counts_per_revolution: int | None = None  # counts of one turn of the encoder
+    counter_bits: int = 16  # width of the board's counters
+    mass: Measured | None = None  # kg, N/m, N s/m, m/s (signed)
     stiffness: Measured | None = None
+    # position of count zero relative to the spring's rest, m: -x0 of the readings.  It is added to them, so that
+    # positions are measured from the spring's rest.
     datum: Measured | None = None
     damping: Measured | None = None
     belt_speed: Measured | None = None
+    # metres of belt per count of the belt's own encoder; negative when counting up means towards -x
     belt_metres_per_count: Measured | None = None
-    x0: Measured | None = None
+    x0: Measured | None = None  # reading at the spring's rest, m.  The positions are the readings themselves.
 
     def __post_init__(self) -> None:
         if self.datum is not None and self.x0 is not None:
@@ -100,22 +82,15 @@ class Rig:
     def from_toml(cls, text: str, where: str) -> "Rig":
         """Read a rig from TOML.
 
-        Parameters
-        ----------
-        text : str
-            The TOML text.
-        where : str
-            Its file or frame, for the messages.
-
-        Raises
-        ------
-        InputError
-            For invalid TOML, an unknown section or key (naming its nearest neighbour), or an impossible value.
+        text: The TOML text.
+        where: Its file or frame, for the messages.
+        Raises InputError: for invalid TOML, an unknown section or key (naming its nearest neighbour), or an impossible
+            value.
         """
         values: dict[str, Any] = {}
         for section, content in toml.parsed(text, where).items():
             if section == "board":
-                continue  # how to reach the board: `daq.base.console.settings`
+                continue  # how to reach the board: `daq.cli.settings`
             if section not in SECTIONS:
                 raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
             values |= _section(section, content, where)
@@ -139,6 +114,37 @@ class Rig:
                 elif value is not None:
                     lines.append(f"{key} = {value}")
         return "\n".join(lines) + "\n"
+
+
+class Replaced(NamedTuple):
+    """A stored value that another one replaces: words, both values in SI, and the standard deviations between them."""
+
+    text: str
+    value: float
+    expected: float
+    sigmas: float
+
+
+def replaced(stored: Rig, used: Rig) -> list[Replaced]:
+    """Return the stored quantities that others replace which lie outside both errors (`with_error`)."""
+    found = []
+    for name in QUANTITIES:
+        if name == "datum":
+            continue  # is -x0
+        before, now = (_x0(rig) if name == "x0" else getattr(rig, name) for rig in (stored, used))
+        if before is None or now is None:
+            continue
+        apart, errors = abs(now.value - before.value), (with_error(before).sd, with_error(now).sd)
+        if apart > sum(errors):
+            unit = si_unit(OF_QUANTITY[name])
+            text = f"{name}: {now.value:g} {unit} replaces the stored {before.value:g} {unit}, beyond their errors"
+            sigmas = apart / math.hypot(*errors) if any(errors) else math.nan
+            found.append(Replaced(text, now.value, before.value, sigmas))
+    return found
+
+
+def _x0(rig: Rig) -> Measured | None:
+    return Measured(-rig.datum.value, rig.datum.sd) if rig.datum is not None else rig.x0
 
 
 SECTIONS: dict[str, tuple[str, ...]] = {

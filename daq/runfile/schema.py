@@ -19,12 +19,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.output.spill import blocks
-from daq.base.text import storable
-from daq.base.version import VERSION
 from daq.runfile import nexus, tree
 from daq.runfile.run_data import EVENTS, RunData, first_disorder
+from daq.runfile.spill import blocks
 from daq.runfile.tree import LENGTH, Field, Group
+from stickslip.text import storable
+from stickslip.version import VERSION
 
 SCHEMA = 1
 

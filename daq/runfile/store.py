@@ -18,13 +18,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
-from daq.base.output import atomic, disk
 from daq.runfile import nexus, schema, tree, trust
 from daq.runfile.recording import Raw, Recording, SentAs, Truth, impossible_motion
+from daq.runfile.regular import regular_file
 from daq.runfile.rig import Rig
 from daq.runfile.write import write
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
+from stickslip.output import atomic, disk
 
 __all__ = [
     "RunReader",
@@ -34,6 +35,7 @@ __all__ = [
     "holds",
     "load",
     "opened",
+    "read_back",
     "reading",
     "samples",
     "times",
@@ -41,6 +43,7 @@ __all__ = [
     "write",
 ]
 
+STRETCH = 1 << 18  # samples that are read back at a time: some 20 MB
 # A stage rests on those before it: writing one drops the ones after it, which were made from what it replaces.
 STAGES = ("data", "smooth", "fit")
 SAMPLE_STAGE = (  # with which `extend` is rehearsed
@@ -63,21 +66,20 @@ def samples(path: str | os.PathLike[str]) -> int:
 def load(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> Recording:
     """Read a run.
 
-    Parameters
-    ----------
-    path : path
-        A run file.
-    own : slice
-        Samples to read; by default all.  Events and clock are those of the whole run, numbered as there.
-
-    Raises
-    ------
-    InputError
-        When the file is missing, cut short, not HDF5, not a run file, of another schema, or holds something else
-        where a run has its samples.
+    path: A run file.
+    own: Samples to read; by default all.  Events and clock are those of the whole run, numbered as there.
+    Raises InputError: when the file is missing, cut short, not HDF5, not a run file, of another schema, or holds
+        something else where a run has its samples.
     """
     with reading(path) as run:
         return run.load(own)
+
+
+def read_back(path: str | os.PathLike[str]) -> None:
+    """Raise InputError, as `load` does, for a run that cannot be loaded; a stretch at a time, which needs no memory."""
+    with reading(path) as run:
+        for first in range(0, run.samples, STRETCH):
+            run.load(slice(first, first + STRETCH + 1))  # with the first sample of the next stretch, for the order
 
 
 def times(path: str | os.PathLike[str]) -> Array:
@@ -89,10 +91,7 @@ def times(path: str | os.PathLike[str]) -> Array:
 def between(path: str | os.PathLike[str], begin: float | None, end: float | None) -> slice:
     """Return the samples of a run from time ``begin`` to ``end``, s on its own time axis; None: from or to its end.
 
-    Raises
-    ------
-    InputError
-        As `load`; and for times between which the run has fewer than two samples.
+    Raises InputError: as `load`; and for times between which the run has fewer than two samples.
     """
     if begin is None and end is None:
         return nexus.EVERY
@@ -181,24 +180,13 @@ def extend(
 ) -> None:
     """Add a stage to a run: copy the file, write into the copy, sync it, move it into place.
 
-    Parameters
-    ----------
-    path : path
-        The run file.
-    names : str or sequence of str
-        The groups of /entry that ``writer`` writes; groups of these names are removed first, and so is every
-        later stage ("fit", "fit_law1" ... when "smooth" is written again).
-    writer : callable
-        Takes /entry of the copy, open for writing.
-    default : str, optional
-        The new ``/entry/@default``: the group that viewers open on.
-
-    Raises
-    ------
-    InputError
-        As `load`, for a file that is no run.
-    ValueError
-        When a name belongs to the recording itself.
+    path: The run file.
+    names: The groups of /entry that ``writer`` writes; groups of these names are removed first, and so is every later
+        stage ("fit", "fit_law1" ... when "smooth" is written again).
+    writer: Takes /entry of the copy, open for writing.
+    default: The new ``/entry/@default``: the group that viewers open on.
+    Raises InputError: as `load`, for a file that is no run.
+    Raises ValueError: when a name belongs to the recording itself.
     """
     target = Path(path)
     wanted = (names,) if isinstance(names, str) else tuple(names)
@@ -243,25 +231,12 @@ def annotate(
 ) -> Recording:
     """Change the notes on a finished run and add markers; the file is copied, changed and moved into place.
 
-    Parameters
-    ----------
-    path : path
-        The run file.
-    notes : mapping
-        New values of ``title``, ``operator``, ``sample_name``, ``note`` and ``tags`` of `Recording`; the others stay.
-        Tags are added to those of the run, and one of an empty value is removed.
-    marks : sequence of (float, str)
-        Markers: seconds since the first sample, and words.  Each becomes an event of the nearest sample.
-
-    Returns
-    -------
-    Recording
-        The run as it is now, with its first sample alone but all its events.
-
-    Raises
-    ------
-    InputError
-        As `load`; or for a marker outside the run.
+    path: The run file.
+    notes: New values of ``title``, ``operator``, ``sample_name``, ``note`` and ``tags`` of `Recording`; the others
+        stay. Tags are added to those of the run, and one of an empty value is removed.
+    marks: Markers: seconds since the first sample, and words.  Each becomes an event of the nearest sample.
+    Returns: The run as it is now, with its first sample alone but all its events.
+    Raises InputError: as `load`; or for a marker outside the run.
     """
     target = Path(path)
     with atomic.replacing(target, force=True) as temporary:  # from here on no other command changes the run
@@ -317,12 +292,7 @@ def _marked(run: Recording, sample: int, text: str) -> Recording:
 def opened(path: Path) -> Iterator[h5py.File]:
     """Open a run file for reading, or raise an InputError that names what the file is instead."""
     where = str(path)
-    if not path.exists():
-        raise InputError("no such file", where, "check the path")
-    if path.is_dir():
-        raise InputError("is a folder", where, "give the run file in it")
-    if not path.is_file():
-        raise InputError("is a device, not a file", where, "give a run file")
+    regular_file(path, "give the run file in it").close()
     with _open(path) as file:
         found = trust.mark(file)
         if found is None and trust.is_joint(file):

@@ -17,49 +17,33 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.measured import Measured
-from daq.base.output.spill import Column
-from daq.base.version import VERSION
 from daq.runfile import nexus
+from daq.runfile.spill import Column
+from stickslip.units import Measured
+from stickslip.version import VERSION
 
 LENGTH = "m or count"  # in the unit of a field: the run's own unit of position
 
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a group.
+    """One field of a group."""
 
-    Attributes
-    ----------
-    path : str
-        Within /entry.
-    kind : str
-        "text", "measured", "link", or a numpy type; with the letter of its axis when it is a column ("f8[n]").  Text
-        columns are "text[e]"; "enum[e]" are `codes` with their names, a whole number with `codes` the codes alone;
-        "u2 or u4" is stored as it is; "text or i8" and "parameters" are as many fields as the mapping has keys.
-    unit : str
-        SI unit; "" when dimensionless; a name in it that `write` is given a unit for, such as `LENGTH`, is replaced.
-    text : str
-        What it is, for the documentation, "" where that of another field says so; the target of a link.
-    of : str
-        The attribute that it is written from and read into; "" for a field that is only written.  Of a tuple of rows
-        (``phases.start``) it is the column of their attributes.
-    value : callable, optional
-        The value to write, None to leave the field out; by default the attribute ``of``.
-    optional : bool
-        Whether a file without it is read; an empty value of an optional field is not written.
-    codes : mapping of str to int, optional
-        Names that are stored as numbers.
-    """
-
-    path: str
+    path: str  # within /entry
+    # "text", "measured", "link", or a numpy type; with the letter of its axis when it is a column ("f8[n]").  Text
+    # columns are "text[e]"; "enum[e]" are `codes` with their names, a whole number with `codes` the codes alone; "u2 or
+    # u4" is stored as it is; "text or i8" and "parameters" are as many fields as the mapping has keys.
     kind: str
+    # SI unit; "" when dimensionless; a name in it that `write` is given a unit for, such as `LENGTH`, is replaced
     unit: str
-    text: str
+    text: str  # what it is, for the documentation, "" where that of another field says so; the target of a link
+    # the attribute that it is written from and read into; "" for a field that is only written.  Of a tuple of rows
+    # (``phases.start``) it is the column of their attributes.
     of: str = ""
+    # the value to write, None to leave the field out; by default the attribute ``of``
     value: Callable[[Any], Any] | None = None
-    optional: bool = False
-    codes: Mapping[str, int] | None = None
+    optional: bool = False  # whether a file without it is read; an empty value of an optional field is not written
+    codes: Mapping[str, int] | None = None  # names that are stored as numbers
 
     @property
     def dtype(self) -> str:
@@ -99,27 +83,13 @@ class Field:
 
 @dataclass(frozen=True)
 class Group:
-    """One group.
+    """One group."""
 
-    Attributes
-    ----------
-    path : str
-        Within /entry.
-    nx_class : str
-        Its NeXus class.
-    optional : bool
-        Whether it is there only with its fields.
-    attributes : mapping
-        Its attributes.
-    scale : str
-        The column that becomes the dimension scale of the others of its length; "" for none.
-    """
-
-    path: str
-    nx_class: str
-    optional: bool = False
-    attributes: Mapping[str, Any] = field(default_factory=dict)
-    scale: str = ""
+    path: str  # within /entry
+    nx_class: str  # its NeXus class
+    optional: bool = False  # whether it is there only with its fields
+    attributes: Mapping[str, Any] = field(default_factory=dict)  # its attributes
+    scale: str = ""  # the column that becomes the dimension scale of the others of its length; "" for none
 
 
 Row = Group | Field
@@ -167,10 +137,7 @@ def below(tree: Tree, *paths: str) -> list[Row]:
 def check(tree: Tree, source: Any) -> list[tuple[Field, Any]]:
     """Return the fields that ``source`` has a value for, each with it.
 
-    Raises
-    ------
-    ValueError
-        Where the columns of one axis differ in length.
+    Raises ValueError: where the columns of one axis differ in length.
     """
     filled = [(row, value) for row in fields(tree) if (value := row.of_source(source)) is not None]
     first: dict[str, tuple[str, int]] = {}
@@ -185,21 +152,11 @@ def check(tree: Tree, source: Any) -> list[tuple[Field, Any]]:
 def write(entry: h5py.Group, tree: Tree, source: Any, units: Mapping[str, str] | None = None) -> None:
     """Write those of the fields that ``source`` has a value for, and the groups they stand in.
 
-    Parameters
-    ----------
-    entry : h5py.Group
-        /entry, open for writing.
-    tree : sequence of Group and Field
-        The rows; one group may be there already.
-    source : object
-        Has the attributes that the fields name.
-    units : mapping of str to str, optional
-        The unit for a name in the units of fields, as for `LENGTH`.
-
-    Raises
-    ------
-    ValueError
-        As `check`.
+    entry: /entry, open for writing.
+    tree: The rows; one group may be there already.
+    source: Has the attributes that the fields name.
+    units: The unit for a name in the units of fields, as for `LENGTH`.
+    Raises ValueError: as `check`.
     """
     filled = check(tree, source)
     inside = {row.parent for row, _ in filled}
@@ -277,10 +234,7 @@ def read(entry: h5py.Group, tree: Tree, where: Path, own: slice = nexus.EVERY) -
 
     ``own`` are the samples to read of columns over the samples.  An absent optional field is absent in the mapping.
 
-    Raises
-    ------
-    InputError
-        For a field that is missing, of another type, or not as long as the others of its axis.
+    Raises InputError: for a field that is missing, of another type, or not as long as the others of its axis.
     """
     found: dict[str, Any] = {}
     lengths: dict[str, int] = {}

@@ -16,8 +16,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.base.compute.isolation import BrokenOffError, isolated
-from daq.base.errors import InputError
+from daq.runfile.isolation import BrokenOffError, isolated
+from stickslip.errors import InputError
 
 DO = "do not trust this file; ask who made it"
 AGAIN = "copy it again from its source, or daq recover its journal"
@@ -40,13 +40,10 @@ _done: set[tuple[object, ...]] = set()  # what children of this process have don
 def opened(path: Path) -> h5py.File:
     """Open a file for reading, which a child process could read.
 
-    Raises
-    ------
-    InputError
-        An external link, external storage, a virtual dataset, a dataset larger than the file can hold, a chunk that is
-        not what it should be, more objects than any run has; or the child crashed, or took too much time or memory.
-    OSError
-        As h5py, for what is no HDF5 file.
+    Raises InputError: an external link, external storage, a virtual dataset, a dataset larger than the file can hold, a
+        chunk that is not what it should be, more objects than any run has; or the child crashed, or took too much time
+        or memory.
+    Raises OSError: as h5py, for what is no HDF5 file.
     """
     check(path, _visit)
     return _read_only(path)
@@ -70,10 +67,7 @@ def damage(path: Path) -> Iterator[None]:
 def check(path: Path, work: Callable[[Path], bytes]) -> None:
     """Let a child process do to a file, or to a copy of it, what this process will do; once for each file.
 
-    Raises
-    ------
-    InputError
-        As `opened`, and what ``work`` raises.
+    Raises InputError: as `opened`, and what ``work`` raises.
     """
     key = _key(path, work)
     if key in _done:
@@ -102,9 +96,11 @@ def _visit(path: Path) -> bytes:
     with suppress(OSError):  # whoever opens it finds out what it is
         file = _read_only(path)
         with file, damage(path):
+            visit = _Visit(file, path)
+            visit.check_links()
             if is_marked(file):
                 file["entry"].attrs.get("default")
-                _Visit(file, path).everything()
+                visit.everything()
     return b""
 
 
@@ -137,7 +133,6 @@ class _Visit:
 
     def everything(self) -> None:
         """Read it all; InputError as `check`."""
-        self._check_links()
         names: list[bytes] = []
         h5py.h5o.visit(self._file, names.append)
         for name in names:
@@ -147,7 +142,7 @@ class _Visit:
                 if isinstance(found, h5py.h5d.DatasetID):
                     self._read(found, f"/{name.decode(errors='replace')}")
 
-    def _check_links(self) -> None:
+    def check_links(self) -> None:
         """Refuse a file that leads to others, or holds more objects than any run."""
         external: list[bytes] = []
         seen: list[bytes] = []
@@ -167,8 +162,7 @@ class _Visit:
     def _read(self, dataset: h5py.h5d.DatasetID, place: str) -> None:
         made, kind = dataset.get_create_plist(), dataset.dtype
         layout = made.get_layout()
-        if layout == h5py.h5d.VIRTUAL or made.get_external_count():
-            raise self._refusal(f"{place} reads its data from another file")
+        refuse_stored_elsewhere(dataset, place, self._path)
         chunk = math.prod(made.get_chunk()) * kind.itemsize if layout == h5py.h5d.CHUNKED else 0
         held = max(math.prod(dataset.shape) * kind.itemsize, chunk)
         self._declared += held
@@ -201,3 +195,16 @@ class _Visit:
 
     def _refusal(self, what: str) -> InputError:
         return InputError(what, str(self._path), DO)
+
+
+def refuse_stored_elsewhere(dataset: h5py.h5d.DatasetID, place: str, path: Path) -> None:
+    """Raise InputError for a dataset whose data lie in another file."""
+    made = dataset.get_create_plist()
+    if made.get_layout() == h5py.h5d.VIRTUAL or made.get_external_count():
+        raise InputError(f"{place} reads its data from another file", str(path), DO)
+
+
+def refuse_external_link(group: h5py.Group, name: str, path: Path) -> None:
+    """Raise InputError for a name in a group that leads to another file."""
+    if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+        raise InputError(f"{name} is a link to another file", str(path), DO)

@@ -4,29 +4,19 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from daq.base.output import atomic, disk
 from daq.runfile import schema, trust
 from daq.runfile.run_data import RunData
+from stickslip.output import atomic, disk
 
 
 def write(path: str | os.PathLike[str], run: RunData, *, force: bool = False) -> None:
     """Write a run into a new file: build it beside ``path``, sync it to disk, move it into place.
 
-    Parameters
-    ----------
-    path : path
-        The run file.
-    run : RunData
-        The run.
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    InputError
-        When ``path`` exists and ``force`` was not given, or its folder does not exist.
-    ValueError
-        When the arrays of ``run`` do not belong together.
+    path: The run file.
+    run: The run.
+    force: Replace an existing file.
+    Raises InputError: when ``path`` exists and ``force`` was not given, or its folder does not exist.
+    Raises ValueError: when the arrays of ``run`` do not belong together.
     """
     target = Path(path)
     atomic.refuse_existing(target, force)

@@ -96,28 +96,17 @@ def longest_gap_s(max_edge_rate_hz: float, edges_per_count: int, bits: int) -> f
 
 @dataclass(frozen=True)
 class Order:
-    """Order and place of the f frames of one stream, in order of arrival.
+    """Order and place of the f frames of one stream, in order of arrival."""
 
-    Attributes
-    ----------
-    keep : (f,) bool
-        False for a repeated or late frame, which is not used.
-    restart : (f,) bool
-        The stream begins anew with this frame: sequence and device time do not continue together.
-    jump : (f,) bool
-        Of these, where nothing announced it: the board has not identified itself.
-    leap : (f,) bool
-        The sequence goes on, and the device time moves on by more or less than that: the clock has leapt, or the board
-        has paused.  Number and time are continued all the same.
-    index, ticks : (f,) int64
-        Sequence number and device time of the frame's first sample without roll-over: as sent at the first frame
-        after each restart (a jump: from sequence number 0), and continued from there.  0 where ``keep`` is False.
-    """
-
-    keep: NDArray[np.bool_]
+    keep: NDArray[np.bool_]  # (f,) false for a repeated or late frame, which is not used
+    # (f,) the stream begins anew with this frame: sequence and device time do not continue together
     restart: NDArray[np.bool_]
-    jump: NDArray[np.bool_]
+    jump: NDArray[np.bool_]  # (f,) of these, where nothing announced it: the board has not identified itself
+    # (f,) the sequence goes on, and the device time moves on by more or less than that: the clock has leapt, or the
+    # board has paused.  Number and time are continued all the same.
     leap: NDArray[np.bool_]
+    # (f,) sequence number and device time of the frame's first sample without roll-over: as sent at the first frame
+    # after each restart (a jump: from sequence number 0), and continued from there.  0 where ``keep`` is False.
     index: NDArray[np.int64]
     ticks: NDArray[np.int64]
 
@@ -131,10 +120,7 @@ class FrameOrder:
     is a repeat or came late.  Any other step back, of either, and a gap on whose length the two do not agree (`fits`),
     is a jump; where the sequence shows no gap, it is a leap of the time alone.
 
-    Parameters
-    ----------
-    ticks_per_sample : float
-        Nominal sample interval.
+    ticks_per_sample: Nominal sample interval.
     """
 
     def __init__(self, ticks_per_sample: float) -> None:
@@ -154,14 +140,9 @@ class FrameOrder:
     ) -> None:
         """Take the next frames, to learn the true sample period from all.
 
-        Parameters
-        ----------
-        seq, ticks : (f,) int64
-            As sent: modulo 2^16 and 2^32.
-        n : (f,) int64
-            Samples in each frame.
-        restarts : (r,) int64
-            Frames before which the board is known to have restarted: it identified itself.
+        seq, ticks: (f,) As sent: modulo 2^16 and 2^32.
+        n: (f,) Samples in each frame.
+        restarts: (r,) Frames before which the board is known to have restarted: it identified itself.
         """
         self._surveyed = True
         keep, _, _ = self._repeats.find(seq, ticks, n, restarts)

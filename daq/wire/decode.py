@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.text import printable, storable
 from daq.wire import frames as wire
 from daq.wire.splitter import Splitter
+from stickslip.text import printable, storable
 
 
 def _nothing() -> NDArray[np.int64]:
@@ -26,69 +26,40 @@ def _nothing() -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Stream:
-    """What one connection sent: f SAMPLES frames with n samples in all, and the frames between them.
+    """What one connection sent: f SAMPLES frames with n samples in all, and the frames between them."""
 
-    Attributes
-    ----------
-    first : (f,) int64
-        Index of each frame's first sample in the columns below.
-    n, seq, ticks, illegal : (f,) int64
-        Each frame's length, and its numbers as sent.
-    stamp_ns : (f,) int64
-        Host's monotonic clock when the frame had come in full.
-    dt, up, down, status, belt, edge : (n,)
-        The columns as sent; belt and edge are None when the board does not send them.
-    ident : Ident or None
-        The board's identification when it began to sample: the last one before the first frame.
-    idents : (i,) int64
-        Before which frame each identification came.
-    identified : tuple of Ident
-        Each of these identifications: the frames from there on were sent under it, those before the first one under
-        ``ident``.  Empty where nothing but ``ident`` is known.
-    configs, notices : tuple of (int, str)
-        Before which frame, and its text: what a file cannot hold, and of a notice what does not show, is escaped.
-    time_error : (f,) int64 or None
-        The time as sent less ``ticks``: not 0 where it was not true and has been interpolated.  None: as sent.
-    truth_seq, truth_frame : (m,) int64
-        Sequence number as sent of each row of truth, and the frame it came before.
-    truth : (m, 4) float64
-        Time, x, v, F.
-    crc_frame : (c,) int64
-        Before which frame each damaged line came.
-    crc_errors, unknown, discarded_bytes : int
-        See `daq.wire.frames.FrameReader`.
-    length : (f,) int64
-        Each frame's bytes on the line; 0 where that is not known.
-    part_stamp_ns, part_frame, part_bytes : (p,) int64
-        Reads that ended inside a frame: when, which frame, and how many of its bytes were there.
-    """
-
-    first: NDArray[np.int64]
-    n: NDArray[np.int64]
+    first: NDArray[np.int64]  # (f,) index of each frame's first sample in the columns below
+    n: NDArray[np.int64]  # (f,) each frame's length, and its numbers as sent
     seq: NDArray[np.int64]
     ticks: NDArray[np.int64]
     illegal: NDArray[np.int64]
-    stamp_ns: NDArray[np.int64]
-    dt: NDArray[np.uint16]
+    stamp_ns: NDArray[np.int64]  # (f,) Host's monotonic clock when the frame had come in full
+    dt: NDArray[np.uint16]  # (n,) the columns as sent; belt and edge are None when the board does not send them
     up: NDArray[np.uint16] | NDArray[np.uint32]
     down: NDArray[np.uint16] | NDArray[np.uint32]
     status: NDArray[np.uint8]
-    ident: wire.Ident | None
-    idents: NDArray[np.int64]
-    crc_frame: NDArray[np.int64]
-    crc_errors: int
+    ident: wire.Ident | None  # the board's identification when it began to sample: the last one before the first frame
+    idents: NDArray[np.int64]  # (i,) before which frame each identification came
+    crc_frame: NDArray[np.int64]  # (c,) before which frame each damaged line came
+    crc_errors: int  # see `daq.wire.frames.FrameReader`
     discarded_bytes: int
-    length: NDArray[np.int64]
+    length: NDArray[np.int64]  # (f,) each frame's bytes on the line; 0 where that is not known
     belt: NDArray[np.uint16] | None = None
     edge: NDArray[np.uint16] | None = None
+    # each of these identifications: the frames from there on were sent under it, those before the first one under
+    # ``ident``.  Empty where nothing but ``ident`` is known.
     identified: tuple[wire.Ident, ...] = ()
+    # before which frame, and its text: what a file cannot hold, and of a notice what does not show, is escaped
     configs: tuple[tuple[int, str], ...] = ()
     notices: tuple[tuple[int, str], ...] = ()
     unknown: int = 0
+    # (f,) the time as sent less ``ticks``: not 0 where it was not true and has been interpolated.  None: as sent.
     time_error: NDArray[np.int64] | None = None
+    # (m,) sequence number as sent of each row of truth, and the frame it came before
     truth_seq: NDArray[np.int64] = field(default_factory=_nothing)
     truth_frame: NDArray[np.int64] = field(default_factory=_nothing)
-    truth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))
+    truth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))  # (m, 4) Time, x, v, F
+    # (p,) reads that ended inside a frame: when, which frame, and how many of its bytes were there
     part_stamp_ns: NDArray[np.int64] = field(default_factory=_nothing)
     part_frame: NDArray[np.int64] = field(default_factory=_nothing)
     part_bytes: NDArray[np.int64] = field(default_factory=_nothing)
@@ -125,43 +96,23 @@ _HEAD = np.dtype([("kind", "u1"), ("version", "u1"), ("n", "u1"), ("seq", "<u2")
 
 @dataclass(frozen=True)
 class _Lines:
-    """Lines that were read together, k of them, their CRCs checked.
+    """Lines that were read together, k of them, their CRCs checked."""
 
-    Attributes
-    ----------
-    bodies : list of bytes
-        Payload and CRC of every line; a line is known by its place here.
-    sent_bytes, size : (k,) int64
-        Bytes of each on the line, and of its payload, 0 for a damaged line.
-    samples, others
-        Frames with samples (`Groups`), and the other frames with their lines.
-    ends : list of (int, int)
-        Of each read: its stamp, and how many lines it ended.
-    parts : list of (int, int, int)
-        Reads that ended inside a line: stamp, line, how many of its bytes were there.
-    dropped_bytes : int
-        Of endless lines.
-    """
-
-    bodies: list[bytes]
-    sent_bytes: NDArray[np.int64]
+    bodies: list[bytes]  # payload and CRC of every line; a line is known by its place here
+    sent_bytes: NDArray[np.int64]  # (k,) bytes of each on the line, and of its payload, 0 for a damaged line
     size: NDArray[np.int64]
-    samples: Groups
+    samples: Groups  # frames with samples (`Groups`), and the other frames with their lines
     others: list[tuple[int, wire.Frame]]
-    ends: list[tuple[int, int]]
-    parts: list[tuple[int, int, int]]
-    dropped_bytes: int
+    ends: list[tuple[int, int]]  # of each read: its stamp, and how many lines it ended
+    parts: list[tuple[int, int, int]]  # reads that ended inside a line: stamp, line, how many of its bytes were there
+    dropped_bytes: int  # of endless lines
 
 
 def decode(reads: Iterable[tuple[int, bytes]], decoder: str | None = None) -> Stream:
     """Decode the reads of one connection at once.
 
-    Parameters
-    ----------
-    reads : iterable of (int, bytes)
-        Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
-    decoder : str or None
-        The decoder that the recorder asked for, also of a board that had restarted.
+    reads: Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
+    decoder: The decoder that the recorder asked for, also of a board that had restarted.
     """
     return next(pieces(reads, math.inf, decoder))
 
@@ -172,10 +123,7 @@ def pieces(reads: Iterable[tuple[int, bytes]], most_bytes: float, decoder: str |
     Together they are what `decode` gives at once.  A read that ends inside a frame stands in the piece of that frame;
     an identification behind a piece's last frame belongs to the first of the next one.
 
-    Parameters
-    ----------
-    reads, decoder
-        As of `decode`; with more than one piece, the reads must be the same whenever they are asked for.
+    reads, decoder: As of `decode`; with more than one piece, the reads must be the same whenever they are asked for.
     """
     source = _lines(reads, most_bytes)
     begun = next(source)
@@ -313,10 +261,7 @@ def _stream(
 def _groups(bodies: list[bytes]) -> tuple[NDArray[np.int64], Groups, list[int]]:
     """Check every line's CRC.
 
-    Returns
-    -------
-    array of shape (lines,), Groups, list of int
-        Bytes of each payload, 0 for a damaged line; lines of SAMPLES frames and their payloads; the other lines.
+    Returns: Bytes of each payload, 0 for a damaged line; lines of SAMPLES frames and their payloads; the other lines.
     """
     length = np.fromiter(map(len, bodies), np.int64, len(bodies))
     size = np.zeros(len(bodies), dtype=np.int64)
@@ -388,14 +333,9 @@ def _fits(size: int, n: int, row: np.dtype[np.void]) -> bool:
 class _Governing:
     """The last identification before the first sample frame: the decoder may have been set in between.
 
-    Attributes
-    ----------
-    ident : Ident or None
-        The identification, as far as the lines have been looked at.
-    number : int
-        How many identifications there are up to that one.
-    decided : bool
-        No later line can change it.
+    ident: The identification, as far as the lines have been looked at.
+    number: How many identifications there are up to that one.
+    decided: No later line can change it.
     """
 
     def __init__(self) -> None:

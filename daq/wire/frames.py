@@ -52,31 +52,15 @@ class Capability(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Ident:
-    """The board's identification: sent at power-up and in answer to ``I``.
+    """The board's identification: sent at power-up and in answer to ``I``."""
 
-    Attributes
-    ----------
-    firmware : tuple of three int
-        Major, minor, patch.
-    decoder : str
-        One of `DECODERS`.
-    counter_bits : int
-        Width of the counters, the belt's too.
-    tick_ns : int
-        Unit of the device time, ns; at most `LONGEST_TICK_NS`.
-    block_size : int
-        Samples per SAMPLES frame as now set.
-    max_rate_hz, max_edge_rate_hz : int
-        Fastest sampling, and fastest edges the decoder follows without error.
-    """
-
-    firmware: tuple[int, int, int]
-    decoder: str
+    firmware: tuple[int, int, int]  # Major, minor, patch
+    decoder: str  # one of `DECODERS`
     capabilities: Capability
-    counter_bits: int
-    tick_ns: int
-    block_size: int
-    max_rate_hz: int
+    counter_bits: int  # width of the counters, the belt's too
+    tick_ns: int  # unit of the device time, ns; at most `LONGEST_TICK_NS`
+    block_size: int  # samples per SAMPLES frame as now set
+    max_rate_hz: int  # fastest sampling, and fastest edges the decoder follows without error
     max_edge_rate_hz: int
     name: str
 
@@ -96,33 +80,17 @@ class SampleBlock(NamedTuple):
     """One SAMPLES frame of n samples, n = 1 to 255; the sequences all have length n.
 
     A tuple and no dataclass: a stream makes thousands a second, and a tuple is made in a quarter of the time.
-
-    Attributes
-    ----------
-    seq : int
-        Sequence number of the first sample, modulo 2^16; advances over samples that were lost, too.
-    time : int
-        Device time of the first sample, ticks modulo 2^32.
-    illegal : int
-        Illegal double transitions the decoder has counted up to the last sample, modulo 2^16.
-    dt : sequence of int
-        Ticks since the previous sample of this frame; 0 for the first.
-    up, down : sequence of int
-        The two counters, modulo 2^16.
-    status : sequence of int
-        `A_HIGH` | `B_HIGH` | `OVERRUN`.
-    belt, edge : sequence of int, or None
-        Belt-encoder count modulo its width; ticks from the last edge to the sample (`NO_EDGE`: none).  None when the
-        board does not send them.
     """
 
-    seq: int
-    time: int
-    illegal: int
-    dt: tuple[int, ...] | list[int]
-    up: tuple[int, ...] | list[int]
+    seq: int  # sequence number of the first sample, modulo 2^16; advances over samples that were lost, too
+    time: int  # device time of the first sample, ticks modulo 2^32
+    illegal: int  # illegal double transitions the decoder has counted up to the last sample, modulo 2^16
+    dt: tuple[int, ...] | list[int]  # ticks since the previous sample of this frame; 0 for the first
+    up: tuple[int, ...] | list[int]  # the two counters, modulo 2^16
     down: tuple[int, ...] | list[int]
-    status: tuple[int, ...] | list[int]
+    status: tuple[int, ...] | list[int]  # `A_HIGH` | `B_HIGH` | `OVERRUN`
+    # Belt-encoder count modulo its width; ticks from the last edge to the sample (`NO_EDGE`: none).  None when the
+    # board does not send them.
     belt: tuple[int, ...] | list[int] | None = None
     edge: tuple[int, ...] | list[int] | None = None
 
@@ -340,13 +308,9 @@ def _decode_truth(payload: bytes) -> TruthFrame | None:
 class FrameReader:
     """Read frames from a byte stream; never raises on garbage, back in step at the next 0x00.
 
-    Attributes
-    ----------
-    crc_errors : int
-        Lines that did not hold: COBS or CRC broken.  A broken first line is not counted: listening may start
+    crc_errors: Lines that did not hold: COBS or CRC broken.  A broken first line is not counted: listening may start
         anywhere inside a frame.
-    unknown : int
-        Frames whose CRC holds but whose kind, version or length is not ours (a newer board, another layout).
+    unknown: Frames whose CRC holds but whose kind, version or length is not ours (a newer board, another layout).
     """
 
     def __init__(self) -> None:

@@ -61,46 +61,23 @@ _Q_UP, _Q_DOWN = 4 * 1 + 3, 4 * 0 + 2  # B rises with A high, with A low: what t
 
 @dataclass(frozen=True)
 class Steps:
-    """The changes found in one chunk of levels, e of them.
+    """The changes found in one chunk of levels, e of them."""
 
-    Attributes
-    ----------
-    index : (e,) int
-        Where in the chunk the new levels first stand.
-    step : (e,) int8
-        +1 counted up, -1 counted down, 0 not counted by this decoder.
-    illegal : (e,) bool
-        Both channels changed at once.
-    """
-
-    index: NDArray[np.intp]
-    step: NDArray[np.int8]
-    illegal: NDArray[np.bool_]
+    index: NDArray[np.intp]  # (e,) where in the chunk the new levels first stand
+    step: NDArray[np.int8]  # (e,) +1 counted up, -1 counted down, 0 not counted by this decoder
+    illegal: NDArray[np.bool_]  # (e,) both channels changed at once
 
 
 class Decoder:
     """One decoder at work on a stream of levels that comes in chunks; the state is carried across them.
 
-    Parameters
-    ----------
-    kind : str
-        One of `DECODERS`.
-    levels : int, optional
-        Levels before the first sample; without it the first sample only sets the state and is never an edge.
-
-    Attributes
-    ----------
-    up, down, illegal, edges : int
-        Totals so far; ``edges`` counts every change of the levels, whatever this decoder makes of it.
-    levels : int or None
-        Levels of the last sample seen.
-    latched_up : bool
-        The flip-flop's Q (jk-latched only).
-
-    Raises
-    ------
-    ValueError
-        For an unknown kind, or levels outside 0 to 3.
+    kind: One of `DECODERS`.
+    levels: Levels before the first sample; without it the first sample only sets the state and is never an edge.
+    up, down, illegal, edges: Totals so far; ``edges`` counts every change of the levels, whatever this decoder makes of
+        it.
+    levels: Levels of the last sample seen.
+    latched_up: The flip-flop's Q (jk-latched only).
+    Raises ValueError: for an unknown kind, or levels outside 0 to 3.
     """
 
     def __init__(self, kind: str, levels: int | None = None) -> None:
@@ -224,10 +201,7 @@ class PulseDecoder:
     Such a source has no illegal change: a step and a turn of direction in one sample count with the new direction,
     which a driver must have set up before it steps.
 
-    Attributes
-    ----------
-    up, down, edges : int
-        Totals so far; ``edges`` counts the rises of step.
+    up, down, edges: Totals so far; ``edges`` counts the rises of step.
     """
 
     def __init__(self) -> None:

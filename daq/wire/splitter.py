@@ -7,17 +7,9 @@ class Splitter:
     Such a line is returned as soon as it is too long, with what has come of it; the caller sees its length and counts
     it as damage.  The rest of it, up to its delimiter, is dropped.
 
-    Parameters
-    ----------
-    delimiter : bytes
-        One byte; it ends a line and is not part of it.
-    longest : int
-        Bytes of the longest line.
-
-    Attributes
-    ----------
-    dropped_bytes : int
-        Bytes of endless lines that were dropped after the line had been returned.
+    delimiter: One byte; it ends a line and is not part of it.
+    longest: Bytes of the longest line.
+    dropped_bytes: Bytes of endless lines that were dropped after the line had been returned.
     """
 
     def __init__(self, delimiter: bytes, longest: int) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting import noise_levels
 from fitting.adequacy.goodness import GoodnessOfFit, RunSlips, goodness_of_fit, judge
 from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_SPEED, Adequacy
@@ -26,6 +25,7 @@ from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
+from stickslip.compute.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

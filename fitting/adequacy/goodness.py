@@ -15,13 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
-from daq.base.compute.distributions import gamma_tail, gamma_upper_quantile
 from fitting.adequacy.noise import PositionNoise, estimate_noise
 from fitting.adequacy.statistics import CycleSquares, SlipBins, SlipStatistics, cycle_squares
 from fitting.data.frame import MeasuredMotion
+from fitting.distributions import gamma_tail, gamma_upper_quantile
 from fitting.estimation.fitted_law import FittedLaw
 from fitting.model.windows import SPOILT, ShootingWindows
+from stickslip.compute.arrays import Array, Mask
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13  # seed of the repetitions: the same for every record

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
 from fitting.data.frame import MeasuredMotion
 from fitting.model.windows import ShootingWindows
+from stickslip.compute.arrays import Array, Mask
 
 # Order of differences, and their weights (1, 4, 6, 4, 1) squared and summed.
 DIFFERENCE_ORDER, SQUARED_WEIGHTS = 4, 70.0

@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.model.windows import ShootingWindows
+from stickslip.compute.arrays import Array, Integers, Mask
 
 MOST_BINS = 60  # bins of a slip, with 8 to 20 samples each at 1 kHz
 # Samples in a bin of the usual slip, at the least.  Chosen: the mean of one sample is that sample, so a bin of 1.5

@@ -7,12 +7,12 @@ the mass again within milliseconds, and a step of the position is left.
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.windows import SPOILT
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
+from stickslip.compute.arrays import Array, Integers, Mask
 
 TIMES_TRIED = 40  # steps tried, one a time, in a slip and in a stick; at 20 the best explains 0.8 of some steps
 # Share of a cycle's mean square beyond the usual one that a step explains.  Steps of 5 to 20 mm/s explain 0.97 to 1.0

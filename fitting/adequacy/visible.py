@@ -14,13 +14,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.adequacy.goodness import REJECTED, RunSlips, least
 from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.tangents import tangents
+from stickslip.compute.arrays import Array
 
 PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameters make up for nearly all
 PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spring makes up for most

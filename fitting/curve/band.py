@@ -8,11 +8,11 @@ each speed: with few cycles the sandwich comes out too small, with residuals tha
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
+from stickslip.compute.arrays import Array
 
 SPEEDS = 200  # speeds of the curve: the band is smooth between them
 SEEN_FROM, SEEN_TO = 0.03, 0.985  # of the fastest slip: below, few samples; beyond, few cycles

@@ -16,9 +16,6 @@ from operator import attrgetter
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from fitting import noise_levels
 from fitting.curve.level import rest_prior
 from fitting.curve.metric import GRID_SPEEDS, MeasuredTarget, friction_target, measured_target
@@ -36,6 +33,9 @@ from fitting.law import LIMITS, Law
 from fitting.model.parameters import NUISANCE, PER_RUN, Global
 from fitting.model.problem import EstimationProblem
 from fitting.undetermined import Undetermined
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 LEAST_SHOWN = 1e-6  # precision over a prior's: a record that adds less shows nothing of the unknown
 CONSTANT_LEFT = 1e-6  # share of a constant: what is left of it beside the derivatives of a formula that has one

@@ -6,16 +6,16 @@ from itertools import combinations
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.distributions import student_quantile
 from fitting.curve.formula_fit import FormulaFit
 from fitting.data.frame import MeasuredMotion
+from fitting.distributions import student_quantile
 from fitting.estimation import derived
 from fitting.estimation.covariance import upper_bound
 from fitting.estimation.derived import IndependentParameters, Known
 from fitting.estimation.result import STATED_ERROR, Correlations, Parameter
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
+from stickslip.compute.arrays import Array
 
 LEVELS = ("Fs/m", "Fs/k", "Fs", "Fs0/m", "x0 + Fs/k", "(G_slip - c)/m", "static")  # of the six alone
 SLOTS = {"k/m": Global.K, "v_dr": Global.V_DR, "d": Global.D, "x0": Global.DATUM, "c/m": Global.DAMPING}

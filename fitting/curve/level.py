@@ -15,9 +15,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
-from daq.base.compute.compile import compiled
-from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
 from fitting.least_squares import elimination
 from fitting.least_squares.levenberg_marquardt import Solution
@@ -26,6 +23,9 @@ from fitting.model.problem import Run
 from fitting.sensitivity.path import Path
 from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.compile import compiled
+from stickslip.units import Measured
 
 # Standard deviation of an assumed rest position, over the record's travel.  Friction that falls by a fifth stretches
 # the spring to 2.5 travels, where the start-up is not recorded.  Only the band and the intervals depend on it.

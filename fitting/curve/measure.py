@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.distributions import normal_quantile, student_quantile
 from fitting import noise_levels
 from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
 from fitting.curve.result import BandExit, MeasuredCurve
 from fitting.curve.spline_fit import SplineFit, fit_spline
+from fitting.distributions import normal_quantile, student_quantile
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import Global
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
 
 # Error over that of the nearest jump law: a ramp law contains its jump law and is always a little nearer, by 1 % at
 # most where there is no ramp.

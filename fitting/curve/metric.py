@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
 from fitting.driver.start_search import Target
 from fitting.driver.task import KNOT_POWER
 from fitting.estimation.linearised import LinearisedFit
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
+from stickslip.compute.arrays import Array
 
 GRID_SPEEDS = 300  # speeds at which a formula is projected on the spline, as dense as the knots
 LOW_COEFFICIENTS = 2  # coefficients, which act below a twentieth of the largest slip speed

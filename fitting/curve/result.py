@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import STATED_ERROR, Parameter
+from stickslip.compute.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,6 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
-from daq.base.measured import Measured
 from fitting.curve.level import assumed_rest, law_scatters, levels_scatter, moved_to, rest_prior, unseen
 from fitting.driver.coordinates import CurveCoordinates
 from fitting.driver.curves import FreeCurve
@@ -28,6 +26,8 @@ from fitting.model.problem import EstimationProblem
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.spline import FrictionSpline
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array, Mask
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True, eq=False)

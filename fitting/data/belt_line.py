@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.least_squares import least_squares
-from daq.base.measured import Measured
+from fitting.least_squares.linear import least_squares
 from processing.record.kinematics import Kinematics
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 COMPLIANCE_SHOWN = 3.0  # standard errors of the slope: a belt with a smaller one is taken as stiff
 LEAST_VARIATION = 2e-3  # residual variation, over the belt's speed, that gives a warning

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, runs
 from fitting.data.frame import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, MeasuredMotion
+from stickslip.compute.arrays import Array, Mask, runs
 
 # Times below are in slips (`MeasuredMotion.slip_s`).
 # At half the smoothed corner is still random in camera tracks; twice loses the end of short sticks.

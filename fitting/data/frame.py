@@ -13,9 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import HOLE, Array, runs
-from daq.base.errors import DataError, InputError
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.data import belt_line
 from fitting.data.belt_line import BeltLine
@@ -23,6 +20,9 @@ from fitting.data.slip_duration import slip_duration
 from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
 from processing.record.setting import is_possible_speed
+from stickslip.compute.arrays import HOLE, Array, runs
+from stickslip.errors import DataError, InputError
+from stickslip.units import Measured
 
 SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
 REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest

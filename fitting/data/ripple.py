@@ -19,10 +19,10 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.least_squares import least_squares
 from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
+from fitting.least_squares.linear import least_squares
+from stickslip.compute.arrays import Array
 
 VARIANCE_LEFT = 0.45  # share of the velocity's variance in stick that a ripple leaves at the most
 SMALLEST_AMPLITUDE = 2e-3  # amplitude over the belt's speed: less is none

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 # Size of a turn, in standard deviations of the difference of two readings: a smaller one is none.  With half of it the
 # noise of 1,000 samples in a stick makes turns; with twice, readings of four samples a slip, whose motion itself counts

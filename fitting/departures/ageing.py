@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.measured import Measured
 from fitting.data.cycles import CycleSegmentation
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.result import BreakAway
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 FEWEST_BREAK_AWAYS = 6  # break-aways of which a scatter is taken
 # Excess of the break-away level, over the level of slip.  Under the six laws the ratio errs by up to 0.7 % (36 records,

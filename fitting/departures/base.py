@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Forcing
@@ -16,6 +15,7 @@ from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.flow import SEARCH_STEP
 from fitting.sensitivity.path import Path, follow
 from fitting.sensitivity.tangents import tangents
+from stickslip.compute.arrays import Array, Integers
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting import noise_levels
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
@@ -19,6 +18,7 @@ from fitting.departures.strongest import LEAST_SIGMAS, Tested, describe, misfit_
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
+from stickslip.compute.arrays import Array
 
 # Share of the misfit explained in one linear step: a departure with less is not fitted, and not reported.  True
 # departures but forces by the velocity explain 0.72 to 1; of LuGre contacts the strongest explained 0.1 to 1.

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.departures.base import usual_rms
 from fitting.departures.scores import Score, log_probability, score
 from fitting.driver.driver import best_end
@@ -20,6 +19,7 @@ from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
 from fitting.forces.force import Force
 from fitting.sensitivity.path import Path
+from stickslip.compute.arrays import Array
 
 # Error over the noise: a search that then errs more is given up.  True departures are at 0.9 to 1.0; LuGre contacts are
 # at 9 and more, and drag on a steep ramp took a minute to end at 3.

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from daq.base.measured import Measured
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True)

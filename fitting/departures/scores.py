@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.distributions import fisher_log_tail, normal_quantile
+from fitting.distributions import fisher_log_tail, normal_quantile
 from fitting.estimation.linearised import LinearisedFit, Scores
+from stickslip.compute.arrays import Array
 
 # Share of a column's curvature left after the projection: with no more, the fit already adjusts it.  Derivatives
 # err by 3e-6 of their size, so 1e-11 is rounding.  Quadratic drag, the least distinguishable beside a damping and a

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.measured import Measured
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
 from fitting.departures.library import departures
@@ -18,6 +16,8 @@ from fitting.departures.result import FoundDeparture, Scale
 from fitting.departures.scores import LEAST_KEPT, RIDGE, Score, score, sigmas
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 # Least standard deviations and least fall of the cost of a departure that is reported.  On six records that one of
 # the six laws describes, the best of all departures reached a gain of 6.

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fitted_law import FittedLaw
 from fitting.model.parameters import PerCycle
+from stickslip.compute.arrays import Array
 
 
 def mass(motion: MeasuredMotion, fit: FittedLaw) -> float:

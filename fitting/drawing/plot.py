@@ -8,12 +8,12 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from daq.base.output.plot import STYLE, figure
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.drawing import curves
 from fitting.drawing.palette import INK, MEASURED, law_colours
 from fitting.estimation.fitted_law import FittedLaw
+from stickslip.output.plot import STYLE, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

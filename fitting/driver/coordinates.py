@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 # Standard deviation of a second difference, over the middle coefficient.  Twice or half of it moves curves of the rig
 # scene by less than a tenth of their band.

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.driver.coordinates import CurveCoordinates
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN
@@ -18,6 +17,7 @@ from fitting.sensitivity.path import Curve, Path, law_curve, spline_curve
 from fitting.sensitivity.spline import FrictionSpline
 from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS, NESTED
+from stickslip.compute.arrays import Array
 
 
 class FrictionCurve(ABC):

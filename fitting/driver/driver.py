@@ -11,9 +11,6 @@ from functools import partial
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.ordered import Map
-from daq.base.compute.workers import workers
 from fitting import noise_levels
 from fitting.competitors import ALL_LAWS
 from fitting.driver.curves import LawCurve
@@ -35,6 +32,9 @@ from fitting.driver.passes import (
 from fitting.driver.task import FitStart, Task, law_task
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
+from stickslip.compute.arrays import Array
+from stickslip.compute.ordered import Map
+from stickslip.compute.workers import workers
 
 logger = logging.getLogger(__name__)
 # Error over the best, or over the resolution, from which a task is not looked at more closely: no law that errs 5 times
@@ -148,7 +148,7 @@ def fit_all(
     tasks : sequence of Task
     asked : callable
     each : callable
-        The ``map`` that work is done by (`daq.base.compute.workers`).
+        The ``map`` that work is done by (`stickslip.compute.workers`).
     progress : callable
         Called with the number of tasks that have made their first pass.
     """

@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.driver.model import Model
 from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task
@@ -15,6 +14,7 @@ from fitting.least_squares.normal_equations import SchurComplement
 from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
+from stickslip.compute.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from fitting.driver.curves import FrictionCurve
 from fitting.driver.start_search import StartSearch, Target
 from fitting.law import Law
@@ -19,6 +17,8 @@ from fitting.sensitivity.columns import friction_effect, shared_tangents
 from fitting.sensitivity.path import Curve, Path, spline_curve
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 SPLINE_ERROR = 1e-6  # distance of the spline from the formula, over the largest friction
 FIRST_PIECES, KNOT_POWER = 24, 1.8  # knots s_max u^1.8, before they are set closer where the curve bends most

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
 from fitting.driver.task import Task
 from fitting.forces.departure import Forcing
 from fitting.forces.fitted_motion import FittedMotion
@@ -15,6 +14,7 @@ from fitting.sensitivity.columns import local_tangents
 from fitting.sensitivity.path import Curve, Path, follow
 from fitting.sensitivity.tangents import tangents
 from fitting.sensitivity.values import positions
+from stickslip.compute.arrays import Array, Integers
 
 
 class Model:

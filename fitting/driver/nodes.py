@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
 from fitting.model.windows import ShootingWindows, Thinning, stuck_from
+from stickslip.compute.arrays import Array, Integers
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, autocorrelation_time
 from fitting.driver.task import Task
 from fitting.model import wear
 from fitting.model.parameters import PerCycle
 from fitting.model.windows import ShootingWindows
+from stickslip.compute.arrays import Array, Mask, autocorrelation_time
 
 DEFAULT_FADE_SD = 0.005  # a slip: what a friction level may fade by where a run has too few cycles to show wear
 LEAST_FADE_SD = 5e-7  # least of that, a slip

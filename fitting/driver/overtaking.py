@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Mask
 from fitting.driver.fit import TaskFit
 from fitting.driver.model import Model
 from fitting.driver.passes import CYCLE_RESTART, first_pass, least_squares_problem
 from fitting.driver.task import FitStart
 from fitting.least_squares import levenberg_marquardt
 from fitting.model.starts import cycle_starts
+from stickslip.compute.arrays import Mask
 
 # Share of a spoilt cycle's mean square beyond the usual one: less is left where the mass overtakes.
 LEFT_BY_OVERTAKING = 0.5

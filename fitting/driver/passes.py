@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting import noise_levels
 from fitting.driver.curves import LawCurve
 from fitting.driver.fit import TaskFit
@@ -28,6 +27,7 @@ from fitting.model.problem import thinned_to
 from fitting.sensitivity import flow
 from fitting.sensitivity.path import Path
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
 
 
 class Limits(NamedTuple):

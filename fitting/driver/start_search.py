@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from fitting.law import Law
 from fitting.undetermined import natural_size
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 DOUBLED = 2.0  # factor on a parameter: whether the derivative by it changes then shows whether it bends the curve
 BEND_DRAWS = 3  # sets of values at which that is looked at

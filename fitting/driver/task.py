@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.least_squares import least_squares
 from fitting.driver.curves import FreeCurve, FrictionCurve, LawCurve
 from fitting.forces.force import Force
+from fitting.least_squares.linear import least_squares
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import EstimationProblem, Run
 from fitting.sensitivity.spline import FrictionSpline
+from stickslip.compute.arrays import Array
 
 PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where friction falls; 22 pieces widen the band
 FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot lies

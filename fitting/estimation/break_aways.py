@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
@@ -16,6 +15,7 @@ from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.result import BreakAway
 from fitting.model.parameters import PER_CYCLE, Global, PerCycle
 from fitting.model.windows import ShootingWindows
+from stickslip.compute.arrays import Array
 
 # Times in slips (`MeasuredMotion.slip_s`).
 SEARCH_RANGE, SEARCH_STEP = 0.3, 2e-4  # about the smoothed break-away

@@ -17,12 +17,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, autocorrelation_time
-from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
 from fitting.estimation.fitted_law import FittedLaw
 from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, normal_equations, scaled_inverse
 from fitting.model.parameters import PerCycle
+from stickslip.compute.arrays import Array, autocorrelation_time
+from stickslip.units import Measured
 
 # Variance of a cycle's residuals over what the fit assumes, at the most, since a correlation time from one
 # window is uncertain.  With 4 the error of the belt's speed from a drag on a rippling belt would be too small by 2.

@@ -10,10 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.distributions import student_quantile
-from daq.base.measured import Measured
 from fitting.data.frame import MeasuredMotion
+from fitting.distributions import student_quantile
 from fitting.estimation.covariance import covariances, levels_differ, upper_bound
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Correlations, Parameter
@@ -21,6 +19,8 @@ from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns,
 from fitting.model.problem import datum_calibration
 from fitting.model.wear import Wear
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 # Share of a default's variance left after the fit: with more the default still decides, and what depends on it is
 # not given.  Chosen; half and twice give the same parameters on 26 records.

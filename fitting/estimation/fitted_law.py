@@ -6,7 +6,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
 from fitting.data.cycles import Cycle
 from fitting.driver.fit import TaskFit
 from fitting.least_squares.levenberg_marquardt import Solution
@@ -16,6 +15,7 @@ from fitting.model.problem import EstimationProblem
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Curve, Path
 from fitting.sensitivity.values import positions
+from stickslip.compute.arrays import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.driver.fit import TaskFit
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import NormalEquations, SchurComplement, kernel
+from stickslip.compute.arrays import Array, Integers, Mask
 
 WEIGHT_LEFT = 1e-6  # share of its weight left to a cycle that does not count: its own unknowns stay determined
 

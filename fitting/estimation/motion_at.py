@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.estimation.fitted_law import FittedLaw
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import follow
+from stickslip.compute.arrays import Array
 
 
 def motion_at(fit: FittedLaw, time: Array) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 # Standard error over a value, from which that is not stated in words; of a level of friction only its difference to
 # another is.  At half known levels are withheld, at twice levels of either sign are stated.

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.forces.fitted_motion import FittedMotion
 from fitting.sensitivity.path import NO_DRAG
 from fitting.sensitivity.rates import Drag
+from stickslip.compute.arrays import Array
 
 # Velocity, over the largest, within which a drag may jump at rest.  Without the drag in the motion a sample's change of
 # velocity is 1 %, so a narrower turn is none that a step sees; ten times as wide, the kink by which a guide is

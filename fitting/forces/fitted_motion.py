@@ -6,12 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN
 from fitting.sensitivity.path import Path
+from stickslip.compute.arrays import Array, Integers, Mask
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, Forcing
 from fitting.forces.fitted_motion import FittedMotion
+from stickslip.compute.arrays import Array
 
 # Relative step of the derivative by a scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path.
 SCALE_STEP = 1e-4

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 
 def follow_pole(drive: Array, turn: complex, gain: complex, state: NDArray[np.complex128]) -> None:

@@ -3,13 +3,13 @@
 BLAS and LAPACK add in another order on every processor, and where a search takes decisions, the last bit of a sum can
 lead to another minimum.  These matrices are tiny: plain loops cost next to nothing and add in one order everywhere.
 
-Every function runs as written or compiled (`daq.base.compute.compile`).
+Every function runs as written or compiled (`stickslip.compute.compile`).
 Source: G. Golub, C. Van Loan, Matrix Computations, 4th ed., 4.2 (Cholesky) and 8.5 (cyclic Jacobi).
 """
 
 import math
 
-from daq.base.compute.arrays import Array, Integers
+from stickslip.compute.arrays import Array, Integers
 
 LEAST_PIVOT = 1e-14  # least pivot over a unit diagonal, where rounding alone leaves about 1e-16 times the size
 MOST_SWEEPS = 40  # sweeps of Jacobi rotations; matrices of 12 rows take 6 to 9

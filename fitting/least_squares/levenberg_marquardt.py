@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import (
     HELD_CURVATURE,
@@ -29,6 +28,7 @@ from fitting.least_squares.normal_equations import (
     normal_equations,
 )
 from fitting.least_squares.problem import LeastSquaresProblem, cost, cost_by_cycle
+from stickslip.compute.arrays import Array
 
 # Chosen by trial; the objective does not depend on them.  With half and twice of each, true laws end at the same
 # minima on 26 records (all laws, cameras, other scales), wrong ones at 0.26 to 1.3 times the error.

@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
-from daq.base.compute.compile import compiled
 from fitting.least_squares import elimination
 from fitting.least_squares.problem import LeastSquaresProblem
+from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.compile import compiled
 
 HELD_CURVATURE = 1e12  # curvature over its own, of an unknown that does not move
 ROUNDING = 1e-14  # what elimination leaves of a curvature, over it: as little is rounding

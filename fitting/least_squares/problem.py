@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, Integers, end_to_end
+from stickslip.compute.arrays import Array, Integers, end_to_end
 
 # Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
 Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]

@@ -5,7 +5,7 @@ cycle lies on a line of its own with the same zero: what it loses per second, as
 over the run.  A constant fraction left 2 um of a 16 s run that lost a tenth of its level.
 """
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 
 def remaining(fade: float, t: float, epoch: float) -> float:

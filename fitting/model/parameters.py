@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array, Integers
 
 
 class Global(IntEnum):

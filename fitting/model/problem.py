@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
-from daq.base.measured import Measured
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
@@ -17,6 +15,8 @@ from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 # Samples a slip of a thinned record, on which searches and scans run, as residuals are correlated over many samples: at
 # half as many the shortest wavelengths blur, twice as many take twice the time.  A stick, where the mass moves as the

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.least_squares import least_squares
-from daq.base.measured import Measured
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
+from fitting.least_squares.linear import least_squares
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, magnitude
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 LOOSE_REST = 0.05  # error of a rest position over the travel: with a larger one it is also fitted
 STEEPEST_LINE = 0.8  # fall over the level: a linear curve starts with friction left at the fastest slip

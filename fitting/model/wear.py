@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
-from daq.base.measured import Measured
 from fitting.model.parameters import PerCycle
 from fitting.model.windows import ShootingWindows
+from stickslip.compute.arrays import Array, Mask
+from stickslip.units import Measured
 
 FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
 

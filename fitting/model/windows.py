@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, end_to_end
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.model import parameters
 from fitting.model.parameters import PER_CYCLE, PER_RUN, PerCycle
+from stickslip.compute.arrays import Array, end_to_end
 
 # Mean square of a cycle over the usual one of its run, above which it is spoilt.  Noise alone gives up to 1.2; a joint
 # that steps by 10 mm/s gives 3 to 20.  At 3 slips that were struck lightly still pulled true laws to p = 1e-8.

@@ -5,8 +5,6 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
 from fitting.drawing import curves
 from fitting.drawing.palette import COLOURS, INK, MEASURED, NARROW, WIDE, law_colours, law_dashes
@@ -15,6 +13,8 @@ from fitting.report.motion_plot import BROAD, PALE, fitted_motion, measured_moti
 from fitting.report.scale import AxisScale
 from fitting.report.symbols import pretty
 from fitting.selection.result import LawResult, RankedLaws
+from stickslip.compute.arrays import Array
+from stickslip.output.lengths import format_length
 
 HALF, BESIDE = 560.0, 18.0  # px: of the picture of orbits, and for the name of its ordinate
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.report.scale import AxisScale
+from stickslip.compute.arrays import Array
 
 FONT, SMALL = 11.0, 10.0  # sizes, px
 THIN, BROAD = frozenset(" !'()*,-./:;I[]fijlrt|"), frozenset("%MWmw")

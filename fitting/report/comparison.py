@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.errors import InputError
-from daq.base.output import atomic
-from daq.base.version import VERSION
 from fitting.drawing.palette import INK, WIDE, law_colours
 from fitting.estimation.result import Parameter
 from fitting.report import page, symbols
 from fitting.report.chart import Axes, picture
 from fitting.report.scale import AxisScale
+from stickslip.errors import InputError
+from stickslip.output import atomic
+from stickslip.version import VERSION
 
 SUFFIX = ".each.html"
 MARK = '<meta name="generator" content="stickslip fit-friction --each'

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.data.cycles import Cycle
 from fitting.drawing.palette import DASH, INK, MEASURED, NARROW, run_colour, run_dash
 from fitting.report.chart import BOTTOM, CLOSE, ROW, Axes, legend_rows, picture
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, RankedLaws
+from stickslip.compute.arrays import Array
 
 MM = 1e3  # positions are drawn in mm, speeds in m/s
 HEIGHT = 300.0  # px

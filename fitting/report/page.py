@@ -8,11 +8,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import InputError
-from daq.base.output import atomic
-from daq.base.output.lengths import format_length
-from daq.base.text import storable
-from daq.base.version import VERSION
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from fitting.adequacy.result import Adequacy
@@ -23,6 +18,11 @@ from fitting.selection.result import LawResult, RankedLaws
 from fitting.selection.verdict import format_probability
 from processing.record.kinematics import Kinematics
 from processing.statistics import StickSlipStatistics, pooled
+from stickslip.errors import InputError
+from stickslip.output import atomic
+from stickslip.output.lengths import format_length
+from stickslip.text import storable
+from stickslip.version import VERSION
 
 if TYPE_CHECKING:
     from jinja2 import Template

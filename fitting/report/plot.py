@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.output.lengths import shown_length
 from fitting.drawing import curves
 from fitting.drawing.palette import (
     COLOURS,
@@ -29,6 +27,8 @@ from fitting.report.motion_plot import BROAD, PALE, PALE_RUN, begins, fitted_mot
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, RankedLaws
 from processing.statistics import StickSlipStatistics, pooled
+from stickslip.compute.arrays import Array
+from stickslip.output.lengths import shown_length
 
 MOST_POINTS = 12_000
 BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law that describes the record

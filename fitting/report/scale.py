@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 EDGE = 0.04  # of the range, left free on both sides of the data
 

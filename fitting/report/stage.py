@@ -13,8 +13,6 @@ from pathlib import Path
 
 import h5py
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from daq.runfile import joint, nexus, store, tree
 from daq.runfile.tree import Field, Group
 from fitting.drawing.curves import curve, speeds_of_all, unit
@@ -23,6 +21,8 @@ from fitting.estimation.result import Parameter
 from fitting.report.symbols import formula_of
 from fitting.selection.result import LawResult, RankedLaws
 from processing import stage as smoothed_stage
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 FRICTION = "N or N/kg"  # unit of a friction: N where mass or stiffness is known
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.errors import InputError
-from daq.base.output import atomic
 from fitting.curve.result import MeasuredCurve
 from fitting.drawing import curves
 from fitting.selection.result import RankedLaws
+from stickslip.errors import InputError
+from stickslip.output import atomic
 
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
 

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.console import application
-from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
 from fitting.report import page
 from fitting.report.symbols import MOTION, formula_of
 from fitting.selection.result import RankedLaws
 from fitting.selection.verdict import format_probability
+from stickslip.console import application
+from stickslip.output.lengths import format_length
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from fitting.competitors import Competitors, Given
 from processing.record.kinematics import Kinematics
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 LEAST_ALPHA = 1e-9  # surer is no interval
 

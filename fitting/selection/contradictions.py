@@ -10,14 +10,13 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.result import Parameter
 from fitting.model.problem import Run
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from processing.record.setting import with_error
+from stickslip.units import Measured, with_error
 
 # Distance of a calibration from the fit, in standard deviations, that contradicts it.  At 3 one true calibration in 400
 # would be reported, and as many again because an interval from 16 cycles is itself uncertain; at 5 a belt speed wrong

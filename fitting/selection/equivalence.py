@@ -13,8 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.measured import Measured
 from fitting.driver.driver import fit_from
 from fitting.driver.task import FitStart, law_task
 from fitting.estimation import derived
@@ -24,6 +22,8 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
 from fitting.selection.evidence import ModelSet
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 WIDEST_BELT_LOSS = 0.03  # speed that a belt may lose under the load Fs, over its own
 WIDEST_BY_RIPPLE = 0.08  # width over the belt's speed of a ramp that a belt with 3 % ripple can imitate

@@ -22,16 +22,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, autocorrelation_time
-from daq.base.compute.distributions import student_quantile
 from fitting import noise_levels
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
+from fitting.distributions import student_quantile
 from fitting.estimation.fit import Fit
 from fitting.law import LIMITS
 from fitting.model.problem import Run
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import NESTED
+from stickslip.compute.arrays import Array, autocorrelation_time
 
 FEWEST_CYCLES = 4  # cycles of which the usual are trusted: of fewer, all count
 DRAG_PIECES = 8  # equal pieces of a start-up drag, where it is all the evidence

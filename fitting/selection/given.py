@@ -8,14 +8,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.competitors import PER_MASS, Competitors, Given
 from fitting.data.frame import MeasuredMotion
 from fitting.law import Law
 from fitting.model.parameters import Global
 from fitting.model.problem import GivenUnknown, Run
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 UNKNOWNS = {
     "k/m": Global.K,

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.adequacy.assess import Judged, describing
 from fitting.curve.formula_fit import FormulaFit
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence
 from fitting.selection.evidence import Evidence, ModelSet, Units
+from stickslip.compute.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

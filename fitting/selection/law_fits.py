@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from daq.base.errors import DataError, InputError
 from fitting.adequacy.assess import describes
 from fitting.competitors import ALL_LAWS
 from fitting.data import cycles, ripple
@@ -18,6 +17,7 @@ from fitting.model.problem import Run
 from fitting.selection import evidence, screening
 from fitting.selection.evidence import FEWEST_CYCLES
 from processing.record.kinematics import Kinematics
+from stickslip.errors import DataError, InputError
 
 # Error in the start-up drag over what a rippling belt leaves: a steady belt that leaves more was none.  On belts
 # with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.

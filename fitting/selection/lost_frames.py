@@ -17,11 +17,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
 from processing.record.kinematics import Kinematics
 from processing.record.noise import DITHERED
+from stickslip.compute.arrays import Array, Integers
+from stickslip.units import Measured
 
 # Samples of a piece: the shortest that shows the share to `SHARE_ERROR` is taken, or the last.  In 16 a law's misfit
 # leaves nothing, in 256 (0.64 s at 400 frames a second) constant friction shows the share under 1 mm of noise.

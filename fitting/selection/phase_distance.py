@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.compile import compiled
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fitted_law import FittedLaw
+from stickslip.compute.arrays import Array
+from stickslip.compute.compile import compiled
 
 MOST_POINTS = 4000  # points of each curve
 

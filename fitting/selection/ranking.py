@@ -8,8 +8,6 @@ import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.adequacy.assess import assess, measure
 from fitting.competitors import ALL_LAWS, Competitors
@@ -27,6 +25,8 @@ from fitting.selection.judgement import compete
 from fitting.selection.result import RankedLaws
 from fitting.selection.rivals import fit_formulas
 from processing.record.kinematics import Kinematics
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 logger = logging.getLogger(__name__)
 

@@ -18,8 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import DataError, InputError, nearest
 from fitting.competitors import PER_MASS
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.formula_parameters import independent_formula_parameters
@@ -34,6 +32,8 @@ from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model.parameters import PER_RUN, Global
 from fitting.selection.given import SIGNED, UNKNOWNS
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
+from stickslip.errors import DataError, InputError, nearest
 
 FIRST_DAMPING = 1e-6  # damping over the curvatures: each fit starts near its end, which does not depend on it
 # Share of the draws that must be fitted.  Those that cannot are the outermost, and the outermost tenth of normal draws

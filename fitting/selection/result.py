@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import DataError, InputError, in_python
 from fitting.adequacy.result import Adequacy
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.formula_parameters import formula_correlations
@@ -22,6 +20,8 @@ from fitting.law import TITLES
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array
+from stickslip.errors import DataError, InputError, in_python
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -469,7 +469,7 @@ class RankedLaws:
         return f"<Ranking: {self.verdict}\n {best.label}: {', '.join(shown)}>"
 
     def _repr_html_(self) -> str:
-        from daq.base.output import notebook
+        from stickslip.output import notebook
 
         about = [("verdict", self.verdict), *(("warning", in_python(text)) for text in self.warnings)]
         parts = [notebook.table("Ranking", about)]

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.errors import InputError
 from fitting import noise_levels
 from fitting.competitors import Competitors
 from fitting.curve.band import seen_speeds
@@ -28,6 +27,7 @@ from fitting.selection import evidence
 from fitting.selection.given import formula_given
 from fitting.selection.result import Unfitted
 from fitting.undetermined import natural_size, undetermined
+from stickslip.errors import InputError
 
 logger = logging.getLogger(__name__)
 # Difference over the friction: curves that differ by less are one.  Half or twice decides the same for formulas written

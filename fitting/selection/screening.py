@@ -11,9 +11,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.compute.least_squares import least_squares
-from daq.base.errors import DataError, InputError
 from daq.runfile.rest_position import impossible
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import REST_SPEED, SLIP_SPEED, MeasuredMotion
@@ -21,12 +18,15 @@ from fitting.driver.passes import first_pass, regressed_start
 from fitting.driver.task import law_task
 from fitting.estimation.fit import Fit
 from fitting.estimation.fitted_law import FittedLaw
+from fitting.least_squares.linear import least_squares
 from fitting.model.problem import Run
 from fitting.selection import lost_frames
 from fitting.selection.evidence import constant_friction_limit
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
+from stickslip.compute.arrays import Array, Integers
+from stickslip.errors import DataError, InputError
 
 COMES_BACK = 0.2  # way back over a slip's range; with sustained sticks a slip leads back by half of it and more
 # Difference over the usual stick's speed: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1.

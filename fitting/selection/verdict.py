@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 
-from daq.base.output.lengths import format_length
 from fitting import noise_levels
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
@@ -12,6 +11,7 @@ from fitting.departures.result import FoundDeparture
 from fitting.estimation.fit import Fit
 from fitting.model.parameters import Global
 from fitting.selection.result import LawResult
+from stickslip.output.lengths import format_length
 
 OTHER_SPEEDS = " or runs at other belt speeds"
 SPLITS = {

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.model import parameters
 from fitting.model.fading import relative_change
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
@@ -12,6 +11,7 @@ from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
 from rig_sim.flow.modes import STICK
 from rig_sim.friction.curve import shape_slope
+from stickslip.compute.arrays import Array
 
 BELT = (Global.V_DR, Global.COSINE, Global.SINE, Global.OMEGA)
 

@@ -14,12 +14,11 @@ It is short enough for the fastest rate of the motion.  A ramp is followed with 
 as long as those of a stick, once its transient has died out, or where that moves the mass by less than
 `TRANSIENT_HIDDEN` of the spring's stretch.
 
-Every function runs as written or compiled (`daq.base.compute.compile`).
+Every function runs as written or compiled (`stickslip.compute.compile`).
 """
 
 import math
 
-from daq.base.compute.arrays import Array, Integers
 from fitting.model.parameters import PerCycle
 from fitting.sensitivity.friction import Contact, edge_speed, friction, normal_curve
 from fitting.sensitivity.rates import (
@@ -47,6 +46,7 @@ from fitting.sensitivity.rates import (
     resistance,
 )
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
+from stickslip.compute.arrays import Array, Integers
 
 # Longest step times the fastest rate: at 100 Hz positions of the rig scene's slips err by 2e-8 m, doubled by 1e-7 m,
 # against microns of noise.  At 1 kHz one step a sample is shorter than that anyhow, but on steep ramps.

@@ -12,10 +12,10 @@ the unloaded belt (`rig_sim.flow.modes`, droop).  Where a touch of the belt ends
 
 from typing import NamedTuple
 
-from daq.base.compute.arrays import Array
 from rig_sim.flow.modes import NEGATIVE, RAMP
 from rig_sim.friction.curve import MEASURED, magnitude, slope
 from rig_sim.friction.spline import piece_of
+from stickslip.compute.arrays import Array
 
 SPLINE = MEASURED  # code of a curve given by knots and pieces
 MOST_ITERATIONS = 30  # Newton steps on a compliant belt; it needs 3 to 5

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
-from daq.base.compute.compile import compiled
 from fitting.model.parameters import PER_RUN
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity import flow, rates
 from fitting.sensitivity.friction import SPLINE
 from fitting.sensitivity.spline import FrictionSpline
 from rig_sim.flow.modes import NEGATIVE, RAMP, STICK
+from stickslip.compute.arrays import Array, Integers, Mask
+from stickslip.compute.compile import compiled
 
 KERNELS = (
     "rig_sim.friction.curve",

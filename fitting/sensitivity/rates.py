@@ -6,11 +6,11 @@
 import math
 from typing import NamedTuple
 
-from daq.base.compute.arrays import Array, Integers
 from fitting.model.fading import remaining
 from fitting.model.parameters import Global
 from fitting.sensitivity.friction import Contact, friction
 from rig_sim.flow.modes import RAMP, STICK
+from stickslip.compute.arrays import Array, Integers
 
 CREEP = 4  # a mode beside those of `rig_sim.flow.modes`: a steep ramp, its velocity that of balanced forces
 

@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.compile import compiled
 from fitting.least_squares.normal_equations import scaled_inverse
 from rig_sim.friction.spline import piece_of
+from stickslip.compute.arrays import Array
+from stickslip.compute.compile import compiled
 
 DEGREE = 3  # degree of the pieces: slopes and curvatures are continuous
 

@@ -16,12 +16,12 @@ Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of Non-smooth Mechanic
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.compute.compile import compiled
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.path import KERNELS, Path
 from fitting.sensitivity.rates import CREEP
 from rig_sim.flow.modes import STICK
+from stickslip.compute.arrays import Array, Integers
+from stickslip.compute.compile import compiled
 
 NO_COLUMNS = np.zeros((0, 0))
 NOTHING_MOVES = np.zeros(0, np.int64)

@@ -8,8 +8,6 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.compute.compile import compiled
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity import rates
 from fitting.sensitivity.flow import (
@@ -42,6 +40,8 @@ from fitting.sensitivity.path import (
 )
 from fitting.sensitivity.rates import CREEP, Extra, Window, advance, at_level, bound_velocity
 from rig_sim.flow.modes import RAMP, STICK
+from stickslip.compute.arrays import Array, Integers
+from stickslip.compute.compile import compiled
 
 # Longest step over that of a path.  The cubic between its ends errs by the fourth power: by 1e-9 m in slips of the rig
 # scene, at twice that by 2e-8 m, as a path at 100 Hz does; half takes twice the time.

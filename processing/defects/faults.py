@@ -28,8 +28,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, Integers, Mask, runs
-from daq.base.compute.compile import compiled
 from processing.defects import residual_kernel
 from processing.defects.residual_kernel import CORNER, ENDS, KICK, OUTLIER, STEP
 from processing.kalman import white_jerk
@@ -37,6 +35,8 @@ from processing.record.motion import Fault, VelocityStep
 from processing.record.noise import position_noise, reading_step
 from processing.record.position_steps import PositionStep, step_offsets, step_profile, without_steps
 from processing.record.series import Series
+from stickslip.compute.arrays import Array, Integers, Mask, runs
+from stickslip.compute.compile import compiled
 
 Segments = NDArray[np.integer]
 

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.measured import Measured
 from processing.defects.frames import FrameCount
 from processing.record.finding import Finding
 from processing.record.motion import Fault
 from processing.record.position_steps import PositionStep
-from processing.record.setting import is_possible_speed, with_error
+from processing.record.setting import is_possible_speed
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured, with_error
 
 
 def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int) -> list[Finding]:

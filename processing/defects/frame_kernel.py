@@ -1,9 +1,9 @@
 """Kernel: one pass over the positions for steps of twice, or none of, the usual length.
 
-Runs as written or compiled (`daq.base.compute.compile`).
+Runs as written or compiled (`stickslip.compute.compile`).
 """
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 WIDE = 7  # steps on either side that say how long one usually is
 # Of those the nearest, and how far the parabola through the means of the near and the far ones lies beyond the near

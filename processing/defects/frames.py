@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, runs
-from daq.base.compute.compile import compiled
 from processing.defects import frame_kernel
 from processing.polynomial.even_grid import is_even
 from processing.record.noise import DITHERED
 from processing.record.series import Series
+from stickslip.compute.arrays import Array, runs
+from stickslip.compute.compile import compiled
 
 KERNELS = ("processing.defects.frame_kernel",)
 

@@ -1,9 +1,9 @@
 """Kernel: what the scores of a smoother say of an outlier, a step, a kick and a corner at every sample.
 
-Runs as written or compiled (`daq.base.compute.compile`).
+Runs as written or compiled (`stickslip.compute.compile`).
 """
 
-from daq.base.compute.arrays import Array, Integers
+from stickslip.compute.arrays import Array, Integers
 
 OUTLIER, STEP, KICK, CORNER = 0, 1, 2, 3  # rows of the statistics
 ENDS = 4  # samples at either end of a piece at which neither step, kick nor corner is looked for

@@ -1,6 +1,6 @@
 """Kernels: corners of a motion of white snap: the labels they give the samples, and their most likely times.
 
-Every function runs as written or compiled (`daq.base.compute.compile`).
+Every function runs as written or compiled (`stickslip.compute.compile`).
 """
 
 import math
@@ -8,8 +8,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.compute.compile import stack, stack_square
 from processing.kalman.motion_kernel import LINE, Order, Process, predict, turn, unpack, update
 from processing.kalman.stick_slip import (
     CUT,
@@ -28,6 +26,8 @@ from processing.kalman.stick_slip import (
     STICK,
     STOP,
 )
+from stickslip.compute.arrays import Array, Integers
+from stickslip.compute.compile import stack, stack_square
 
 Labels = NDArray[np.uint8]
 

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from processing.kalman.motion_kernel import state_size
+from stickslip.compute.arrays import Array
 
 FIRST = 8  # samples behind the first one
 

@@ -1,6 +1,6 @@
 """Kernel: how the mean snap before a landing moves what is expected of the samples around it.
 
-Runs as written or compiled (`daq.base.compute.compile`).
+Runs as written or compiled (`stickslip.compute.compile`).
 """
 
 import math
@@ -8,9 +8,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.compile import stack, stack_square
 from processing.kalman.motion_kernel import LINE, Order, Process, predict, turn, unpack, update
+from stickslip.compute.arrays import Array
+from stickslip.compute.compile import stack, stack_square
 
 Labels = NDArray[np.uint8]
 

@@ -16,7 +16,7 @@ ratio comes closer to it.
 ``order`` is a tuple of n numbers, whatever they are, and ``part`` one of as many as are alive: lengths of tuples are
 constants of the compiled code, so that the loops unroll, and the state lives in arrays of n and n n numbers on the
 stack.  Of p the upper triangle is kept, of m the lower one: each is carried in place.  Every function runs as written
-or compiled (`daq.base.compute.compile`).
+or compiled (`stickslip.compute.compile`).
 
 A reading that is NaN is a missing one: its variance is infinite, and s and e/s are 0.
 
@@ -35,8 +35,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.compute.compile import stack, stack_square
+from stickslip.compute.arrays import Array, Integers
+from stickslip.compute.compile import stack, stack_square
 
 Labels = NDArray[np.uint8]
 Order = tuple[float, ...]

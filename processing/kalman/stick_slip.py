@@ -20,8 +20,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
 from processing.kalman.motion_kernel import Process, stored_size
+from stickslip.compute.arrays import Array
 
 Labels = NDArray[np.uint8]
 

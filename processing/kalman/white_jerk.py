@@ -19,8 +19,6 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.compile import compiled
 from processing.kalman import motion_kernel
 from processing.kalman.first_state import first_state
 from processing.polynomial import uneven
@@ -28,6 +26,8 @@ from processing.record.motion import Motion
 from processing.record.noise import reading_step
 from processing.record.series import Series, computed_once
 from processing.record.stretches import representative_stretches
+from stickslip.compute.arrays import Array
+from stickslip.compute.compile import compiled
 
 KERNELS = ("processing.kalman.motion_kernel",)
 JERK = (0.0, 0.0, 0.0)  # order of the motion: x, v, a

@@ -13,7 +13,6 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from daq.base.errors import InputError, nearest
 from processing.kalman import white_jerk
 from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
@@ -21,6 +20,7 @@ from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import Setting
 from processing.record.stretches import LEAST, MOST, survey
+from stickslip.errors import InputError, nearest
 
 METHODS = {
     "auto": "processing.methods.smoothers",

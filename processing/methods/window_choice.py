@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.polynomial.even_fit import coefficients, convolved
@@ -23,6 +22,7 @@ from processing.polynomial.even_grid import even_grid
 from processing.record.series import Series
 from processing.record.setting import Setting, longest_piece
 from processing.record.stretches import representative_stretches
+from stickslip.compute.arrays import Array
 
 ORDERS = (2, 4, 6)  # an odd order has the velocity of the even one above it
 EQUIVALENT = {2: 5.0, 4: 9.0, 6: 13.5}  # window times rho**(1/6) of the filter nearest to a white-jerk smoother

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 BLOCK = (
     8  # windows in a block that is transformed, up to the next power of two; from 4 to 32 it costs the same to a fifth

@@ -6,8 +6,8 @@ Where times scatter about the grid by less than half an interval, a reading move
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from processing.polynomial.even_fit import coefficients, convolved
+from stickslip.compute.arrays import Array
 
 ROUGH = 31, 4  # window and order of the rough velocity
 

@@ -3,7 +3,7 @@
 The recurrence is the one of `processing.polynomial.uneven`; windows lie in the fast index of every array, so that a
 processor takes several at once and no sum depends on how many.
 
-Runs as written or compiled (`daq.base.compute.compile`).
+Runs as written or compiled (`stickslip.compute.compile`).
 """
 
 import math
@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 LANES = 32  # windows whose sums run side by side
 

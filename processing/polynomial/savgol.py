@@ -15,9 +15,9 @@ window.
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from processing.polynomial import even_fit, uneven
 from processing.polynomial.even_grid import is_even
+from stickslip.compute.arrays import Array
 
 
 def fit(time: Array, position: Array, window: int, order: int) -> tuple[Array, Array]:

@@ -14,9 +14,9 @@ Source: G. E. Forsythe, J. SIAM 5 (1957) 74.
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.compute.compile import compiled
 from processing.polynomial import local_kernel
+from stickslip.compute.arrays import Array, Integers
+from stickslip.compute.compile import compiled
 
 KERNELS = ("processing.polynomial.local_kernel",)
 

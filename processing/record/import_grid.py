@@ -10,9 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from daq.runfile.store import RunReader
 from processing.record.series import interval_numbers
+from stickslip.compute.arrays import Array
 
 
 @dataclass(frozen=True)

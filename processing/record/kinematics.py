@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
-from daq.base.output.lengths import format_length, shown_speed
-from daq.base.text import printable
 from processing.polynomial.even_grid import is_even
 from processing.record.finding import Finding
 from processing.record.motion import Corner, Fault, Phase, VelocityStep, mask_of
 from processing.record.position_steps import PositionStep, step_offsets
+from stickslip.compute.arrays import Array, Mask
+from stickslip.output.lengths import format_length, shown_speed
+from stickslip.text import printable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -323,6 +323,6 @@ class Kinematics(SmoothingHeader):
         )
 
     def _repr_html_(self) -> str:
-        from daq.base.output import notebook
+        from stickslip.output import notebook
 
         return notebook.table(f"Kinematics of {self.recording.name}", self.facts().items())

@@ -7,8 +7,8 @@ from typing import Literal, Protocol, Self
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask
 from processing.record.series import Series
+from stickslip.compute.arrays import Array, Mask
 
 DERIVATIVES = ("position", "velocity", "acceleration")
 ROWS = (*DERIVATIVES, *(f"{name}_errors" for name in DERIVATIVES))

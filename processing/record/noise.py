@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
 from processing.record.series import Series, computed_once
+from stickslip.compute.arrays import Array, Integers, Mask
 
 ORDER = 4  # of the differences: the third leave motion of 30 samples a second, the fifth gain nothing
 MOST = 2**12  # differences looked at, spread over the record: their median is known to 2 %

@@ -7,10 +7,10 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, pieces
-from daq.base.output.lengths import shown_length, shown_speed
-from daq.base.output.plot import STYLE, draw_markers, figure
 from processing.record.motion import Phase
+from stickslip.compute.arrays import Array, pieces
+from stickslip.output.lengths import shown_length, shown_speed
+from stickslip.output.plot import STYLE, draw_markers, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
 from processing.record.series import Series
+from stickslip.compute.arrays import Array
 
 
 @dataclass(frozen=True)

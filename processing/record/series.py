@@ -1,7 +1,7 @@
 """A record made ready for smoothing: positions from the first sample on, the time axis asked for, cut at its gaps.
 
 Rules: counts are subtracted as whole numbers before they become metres, so an offset of 2^60 costs no digit; a hole
-of more than `HOLE` (`daq.base.compute.arrays`) sample intervals ends a piece, and so does a new segment; nothing is
+of more than `HOLE` (`stickslip.compute.arrays`) sample intervals ends a piece, and so does a new segment; nothing is
 ever smoothed across a cut.
 A shorter hole (a lost sample or two) stays inside its piece: the recorded times say where the neighbours lie.
 """
@@ -15,9 +15,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from daq.base.compute.arrays import HOLE, Array, Integers, Mask, pieces
-from daq.base.errors import InputError
 from processing.record.units import Units
+from stickslip.compute.arrays import HOLE, Array, Integers, Mask, pieces
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording

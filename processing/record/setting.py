@@ -4,12 +4,11 @@ import math
 import re
 from dataclasses import dataclass
 
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from processing.record.series import Series
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 HIGHEST_ORDER = 20  # of a window given by a person; coefficients are tested to this degree (`polynomial.even_fit`)
-STATED_SD = 0.01  # of a value that was stated without an error: people read a speed, a mass or a spring to about 1 %
 # Of a stated belt speed, sticks that may be its own: on a ramp they creep, by up to its half-width.  Sticks outside
 # are used instead of the statement; whether that is a contradiction, the fitted belt speed decides.
 SLOWEST_STICKS, FASTEST_STICKS = 0.8, 1.05
@@ -110,11 +109,6 @@ def parse_belt_speed(belt_speed: float | str) -> float | None:
     if not math.isfinite(value):
         raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give auto, or a speed in m/s with its sign")
     return value
-
-
-def with_error(stated: Measured) -> Measured:
-    """Return a stated value with an error: `STATED_SD` of it where none was given."""
-    return stated if stated.sd > 0 else Measured(stated.value, STATED_SD * abs(stated.value))
 
 
 def is_possible_speed(stated: Measured, seen: float) -> bool:

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from daq.base.compute.arrays import Array, Integers
 from processing.record.series import Series
 from processing.record.units import Units, power_of_two
+from stickslip.compute.arrays import Array, Integers
 
 WINDOW = 2**11  # samples: stretches are so long, or multiples of it
 # Samples of a record that is learned from as a whole: it is smoothed in one block, from what was found on the way.

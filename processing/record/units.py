@@ -9,7 +9,7 @@ The unit of length is negative where slips run towards +x: a mirrored record giv
 import math
 from dataclasses import dataclass
 
-from daq.base.measured import Measured
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True)

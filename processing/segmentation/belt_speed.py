@@ -9,10 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.measured import Measured
 from processing.record.motion import Motion
 from processing.record.setting import is_possible_speed
+from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 # Of the belt's speed: the most that a plateau may differ from it.  Under friction with a ramp the mass creeps by up to
 # the ramp's half-width d, so sticks are found for d up to 0.4 belt speeds and missed above.

@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.compile import compiled
 from processing.kalman import mean_snap_kernel
 from processing.kalman.first_state import first_state
 from processing.kalman.stick_slip import LAND, LANDING, NEAR_LANDING, OVERTAKE, SLIP, SNAP, STICK, NoiseLevels
 from processing.record.series import Series
 from processing.segmentation.switching_times import SwitchingTimes
+from stickslip.compute.compile import compiled
 
 KERNELS = ("processing.kalman.motion_kernel", "processing.kalman.mean_snap_kernel")
 

@@ -5,12 +5,12 @@ belt that wanders by 0.02 mm/s, too little to be seen as uneven, its standard er
 instead of 95 %.  So a line spans at most a third of a slip's length, and by how much the lines of neighbouring windows
 differ scales the errors.
 
-The kernel runs as written or compiled (`daq.base.compute.compile`).
+The kernel runs as written or compiled (`stickslip.compute.compile`).
 """
 
 import math
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 FEWEST = 3  # readings of a line
 

@@ -16,7 +16,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from processing.kalman.stick_slip import LAND, LEAVE, OVERTAKE, RIDE, SLIP, STICK, NoiseLevels
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED
@@ -30,6 +29,7 @@ from processing.segmentation.switching_times import (
     sticks_of,
     stretches,
 )
+from stickslip.compute.arrays import Array
 
 ODD = 4.0  # times the median mean square innovation that a stick's beginning has before it is tried
 AHEAD = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)  # of a slip: how long the mass may run ahead, as a first guess

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
 from processing.kalman.stick_slip import (
     KICK,
@@ -35,6 +34,7 @@ from processing.segmentation.noise_levels import (
 )
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import SwitchingTimes, spans_of, sticks_of, stretches, without
+from stickslip.compute.arrays import Array, Integers, Mask
 
 # Of ln n, for each corner: the BIC penalty of its three parameters, (ln n)/2 each (Schwarz, Ann. Stat. 6 (1978) 461).
 BIC_FACTOR = 1.5

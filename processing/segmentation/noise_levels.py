@@ -9,8 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.compile import compiled
 from processing.kalman import corner_kernel, motion_kernel, white_jerk
 from processing.kalman.first_state import first_state
 from processing.kalman.stick_slip import (
@@ -41,6 +39,8 @@ from processing.segmentation.switching_times import (
     fit_stretches,
     without,
 )
+from stickslip.compute.arrays import Array
+from stickslip.compute.compile import compiled
 
 UNEVEN = [RIDE, MET, LEAVING]  # labels of a stick on a belt that does not run evenly
 # Labels that share one reading variance: slips, sticks on an even belt (whose counts round alike), uneven ones.

@@ -11,11 +11,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, runs
-from daq.base.measured import Measured
 from processing.record.motion import Corner, Motion, Phase, PhaseSegmentation
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED, reported_speed, speed_before_creep
+from stickslip.compute.arrays import Array, Mask, runs
+from stickslip.units import Measured
 
 FAST = 0.25  # of the fastest in a slip: what belongs to it; noise and ringing of the smoother reach 0.2 on paper
 CREEP_SHARE = (

@@ -25,8 +25,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, runs
-from daq.base.measured import Measured
 from processing.kalman import white_jerk
 from processing.record.motion import BeltMotion, Motion, Phase, PhaseSegmentation
 from processing.record.noise import position_noise
@@ -48,6 +46,8 @@ from processing.segmentation.phase_layout import (
     usual_fastest,
     without_creep,
 )
+from stickslip.compute.arrays import Array, Mask, runs
+from stickslip.units import Measured
 
 # Of the largest accelerations (95th percentile): what counts as none.  With half of it 26 records are smoothed alike;
 # with twice, parameters move by up to 0.7 standard errors.

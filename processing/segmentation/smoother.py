@@ -22,8 +22,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import HOLE, Array, Mask, runs
-from daq.base.compute.compile import compiled
 from processing.kalman import white_jerk
 from processing.kalman.corner_kernel import BETWEEN
 from processing.kalman.stick_slip import (
@@ -63,6 +61,8 @@ from processing.segmentation.noise_levels import (
 from processing.segmentation.phase_layout import speed_of_sticks, sticks_at_corners
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import SwitchingTimes, initial_switching_times, sticks_of, stretches
+from stickslip.compute.arrays import HOLE, Array, Mask, runs
+from stickslip.compute.compile import compiled
 
 KERNELS = ("processing.segmentation.line_fit",)
 WHAT = {LAND: "land", MEET: "land", LEAVE: "leave", KICK: "kick", START: "start", STOP: "stop", OVERTAKE: "overtake"}

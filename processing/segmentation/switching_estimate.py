@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.base.compute.compile import compiled
 from processing.kalman import corner_kernel
 from processing.kalman.stick_slip import (
     LAND,
@@ -27,6 +26,7 @@ from processing.kalman.stick_slip import (
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Workspace, filter_stretch
 from processing.segmentation.switching_times import KERNELS, SwitchingTimes, state_after, stretches
+from stickslip.compute.compile import compiled
 
 # Empirical: widens the standard deviation of a landing's likelihood, whose noise levels were fitted with it in place,
 # so that about 95 % of the true velocities near landings lie within two errors (benchmarks/velocity_seeds.py).

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
 from processing.kalman.corner_kernel import BETWEEN
 from processing.kalman.stick_slip import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
 from processing.record.motion import Phase
 from processing.record.series import Series
+from stickslip.compute.arrays import Array, Integers, Mask
 
 Labels = NDArray[np.uint8]
 

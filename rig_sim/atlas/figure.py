@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 Style = Literal["line", "thick", "thin", "dashed", "points", "dots", "filled", "open", "cross"]
 

@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.base.errors import InputError, nearest
-from daq.base.output import atomic
 from rig_sim.atlas.figure import Drawing, Entry, StatementCheck
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
+from stickslip.errors import InputError, nearest
+from stickslip.output import atomic
 
 PAGE = "atlas.md"
 HEAD = """# Atlas

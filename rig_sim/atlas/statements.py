@@ -29,9 +29,9 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from daq.base import toml
-from daq.base.errors import InputError, nearest
 from rig_sim.atlas.figure import Computed, Drawing, Entry, StatementCheck
+from stickslip import toml
+from stickslip.errors import InputError, nearest
 
 CHAPTERS = Path(__file__).with_name("chapters")
 WORDS = "words"

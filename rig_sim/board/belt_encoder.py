@@ -20,11 +20,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
 from rig_sim.flow.flow import Flow
 from rig_sim.motion.trajectory import Trajectory
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.sections import Belt, Drive
+from stickslip.compute.arrays import Array
 
 
 class BeltEncoder:

@@ -22,7 +22,6 @@ from itertools import groupby, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import InputError
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
 from rig_sim.board.encoder import QuadratureEncoder
@@ -30,6 +29,7 @@ from rig_sim.motion.play import ScenePlayer
 from rig_sim.motion.trajectory import Trajectory
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.sections import Encoder
+from stickslip.errors import InputError
 
 FIRMWARE = (0, 1, 0)
 COUNTER_BITS = 16

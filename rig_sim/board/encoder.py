@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.errors import InputError
 from daq.wire.quadrature import Decoder, levels_of
 from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.sections import Encoder
+from stickslip.compute.arrays import Array, Integers
+from stickslip.errors import InputError
 
 LARGEST_COUNT = 2**62
 MOST_EDGES = 50_000_000  # in one call, for decoders that need them one by one

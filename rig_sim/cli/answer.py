@@ -1,18 +1,13 @@
 """What all commands of ``rig-sim`` share: the scene as typed, and a result as text, JSON and picture."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from daq.base.console.application import Answer
+from stickslip.console.application import Answer
 
 if TYPE_CHECKING:
     from rig_sim.functions.result import Result
     from rig_sim.scenes.model import Scene
-
-SceneName = Annotated[str, Parameter(help="A built-in name (see rig-sim scenes) or a TOML file.")]
-DrivenName = Annotated[str, Parameter(help="A built-in name (see rig-sim scenes) or a TOML file, with a drive.")]
 
 
 def changed(name: str, changes: list[str] | None) -> "Scene":
@@ -22,14 +17,16 @@ def changed(name: str, changes: list[str] | None) -> "Scene":
     return scene(name, **parse_changes(changes))
 
 
-def answered(result: "Result", plot: Path | None = None, force: bool = False, *more: str) -> Answer:
+def answered(result: "Result", plot: Path | None = None, force: bool = False) -> Answer:
     """Return a result as the command's answer; ``plot``: drawn into this file, of which the answer says so."""
     data: dict[str, Any] = result.as_json()
-    lines = [*result.lines(), *more]
-    if plot is not None:
-        from daq.base.output.plot import save
+    lines = result.lines()
+    if plot is not None and (nothing := result.undrawn()):
+        lines = [*lines, f"nothing drawn: {nothing}"]
+    elif plot is not None:
+        from stickslip.output.plot import save
 
         save(result.plot(), plot, force=force)
         data["file"] = plot
-        lines.append(str(plot))
+        lines = [*lines, str(plot)]
     return Answer(data, "\n".join(lines))

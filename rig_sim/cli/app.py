@@ -1,23 +1,14 @@
 """``rig-sim``: the simulated rig on the command line: scenes, periodic orbit, events, exact motion into a file."""
 
-from pathlib import Path
-from typing import Annotated, Literal, NoReturn
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
 
-from cyclopts import Parameter
-
-from daq.base.console import application, flags
-from daq.base.console.application import Answer, Json, SetChanges
-from rig_sim.cli import control, maps, over
-from rig_sim.cli.answer import SceneName, answered, changed
 from rig_sim.cli.atlas import atlas
-
-Until = Annotated[
-    float,
-    flags.quantity("--until", "time", "End of the run, in the scene's unit of time; in SI scenes s, or '5 min'."),
-]
-MaxSteps = Annotated[
-    int, application.Whole, Parameter(help="Integrator steps after which the run ends with the outcome 'step limit'.")
-]
+from rig_sim.cli.derived import derive
+from stickslip.console import application
+from stickslip.console.application import Answer, Json
+from stickslip.errors import InputError
 
 app = application.application(
     "rig-sim",
@@ -39,149 +30,71 @@ def scenes(*, json: Json = False) -> Answer:
     return Answer(rows, text)
 
 
-@app.command
-def cycle(scene: SceneName, /, *, set_: SetChanges = None, json: Json = False) -> Answer:
-    """Find the periodic orbit reached from the slip point; start, belt.start and the random sections are ignored.
+@contextmanager
+def count_finished(given: dict[str, Any]) -> Iterator[None]:
+    """Where the block is interrupted, say on stderr how many values the file of ``--resume`` has."""
+    try:
+        yield
+    except BaseException:
+        path = given.get("resume")
+        number = path.read_bytes().count(b"\n") - 1 if path is not None and path.is_file() else 0
+        if number > 0:
+            from rig_sim.functions.arguments import parameter_range
 
-    Example: rig-sim cycle base --set friction.law=6 --set friction.G_stick=-5e6
-    """
-    import rig_sim
-
-    return answered(rig_sim.cycle(changed(scene, set_)))
-
-
-@app.command(name="fixed-point")
-def fixed_point(scene: SceneName, /, *, set_: SetChanges = None, json: Json = False) -> Answer:
-    """Find the fixed point, where friction and spring balance at rest, with its eigenvalues; start is ignored.
-
-    Example: rig-sim fixed-point damped --set damper.c=0.38
-    """
-    import rig_sim
-
-    return answered(rig_sim.fixed_point(changed(scene, set_)))
+            whole = parameter_range(given["over"]).number
+            application.note(f"{number} of {whole} values are in {path}: the same command continues there")
+        raise
 
 
-@app.command
-def floquet(
-    scene: SceneName,
-    /,
-    *,
-    orbit: Annotated[
-        Literal["stable", "unstable"],
-        Parameter(help="The orbit reached from the slip point, or the one that separates it from the fixed point."),
-    ] = "stable",
-    set_: SetChanges = None,
-    json: Json = False,
-) -> Answer:
-    """Find a periodic orbit with its Floquet multipliers; start and the random sections are ignored.
-
-    Example: rig-sim floquet damped --orbit unstable
-
-    The first multiplier is 1, along the orbit; the second is 0 for an orbit that sticks, above 1 for an unstable one.
-    """
-    import rig_sim
-
-    return answered(rig_sim.floquet(changed(scene, set_), orbit))
+@contextmanager
+def refuse_search_plot(given: dict[str, Any]) -> Iterator[None]:
+    """Refuse a picture of the search, which `rig_sim.lock` has none of."""
+    if given.get("method") == "search" and given.get("plot") is not None:
+        raise InputError("draws --method=ogy alone", "--plot", "drop one of the two")
+    yield
 
 
-@app.command
-def events(
-    scene: SceneName,
-    /,
-    *,
-    until: Until,
-    since: Annotated[float, flags.quantity("--since", "time", "List only events at or after this time.")] = 0.0,
-    set_: SetChanges = None,
-    max_steps: MaxSteps = 10**6,
-    json: Json = False,
-) -> Answer:
-    """List the events: transitions between N (slip slower than the belt), P (slip faster) and S (stick or ramp).
-
-    Of two masses, the contact of both: SS>SN is the second mass's break-away.
-
-    A motion that repeats bit for bit is integrated once. A list holds at most 10^6 events (outcome 'event limit'); use
-    --since to list a later part.
-
-    Example: rig-sim events base --until 60 --set drive.u0=0.2 --set drive.omega=0.3
-    """
-    import rig_sim
-
-    return answered(rig_sim.events(changed(scene, set_), until, since=since, max_steps=max_steps))
+@contextmanager
+def refuse_nothing(given: dict[str, Any]) -> Iterator[None]:
+    """Refuse a map of which nothing is asked."""
+    if given.get("d") is None and not given.get("periodic") and given.get("plot") is None:
+        raise InputError("nothing to do", "--d", "give --d, --periodic or --plot")
+    yield
 
 
-@app.command
-def run(
-    scene: SceneName,
-    /,
-    *,
-    until: Until,
-    rate: Annotated[float, flags.quantity("--rate", "rate", "Samples per unit of time; in SI scenes Hz, or '1 kHz'.")],
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="File to write, .h5 or .csv.")],
-    method: Annotated[
-        Literal["exact", "rk4-henon", "dop853"],
-        Parameter(help="exact, or for comparison rk4-henon (Runge-Kutta with Henon's events) or dop853 (scipy)."),
-    ] = "exact",
-    step: Annotated[
-        float | None,
-        flags.quantity(
-            "--step", "time", "Time step of rk4-henon, in the scene's unit of time; default 0.01 sqrt(m/k)."
-        ),
-    ] = None,
-    rtol: Annotated[float | None, Parameter(help="Relative and absolute tolerance of dop853; default 2.3e-14.")] = None,
-    set_: SetChanges = None,
-    max_steps: MaxSteps = 10**6,
-    force: Annotated[bool, Parameter(negative=(), help="Replace the file if it exists.")] = False,
-    json: Json = False,
-) -> Answer:
-    """Write time t, position x, velocity v and friction force F at a constant rate to a file.
-
-    Example: rig-sim run rig --until 20 --rate 1000 -o motion.h5
-    """
-    import rig_sim
-
-    result = rig_sim.run(
-        changed(scene, set_),
-        until,
-        rate,
-        output=output,
-        method=method,
-        step=step,
-        rtol=rtol,
-        max_steps=max_steps,
-        force=force,
-    )
-    return answered(result)
-
-
-@app.command
-def compare(scene: SceneName, /, *, until: Until, set_: SetChanges = None, json: Json = False) -> Answer:
-    """Compare the integration methods: largest error of an event time, CPU time, and CPU time per cycle.
-
-    Example: rig-sim compare base --until 100 --set friction.law=6
-
-    The exact method steps through every cycle, interpreted and compiled; compilation time is reported separately.
-    """
-    import rig_sim
-
-    with application.progress("measuring", 100, "%") as show:
-        result = rig_sim.compare(changed(scene, set_), until, progress=show.stage)
-    table = application.table("", ["method", "setting", "error", "CPU s", "us/cycle"], left=2)
-    for row in result.results:
-        error = row.note if row.error is None else f"{row.error:.1e}"
-        per_cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
-        table.add_row(row.method, row.setting, error, f"{row.cpu_s:.2g}", per_cycle)
-    return Answer(result.as_json(), [table, *result.remarks()])
-
-
-app.command(over.continue_, name="continue")
-app.command(maps.map_, name="map")
-app.command(over.sweep)
-app.command(maps.basins)
-app.command(maps.lyapunov)
-app.command(control.quench)
-app.command(control.shaker)
-app.command(atlas)
-app.command(control.lock)
+for command in (
+    derive("cycle", "rig-sim cycle base --set friction.law=6 --set friction.G_stick=-5e6"),
+    derive("fixed_point", "rig-sim fixed-point damped --set damper.c=0.38"),
+    derive("floquet", "rig-sim floquet damped --orbit unstable"),
+    derive("events", "rig-sim events base --until 60 --set drive.u0=0.2 --set drive.omega=0.3"),
+    derive("run", "rig-sim run rig --until 20 --rate 1000 -o motion.h5", required="output"),
+    derive("compare", "rig-sim compare base --until 100 --set friction.law=6"),
+    derive(
+        "continue_",
+        "rig-sim continue damped --over damper.c=0.3:0.6",
+        "rig-sim continue fitted.toml --over belt.speed=0.1:1 --draws 200",
+    ),
+    derive("map", "rig-sim map two-mass --d 0.05,0.1,0.15 --iterate 2", plots=True, within=refuse_nothing),
+    derive(
+        "sweep",
+        "rig-sim sweep two-mass --over belt.speed=0.08:0.2:400 --jobs 2 --plot bifurcations.png",
+        "rig-sim sweep two-mass --over belt.speed=0.08:0.2:4000 --jobs 2 --resume bifurcations.jsonl",
+        "rig-sim sweep forced --over drive.omega=0.2:2:400 --section slip --plot bifurcations.png",
+        plots=True,
+        within=count_finished,
+    ),
+    derive("basins", "rig-sim basins two-mass --cells 4000", plots=True),
+    derive(
+        "lyapunov",
+        "rig-sim lyapunov two-mass --events 20000 --set belt.speed=0.08075",
+        "rig-sim lyapunov forced --set drive.omega=1.1",
+    ),
+    derive("quench", "rig-sim quench forced --set drive.omega=20 --set drive.u0=1.75", plots=True),
+    derive("shaker", "rig-sim shaker --m 1 --k 1 --c 0 --gamma 0.3 --a 0.5 --phi 3 --band 0.9:1.1", plots=True),
+    atlas,
+    derive("lock", "rig-sim lock forced --period 2 --budget 0.0235", plots=True, within=refuse_search_plot),
+):
+    app.command(command, name=command.__name__.rstrip("_").replace("_", "-"))
 
 
 def main() -> NoReturn:

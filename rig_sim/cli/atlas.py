@@ -6,8 +6,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from daq.base.console import application
-from daq.base.console.application import Answer, Json
+from stickslip.console import application
+from stickslip.console.application import Answer, Json
 
 
 def atlas(

@@ -12,7 +12,6 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from daq.base.errors import InputError
 from rig_sim.comparison import reference
 from rig_sim.comparison.rk4_henon import by_steps
 from rig_sim.comparison.solve_ivp import by_solver
@@ -20,6 +19,7 @@ from rig_sim.comparison.stepping import sample_phase
 from rig_sim.integrate.events import EventList, list_events
 from rig_sim.motion.play import flow_never_changes, play_events
 from rig_sim.scenes.model import Scene
+from stickslip.errors import InputError
 
 METHODS = ("exact", "rk4-henon", "dop853", "radau", "lsoda")
 RK4_STEPS = (0.1, 0.03, 0.01, 0.003)  # of sqrt(m/k)

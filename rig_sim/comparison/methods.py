@@ -3,10 +3,10 @@
 import math
 from functools import partial
 
-from daq.base.errors import InputError
 from rig_sim.integrate.phases import sample_phase
 from rig_sim.motion.play import SamplePhase
 from rig_sim.scenes.model import Scene
+from stickslip.errors import InputError
 
 METHODS = ("exact", "rk4-henon", "dop853")
 RK4_STEP = 0.01  # of sqrt(m/k)

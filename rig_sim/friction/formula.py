@@ -23,10 +23,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
-from daq.base.errors import InputError, nearest
+from stickslip.errors import InputError, nearest
 
 if TYPE_CHECKING:
-    from daq.base.compute.arrays import Array
+    from stickslip.compute.arrays import Array
 
 SPEED = "s"
 FUNCTIONS = {"exp": 1, "log": 1, "sqrt": 1, "tanh": 1, "abs": 1, "min": 2, "max": 2}  # (least) number of arguments

@@ -14,15 +14,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from daq.base.errors import InputError
 from rig_sim.friction.curve import CONSTANT, LINEAR, MEASURED
 from rig_sim.friction.formula import Formula
 from rig_sim.friction.spline import NO_TABLE, Table, table_of
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from daq.base.compute.arrays import Array
+    from stickslip.compute.arrays import Array
 
 # Of the largest value.  Event times of laws 3 and 5 written as formulas are then those of the laws to 5e-9 of the time;
 # they err in proportion.  At half of it there are a fifth more pieces to step over.

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import InputError
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene as read
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
-    from daq.base.compute.arrays import Array
+    from stickslip.compute.arrays import Array
 
 SceneLike = str | Path | Scene
 
@@ -29,7 +29,7 @@ def scene_of(given: SceneLike) -> Scene:
 def number(given: float | str, dimension: str, flag: str) -> float:
     """Return a number, SI or a scene's own unit, or a text with a unit of this dimension: 20, '20 s', '1.5 min'."""
     if isinstance(given, str):
-        from daq.base import units
+        from stickslip import units
 
         return units.quantity(given, dimension, flag)
     return plain_number(given, flag, "give a number, or a text with a unit")

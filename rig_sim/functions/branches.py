@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
 from rig_sim.functions.arguments import ParameterRange, SceneLike, parameter_range, scene_of, whole
 from rig_sim.functions.result import PALE, STABLE, UNIT, UNSTABLE, Result
 from rig_sim.functions.systems import SweptScene, stick_map
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -152,13 +152,16 @@ def continue_(
     Parameters
     ----------
     scene : str, Path, Scene or callable
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass or two.  Or a function
-        that returns, for a value of the parameter, a `rig_sim.FormulaMap` of an interval.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
+        `rig_sim.scene` returns, or a function that returns, for a value of the parameter, a `rig_sim.FormulaMap` of an
+        interval.
     over : str or (str, sequence of float)
-        'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41); or a key and its values.
+        'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41).  In Python also a key and
+        its values.
     draws : int, optional
         Give each special point its 95 % interval from so many draws of the parameters of the section ``fit``, which
-        `fitting.rank(...).save_scene(path)` writes.  A key that no longer has its fitted value is not drawn.
+        ``fit-friction --save-scene`` writes.  A key that no longer has its fitted value is not drawn.  In Python
+        `fitting.rank(...).save_scene(path)` writes it.
     progress : callable, optional
         Called with the stage, what is done of it, and its whole.
 

@@ -5,26 +5,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError, check_known
 from rig_sim.dynamics.control.dither import Quench as Quenching
 from rig_sim.dynamics.system.formula import FormulaMap
 from rig_sim.flow.flow import LARGEST, SMALLEST
 from rig_sim.functions.arguments import SceneLike, number, plain_number, scene_of, whole
 from rig_sim.functions.result import Result
 from rig_sim.functions.systems import landing_map, with_period
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError, check_known
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from daq.base.compute.arrays import Array
     from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit
     from rig_sim.dynamics.control.locking import Locking
     from rig_sim.dynamics.control.ogy import Lock as Controlling
     from rig_sim.dynamics.control.stability import ShakerPlane
     from rig_sim.flow.flow import Flow
+    from stickslip.compute.arrays import Array
 
 METHODS = ("ogy", "search")
 MOST_PERIOD = 100  # longest period of a search; the multipliers of longer orbits leave no digit of a motion
@@ -184,6 +184,10 @@ class Lock(Result):
 
         return lock_figure(self.system, self.control, self.period, self.budget)
 
+    def undrawn(self) -> str:
+        """Return why there is nothing to draw; "" where there is something."""
+        return "there is no motion under control" if self.control is None else ""
+
     def draw(self, ax: "Axes") -> None:
         """Draw the landings one after the other."""
         from rig_sim.dynamics.pictures.control import draw_landings
@@ -257,7 +261,8 @@ def quench(scene: SceneLike, *, progress: Stages = silent) -> Quench:
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass with a drive.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass with a drive.  In Python also what
+        `rig_sim.scene` returns.
     progress : callable, optional
         Called with the stage, what is done of it, and its whole.
 
@@ -301,8 +306,8 @@ def lock(
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass with a drive.  Or a
-        `rig_sim.FormulaMap` whose `step` takes changes of its parameter.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass with a drive.  In Python also what
+        `rig_sim.scene` returns, or a `rig_sim.FormulaMap` whose `step` takes changes of its parameter.
     period : int
         Landings in one turn of the orbit, 1 to 100.
     budget : float
@@ -435,12 +440,18 @@ def shaker(
 ) -> Shaker:
     """Find frequency and growth rate of the small oscillation under a shaker that feeds the velocity back.
 
-    ``rig-sim shaker``.  The shaker's force is the velocity times a, ahead of it by phi; phi = pi is a damper.
+    The shaker's force is the velocity times ``a``, ahead of it by ``phi``; ``phi`` = pi is a damper.  The picture shows
+    the curves of constant growth rate and frequency over phase and amplification, and shades where the oscillation
+    decays.
 
     Parameters
     ----------
-    m, k, c : float or str
-        Mass (kg), spring (N/m), damper (N s/m); or with a unit, '300 g'.
+    m : float or str
+        Mass, kg or with a unit, '300 g'.
+    k : float or str
+        Spring, N/m or with a unit.
+    c : float or str
+        Damper, N s/m or with a unit.
     gamma : float or str
         Slope of friction at the belt's speed, N s/m: above 0 where it falls with the slip speed.
     a : float or str
@@ -448,7 +459,7 @@ def shaker(
     phi : float or str
         Phase by which the force leads the velocity, rad, or '170 deg'.
     band : str or (float, float), optional
-        The frequencies that the filter passes: 'LOW:HIGH' or (low, high), rad/s; ``stable`` needs them.
+        The frequencies that the filter passes, 'LOW:HIGH' in rad/s; ``stable`` needs them.  In Python also (low, high).
 
     Returns
     -------

@@ -5,21 +5,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
 from rig_sim.dynamics.system.formula import FormulaMap
 from rig_sim.functions.arguments import SceneLike, scene_of, whole
 from rig_sim.functions.result import PALE, STABLE, Result
 from rig_sim.functions.systems import driven_map, on_interval, stick_map
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.base.compute.arrays import Array, Integers
     from rig_sim.dynamics.analyses.basins import Attractor
     from rig_sim.dynamics.analyses.periodic_points import PeriodicPoint
     from rig_sim.dynamics.return_maps.stick import StickEvent, StickMap
     from rig_sim.scenes.model import Scene
+    from stickslip.compute.arrays import Array, Integers
 
 MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000
@@ -226,15 +226,16 @@ def map(
 ) -> Map:
     """Map the stretch d = x2 - x1 of two masses from one global stick to the next: ``rig-sim map``.
 
-    Start and the belt's start are ignored.
+    The word lists the masses in the order in which they broke away; of several events the words are separated by
+    spaces.  Start and the belt's start are ignored.
 
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of two masses.  Or a
-        `rig_sim.FormulaMap` of an interval, whose x is ``d``.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses.  In Python also what
+        `rig_sim.scene` returns, or a `rig_sim.FormulaMap` of an interval, whose x is ``d``.
     d : float or sequence of float, optional
-        Stretch while both masses stick, m.
+        Stretch while both masses stick, m; several as 0.05,0.1.
     iterate : int
         How many events to follow.
     periodic : bool
@@ -317,8 +318,8 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of two masses.  Or a
-        `rig_sim.FormulaMap` of an interval.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses.  In Python also what
+        `rig_sim.scene` returns, or a `rig_sim.FormulaMap` of an interval.
     cells : int
         Cells that the interval is divided into.
     progress : callable, optional
@@ -370,8 +371,8 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of two masses with ``start.d`` or
-        ``start.attractor``, or of a driven mass.  Or a `rig_sim.FormulaMap`.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses with ``start.d`` or ``start.attractor``,
+        or of a driven mass.  In Python also what `rig_sim.scene` returns, or a `rig_sim.FormulaMap`.
     events : int
         Events to take the mean over: from one global stick to the next, landings, or steps.
     progress : callable, optional

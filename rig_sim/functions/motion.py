@@ -6,20 +6,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from daq.base.compute.stages import Stages, silent
 from rig_sim.functions.arguments import SceneLike, number, scene_of, whole
 from rig_sim.functions.result import UNIT, Result, ended
 from rig_sim.motion import play
+from stickslip.compute.stages import Stages, silent
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from daq.base.compute.arrays import Array
     from rig_sim.comparison.error_vs_time import MethodResult
     from rig_sim.motion.two_masses import TwoMassEvent
+    from stickslip.compute.arrays import Array
 
-MAX_STEPS = play.DEFAULT_MAX_STEPS
 MARKS = {"N": "v", "P": "^", "S": "s"}  # in a picture, of the contact that an event enters
 BELOW_ROUNDING = 1e-17  # where a picture puts an error of 0
 Method = Literal["exact", "rk4-henon", "dop853"]
@@ -225,16 +224,14 @@ class Comparison(Result):
 
     def lines(self) -> list[str]:
         """Return a line for each method and setting, and what the errors are against."""
-        lines = []
-        for row in self.results:
-            error = row.note if row.error is None else f"{row.error:.1e}"
-            cycle = "" if row.us_per_cycle is None else f", {row.us_per_cycle:.3g} us a cycle"
-            lines.append(f"{row.method} {row.setting}: {error}; {row.cpu_s:.2g} s of CPU{cycle}")
-        return [*lines, *self.remarks()]
-
-    def remarks(self) -> list[str]:
-        """Return what the errors are against, and what was not counted."""
+        errors = [row.note if row.error is None else f"{row.error:.1e}" for row in self.results]
+        width = max(map(len, errors))
+        lines = [f"{'method':11} {'setting':13} {'error':>{width}} {'CPU s':>9} {'us/cycle':>10}"]
+        for row, error in zip(self.results, errors, strict=True):
+            cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
+            lines.append(f"{row.method:11} {row.setting:13} {error:>{width}} {row.cpu_s:9.2g} {cycle:>10}")
         return [
+            *lines,
             f"error: largest error of an event time, against {self.reference}; {self.cycles} cycles",
             f"compiling or loading compiled code: {self.compile_s:.1f} s of CPU, not counted",
         ]
@@ -250,8 +247,11 @@ class Comparison(Result):
         ax.legend()
 
 
-def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, max_steps: int = MAX_STEPS) -> Events:
+def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, max_steps: int = 1_000_000) -> Events:
     """List when and where the mass sticks and slips: ``rig-sim events``.
+
+    The kinds are transitions between N (slip slower than the belt), P (slip faster) and S (stick or ramp).  Of two
+    masses, each names the contact of both: SS>SN is the second mass's break-away.
 
     A motion that repeats bit for bit is integrated once.  A list holds at most 10^6 events (outcome 'event limit');
     ``since`` lists a later part.
@@ -259,7 +259,8 @@ def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, ma
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass or two.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
+        `rig_sim.scene` returns.
     until : float or str
         End of the motion, which begins at 0: in the scene's unit of time, or with a unit, '5 min'.
     since : float or str
@@ -304,7 +305,7 @@ def run(
     method: Method = "exact",
     step: float | str | None = None,
     rtol: float | None = None,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = 1_000_000,
     force: bool = False,
 ) -> Motion:
     """Sample time t, position x, velocity v and friction force F at a constant rate: ``rig-sim run``.
@@ -312,7 +313,8 @@ def run(
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass or two.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
+        `rig_sim.scene` returns.
     until : float or str
         End of the motion, which begins at 0: in the scene's unit of time, or with a unit, '5 min'.
     rate : float or str
@@ -375,12 +377,13 @@ def run(
 def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) -> Comparison:
     """Compare the methods of integration: largest error of an event time, and CPU time: ``rig-sim compare``.
 
-    The exact method steps through every cycle, interpreted and compiled.
+    The exact method steps through every cycle, interpreted and compiled; compilation time is reported separately.
 
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass.  In Python also what `rig_sim.scene`
+        returns.
     until : float or str
         End of the motion, which begins at 0: in the scene's unit of time, or with a unit, '5 min'.
     progress : callable, optional

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-from daq.base.errors import check_known
 from rig_sim.dynamics.limit_cycles import fixed_point as fixed
 from rig_sim.dynamics.limit_cycles import floquet as multipliers
 from rig_sim.dynamics.limit_cycles import limit_cycle
@@ -13,6 +12,7 @@ from rig_sim.functions.arguments import SceneLike, scene_of
 from rig_sim.functions.result import PALE, STABLE, UNIT, Result, table_lines
 from rig_sim.integrate.phases import State
 from rig_sim.scenes.model import Scene
+from stickslip.errors import check_known
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -122,7 +122,8 @@ def cycle(scene: SceneLike) -> Cycle:
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns.
+        A built-in name (see ``rig-sim scenes``) or a TOML file.
+        In Python also what `rig_sim.scene` returns.
 
     Returns
     -------
@@ -151,8 +152,8 @@ def fixed_point(scene: SceneLike) -> FixedPoint | TwoMassFixedPoint:
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of one mass or two.  Its start is
-        ignored.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  Its start is ignored.
+        In Python also what `rig_sim.scene` returns.
 
     Returns
     -------
@@ -185,9 +186,10 @@ def floquet(scene: SceneLike, orbit: Literal["stable", "unstable"] = "stable") -
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns.  Its start is ignored.
+        A built-in name (see ``rig-sim scenes``) or a TOML file.  Its start is ignored.  In Python also
+        what `rig_sim.scene` returns.
     orbit : str
-        'stable': the one reached from the slip point; 'unstable': the one that separates it from the fixed point.
+        The orbit reached from the slip point ('stable'), or the one that separates it from the fixed point.
 
     Returns
     -------

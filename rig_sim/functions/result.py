@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq.base.errors import in_python
+from stickslip.errors import in_python
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +62,7 @@ class Result:
         """
         import matplotlib as mpl
 
-        from daq.base.output.plot import STYLE, figure
+        from stickslip.output.plot import STYLE, figure
 
         with mpl.rc_context(fname=STYLE):
             if ax is None:
@@ -70,6 +70,10 @@ class Result:
             self.draw(ax)
         drawn = ax.figure
         return drawn.figure if hasattr(drawn, "figure") and drawn.figure is not None else drawn  # type: ignore[return-value]
+
+    def undrawn(self) -> str:
+        """Return why there is nothing to draw; "" where there is something."""
+        return ""
 
     def draw(self, ax: "Axes") -> None:
         """Draw the result into axes."""
@@ -85,7 +89,7 @@ class Result:
         return "\n".join([head, *(f" {line}" for line in words[:LINES]), *more]) + ">"
 
     def _repr_html_(self) -> str:
-        from daq.base.output import notebook
+        from stickslip.output import notebook
 
         rows = list(self.rows())
         title = f"{type(self).__name__} of {self.name}"

@@ -10,8 +10,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError, check_known
 from rig_sim.functions.arguments import ParameterRange, SceneLike, parameter_range, scene_of, whole
 from rig_sim.functions.result import Result
 from rig_sim.functions.systems import (
@@ -22,14 +20,16 @@ from rig_sim.functions.systems import (
     driven_start,
     stick_map,
 )
+from stickslip.compute.stages import Stages, silent
+from stickslip.errors import InputError, check_known
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from daq.base.output.resume import ResumeFile
     from rig_sim.dynamics.analyses.sweep import AttractorAt
     from rig_sim.dynamics.system.formula import FormulaMap
+    from rig_sim.functions.resume import ResumeFile
 
 Section = Literal["poincare", "map", "slip"]
 SECTIONS = ("poincare", "map", "slip")
@@ -130,10 +130,11 @@ def sweep(
     Parameters
     ----------
     scene : str, Path, Scene or callable
-        A built-in name, the path of a TOML file, or what `rig_sim.scene` returns; of two masses or a driven one.  Or a
-        function that returns, for a value of the parameter, a `rig_sim.FormulaMap`.
+        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses or a driven one.  In Python also what
+        `rig_sim.scene` returns, or a function that returns, for a value of the parameter, a `rig_sim.FormulaMap`.
     over : str or (str, sequence of float)
-        'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41); or a key and its values.
+        'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41).  In Python also a key and
+        its values.
     section : str
         Points of two masses: x1 where the first turns forwards ('poincare'), or d = x2 - x1 while both stick ('map').
         Of a driven mass: x at phase 0 of the drive ('poincare'), or at break-away ('slip').
@@ -177,7 +178,7 @@ def sweep(
         find, name, ordinate = OwnAttractors(scene), type(scene(span.start)).__name__, "first coordinate of the state"
         content: dict[str, Any] = {"name": name}
         if jobs > 1 or scheduler is not None:
-            from daq.base.compute.cluster import check_sendable
+            from stickslip.compute.cluster import check_sendable
 
             check_sendable(find)
     else:
@@ -185,7 +186,7 @@ def sweep(
     if resume is None:
         rows = _swept(find, span, jobs, scheduler, None, progress)
     else:
-        from daq.base.output.resume import resuming
+        from rig_sim.functions.resume import resuming
 
         path = Path(resume)
         with resuming(path, _header(content, span, section)) as file:
@@ -223,9 +224,9 @@ def _swept(
     progress: Stages,
 ) -> "list[AttractorAt]":
     """Return the attractors at every value, those taken from the file that are there; the others go there."""
-    from daq.base.compute.workers import workers
-    from daq.base.console.application import plain
     from rig_sim.dynamics.analyses.sweep import sweep as follow
+    from stickslip.compute.workers import workers
+    from stickslip.console.application import plain
 
     values = span.values().tolist()
     finished = _finished(file) if file is not None else {}
@@ -249,8 +250,8 @@ def _swept(
 
 def _header(content: dict[str, Any], span: ParameterRange, section: str) -> dict[str, Any]:
     """Return what the attractors depend on, for the first line of the file of ``resume``."""
-    from daq.base.console.application import plain
-    from daq.base.version import VERSION
+    from stickslip.console.application import plain
+    from stickslip.version import VERSION
 
     over: dict[str, Any] = {"key": span.key, "start": span.start, "stop": span.stop, "number": span.number}
     over |= {"values": list(span.given)} if span.given else {}

@@ -5,12 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from daq.base.errors import InputError
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import change_in_python, scene
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
-    from daq.base.compute.arrays import Array
     from rig_sim.dynamics.analyses.sweep import AttractorAt
     from rig_sim.dynamics.return_maps.driven import DrivenMap
     from rig_sim.dynamics.return_maps.landing import LandingMap
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
     from rig_sim.dynamics.system.formula import FormulaMap
     from rig_sim.dynamics.system.step_budget import StepBudget
     from rig_sim.flow.flow import Flow
+    from stickslip.compute.arrays import Array
 
 CHANGE_IT = "change that value with --set"
 STARTS = 8  # starts on a user's map of an interval: fewer miss attractors with small basins, more cost in proportion

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-from daq.base.compute import compile as kernels
 from rig_sim.flow.flow import Flow
+from stickslip.compute import compile as kernels
 
 KERNEL_MODULES = (
     "rig_sim.friction.curve",

@@ -4,12 +4,12 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from daq.base.compute.arrays import Array
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import COMPLETED, LIST_FULL, OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow, validate_two_masses
 from rig_sim.integrate.two_mass import CROSSING, Pair, new_pair, pair_event, place
 from rig_sim.integrate.work import ORDER, Buffer, for_compiled, unboxed
+from stickslip.compute.arrays import Array
 
 EVENTS, SAMPLES, CROSSINGS = 0, 1, 2  # what is listed
 WIDTH = 9  # numbers in a row: t, y1, w1, mode 1, y2, w2, mode 2, and both modes before

@@ -5,12 +5,12 @@ from functools import cache
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import FORCE_REVERSAL
 from rig_sim.integrate.events import new_samples
 from rig_sim.integrate.phases import Samples, State, sample_phase
 from rig_sim.integrate.work import Work, new_work, unboxed
+from stickslip.compute.arrays import Array
 
 
 def sampled(flow: Flow, at: State, times: Array, *, compiled: bool = False) -> tuple[Array, Array]:

@@ -17,15 +17,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.errors import InputError
-from daq.base.output import atomic, disk, suffix
-from daq.base.version import VERSION
 from rig_sim.flow.modes import Outcome
 from rig_sim.integrate.phases import sample_phase
 from rig_sim.motion.play import DEFAULT_MAX_STEPS, SamplePhase, ScenePlayer
 from rig_sim.motion.two_masses import COLUMNS as TWO_MASS_COLUMNS
 from rig_sim.motion.two_masses import TwoMassPlayer
 from rig_sim.scenes.model import Scene
+from stickslip.errors import InputError
+from stickslip.output import atomic, disk, suffix
+from stickslip.version import VERSION
 
 SAMPLES_AT_ONCE = 65_536
 FORMS = {"h5": suffix.RUN, "csv": suffix.CSV}

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import InputError
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, steepest_fall
@@ -32,6 +31,7 @@ from rig_sim.integrate.events import EventList, list_events
 from rig_sim.integrate.phases import Samples, State, sample_phase
 from rig_sim.integrate.work import new_work
 from rig_sim.scenes.model import Scene
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np

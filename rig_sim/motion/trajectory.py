@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from daq.base.compute.arrays import Array, Integers
 from rig_sim.flow.flow import Flow
+from stickslip.compute.arrays import Array, Integers
 
 
 @dataclass(frozen=True)

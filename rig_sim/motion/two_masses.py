@@ -9,8 +9,6 @@ from functools import partial
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import InputError
 from rig_sim.flow.contact_state import force
 from rig_sim.flow.frame import mirrored
 from rig_sim.flow.modes import EVENT_LIMIT, LETTERS, OUTCOMES, STICK
@@ -19,6 +17,8 @@ from rig_sim.integrate.pair_motion import EVENTS, SAMPLES, PairMotion
 from rig_sim.integrate.two_mass import load
 from rig_sim.motion.play import DEFAULT_MAX_STEPS, MOST_EVENTS
 from rig_sim.scenes.model import Scene
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 COLUMNS = {
     "t": ("time", "s"),

@@ -2,11 +2,11 @@
 
 import math
 
-from daq.base.errors import InputError, nearest
 from rig_sim.flow.flow import LARGEST, SMALLEST, steepest_fall, validate
 from rig_sim.friction.spline import refused
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Friction
+from stickslip.errors import InputError, nearest
 
 MOST_POINTS = 1000  # points of a measured curve: a fit gives some 16
 OWN_KEYS = {  # of the section friction, which no parameter of a formula can be; Fs, G_slip and gamma can

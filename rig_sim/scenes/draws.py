@@ -2,12 +2,12 @@
 
 from typing import TYPE_CHECKING
 
-from daq.base.errors import InputError
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.sections import FitSection
+from stickslip.errors import InputError
 
 if TYPE_CHECKING:
-    from daq.base.compute.arrays import Array
+    from stickslip.compute.arrays import Array
 
 # Lower limits that are values themselves: what a draw puts below is at the limit.  A draw that breaks another limit is
 # no rig, and refused by the scene.

@@ -4,13 +4,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from daq.base.errors import InputError
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.friction.curve import CONSTANT
 from rig_sim.scenes import sections
 from rig_sim.scenes.sections import Section
+from stickslip.errors import InputError
 
 TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper", "drive", "shaker")
 EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "output")

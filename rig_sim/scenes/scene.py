@@ -50,11 +50,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from daq.base.errors import InputError, nearest
 from rig_sim.friction.formula import Formula
 from rig_sim.scenes.checks import check_magnitudes, check_together
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Section
+from stickslip.errors import InputError, nearest
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 FRICTION_IS = ("friction.law", "friction.formula")
@@ -143,7 +143,7 @@ def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
 def _value(text: str) -> object:
     import tomllib
 
-    from daq.base import toml
+    from stickslip import toml
 
     try:
         found = tomllib.loads(f"value = {text}")["value"]
@@ -191,7 +191,7 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
 
 @lru_cache(maxsize=4)  # an analysis reads a scene again for each value of a parameter, and each draw
 def _parsed(held: bytes, where: str) -> dict[str, Any]:
-    from daq.base import toml
+    from stickslip import toml
 
     return toml.parsed(held.decode(), where)
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import matplotlib.image
 import pytest
 
-from daq.base.console import application
 from fitting.cli import app
+from stickslip.console import application
 
 from ..conftest import need
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 import daq
-from daq.base.console import application
 from daq.cli.app import app
 from fitting.cli import app as fit_friction
 from processing.cli import app as process
+from stickslip.console import application
 
 SAMPLE = Path(__file__).parents[2] / "data_samples" / "law5.h5"
 

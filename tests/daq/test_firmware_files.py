@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from daq import firmware_files
-from daq.base.console import application
-from daq.base.errors import InputError
 from daq.cli.app import app
+from stickslip.console import application
+from stickslip.errors import InputError
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 
@@ -62,7 +62,8 @@ def test_an_installed_package_brings_the_firmware_along(tmp_path):
     settings = tomllib.loads((root / "pyproject.toml").read_text())
     included = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     site = tmp_path / "site"
-    shutil.copytree(root / "daq", site / "daq", ignore=shutil.ignore_patterns("__pycache__"))
+    for package in ("daq", "stickslip"):
+        shutil.copytree(root / package, site / package, ignore=shutil.ignore_patterns("__pycache__"))
     for source, target in included.items():
         shutil.copytree(root / source, site / target)
     words = [sys.executable, "-m", "daq.cli.app", "firmware", "--board", "mega", "-o", "here", "--json"]

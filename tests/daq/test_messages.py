@@ -11,12 +11,12 @@ import pytest
 
 import daq
 import processing
-from daq.base.console import application
-from daq.base.errors import StickslipError
 from daq.cli.app import app
 from daq.imports.load import FLAGS
 from daq.imports.options import ImportOptions
 from daq.runfile.recording import Recording
+from stickslip.console import application
+from stickslip.errors import StickslipError
 
 ROOT = Path(__file__).resolve().parents[2]
 # What no function of Python reaches: captures, firmware, parts of a run that the analyses ask for, notes, QSB adapters.

@@ -9,10 +9,10 @@ import pytest
 
 import daq
 import processing
-from daq.base.console.settings import KEYS
-from daq.base.measured import QUANTITIES
+from daq.cli.settings import KEYS
 from daq.runfile.rig import SECTIONS
 from fitting import Law, Ranking, rank
+from stickslip.units import QUANTITIES
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -18,13 +18,20 @@ from pathlib import Path
 
 import pytest
 
-from daq.base.console import application
 from daq.cli.app import app as daq
 from fitting.cli import app as fit_friction
 from processing.cli import app as process
 from rig_sim.cli.app import app as rig_sim
+from stickslip.console import application
+from stickslip.console.commands import app as stickslip
 
-APPLICATIONS = {"daq": daq, "process": process, "fit-friction": fit_friction, "rig-sim": rig_sim}
+APPLICATIONS = {
+    "stickslip": stickslip,
+    "daq": daq,
+    "process": process,
+    "fit-friction": fit_friction,
+    "rig-sim": rig_sim,
+}
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
     ROOT / "README.md",
@@ -66,7 +73,7 @@ def blocks(name: str, text: str, *kinds: str) -> list[Block]:
 
 
 def help_pages() -> dict[str, str]:
-    """Return the generated pages of the four commands by their names."""
+    """Return the generated pages of the commands by their names."""
     spec = importlib.util.spec_from_file_location("command_pages", ROOT / "docs" / "command_pages.py")
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)

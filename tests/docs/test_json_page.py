@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from daq.base.console import application
 from daq.cli.app import app as daq
 from fitting.cli import app as fit_friction
 from processing.cli import app as process
+from stickslip.console import application
 
 from . import examples
 

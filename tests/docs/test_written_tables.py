@@ -13,7 +13,7 @@ from . import examples
 BENCHMARKS = examples.ROOT / "benchmarks"
 DOCS = examples.ROOT / "docs"
 PAGES = ("velocity.md", "accuracy.md", "identification.md")  # of which the benchmarks write the tables
-PACKAGES = ("daq", "processing", "fitting", "rig_sim")
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 PAGE = """# Errors
 
 <!-- begin: race methods; python benchmarks/race.py --write -->

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
 from fitting.model import parameters
 from fitting.model.fading import remaining
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle, Values
@@ -20,6 +19,7 @@ from rig_sim.flow.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, R
 from rig_sim.friction.spline import NO_TABLE
 from rig_sim.integrate.phases import Samples, State, sample_phase
 from rig_sim.integrate.work import Work, new_work
+from stickslip.compute.arrays import Array
 
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
 STICK_LOCK = 10.0  # break-away level over Fs of a stick inside a window: the break-away itself lies in no window

@@ -5,12 +5,12 @@ import math
 
 import pytest
 
-from daq.base.console import application
 from daq.cli import app as daq_cli
 from daq.runfile import store
 from fitting import cli
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+from stickslip.console import application
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports", "no_rivals")
 DATUM_SD = 5e-4  # m, of the simulated board

@@ -13,12 +13,15 @@ from pathlib import Path
 import h5py
 import pytest
 
-from daq.base.compute import cluster, workers
-from daq.base.console import application
-from daq.base.errors import DeviceError, InputError
+import daq
+import fitting
+from daq.runfile.rig import Rig
 from fitting import batch, cli, job
 from fitting.batch import BatchRow, Failure
 from processing.smoothing import smooth
+from stickslip.compute import cluster, workers
+from stickslip.console import application
+from stickslip.errors import DeviceError, InputError
 
 from . import command
 
@@ -155,7 +158,7 @@ def is_running(process):
 def test_whatever_ends_the_command_ends_its_processes(folder, sent, code):
     """A killed command used to leave its processes behind, for ever."""
     script = (
-        "import sys\nfrom daq.base.compute import workers\nfrom time import sleep\n"
+        "import sys\nfrom stickslip.compute import workers\nfrom time import sleep\n"
         "from multiprocessing import active_children\n"
         "if __name__ == '__main__':\n"
         "    try:\n"
@@ -274,3 +277,51 @@ def test_processes_lost_in_the_middle_leave_the_finished_runs(folder, monkeypatc
     monkeypatch.setattr(batch, "_fitted", lambda run, options: Failure("fitted", "", "", 4))
     rows = batch.fit([folder / "five.h5", folder / "three.h5"], [Path("a"), Path("b")], job.FitOptions())
     assert [row.failure.what for row in rows] == ["fitted", "a fitting process was killed"]
+
+
+def test_rank_each_gives_of_each_run_what_rank_gives_of_it_alone(folder, alone):
+    files = [folder / f"{name}.h5" for name in ("five", "none", "short", "missing")]
+    counted = []
+    ranked = fitting.rank_each(map(str, files), laws=(3, 5), progress=counted.append)
+    five, none, short, missing = ranked
+    assert [run.file for run in ranked] == files
+    document = application.plain(five.ranking.as_json())
+    assert without_times(document)["ranking"] == without_times(alone["five"])["ranking"]
+    assert [run.ranking for run in (none, short, missing)] == [None] * 3
+    assert [type(run.error).__name__ for run in (none, short, missing)] == ["InputError", "DataError", "InputError"]
+    assert str(missing.error) == f"{files[3]}: no such file; check the path"
+    assert short.error.data["statistics"]["slips"] > 0
+    assert counted == [1, 2, 3, 4]
+    assert not list(folder.glob("*.html"))
+    table = ranked.to_dataframe()
+    assert list(table.file) == list(map(str, files))
+    assert table.law[0] == 5
+    assert table.gamma[0] == five.ranking.best.parameters["gamma"].value
+    assert table.attrs["units"]["gamma"] == "s/m"
+    assert list(table.error.isna()) == [True, False, False, False]
+    assert table.error[3] == str(missing.error)
+
+
+@pytest.mark.slow
+def test_rank_each_in_processes_of_recordings_in_memory(folder):
+    runs = [daq.load(folder / "five.h5"), daq.load(folder / "three.h5")]
+    here, there = (fitting.rank_each(runs, laws=5, mass="300 g", jobs=jobs) for jobs in (1, 2))
+    for one, other in zip(here, there, strict=True):
+        assert one.ranking.best.parameters == other.ranking.best.parameters
+
+
+@pytest.mark.parametrize(
+    ("runs", "keywords", "said"),
+    [
+        ("run.h5", {}, "one run; give a list of runs"),
+        ([], {}, "no run; give files"),
+        ([1.0], {}, "not all are runs; give files"),
+        (["run.h5"], {"jobs": 0}, "jobs is 0; give 1 or more"),
+        (["run.h5"], {"mass": 1.0, "stiffness": 1.0}, "mass and stiffness together"),
+        (["run.h5"], {"laws": 9}, "9"),
+        (["run.h5"], {"rig": [Rig()] * 2}, "2 rigs for 1 runs"),
+    ],
+)
+def test_what_rank_each_cannot_do_for_any_run_is_refused(runs, keywords, said):
+    with pytest.raises(InputError, match=said):
+        fitting.rank_each(runs, **keywords)

@@ -12,9 +12,6 @@ from dataclasses import replace
 import h5py
 import pytest
 
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.runfile import listing, store
 from daq.runfile.rig import Rig
 from fitting import cli, job
@@ -23,6 +20,9 @@ from fitting.report import stage as fit_stage
 from fitting.report import table
 from processing import stage
 from processing.smoothing import smooth
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 from . import command
 
@@ -177,7 +177,7 @@ def test_a_part_of_a_run_is_fitted_without_a_report_or_anything_that_draws_one(r
     path = tmp_path / "part.h5"
     shutil.copy(run, path)
     source = (
-        "import sys\nfrom daq.base.console import application\nfrom fitting.cli import app\n"
+        "import sys\nfrom stickslip.console import application\nfrom fitting.cli import app\n"
         f"code = application.run(app, [{str(path)!r}, *'--laws 5 --from 1 --to 9500ms --no-report --json'.split()])\n"
         "drawing = {'matplotlib', 'PIL', 'pandas', 'jinja2', 'scipy.stats', 'scipy.optimize'} & set(sys.modules)\n"
         "sys.exit(f'{code} {drawing}' if code or drawing else 0)\n"

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from daq.base.errors import InputError
 from fitting.competitors import ALL_LAWS, Competitors, Given, restated
 from fitting.law import PUBLISHED, Law, read_law
+from stickslip.errors import InputError
 
 
 def test_laws_are_numbers_published_names_and_formulas():

@@ -2,8 +2,8 @@
 
 import pytest
 
-from daq.base.errors import InputError
 from fitting.law import PUBLISHED, Law
+from stickslip.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.base.measured import Measured
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile.rig import Rig
+from stickslip.units import Measured
 
 KERNELS = {  # of OpenBLAS, and what a processor must have for them
     "Prescott": {"pni"},
@@ -28,7 +28,7 @@ import json, sys
 from dataclasses import replace
 from pathlib import Path
 import numpy as np
-from daq.base.errors import EXIT_DONE, EXIT_UNDECIDED, DataError
+from stickslip.errors import EXIT_DONE, EXIT_UNDECIDED, DataError
 from daq.runfile import store
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth

@@ -13,11 +13,11 @@ import pytest
 import daq
 import fitting
 import processing
-from daq.base.console import application
-from daq.base.errors import StickslipError, in_python
 from daq.runfile.rig import Rig
 from fitting import cli
 from fitting.report import page
+from stickslip.console import application
+from stickslip.errors import StickslipError, in_python
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 ROOT = Path(__file__).resolve().parents[2]

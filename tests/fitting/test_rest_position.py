@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.base.console import application
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.cli.app import app as daq
 from daq.runfile.rig import Rig
 from fitting import cli, job
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+from stickslip.console import application
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 X0 = 0.6  # m: the reading at the rest; the mass moves between 0.46 and 0.74

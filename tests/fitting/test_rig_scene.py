@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import rig_sim
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.scenes.draws import drawn_changes
 from rig_sim.scenes.scene import scene
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 from . import command
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.base.measured import Measured
 from daq.runfile.recording import Recording, Truth
 from daq.runfile.rig import Rig
+from stickslip.units import Measured
 
 from ..rig import Contact, follow
 

@@ -10,7 +10,6 @@ import pytest
 
 import daq
 import processing
-from daq.base.console import application
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
@@ -18,6 +17,7 @@ from daq.runfile import store
 from daq.runfile.recording import Truth
 from processing import stage
 from processing.cli import app
+from stickslip.console import application
 
 PITCH = 0.12566 / 4096 / 4
 FS = 1.379353536

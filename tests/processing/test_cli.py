@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from daq.base.console import application
-from daq.base.output.plot import figure
 from daq.runfile import store
 from processing import plot
 from processing.cli import app
+from stickslip.console import application
+from stickslip.output.plot import figure
 
 
 @pytest.fixture

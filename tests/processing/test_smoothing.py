@@ -18,6 +18,7 @@ from daq.runfile import store
 from daq.runfile.recording import Recording
 from processing import smoothing, stage
 from processing.smoothing import smooth
+from stickslip.units import Measured
 
 
 @pytest.fixture
@@ -181,7 +182,7 @@ print(json.dumps([summary.samples, int(peak.split()[1]) / 1024]))
         started="2026-01-01T00:00:00+00:00",
         ended="2026-01-01T00:50:00+00:00",
         rate_hz=1000.0,
-        rig=daq.runfile.rig.Rig(metres_per_count=daq.base.measured.Measured(7.67e-6)),
+        rig=daq.runfile.rig.Rig(metres_per_count=Measured(7.67e-6)),
         time=time,
         position=count * 7.67e-6,
         count=count,

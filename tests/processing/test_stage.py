@@ -8,12 +8,12 @@ import pytest
 import xarray
 
 import daq
-from daq.base.errors import InputError
 from daq.runfile import store
 from processing import cli, stage
 from processing.record.finding import Finding
 from processing.smoothing import smooth, smooth_file
 from processing.statistics import from_kinematics
+from stickslip.errors import InputError
 
 
 @pytest.fixture

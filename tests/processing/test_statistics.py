@@ -86,9 +86,9 @@ def test_what_an_end_of_the_record_cuts_off_has_no_duration(motion):
 def test_the_commands_print_and_draw_the_statistics(tmp_path, capsys):
     import json
 
-    from daq.base.console import application
     from daq.runfile import store
     from processing import cli
+    from stickslip.console import application
 
     recording = recorded(*force_record(slips=8)[:2])
     path, picture = tmp_path / "run.h5", tmp_path / "run.svg"

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.base.measured import Measured
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from processing import statistics
 from processing.smoothing import smooth
+from stickslip.units import Measured
 
 from ..fitting import scales
 from ..rig import follow

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.base.output import provenance
+from daq.runfile import provenance
 
 from .inputs import batch, files, streams
 from .result import Result, Size

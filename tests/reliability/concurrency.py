@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 
 import daq
-from daq.base.errors import EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, InputError
 from processing import stage
+from stickslip.errors import EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, InputError
 
 from ..contract.conftest import FakeFrames, motion
 from . import tasks

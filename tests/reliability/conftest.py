@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.base.version import VERSION
+from stickslip.version import VERSION
 
 from . import tasks
 from .forked import Server

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from daq.base.errors import EXIT_DATA, EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED
+from stickslip.errors import EXIT_DATA, EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED
 
 from ..fitting import scales
 from .forked import Ended, Server

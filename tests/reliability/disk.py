@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import daq
-from daq.base.errors import EXIT_DEVICE, EXIT_INPUT
+from stickslip.errors import EXIT_DEVICE, EXIT_INPUT
 
 from . import forked, tasks
 from .forked import CREATE, EVERY, RENAME, SYNC, TRUNCATE, WRITE, Ended, Server

@@ -211,7 +211,7 @@ def _serve(library: ctypes.CDLL) -> None:
 
 
 def _warm(library: ctypes.CDLL, asked: dict[str, Any]) -> dict[str, Any]:
-    from daq.base.console import application
+    from stickslip.console import application
 
     before = os.getcwd()
     os.chdir(asked["cwd"])
@@ -264,7 +264,7 @@ def _become(library: ctypes.CDLL, asked: dict[str, Any]) -> None:
     """Run the command in this process, which is the fork, as its own interpreter would; never return."""
     import traceback
 
-    from daq.base.console import application
+    from stickslip.console import application
 
     code: Any = 1
     try:

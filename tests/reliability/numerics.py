@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.base.errors import EXIT_DONE
 from rig_sim.scenes import scene
+from stickslip.errors import EXIT_DONE
 
 from .forked import Ended, Server
 from .result import Result, Size

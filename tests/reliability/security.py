@@ -20,7 +20,7 @@ import numpy as np
 from .result import Result, Size
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("daq", "processing", "fitting", "rig_sim")
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 # What executes or unpacks whatever it is given.  numpy.load unpacks objects only with allow_pickle.
 FORBIDDEN_MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml"}
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
@@ -33,7 +33,7 @@ FORBIDDEN_METHODS = {
 }
 FORBIDDEN_KEYWORDS = {"shell", "allow_pickle"}
 # The work that a user sends to a dask scheduler of his own is pickled, here and by dask; nothing read from a file is.
-ALLOWED = {("daq/base/compute/cluster.py", "pickle")}
+ALLOWED = {("stickslip/compute/cluster.py", "pickle")}
 
 # What a title, a note or a marker may hold.  Executed, each would set window.hacked.
 PAYLOADS = (
@@ -80,7 +80,7 @@ def _sources() -> Result:
         faults += [f"{name}:{line}: {what}" for line, what in places if (name, what) not in ALLOWED]
     return Result(
         "no input is executed or unpickled: no pickle, eval, exec or shell",
-        "the syntax tree of every module of the four packages",
+        "the syntax tree of every module of the packages",
         f"{len(files)} modules, {len(faults)} such calls or imports",
         tuple(faults),
     )
@@ -125,7 +125,7 @@ def _dependencies() -> Result:
 
 def _cache(folder: Path) -> Result:
     """Let a folder of machine code be one into which others may write."""
-    script = "from daq.base.compute.compile import cache_folder; print(cache_folder(('daq.base.errors',)))"
+    script = "from stickslip.compute.compile import cache_folder; print(cache_folder(('stickslip.errors',)))"
     faults, said = [], []
     for name, mode, own in (("private", 0o700, True), ("shared", 0o777, False), ("sticky", 0o1777, True)):
         place = folder / f"cache-{name}"
@@ -146,7 +146,7 @@ def _cache(folder: Path) -> Result:
         "its folder open to all, in a private, a shared and a sticky folder",
         ", ".join(said),
         tuple(faults),
-        test="tests/daq/base/compute/test_compile.py",
+        test="tests/stickslip/compute/test_compile.py",
     )
 
 

@@ -15,7 +15,7 @@ from itertools import combinations
 from pathlib import Path
 
 import daq
-from daq.base.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, EXIT_INTERRUPTED
+from stickslip.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, EXIT_INTERRUPTED
 
 from . import tasks
 from .forked import HANGS_S, ROOT, SEND, Server, compiled
@@ -27,7 +27,7 @@ SINGLE = ("INT", "TERM", "HUP", "STOP, CONT")  # the others are tried at every o
 EVERY_S = 0.025  # of CPU time: on an idle computer that of a clock, since a command works while it starts and ends
 WHILE_RECORDING_S = (0.0, 0.3, 0.6, 0.9)
 STOPPED_S = 0.05
-PACKAGES = ("daq", "processing", "fitting", "rig_sim")
+PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 AT_A_TIME = 4
 RECORD = ("daq", "record", "--realtime", "--duration", "1", "-o", "new.h5", "--json")
 SAMPLES = 1000
@@ -67,7 +67,7 @@ def signals(size: Size, folder: Path, server: Server, sources: Path) -> list[Res
 
 def _line(line: Sequence[str]) -> list[str]:
     """Return a command line as the installed command begins, with its entry point."""
-    return [sys.executable, "-c", f"from daq.base.console.start import {ENTRIES[line[0]]} as run; run()", *line[1:]]
+    return [sys.executable, "-c", f"from stickslip.console.start import {ENTRIES[line[0]]} as run; run()", *line[1:]]
 
 
 def _heed_signals() -> None:

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 import daq
-from daq.base.errors import EXIT_DATA
+from stickslip.errors import EXIT_DATA
 
 from .forked import HANGS_S, KILL, RENAME, Ended, Server
 

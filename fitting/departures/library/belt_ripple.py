@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.data.ripple import FEWEST_LONG_STICKS, SLOWEST_OF_FEW, strongest_frequencies
 from fitting.forces.departure import Departure, Forcing, harmonic
 from fitting.forces.fitted_motion import FittedMotion
+from stickslip.compute.arrays import Array
 
 MOST_PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
 

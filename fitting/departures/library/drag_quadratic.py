@@ -7,8 +7,8 @@ another form, show it.  Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, by_velocity
+from stickslip.compute.arrays import Array
 
 
 def drag(velocity: Array, _: float) -> Array:

@@ -8,9 +8,9 @@ else it is scanned.  Source: encoder makers' notes on eccentricity error; the fi
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
 from fitting.forces.fitted_motion import FittedMotion
+from stickslip.compute.arrays import Array
 
 SMALLEST_REVOLUTION = 0.04  # revolution over the travel: a smaller wheel would turn 25 times in a slip
 

@@ -4,9 +4,9 @@ a is relative, L the length of the belt, scanned: from a fraction of a slip to t
 What changes from one slip to the next only is a scatter of the friction level; what changes within a slip is seen here.
 """
 
-from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
 from fitting.forces.fitted_motion import FittedMotion
+from stickslip.compute.arrays import Array
 
 # Length over the way between mass and belt in a cycle: a shorter belt turns more than once in a cycle.
 SHORTEST_BELT = 0.7

@@ -4,9 +4,9 @@ a is relative.  The wavelength L is scanned up to the travel: longer ones look l
 tracks, as in E. Rabinowicz, Friction and Wear of Materials, 1995, ch. 4.
 """
 
-from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
 from fitting.forces.fitted_motion import FittedMotion
+from stickslip.compute.arrays import Array
 
 SHORTEST_WAVELENGTH = 0.08  # wavelength over the travel: what repeats more often in a slip averages out
 

@@ -7,8 +7,8 @@ modelled.  Source: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automati
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.forces.departure import Departure, by_velocity
+from stickslip.compute.arrays import Array
 
 
 def drag(velocity: Array, turn: float) -> Array:

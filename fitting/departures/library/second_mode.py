@@ -12,12 +12,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.compile import compiled
 from fitting.data.frame import MeasuredMotion
 from fitting.forces import oscillator
 from fitting.forces.departure import Departure, Forcing
 from fitting.forces.fitted_motion import FittedMotion
+from stickslip.compute.arrays import Array
+from stickslip.compute.compile import compiled
 
 MODE_DAMPING = 0.01  # damping over the critical one
 # Frequency over the main spring's: slower is a second spring, faster moves with the mass.

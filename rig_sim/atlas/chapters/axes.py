@@ -4,9 +4,9 @@ from functools import cache
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
+from stickslip.compute.arrays import Array
 
 T, X, V, F = "time t (sqrt(m/k))", "displacement x (Fs/k)", "velocity v (Fs/sqrt(km))", "friction force F (Fs)"
 DAMPING = "damping c (sqrt(km))"

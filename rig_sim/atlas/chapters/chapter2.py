@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import F, T, V, X, motion
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import entries
@@ -16,6 +15,7 @@ from rig_sim.friction.law import LAWS
 from rig_sim.motion.play import Event, events
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
+from stickslip.compute.arrays import Array
 
 UNTIL, RATE = 40.0, 200.0
 COMES_TO = {

@@ -6,7 +6,6 @@ belt velocity and its encoder.
 """
 
 import subprocess
-import sys
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -15,13 +14,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
-from daq.base.errors import StickslipError
 from daq.wire.quadrature import Decoder, levels_of
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import entries
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
+from stickslip.compute.arrays import Array
+from stickslip.compute.interpreter import start_python
+from stickslip.errors import StickslipError
 
 SCENE, DECODER = "rig", "jk"
 SECONDS, RATE = 20.0, 1000
@@ -65,10 +65,12 @@ def call(folder: Path, module: str, *arguments: str) -> None:
     StickslipError
         With the command's own message, where it fails.
     """
-    done = subprocess.run([sys.executable, "-m", module, *arguments], cwd=folder, capture_output=True, text=True)
-    if done.returncode != 0:
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    with start_python(module, *arguments, cwd=folder, text=True, **quiet) as process:
+        message = process.communicate()[1].strip()
+    if process.returncode != 0:
         command = f"{module.partition('.')[0]} {arguments[0]}"
-        raise StickslipError(done.stderr.strip() or f"exit code {done.returncode}", command, "run 'daq doctor'")
+        raise StickslipError(message or f"exit code {process.returncode}", command, "run 'daq doctor'")
 
 
 def read(table: Path) -> EstimatedRun:

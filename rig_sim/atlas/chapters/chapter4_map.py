@@ -5,7 +5,6 @@ from functools import cache, partial
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import entries
 from rig_sim.dynamics.analyses.basins import TRANSIENT, Attractor, basins
@@ -18,6 +17,7 @@ from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.dynamics.system.interface import slope
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene
+from stickslip.compute.arrays import Array
 
 SPEEDS = np.linspace(0.08, 0.2, 161)  # of figure 4.18; 0.2 s of CPU each
 NEAR_CRISIS = np.linspace(0.0802, 0.0846, 56)  # of figure 4.19, 0.1 s of CPU each

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.atlas.figure import Computed, Label, Panel, Trace
 from rig_sim.atlas.statements import entries
 from rig_sim.dynamics.analyses.exponent import Exponent, exponent
@@ -16,6 +15,7 @@ from rig_sim.friction.law import LAWS
 from rig_sim.motion.two_masses import TwoMassEvent, TwoMassPlayer, stretch, two_mass_events
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
+from stickslip.compute.arrays import Array
 
 V = 0.08075  # the belt velocity that the thesis gives with figures 4.2 and 4.3
 RATE = 100.0  # samples per unit of time

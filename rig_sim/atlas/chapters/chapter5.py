@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import V, X, motion
 from rig_sim.atlas.figure import Computed, Panel, Style, Trace
 from rig_sim.atlas.statements import entries
@@ -15,6 +14,7 @@ from rig_sim.dynamics.limit_cycles.floquet import FloquetOrbit, floquet
 from rig_sim.dynamics.limit_cycles.limit_cycle import Orbit, cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
+from stickslip.compute.arrays import Array
 
 SPEED = 0.6  # speed of the belt
 STRONGEST = 0.62  # damping drawn

@@ -5,7 +5,6 @@ from functools import cache, partial
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import T, V, X
 from rig_sim.atlas.chapters.chapter6 import U0, flow_at
 from rig_sim.atlas.figure import Computed, Panel, Trace
@@ -16,6 +15,7 @@ from rig_sim.dynamics.control.phasor import phasor
 from rig_sim.dynamics.control.search_and_lock import SearchAndLock, search_and_lock
 from rig_sim.dynamics.control.stability import ShakerCurve, ShakerPlane
 from rig_sim.dynamics.return_maps.landing import LandingMap
+from stickslip.compute.arrays import Array
 
 S = 0.3  # gamma_lin - c: the thesis's least amplification at phi = pi
 HIGHEST = 5.5  # amplification drawn, that of figure 6.11

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
-from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.analyses.settling import settled
 from rig_sim.dynamics.system.interface import OnInterval
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
+from stickslip.compute.arrays import Array, Integers
+from stickslip.compute.stages import Stages, parts, silent
 
 # Iterates of the map itself from each cycle before its attractor counts as reached: twice as many double the cost of a
 # sweep.  Near a period doubling an orbit may still be 1e-3 of the interval away after as many.

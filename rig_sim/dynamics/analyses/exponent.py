@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.analyses.settling import GROWING, SAME, is_growing
 from rig_sim.dynamics.system.interface import Motion, Passages
 from rig_sim.dynamics.system.period import period_of
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, parts, silent
 
 TRANSIENT = 1000  # passages before the mean; twice as many cost 1000 passages more
 BLOCKS = 20  # of the orbit, whose means give the standard error; below 20 it would itself err by more than 16 %

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.system.interface import OnInterval, slope, survey
+from stickslip.compute.arrays import Array
 
 # Places at which f^n(x) - x is compared with 0.  Two periodic points between neighbouring places are not seen: twice as
 # many halve the distance at which they are.

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import parts, silent
 from rig_sim.dynamics.analyses.sweep import SAME_POINT, AttractorAt, distinct
 from rig_sim.dynamics.system.interface import Motion, ReturnMap
 from rig_sim.dynamics.system.period import LONGEST_PERIOD, REPEATS, period_of
 from rig_sim.flow.modes import COMPLETED, OUTCOMES, Outcome
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import parts, silent
 
 # Relative to the system's scale: how closely a state has to come back.  Rounding of a stable orbit stays at 1e-13; a
 # chaotic one does not come back so closely within the passages looked at.  100 times less costs as many more passages

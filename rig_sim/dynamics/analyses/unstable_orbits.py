@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.system.interface import Controlled, derivatives, difference, slope_at
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, parts, silent
 
 # Of the closest returns, from which Newton's method starts.  200 find up to a quarter more orbits of the thesis's
 # motions, 50 up to a quarter fewer; the least unstable one is always among them.

@@ -19,8 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.analyses.settling import TRANSIENTS, Settled, settled
 from rig_sim.dynamics.return_maps.driven import DrivenMap
 from rig_sim.dynamics.system.step_budget import StepBudget
@@ -30,6 +28,8 @@ from rig_sim.flow.frame import frame, friction_slope
 from rig_sim.flow.modes import COMPLETED, NEGATIVE, OUTCOMES, STEP_LIMIT
 from rig_sim.integrate.phases import State
 from rig_sim.integrate.sampled import sampled
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
 
 # Times the linear ripple that a quenched motion may swing: above the threshold it swings by 0.65 to 1.0 times it, and
 # stick-slip that repeats with every period of a drive slower than the mass by 3 times it and more.

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, periodic_orbits
 from rig_sim.dynamics.control.ogy import REPORTED, Lock, lock
 from rig_sim.dynamics.system.interface import Controlled, difference, orbit
 from rig_sim.dynamics.system.period import period_of
 from rig_sim.dynamics.system.step_budget import StepLimitError
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, parts, silent
 
 # Applications of the map that orbits are searched in, after as many as `TRANSIENT`.  The least unstable orbits of
 # periods 1 to 5 of the thesis's two motions come out of 1000 already.

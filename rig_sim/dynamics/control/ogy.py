@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit
 from rig_sim.dynamics.system.interface import Controlled, difference
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
 
 # Of r_i, within which control begins: rounding and the map's curvature take the rest.  0.8 takes 1.5 times as long.
 CERTAIN = 0.95

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
-from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.system.interface import Controlled, difference, orbit
 from rig_sim.dynamics.system.period import period_of
+from stickslip.compute.arrays import Array
+from stickslip.compute.stages import Stages, silent
 
 TRANSIENT = 400  # applications at every step before the section is judged; a window's edge may take longer
 JUDGED = 130  # applications that are judged: twice the longest period that is recognised

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.control.phasor import phasor, shaker_for
+from stickslip.compute.arrays import Array
 
 Band = tuple[float, float]  # lowest and highest frequency that the filter passes, rad/s
 TURN = 2.0 * math.pi

@@ -15,7 +15,6 @@ fold              the stable and the unstable orbit meet and vanish.  Under a ju
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.analyses.special_points import (
     Branch,
     BranchPoint,
@@ -33,6 +32,7 @@ from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import displacement, frame
 from rig_sim.integrate.work import new_work
+from stickslip.compute.arrays import Array
 
 TOUCHED = 1e-13  # of the parameter, relative to its step: where the map touches the diagonal
 TOUCH = 1e-9  # of the interval of starts: how well the start that gains least is found; its gain is even less wrong

@@ -10,12 +10,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.analyses.special_points import SpecialPoint, bisected
 from rig_sim.dynamics.limit_cycles.branches import FlowAt
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.limit_cycle import sticks
 from rig_sim.flow.flow import Flow
+from stickslip.compute.arrays import Array
 
 # Of the interval: the first step.  Draws scatter by about as much in a record of the rig; ten times more or less costs
 # three more evaluations each.

@@ -10,8 +10,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from daq.base.compute.arrays import Array
-from daq.base.output.plot import STYLE, figure
 from rig_sim.dynamics.analyses.settling import settled
 from rig_sim.dynamics.control.dither import (
     DECAY,
@@ -28,6 +26,8 @@ from rig_sim.dynamics.return_maps.driven import DrivenMap
 from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow.flow import Flow
+from stickslip.compute.arrays import Array
+from stickslip.output.plot import STYLE, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

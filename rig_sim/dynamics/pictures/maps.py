@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Integers
 from rig_sim.dynamics.analyses.basins import Attractor
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
 from rig_sim.dynamics.analyses.sweep import AttractorAt
 from rig_sim.dynamics.system.interface import OnInterval
+from stickslip.compute.arrays import Array, Integers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

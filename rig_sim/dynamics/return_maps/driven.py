@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.return_maps.passage import (
     COLUMNS,
     ENDS,
@@ -32,6 +31,7 @@ from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import displacement, frame, mirrored, position
 from rig_sim.integrate.compiled import for_kernels
 from rig_sim.integrate.work import new_record, new_work
+from stickslip.compute.arrays import Array
 
 SECTIONS = {"poincare": STROBE, "slip": SLIP, "landing": LANDING}
 # Integrator steps allowed of one call, some 0.5 us each, and of every passage asked for: 3 to 30 are usual.  A drive

@@ -13,7 +13,6 @@ from functools import cache
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.system.formula import FormulaMap
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow import modes
@@ -25,6 +24,7 @@ from rig_sim.integrate.events import new_lists
 from rig_sim.integrate.phases import Lists, State, run
 from rig_sim.integrate.sampled import sampled
 from rig_sim.integrate.work import Work, new_work, unboxed
+from stickslip.compute.arrays import Array
 
 # Integrator steps between two landings, 0.5 us each; the thesis's motions take 15.  A motion that has not landed after
 # these does not count as one that lands.

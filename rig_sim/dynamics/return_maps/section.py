@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.analyses.basins import NOWHERE, basins
 from rig_sim.dynamics.analyses.sweep import SAME_POINT, AttractorAt, distinct
 from rig_sim.dynamics.return_maps.stick import StickMap
@@ -13,6 +12,7 @@ from rig_sim.dynamics.system.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.modes import OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 from rig_sim.integrate.pair_motion import CROSSINGS, PairMotion
+from stickslip.compute.arrays import Array
 
 # Integrator steps allowed per crossing: so many, and so many more per unit of the fastest frequency, sqrt(1 + 2 a);
 # 60 are usual.  Masses that come to rest cross no more: their steps, 10 us each, cost 2 s.

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.system.interface import IntervalMotion, growth_at
 from rig_sim.dynamics.system.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.frame import Frame, frame
@@ -21,6 +20,7 @@ from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome
 from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_masses
 from rig_sim.integrate.two_mass import Pair, new_pair, pair_event, place
 from rig_sim.integrate.work import ORDER, Buffer, unboxed
+from stickslip.compute.arrays import Array
 
 # Steps allowed for one event: so many, and so many more for each unit of the fastest frequency, sqrt(1 + 2 a), up to a
 # limit, above which no event could be followed: such a coupling (a above 1.9e6) is refused.  The thesis's events take

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.dynamics.system.interface import NO_ATTRACTOR, Passages, slope_at
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
+from stickslip.compute.arrays import Array
 
 
 class FormulaMap:

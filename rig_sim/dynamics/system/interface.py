@@ -18,8 +18,8 @@ from typing import Protocol
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from rig_sim.flow.modes import COMPLETED, OUTCOMES, Outcome
+from stickslip.compute.arrays import Array
 
 # Difference quotients of fourth order: places and weights, over 12 steps.
 STENCIL, WEIGHTS = np.array([-2.0, -1.0, 1.0, 2.0]), np.array([1.0, -8.0, 8.0, -1.0])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
+from stickslip.compute.arrays import Array
 
 LONGEST_PERIOD = 64
 # Points at the end of the sequence that have to repeat, at the least: an intermittent motion stays near an unstable

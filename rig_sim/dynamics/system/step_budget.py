@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from daq.base.errors import InputError
+from stickslip.errors import InputError
 
 
 class StepLimitError(InputError):

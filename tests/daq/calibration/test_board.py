@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.console import application
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.calibration import board_test, rig_constants
 from daq.cli import sentences
 from daq.cli.app import app
 from daq.protocols.request import RecordRequest
 from daq.recorder import record
 from daq.runfile.rig import Rig
+from stickslip.console import application
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 REST = ["belt.speed=0.0", "scatter.Fs=0"]
 OMEGA0 = math.sqrt(35.184)

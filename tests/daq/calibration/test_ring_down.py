@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from daq.base.errors import DataError
 from daq.calibration import ring_down
+from stickslip.errors import DataError
 
 W, X0 = 5.9316, 12_000.0  # rad/s; counts
 

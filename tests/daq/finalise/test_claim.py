@@ -4,9 +4,9 @@ import time
 
 import pytest
 
-from daq.base.errors import InputError
 from daq.finalise import claim
 from daq.runfile import journal, journal_records
+from stickslip.errors import InputError
 
 HEADER = {"protocol": "frames", "rate_hz": 1000}
 

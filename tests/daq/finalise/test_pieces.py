@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.base.output import spill
 from daq.finalise.run import run_data
 from daq.protocols import session
-from daq.runfile import journal, store
+from daq.runfile import journal, spill, store
 
 FIXTURE = Path(__file__).parents[1] / "runfile/fixtures/damaged.h5.part"
 # Peak of a process that makes the run file of a journal, MB.

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.cli.app import app
-from daq.imports import extra, tdms, workbook
+from daq.imports import source, tdms, workbook
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.units import Measured
 from tests.daq.imports import programs
 
 RATE = 250.0
@@ -278,7 +278,7 @@ def test_what_a_count_is_is_stated_once(tmp_path, given, words):
 
 # Files that are damaged, incomplete, or need what is not there.
 def test_a_library_that_is_missing_is_named_with_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setattr(extra, "find_spec", lambda name: None)
+    monkeypatch.setattr(source, "find_spec", lambda name: None)
     for path, module in ((programs.xlsx(tmp_path / "t.xlsx", columns()), workbook), (tmp_path / "t.tdms", tdms)):
         path.touch()
         with pytest.raises(InputError, match=re.escape("pip install 'stickslip[formats]'")):
@@ -331,11 +331,16 @@ def test_a_bad_cell_of_a_workbook_is_named_by_its_row(tmp_path):
         assert daq.load(path, skip_bad=True).time.size == TIME.size - 1
 
 
-def test_segments_whose_times_nobody_knows_are_refused(tmp_path):
+def test_segments_whose_times_nobody_knows_are_measurements_of_their_own(tmp_path):
     path = programs.lvm(tmp_path / "t.lvm", columns(), multi=True, segments=2, restart=True)
     path.write_bytes(path.read_bytes().replace(b"Date\t", b"Day\t"))
-    with pytest.raises(InputError, match=r"the times of a segment begin again with .* does not say when"):
+    with pytest.raises(
+        InputError, match=r"holds 2 measurements, which begin at line 24, line \d+; choose one with segment 1"
+    ):
         daq.load(path)
+    second = daq.load(path, segment=2)
+    np.testing.assert_allclose(second.position, X[TIME.size // 2 :], atol=1e-6)
+    np.testing.assert_allclose(daq.load(path, segment=0).time, TIME - TIME[0], atol=1e-9)
 
 
 def test_when_it_was_recorded_is_kept_with_the_run(tmp_path):

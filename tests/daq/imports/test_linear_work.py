@@ -15,11 +15,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from daq.base.errors import InputError
 from daq.imports import columns, layout, table, table_to_run
 from daq.imports.options import ImportOptions
+from stickslip.errors import InputError
 
-MODULES = ("daq.imports.columns", "daq.imports.layout", "daq.imports.sigrok", "daq.base.units")
+MODULES = ("daq.imports.columns", "daq.imports.layout", "daq.imports.sigrok", "stickslip.units")
 # Used by search or split, which begin anew at every place; all others by fullmatch or match.
 SEARCHED = {"_IN_WORD", "_DATE_END", "_WIDE_GAP", "_GAP", "_PLUS_MINUS"}
 EXPRESSIONS = {

@@ -9,10 +9,10 @@ import pytest
 from scipy.io import savemat
 
 import daq
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.cli.app import app
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 SAMPLES = Path(__file__).resolve().parents[3] / "data_samples"
 TIME = np.arange(1000) / 250

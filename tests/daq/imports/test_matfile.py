@@ -6,10 +6,10 @@ from scipy.io import savemat
 
 import daq
 import processing
-from daq.base.errors import InputError
 from daq.cli import sentences
 from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
+from stickslip.errors import InputError
 
 
 @pytest.fixture

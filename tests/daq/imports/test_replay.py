@@ -11,9 +11,6 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.cli import files
 from daq.imports import capture, replay, sigrok
 from daq.imports.options import ProbeOptions
@@ -22,6 +19,9 @@ from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from daq.wire import frames
 from daq.wire.quadrature import GRAY, PHASE
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 PAIR = {0: "A", 1: "B"}
 WIRED = capture.Wiring((0, 1), "x4")

@@ -12,12 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daq.base.console import application
-from daq.base.errors import InputError
 from daq.cli import files
 from daq.imports import capture, sigrok
 from daq.imports.options import ProbeOptions
 from daq.wire.quadrature import GRAY
+from stickslip.console import application
+from stickslip.errors import InputError
 
 
 def walk_up_and_down(up: int, down: int) -> Any:

@@ -13,14 +13,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from daq.base import units
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.cli import files
 from daq.imports import frame_rate, layout, table, table_to_run
 from daq.imports.options import ImportOptions
 from daq.runfile import store
+from stickslip import units
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 MASS, STIFFNESS = 0.3, 10.5552  # pi sqrt(m/k) = 0.52963 s
 

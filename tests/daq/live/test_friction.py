@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
+from stickslip.units import Measured
 
 from .motions import BELT, K_OVER_M, KINETIC, LEVER, analysed, stick_slip
 

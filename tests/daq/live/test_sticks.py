@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.measured import Measured
 from daq.live.analysis import FEW_CYCLES, FEWEST_CYCLES, LiveAnalysis, advice
 from daq.live.finished import RunSamples
 from daq.live.sticks import Spread, usual_speed
@@ -16,6 +15,7 @@ from daq.runfile.rig import Rig
 from fitting.selection import evidence, screening
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics
+from stickslip.units import Measured
 
 from .motions import BELT, K_OVER_M, KINETIC, LEVER, analysed, pieces, stick_slip
 

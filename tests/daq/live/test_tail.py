@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from daq.finalise.run import run_data
 from daq.live.tail import JournalTail
 from daq.runfile import journal, journal_records
 from daq.runfile.recording import Recording
+from stickslip.errors import InputError
 
 RATE_HZ = 1000
 

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq import protocols
-from daq.base.errors import DeviceError, InputError
 from daq.protocols import neighbours, qsb, text
 from daq.protocols import session as session_module
 from daq.protocols.line_parser import LineParser
 from daq.protocols.lines import Other
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Plan
+from stickslip.errors import DeviceError, InputError
 
 RATE = 500
 

@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.base.errors import DeviceError, InputError
-from daq.base.measured import Measured
 from daq.protocols import session as session_module
 from daq.protocols import text
 from daq.protocols.columns import columns, with_decimals
@@ -17,6 +15,8 @@ from daq.protocols.lines import Other
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports, record
 from daq.runfile import store
+from stickslip.errors import DeviceError, InputError
+from stickslip.units import Measured
 from tests.daq.protocols.test_lines import OneByOne, Sketch, xor_of
 
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.errors import DataError, DeviceError, InputError
-from daq.base.measured import Measured
 from daq.live.tail import JournalTail
 from daq.protocols import blocks as packing
 from daq.recorder.record import RecordingInterruptedError
 from daq.runfile import journal
+from stickslip.errors import DataError, DeviceError, InputError
+from stickslip.units import Measured
 
 RATE = 1000
 TIME = np.arange(2000) / RATE
@@ -88,6 +88,11 @@ def test_times_of_another_clock_begin_with_0_and_a_long_block_is_cut_into_record
     np.testing.assert_array_equal(run.position, np.arange(n))
 
 
+def test_rate_and_length_take_units(tmp_path):
+    found, run = taken(tmp_path, card(), rate_hz="1 kHz", seconds="500 ms")
+    assert (run.rate_hz, found.samples) == (1000.0, 500)
+
+
 def test_missing_samples_are_counted_and_marked_and_never_filled(tmp_path):
     keep = np.ones(2000, bool)
     keep[[250, 251, 900]] = False
@@ -120,6 +125,48 @@ def test_enough_samples_end_the_recording_and_close_the_generator(tmp_path):
     np.testing.assert_array_equal(run.position, X[:550])
 
 
+def empty_blocks():
+    while True:
+        time.sleep(0.01)
+        yield [], []
+
+
+def blocking():
+    time.sleep(60)
+    yield [], []
+
+
+@pytest.mark.parametrize("then", [empty_blocks, blocking])
+@pytest.mark.parametrize("began", [True, False], ids=["after samples", "before the first"])
+@pytest.mark.parametrize("by", ["stop", "seconds"])
+def test_a_source_that_gives_nothing_is_ended(tmp_path, monkeypatch, then, began, by):
+    monkeypatch.setattr("daq.recorder.blocks.LEAVE_S", 0.3)
+    monkeypatch.setattr("daq.recorder.blocks.SILENT_S", 0.5)
+
+    def source():
+        yield from card(t=TIME[:700]) if began else []
+        yield from then()
+
+    stop = threading.Event()
+    how = {"seconds": 0.8}
+    if by == "stop":
+        how = {"stop": stop}
+        threading.Timer(0.3, stop.set).start()
+    begun = time.monotonic()
+    if began:
+        found, _ = taken(tmp_path, source(), **how)
+        assert (found.samples, found.ended) == (700, "stopped" if by == "stop" else "source silent")
+        assert any("the source gave no more samples" in text for text in found.warnings) == (by == "seconds")
+    else:
+        error = RecordingInterruptedError if by == "stop" else DataError
+        with pytest.raises(
+            error, match="before the first block" if by == "stop" else "no block with a sample in 0.8 s"
+        ):
+            taken(tmp_path, source(), **how)
+        assert not list(tmp_path.iterdir())
+    assert time.monotonic() - begun < 5
+
+
 def test_a_stop_from_elsewhere_keeps_what_came(tmp_path):
     stop = threading.Event()
     found, _ = taken(tmp_path, card(after=lambda k: k == 9 and stop.set()), stop=stop)
@@ -139,6 +186,21 @@ def test_ctrl_c_in_the_source_keeps_what_came(tmp_path):
     assert not list(tmp_path.glob("none*"))
 
 
+def test_the_least_integer_is_no_count_and_those_before_it_are_kept(tmp_path):
+    count = np.arange(2000)
+    count[1050] = np.iinfo(np.int64).min  # what a NaN becomes as an integer; its absolute value is negative
+    with pytest.raises(InputError, match=r"the value of sample 50 in block 11 is -9.22337e\+18"):
+        taken(tmp_path, card(x=count))
+    assert daq.load(tmp_path / "run.h5").count.tolist() == list(range(1000))
+
+
+def test_a_journal_stays_until_its_run_file_can_be_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("daq.recorder.blocks.FARTHEST", 1e300)
+    with pytest.raises(InputError, match=r"position is 1e\+20, too large at sample 500; the journal is kept"):
+        taken(tmp_path, card(x=np.where(TIME == 0.5, 1e20, X)))
+    assert (tmp_path / "run.h5.part").exists()
+
+
 def test_an_error_of_the_source_is_raised_and_what_came_before_is_in_the_file(tmp_path):
     class CardError(OSError):
         pass
@@ -152,6 +214,18 @@ def test_an_error_of_the_source_is_raised_and_what_came_before_is_in_the_file(tm
     assert isinstance(caught.value.__cause__, CardError)
     run = daq.load(tmp_path / "run.h5")
     np.testing.assert_array_equal(run.position, X[:700])
+
+    class SilentError(Exception):
+        def __str__(self):
+            raise RuntimeError
+
+    with pytest.raises(DeviceError, match="the source failed: SilentError; "):
+        taken(
+            tmp_path,
+            (block if k < 7 else (_ for _ in ()).throw(SilentError) for k, block in enumerate(card())),
+            force=True,
+        )
+    assert daq.load(tmp_path / "run.h5").time.size == 700
     with pytest.raises(DeviceError, match="failed before its first block: CardError: none"):
         daq.record(card(after=lambda k: (_ for _ in ()).throw(CardError("none"))), tmp_path / "n.h5", rate_hz=RATE)
     assert not (tmp_path / "n.h5.part").exists()
@@ -165,8 +239,16 @@ def test_an_error_of_the_source_is_raised_and_what_came_before_is_in_the_file(tm
         ((TIME[700:800], np.where(TIME[700:800] == 0.75, np.inf, X[700:800])), "value of sample 50 in block 8 is inf"),
         ((TIME[700:800], np.arange(100)), "block 8 holds counts (integers) after positions (floats)"),
         (TIME[700:800], "block 8 is a ndarray of shape (100,), not two arrays"),
-        ((TIME[700:800], ["a"] * 100), "the values of block 8 are <U1 of shape (100,)"),
+        ((TIME[700:800], ["a"] * 100), "daq.record, block 8: position holds <U1 values, not numbers"),
         (None, "block 8 is a NoneType, not two arrays"),
+        (
+            (TIME[700:800], np.ma.array(X[700:800], mask=TIME[700:800] > 0.75)),
+            "daq.record, block 8: position is masked at sample 51 and 48 more",
+        ),
+        ((TIME[700:800], X[700:800].astype(complex)), "block 8: position holds complex128 values"),
+        ((TIME[700:800], X[700:800] > 0), "block 8: position holds bool values"),
+        ((TIME[700:800].astype("M8[s]"), X[700:800]), "block 8: time holds dates or durations"),
+        ((TIME[700:800] * np.where(TIME[700:800] > 0.75, 1e12, 1), X[700:800]), "its times reach"),
     ],
 )
 def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, words):
@@ -193,6 +275,20 @@ def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, wo
         (card, {"mass": "3 m"}, "mass: 'm' is not a unit of mass"),
         (card, {"seconds": -1}, "the duration is -1 s"),
         (card, {"tags": {"a b": "c"}}, "'a b=c' is not a tag"),
+        (card, {"tags": 5}, "tags is a int; give a mapping of texts"),
+        (card, {"tags": "a=b"}, "tags is a str; give a mapping of texts"),
+        (card, {"note": 5}, "note is a int; give text"),
+        (card, {"title": b"a"}, "title is a bytes; give text"),
+        (card, {"stop": True}, "stop is a bool; give a threading.Event"),
+        (card, {"rig": 5}, "rig is a int; give the path of a rig.toml"),
+        (card, {"rate_hz": "1 m"}, "rate_hz: 'm' is not a unit of rate"),
+        (card, {"rate_hz": True}, "rate_hz is True; give a number in Hz"),
+        (card, {"rate_hz": float("nan")}, "rate_hz is nan"),
+        (card, {"rate_hz": float("inf")}, "rate_hz is inf"),
+        (card, {"seconds": "2 kg"}, "seconds: 'kg' is not a unit of time"),
+        (card, {"seconds": float("nan")}, "the duration is nan s"),
+        (lambda: "rig://rig", {"rate_hz": float("inf")}, "a port takes whole Hz"),
+        (lambda: "rig://rig", {"baud": "fast"}, "baud is a str; give a whole number"),
         (lambda: "rig://rig", {"rate_hz": 0.5}, "a port takes whole Hz"),
         (lambda: "nowhere://rig", {}, "nowhere:// is no kind of port"),
     ],

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import pytest
 
-from daq.base.errors import DeviceError, InputError
-from daq.base.measured import Measured
 from daq.protocols import link_budget
 from daq.protocols.frames import Frames
 from daq.protocols.request import RecordRequest
@@ -16,6 +14,8 @@ from daq.protocols.session import Plan
 from daq.recorder import ports
 from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Ident
+from stickslip.errors import DeviceError, InputError
+from stickslip.units import Measured
 
 BOARD = Ident((1, 0, 0), "x4", Capability.BLOCKS | Capability.LEVELS, 16, 1000, 8, 5000, 125_000, "uno")
 RIG = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(0.22))

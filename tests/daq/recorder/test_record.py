@@ -16,7 +16,6 @@ import pytest
 from serial import SerialException
 
 import daq
-from daq.base.errors import DataError, DeviceError, InputError
 from daq.finalise import run as finalise
 from daq.imports import replay
 from daq.protocols import session
@@ -27,6 +26,7 @@ from daq.runfile import journal, journal_records, store
 from daq.wire import frames
 from daq.wire.frames import Capability
 from daq.wire.quadrature import levels_of
+from stickslip.errors import DataError, DeviceError, InputError
 
 CONFIG = "[rig]\nmass = 0.3\n[encoder]\nmetres_per_count = 1e-5\n"
 RATE = 1000
@@ -665,8 +665,8 @@ def test_the_first_ctrl_c_keeps_the_data_and_exits_0(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_comes_when_the_recording_is_over_takes_no_result(tmp_path, monkeypatch, capsys, number):
-    from daq.base.console import application
     from daq.cli.app import app
+    from stickslip.console import application
 
     def signalled(value):
         signal.raise_signal(number)
@@ -695,8 +695,8 @@ def test_a_signal_that_comes_when_the_recording_is_over_takes_no_result(tmp_path
     ],
 )
 def test_bad_requests_end_in_one_line_and_touch_nothing(tmp_path, monkeypatch, capsys, arguments, code, said):
-    from daq.base.console import application
     from daq.cli.app import app
+    from stickslip.console import application
 
     monkeypatch.chdir(tmp_path)
     assert application.run(app, ["record", *arguments]) == code

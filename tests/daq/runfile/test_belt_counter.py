@@ -10,8 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import daq
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.finalise.integrity import check
 from daq.finalise.timeline import Samples
 from daq.protocols import link_budget
@@ -23,6 +21,8 @@ from daq.runfile import belt_counter, store
 from daq.runfile.rig import Rig
 from daq.wire import counters
 from daq.wire.frames import Capability, Ident
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 DELTA = 0.12566 / 4096 / 4
 

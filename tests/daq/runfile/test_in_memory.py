@@ -8,9 +8,9 @@ import pytest
 
 import daq
 import processing
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.runfile.in_memory import last_decimal
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 TIME = np.arange(1500) / 500
 X = 0.01 * np.sin(6 * TIME)

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from daq.runfile import journal
+from stickslip.errors import InputError
 
 HEADER = {"protocol": "frames", "rate_hz": 1000}
 RECORDS = [

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.base.errors import InputError, StickslipError
-from daq.base.text import storable
 from daq.finalise.run import finalise, run_data
 from daq.runfile import journal, store
+from stickslip.errors import InputError, StickslipError
+from stickslip.text import storable
 
 FIXTURE = Path(__file__).with_name("fixtures") / "clean.h5.part"
 NOTES = {"columns": None, "decoder": None, "baud": None, "sample_name": "", "note": "", "tags": {}}

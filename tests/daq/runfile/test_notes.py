@@ -9,13 +9,13 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.output import names
 from daq.cli.app import app
+from daq.recorder import names
 from daq.runfile import listing, schema, store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from stickslip.console import application
+from stickslip.errors import InputError
 
 
 def run(n: int = 400, **changes: object) -> Recording:

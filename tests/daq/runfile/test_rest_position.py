@@ -2,8 +2,8 @@
 
 import pytest
 
-from daq.base.measured import Measured
 from daq.runfile.rest_position import FAR, impossible, question
+from stickslip.units import Measured
 
 LOW, HIGH = 0.02, 0.06
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.base.errors import InputError
-from daq.base.measured import Measured
-from daq.runfile.rig import DECODERS, Rig
+from daq.runfile.rig import DECODERS, Rig, replaced
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=1e-300, max_value=1e300)
@@ -87,3 +87,24 @@ def test_bad_toml_is_refused_by_name(text: str, words: list[str]) -> None:
 def test_numbers_survive_to_the_last_bit() -> None:
     third = Measured(1 / 3, math.nextafter(1e-3, 1))
     assert Rig.from_toml(Rig(mass=third).to_toml(), "x").mass == third
+
+
+@pytest.mark.parametrize(
+    ("stored", "used", "texts"),
+    [
+        (Rig(mass=Measured(0.3)), Rig(mass=Measured(300.0)), ["mass: 300 kg replaces the stored 0.3 kg"]),
+        (Rig(stiffness=Measured(10.5)), Rig(stiffness=Measured(10500.0)), ["stiffness: 10500 N/m replaces"]),
+        (Rig(mass=Measured(0.3, 0.001)), Rig(mass=Measured(0.31, 0.001)), ["mass: 0.31 kg"]),
+        (Rig(mass=Measured(0.3, 0.02)), Rig(mass=Measured(0.31, 0.001)), []),
+        (Rig(mass=Measured(0.3)), Rig(mass=Measured(0.301)), []),  # a value without an error is good to 1 %
+        (Rig(), Rig(mass=Measured(300.0)), []),
+        (Rig(belt_speed=Measured(0.22)), Rig(belt_speed=Measured(-0.22)), ["belt_speed: -0.22 m/s"]),
+        (Rig(datum=Measured(-0.06)), Rig(x0=Measured(0.06)), []),  # a datum is -x0
+        (Rig(datum=Measured(0.06)), Rig(x0=Measured(0.06)), ["x0: 0.06 m replaces the stored -0.06 m"]),
+        (Rig(metres_per_count=Measured(1e-5)), Rig(metres_per_count=Measured(1e-2)), ["metres_per_count: 0.01 m"]),
+    ],
+)
+def test_a_stored_value_that_another_replaces_beyond_their_errors_is_said(stored, used, texts):
+    rows = replaced(stored, used)
+    assert len(rows) == len(texts)
+    assert all(text in row.text for row, text in zip(rows, texts, strict=True))

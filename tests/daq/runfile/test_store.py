@@ -16,12 +16,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daq.base.errors import InputError
-from daq.base.measured import Measured
-from daq.base.output.lock import FileLock
 from daq.runfile import nexus, schema, store, tree
 from daq.runfile.recording import EVENTS, Raw, Recording, Truth, positions
 from daq.runfile.rig import Rig
+from stickslip.errors import InputError
+from stickslip.output.lock import FileLock
+from stickslip.units import Measured
 
 from ...conftest import need
 

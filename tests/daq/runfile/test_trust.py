@@ -9,11 +9,10 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.base.compute import isolation
-from daq.base.errors import InputError
-from daq.runfile import listing, store, trust
+from daq.runfile import isolation, listing, store, trust
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from stickslip.errors import InputError
 
 POSITION = "instrument/encoder/value_log/value"
 

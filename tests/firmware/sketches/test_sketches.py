@@ -22,9 +22,9 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.console import application
 from daq.cli.app import app
 from daq.runfile import journal
+from stickslip.console import application
 
 from ..conftest import need
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from daq.base.measured import Measured
 from fitting.curve.level import moved_to, unseen
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.columns import shared_tangents, spline_tangents
 from fitting.sensitivity.path import follow, spline_curve, with_coefficients
 from fitting.sensitivity.spline import FrictionSpline
+from stickslip.units import Measured
 
 K, F, V = 35.184, 4.598, 0.22
 PLACES = (Global.K, Global.V_DR, Global.D, Global.DATUM, Global.DAMPING)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from fitting.data import belt_line
 from fitting.drawing.curves import points
 from fitting.model.parameters import Global
 from fitting.selection.ranking import rank
+from stickslip.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 FS_OVER_K = 1.379353536 / 10.5552

@@ -9,7 +9,7 @@ import pytest
 import daq
 import fitting
 import processing
-from daq.base.errors import DataError
+from stickslip.errors import DataError
 
 SAMPLES = Path(__file__).resolve().parents[3] / "data_samples"
 SLOPE = 9.6  # gamma of the scene, s/m

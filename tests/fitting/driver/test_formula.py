@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from fitting.driver.formula import SPLINE_ERROR, FormulaCurve
 from fitting.driver.start_search import SCANNED, StartSearch, Target, find_starts
 from fitting.law import PUBLISHED, Law
+from stickslip.errors import InputError
 
 FASTEST = 0.7
 TRUE = {

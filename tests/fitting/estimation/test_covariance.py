@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.data import cycles, frame
 from fitting.driver.driver import fit_laws
@@ -16,6 +15,7 @@ from fitting.estimation.fit import Fit
 from fitting.least_squares.normal_equations import NormalEquations
 from fitting.model.problem import Run
 from processing.smoothing import smooth
+from stickslip.units import Measured
 
 
 def fit_with(slopes, guess):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from daq.base.compute.compile import compiled
 from fitting.least_squares import elimination
+from stickslip.compute.compile import compiled
 
 CYCLES, SAMPLES, SHARED, LOCAL = 3, 8, 4, 2
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.base.measured import Measured
 from fitting.data import cycles
 from fitting.model import starts
 from fitting.model.parameters import PerCycle, Values, to_array
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.curve import magnitude
+from stickslip.units import Measured
 
 KNOWN = Measured(0.0, 5e-4)
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.base.errors import InputError
 from fitting.report import comparison
 from fitting.report.comparison import ComparedRun
 from fitting.report.symbols import pretty
+from stickslip.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 
-from daq.base.errors import InputError
 from daq.runfile import store
 from daq.runfile.run_data import OF_FILE
 from fitting.drawing.palette import law_colours
@@ -13,6 +12,7 @@ from fitting.estimation.result import Parameter
 from fitting.report import page as report
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics
+from stickslip.errors import InputError
 
 
 @pytest.fixture(scope="module")

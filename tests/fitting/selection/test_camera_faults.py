@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from daq.base.errors import DataError
 from fitting.data import frame
 from fitting.selection import law_fits
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+from stickslip.errors import DataError
 
 
 def spoilt(kind, time, position):

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 GENERATED = {"mass": Measured(0.3, 3e-4), "stiffness": Measured(0.3 * 35.184, 0.01)}

@@ -10,12 +10,12 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.base.errors import DataError, InputError
 from daq.runfile import joint, listing, store
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+from stickslip.errors import DataError, InputError
 
 from .. import command
 

@@ -11,9 +11,6 @@ import numpy as np
 import pytest
 
 import fitting
-from daq.base.console import application
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from daq.runfile import listing
 from fitting import job
 from fitting.competitors import restated
@@ -24,6 +21,9 @@ from processing.smoothing import smooth
 from processing.statistics import from_kinematics
 from rig_sim.motion.play import events
 from rig_sim.scenes.scene import scene
+from stickslip.console import application
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 from .. import command
 

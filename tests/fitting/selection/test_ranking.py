@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.base.errors import DataError, InputError
 from fitting.selection.evidence import Evidence, model_confidence_set
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+from stickslip.errors import DataError, InputError
 
 
 @pytest.mark.parametrize("law", [3, 6, *(pytest.param(law, marks=pytest.mark.slow) for law in (4, 5))])

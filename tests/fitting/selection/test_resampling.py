@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from daq.base.errors import InputError
 from fitting.estimation.covariance import covariances
 from fitting.model.parameters import Global
 from fitting.selection import resampling
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+from stickslip.errors import InputError
 
 
 @pytest.fixture(scope="module")

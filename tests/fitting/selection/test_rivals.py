@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
-from daq.base.measured import Measured
 from fitting import job
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import fit_formula
@@ -16,6 +14,8 @@ from fitting.law import PUBLISHED, Law
 from fitting.selection.ranking import rank
 from fitting.selection.rivals import fit_formulas
 from processing.smoothing import smooth
+from stickslip.errors import InputError
+from stickslip.units import Measured
 
 STRIBECK = {"curve": "stribeck", "Fs": 2.0, "Fc": 1.2, "v_s": 0.05, "Fv": 0.0, "m": 0.5, "k": 80.0, "c": 0.02}
 

@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 
 import daq
-from daq.base.console import application
-from daq.base.errors import DataError
-from daq.base.measured import Measured
 from daq.cli import app as daq_cli
 from daq.runfile import store
 from daq.runfile.rig import Rig
@@ -22,6 +19,9 @@ from fitting.driver import driver
 from fitting.selection import screening
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
+from stickslip.console import application
+from stickslip.errors import DataError
+from stickslip.units import Measured
 
 from .. import scales
 

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import processing
-from daq.base.compute.compile import compiled
-from daq.base.errors import InputError
 from processing.kalman import corner_kernel, mean_snap_kernel, motion_kernel, stick_slip, white_jerk
 from processing.kalman.first_state import first_state
 from processing.methods import registry
@@ -15,6 +13,8 @@ from processing.record import series
 from processing.record.setting import Setting
 from processing.segmentation import landing_snap
 from processing.segmentation.switching_times import KERNELS, SwitchingTimes
+from stickslip.compute.compile import compiled
+from stickslip.errors import InputError
 
 BELT = 0.22  # m/s, as the motions have it
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from processing.methods import registry
 from processing.methods.registry import METHODS
 from processing.record import series
 from processing.record.motion import Motion
 from processing.record.setting import Setting
+from stickslip.errors import InputError
 
 FIELDS = [name for name in Motion.__dataclass_fields__ if name not in ("window", "order", "method", "corners")]
 

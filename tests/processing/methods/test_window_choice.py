@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from processing.methods import registry
 from processing.methods import window_choice as windows
 from processing.record import series
 from processing.record.setting import Setting, parse_window
+from stickslip.errors import InputError
 
 
 def rms(data, true, setting):

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from daq.base.compute import isolation
-from daq.base.errors import StickslipError
+from daq.runfile import isolation
+from stickslip.errors import StickslipError
 
 SECONDS, MEMORY = 10, 1 << 30  # that an input may take: CPU time, and bytes beyond those of the imported programs
 REPORTED = 50  # every so many inputs a child says what it has done

@@ -13,8 +13,7 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from daq.base.console import settings
-from daq.base.measured import Measured
+from daq.cli import settings
 from daq.imports import capture, replay, sigrok, table_to_run
 from daq.imports.options import ImportOptions, ProbeOptions
 from daq.runfile import listing, store
@@ -22,6 +21,7 @@ from daq.runfile.recording import Raw, Recording
 from daq.runfile.rig import Rig
 from processing import smoothing, stage
 from rig_sim.scenes.scene import BUILTIN_FOLDER, parse_changes, scene
+from stickslip.units import Measured
 
 from .mutation import NUMBERS, bytewise, textual
 

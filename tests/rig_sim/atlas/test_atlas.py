@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from daq.base.console import application
-from daq.base.errors import InputError
 from rig_sim.atlas.chapters import chapter4_motion
 from rig_sim.atlas.figure import Computed
 from rig_sim.atlas.redraw import chosen, order, redraw, table
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
 from rig_sim.atlas.statements import CHAPTERS, WORDS, checked, compare, drawing, figures_of
 from rig_sim.cli.app import app
+from stickslip.console import application
+from stickslip.errors import InputError
 
 REFERENCE = Path(__file__).parents[2] / "reference"
 CYCLES = {case["name"]: case for case in json.loads((REFERENCE / "limit_cycles.json").read_text())["cases"]}

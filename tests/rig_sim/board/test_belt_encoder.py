@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_simpson
 
-from daq.base.errors import InputError
 from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Config, FrameReader, Ident, SampleBlock
 from rig_sim.board.belt_encoder import BeltEncoder
@@ -14,6 +13,7 @@ from rig_sim.board.board import SimulatedBoard
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
+from stickslip.errors import InputError
 
 DELTA = 0.12566 / 4096 / 4
 CHANNEL: dict[str, object] = {"belt.channel": True}

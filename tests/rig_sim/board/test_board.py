@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import serial
 
-from daq.base.errors import InputError
 from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, TruthFrame
 from daq.wire.quadrature import PHASE
@@ -19,6 +18,7 @@ from rig_sim.board.board import SimulatedBoard
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.protocol_rig import Serial, parse_url
 from rig_sim.scenes.scene import scene
+from stickslip.errors import InputError
 
 DELTA = 0.12566 / 4096 / 4
 PARKED: dict[str, object] = {

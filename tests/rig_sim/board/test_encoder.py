@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.base.errors import InputError
 from daq.wire.quadrature import PHASE, Decoder, levels_of
 from rig_sim.board.encoder import QuadratureEncoder
 from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.sections import Encoder
+from stickslip.errors import InputError
 
 DELTA = 0.12566 / 4096 / 4
 

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import rig_sim
-from daq.base.console import application
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
 from rig_sim.functions.maps import with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
+from stickslip.console import application
 
 CASES = json.loads((Path(__file__).parents[2] / "reference" / "limit_cycles.json").read_text())["cases"]
 KEYS = {
@@ -128,6 +128,7 @@ def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], t
         (["cycle", "base", "--set", "friction.Gama=1"], "scene base"),
         (["cycle", "base", "--set", "friction"], "--set"),
         (["cycle"], "command line"),
+        (["basins", "two-mass", "--cells", "1000.5"], "command line"),  # was read as 1000
         (["maps", "base"], "command line"),
         # Each of these used to be accepted and to give nonsense, or to run for ever.
         (
@@ -163,7 +164,7 @@ def test_bad_input_is_one_line_and_exit_2(
 
 def test_light_commands_import_no_array_package() -> None:
     code = (
-        "import sys; from daq.base.console import application; from rig_sim.cli.app import app\n"
+        "import sys; from stickslip.console import application; from rig_sim.cli.app import app\n"
         "for line in ('--help', 'scenes', 'cycle base', 'events rig --until 20'):\n"
         "    assert application.run(app, line.split()) == 0, line\n"
         "    heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'pandas', 'h5py'} & set(sys.modules)\n"
@@ -254,5 +255,5 @@ def test_the_table_of_methods_shows_their_names_whole(scene, capsys, monkeypatch
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setattr(error_vs_time, "LONG_ENOUGH_S", 0.0)  # nothing here is about CPU times
     assert application.run(app, ["compare", scene, "--until", "10"]) == 0
-    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith(" rk4-henon")]
+    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("rk4-henon ")]
     assert len(table) == 4

@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from daq.base.console import application
 from rig_sim.cli import app as cli
+from stickslip.console import application
 
 PAIRS = {
     "a Coulomb pair that never sticks again": {"friction.law": 1, "belt.speed": 0.33, "friction.static": 1.13},

@@ -9,8 +9,6 @@ from functools import partial
 import mpmath
 import pytest
 
-from daq.base.console import application
-from daq.base.errors import InputError
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
 from rig_sim.comparison.error_vs_time import compare, compared_with, difference, doubted, tightest
@@ -22,6 +20,8 @@ from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import EventList, list_events
 from rig_sim.motion.play import play_events
 from rig_sim.scenes.scene import scene
+from stickslip.console import application
+from stickslip.errors import InputError
 
 SCENES = [
     *({"law": law} for law in LAWS),

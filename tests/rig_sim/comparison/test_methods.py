@@ -9,12 +9,12 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.base.console import application
-from daq.base.errors import InputError
 from rig_sim.cli.app import app
 from rig_sim.comparison.methods import METHODS, phases_by
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
+from stickslip.console import application
+from stickslip.errors import InputError
 
 EFFECTS: dict[str, dict[str, object]] = {
     "scatter": {"scatter.Fs": 0.05, "seed": 3},

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.base.errors import InputError
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
+from stickslip.errors import InputError
 
 HZ = 0.31
 OMEGA = 2 * math.pi * HZ

@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from rig_sim.dynamics.control.phasor import phasor
 from rig_sim.dynamics.limit_cycles.fixed_point import friction_at_rest
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
@@ -16,6 +15,7 @@ from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
 from rig_sim.scenes.sections import Start
+from stickslip.errors import InputError
 
 V, GAMMA = 0.5, 3.0
 REST = 1 / (1 + GAMMA * V)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from daq.base.errors import InputError
 from rig_sim.friction.formula import DEEPEST, LONGEST, Formula
+from stickslip.errors import InputError
 
 STRIBECK = "Fc + (Fs - Fc)*exp(-(s/v_s)**2) + b*s"
 VALUES = {"Fc": 0.6, "Fs": 1.0, "v_s": 0.15, "b": 0.02}

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from rig_sim.friction.curve import CONSTANT, LINEAR, MEASURED
 from rig_sim.friction.formula import Formula
 from rig_sim.friction.formula_curve import MOST_PIECES, TOLERANCE, WIDEST, FormulaCurve, formula_curve
 from rig_sim.friction.spline import about, piece_of
+from stickslip.errors import InputError
 
 GAUSSIAN = "Fc + (Fs - Fc)*exp(-(s/v_s)**2) + b*s"
 LOGARITHMIC = "Fs - b*log(1 + s/v0)"

@@ -13,11 +13,11 @@ import pytest
 from matplotlib.figure import Figure
 
 import rig_sim
-from daq.base.console import application
-from daq.base.errors import InputError
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
 from rig_sim.dynamics.pictures import control
+from stickslip.console import application
+from stickslip.errors import InputError
 
 FUNCTIONS = [name for name in rig_sim.__all__ if inspect.isfunction(getattr(rig_sim, name))]
 
@@ -27,7 +27,7 @@ def work_is_little(monkeypatch):
     """Measure no CPU times again and again, draw the swing at three amplitudes, and coarsely: nothing is about them."""
     monkeypatch.setattr(error_vs_time, "LONG_ENOUGH_S", 0.0)
     monkeypatch.setattr(control, "RATIOS", (0.5, 1.5, 3))
-    monkeypatch.setattr("daq.base.output.plot.SCREEN_DPI", 20)
+    monkeypatch.setattr("stickslip.output.plot.SCREEN_DPI", 20)
 
 
 # Each function as a call from Python, and the command line that asks the same.

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import rig_sim
-from daq.base.errors import InputError
+from stickslip.errors import InputError
 
 SOURCES = Path(rig_sim.__file__).parent
 FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)")

@@ -7,10 +7,10 @@ import sys
 import numpy as np
 import pytest
 
-from daq.base.compute.compile import ANNOUNCEMENT
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
+from stickslip.compute.compile import ANNOUNCEMENT
 
 CASES = [
     *({"law": law} for law in LAWS),

@@ -10,7 +10,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from daq.base.errors import InputError
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
@@ -22,6 +21,7 @@ from rig_sim.integrate.phases import State, next_event
 from rig_sim.integrate.work import new_work
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
+from stickslip.errors import InputError
 
 
 def flow_of(law: int, **changes: float) -> Flow:

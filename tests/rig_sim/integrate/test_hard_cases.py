@@ -9,7 +9,6 @@ import math
 import mpmath
 import pytest
 
-from daq.base.console import application
 from rig_sim.comparison.error_vs_time import difference
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import initial_mode
@@ -21,6 +20,7 @@ from rig_sim.integrate.phases import State, next_event
 from rig_sim.integrate.work import new_work
 from rig_sim.motion import play
 from rig_sim.scenes.scene import scene
+from stickslip.console import application
 
 
 def flow_of(law, **changes):

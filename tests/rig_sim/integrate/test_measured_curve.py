@@ -6,7 +6,6 @@ import mpmath
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from rig_sim.comparison import reference
 from rig_sim.dynamics.analyses.settling import attractors
 from rig_sim.dynamics.limit_cycles.branches import continuation
@@ -20,6 +19,7 @@ from rig_sim.friction.spline import about, piece_of, refused, spline_table
 from rig_sim.integrate.events import list_events
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
+from stickslip.errors import InputError
 
 SPEEDS = (0.0, 0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.5, 0.7, 0.9, 1.2, 1.5, 1.8, 2.1)
 HYPERBOLA = [[s, 1.0 / (1.0 + 3.0 * s)] for s in SPEEDS]

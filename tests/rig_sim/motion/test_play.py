@@ -8,9 +8,9 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from daq.base.errors import InputError
 from rig_sim.motion.play import LEAST_FACTOR, Event, ScenePlayer, events
 from rig_sim.scenes.scene import parse_changes, scene
+from stickslip.errors import InputError
 
 REFERENCE = json.loads((FilePath(__file__).parents[2] / "reference" / "limit_cycles.json").read_text())
 

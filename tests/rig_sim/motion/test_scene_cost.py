@@ -7,7 +7,7 @@ from types import ModuleType
 import h5py
 import pytest
 
-from daq.base.console import application
+from stickslip.console import application
 
 BENCHMARKS = Path(__file__).resolve().parents[3] / "benchmarks"
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.base.errors import InputError
 from rig_sim.dynamics.analyses.settling import attractors
 from rig_sim.dynamics.limit_cycles.branches import continuation
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
@@ -21,6 +20,7 @@ from rig_sim.friction.curve import LINEAR, MEASURED
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import parse_changes, scene
+from stickslip.errors import InputError
 
 HYPERBOLA = "Fs/(1 + gamma*s)"
 STRIBECK = {

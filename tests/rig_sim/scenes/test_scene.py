@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from daq.base.errors import InputError
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.scenes.model import SECTIONS, Scene
 from rig_sim.scenes.scene import builtin_names, parse_changes, scene
+from stickslip.errors import InputError
 
 
 def changed(*settings: str, base: str = "base") -> Scene:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.base.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.basins import basins, merged
 from rig_sim.dynamics.analyses.exponent import exponent
@@ -20,6 +19,7 @@ from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene
+from stickslip.console import application
 
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter4"]
 SHARES = REFERENCE["basin_fraction_attractor2_of_d_range"]

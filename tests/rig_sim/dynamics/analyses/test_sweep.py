@@ -11,12 +11,12 @@ from functools import cache
 
 import pytest
 
-from daq.base.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses import sweep as sweeps
 from rig_sim.dynamics.analyses.sweep import AttractorAt
 from rig_sim.dynamics.return_maps import section
 from rig_sim.scenes.scene import BUILTIN_FOLDER
+from stickslip.console import application
 
 FEW = ["sweep", "two-mass", "--over", "belt.speed=0.14:0.175:4", "--section", "map"]
 TWO_MASSES = ["sweep", "two-mass", "--over", "belt.speed=0.09:0.12:24"]

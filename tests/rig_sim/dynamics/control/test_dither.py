@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.base.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.control import dither
 from rig_sim.dynamics.control.dither import positions, quench, threshold
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT
+from stickslip.console import application
 
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter6"]["dither"]
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.base.console import application
 from rig_sim.cli.app import app
 from rig_sim.dynamics.control.phasor import phasor, phasor_roots, shaker_for
 from rig_sim.dynamics.control.stability import ShakerPlane
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
+from stickslip.console import application
 
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())
 THESIS = REFERENCE["chapter6"]["phase_shift_control"]

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.base.console import application
-from daq.base.errors import InputError
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.limit_cycles.branches import continuation
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point, quadratic_roots
@@ -18,6 +16,8 @@ from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.functions.arguments import ParameterRange, parameter_range
 from rig_sim.integrate.events import list_events
+from stickslip.console import application
+from stickslip.errors import InputError
 
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter5"]
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.base.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.settling import attractors
@@ -17,6 +16,7 @@ from rig_sim.dynamics.return_maps import driven as driven_mass
 from rig_sim.dynamics.return_maps.driven import DrivenMap, with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT, LINEAR
+from stickslip.console import application
 
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter6"]
 EXPONENTS = REFERENCE["lambda_per_landing"]

@@ -10,8 +10,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from daq.base.compute.arrays import Array
-from daq.base.console import application
 from rig_sim.cli.app import app
 from rig_sim.dynamics.analyses.unstable_orbits import periodic_orbits
 from rig_sim.dynamics.control.ogy import lock
@@ -20,6 +18,8 @@ from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.dynamics.system.interface import difference, orbit
 from rig_sim.functions import control
 from rig_sim.scenes.scene import scene
+from stickslip.compute.arrays import Array
+from stickslip.console import application
 
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter6"]
 

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.base.console import application
-from daq.base.errors import InputError
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
 from rig_sim.dynamics.limit_cycles.fixed_point import two_mass_fixed_point
@@ -23,6 +21,8 @@ from rig_sim.integrate.events import list_events
 from rig_sim.integrate.pair_motion import SAMPLES, PairMotion
 from rig_sim.motion.two_masses import two_mass_events
 from rig_sim.scenes.scene import scene
+from stickslip.console import application
+from stickslip.errors import InputError
 
 BENCHMARKS = Path(__file__).resolve().parents[4] / "benchmarks"
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter4"]

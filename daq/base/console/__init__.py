@@ -1,1 +1,0 @@
-"""The command line of all four packages: arguments, settings, units, errors, progress."""

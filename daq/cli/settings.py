@@ -1,0 +1,138 @@
+"""Settings: flag, else environment, else rig.toml, else user config, else default.
+
+The keys are the flags of `BoardFlags`: --port is STICKSLIP_PORT in the environment, and ``port`` in a section [board].
+A rig.toml is `daq.runfile.rig`'s calibration and, beside it, a section [board] with these keys.  The user config is
+``$XDG_CONFIG_HOME/stickslip/config.toml`` (``~/.config`` where that is no absolute path): the section [board] alone,
+and ``rig``.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from stickslip import toml, user_folders
+from stickslip.console.application import Whole
+from stickslip.console.flags import whole_rate
+from stickslip.errors import InputError, check_known
+from stickslip.toml import check_keys, quoted
+
+KEYS: dict[str, type] = {"port": str, "protocol": str, "columns": str, "baud": int, "rate": int, "decoder": str}
+FIELDS = {"rate": "rate_hz"}  # where a field of the request has another name than the key
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class BoardFlags:
+    """The flags about the board and its rig, as typed; an argument of a command, one flag for each field."""
+
+    port: Annotated[str | None, Parameter(help="Device or URL; default the simulated rig.")] = None
+    rate: Annotated[
+        int | None,
+        whole_rate("--rate", "Samples per second, '1 kHz'; default 1000, for qsb 512; a text sketch sets its own."),
+    ] = None
+    protocol: Annotated[
+        str | None, Parameter(help="What the board sends: frames (our firmware, default), qsb or text.")
+    ] = None
+    columns: Annotated[
+        str | None, Parameter(help="Columns of text lines, as in t_us,up,down; not needed for t=1,pos=2.")
+    ] = None
+    decoder: Annotated[str | None, Parameter(help="Decoder of the board: x4, x1, jk, jk-latched or two-counter.")] = (
+        None
+    )
+    rig: Annotated[
+        Path | None, Parameter(help="The rig.toml written by 'daq calibrate': calibration and settings of the board.")
+    ] = None
+    baud: Annotated[
+        int | None, Whole, Parameter(help="Bits per second of a serial line; default 115200, for qsb 230400.")
+    ] = None
+
+
+NO_FLAGS = BoardFlags()
+
+
+def resolve(flags: BoardFlags) -> dict[str, Any]:
+    """Return the settings given by any source, by the fields of `daq.protocols.request.RecordRequest`.
+
+    ``calibration`` is the text of the rig.toml.
+
+    Raises InputError: A file that is missing or not TOML, an unknown key (with its nearest neighbour), a value of the
+        wrong kind.
+    """
+    user = _user()
+    named = os.environ.get("STICKSLIP_RIG") or user.get("rig")
+    rig = flags.rig or (Path(named) if named else None)
+    text = None if rig is None else _read(rig, "--rig")
+    board = {} if text is None else board_section(text, str(rig))
+    found = {} if text is None else {"calibration": text}
+    for key, kind in KEYS.items():
+        value = getattr(flags, key)
+        if value is None and (typed := os.environ.get(f"STICKSLIP_{key.upper()}")):
+            value = _typed(typed, kind, f"STICKSLIP_{key.upper()}")
+        for section in (board, user):
+            value = section.get(key) if value is None else value
+        if value not in (None, ""):
+            found[FIELDS.get(key, key)] = value
+    return found
+
+
+def board_section(text: str, where: str) -> dict[str, Any]:
+    """Return the section [board] of a TOML text; empty when there is none."""
+    return _checked(toml.parsed(text, where).get("board", {}), where)
+
+
+def board_toml(known: Mapping[str, Any]) -> str:
+    """Return a section [board] with the result of `resolve`; empty when that is empty."""
+    values = {key: known[FIELDS.get(key, key)] for key in KEYS if FIELDS.get(key, key) in known}
+    lines = [f"{key} = {quoted(value) if isinstance(value, str) else value}" for key, value in values.items()]
+    return "\n".join(["[board]", *lines]) + "\n" if lines else ""
+
+
+def _user() -> dict[str, Any]:
+    folder = user_folders.config()
+    if folder is None:
+        return {}
+    path = folder / "stickslip" / "config.toml"
+    try:
+        if not path.is_file():
+            return {}
+    except OSError:  # a home directory without read permission
+        return {}
+    where = str(path)
+    content = toml.parsed(_read(path, where), where)
+    for section in content:
+        check_known(section, ["board", "rig"], "key", where)
+    settings = _checked(content.get("board", {}), where)
+    if "rig" in content:
+        if not isinstance(content["rig"], str):
+            raise InputError(f"rig is {content['rig']!r}", where, "write the path of a rig.toml in quotes")
+        settings["rig"] = content["rig"]
+    return settings
+
+
+def _read(path: Path, where: str) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise InputError("no such file", str(path), f"check {where}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read as text ({error})", str(path), "give a TOML file") from error
+
+
+def _checked(section: Any, where: str) -> dict[str, Any]:
+    for key, value in check_keys("board", section, list(KEYS), where).items():
+        if isinstance(value, bool) or not isinstance(value, KEYS[key]):
+            kind = "text in quotes" if KEYS[key] is str else "a whole number"
+            raise InputError(f"board.{key} is {value!r}", where, f"write {kind}")
+    return dict(section)
+
+
+def _typed(text: str, kind: type, where: str) -> Any:
+    if kind is str:
+        return text
+    if not text.isdecimal():
+        raise InputError(f"{text!r} is not a whole number", where, "correct or unset it")
+    return int(text)

@@ -1,0 +1,42 @@
+"""Names that the program completes: ``run-{n:03}.h5`` gets the next free number, ``run-{date}.h5`` the time."""
+
+import re
+import string
+from datetime import datetime
+from pathlib import Path
+
+from stickslip.errors import InputError
+
+FORMATS = {"n": r"(0?\d+)?d?", "date": ""}  # format of each field, as a regular expression
+DO = "use {n}, {n:03} or {date}, as in 'run-{n:03}.h5'; for a brace itself write it twice"
+
+
+def completed(path: Path) -> Path:
+    """Return an output path with its fields filled in; a path without braces is returned as it is.
+
+    path: ``{n}`` in the file's name becomes one more than the largest number of the run files and journals of that
+        pattern in the folder, from 1, with a format such as ``{n:03}``; ``{date}`` becomes the local date and time,
+        ``20240501-143000``.
+    Raises InputError: A field of another name, a format that numbers do not have, or a field in the name of the folder.
+    """
+    if "{" not in path.name and "}" not in path.name:
+        if "{" in str(path.parent):
+            raise InputError("a field stands in the folder's name", str(path), "use fields in the file's name alone")
+        return path
+    try:
+        parts = list(string.Formatter().parse(path.name))
+    except ValueError as error:
+        raise InputError(f"the pattern cannot be read: {error}", str(path), DO) from error
+    for _, field, form, conversion in parts:
+        if field is not None and (field not in FORMATS or conversion or not re.fullmatch(FORMATS[field], form or "")):
+            raise InputError("holds a field that is not known", str(path), DO)
+    date = f"{datetime.now():%Y%m%d-%H%M%S}"
+    return path.with_name(path.name.format(n=_next(path.parent, parts), date=date))
+
+
+def _next(folder: Path, parts: list[tuple[str, str | None, str | None, str | None]]) -> int:
+    """Return one more than the largest number that a run file or a journal of this pattern has."""
+    kinds = {"n": r"(\d+)", "date": r"\d{8}-\d{6}", None: ""}
+    pattern = re.compile("".join(re.escape(text) + kinds[field] for text, field, _, _ in parts) + r"(?:\.part)?")
+    matches = [pattern.fullmatch(item.name) for item in folder.iterdir()] if folder.is_dir() else []
+    return 1 + max((int(match[1]) for match in matches if match and match.re.groups), default=0)

@@ -1,0 +1,67 @@
+"""Flags of the notes on a run: title, operator, sample, note and tags."""
+
+import re
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from stickslip.errors import InputError
+
+TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # a name that every HDF5 and NeXus reader accepts
+LONGEST = 10_000  # characters, at most four bytes each: the title is an HDF5 attribute too, which holds 64 kB
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class NoteFlags:
+    """The notes as typed; None where not given."""
+
+    title: Annotated[str | None, Parameter(help="Title of the run.")] = None
+    operator: Annotated[str | None, Parameter(help="Who recorded.")] = None
+    sample: Annotated[str | None, Parameter(help="What was measured: the contact, the specimen.")] = None
+    note: Annotated[str | None, Parameter(help="Remarks, any text.")] = None
+    tag: Annotated[
+        list[str] | None,
+        Parameter(negative=(), consume_multiple=False, help="A named value, NAME=VALUE; repeatable."),
+    ] = None
+
+    def given(self) -> dict[str, Any]:
+        """Return the notes that were given, by the attributes of `daq.runfile.recording.Recording`.
+
+        Raises InputError: A tag that is not NAME=VALUE, or text that a file cannot hold.
+        """
+        typed = {"title": self.title, "operator": self.operator, "sample_name": self.sample, "note": self.note}
+        stated: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
+        for name, value in stated.items():
+            check_text(value, f"--{name.removesuffix('_name')}")
+        if self.tag is not None:
+            stated["tags"] = tags(self.tag)
+        return stated
+
+
+NO_NOTES = NoteFlags()
+
+
+def tags(typed: list[str]) -> dict[str, str]:
+    """Return tags typed as NAME=VALUE by name; InputError for one that is not, or a name given twice."""
+    values: dict[str, str] = {}
+    for text in typed:
+        name, equals, value = text.partition("=")
+        name, value = name.strip(), value.strip()
+        if not equals or not TAG.fullmatch(name):
+            do = "write NAME=VALUE, the name in letters, digits and underscores, such as humidity=45"
+            raise InputError(f"{text!r} is not a tag", "--tag", do)
+        if name in values:
+            raise InputError(f"{name} is given twice", "--tag", "leave one out")
+        check_text(value, "--tag")
+        values[name] = value
+    return values
+
+
+def check_text(text: str, flag: str) -> None:
+    """Raise InputError for text that a file or a page cannot show, or that is too long."""
+    if not all(character.isprintable() or character in "\n\t" for character in text):
+        raise InputError("the text has characters that cannot be printed", flag, "leave them out")
+    if len(text) > LONGEST:
+        raise InputError(f"the text has {len(text)} characters", flag, f"give at most {LONGEST}")

@@ -1,0 +1,472 @@
+"""The terminal: results on stdout, progress and errors on stderr, one exit-code rule.
+
+A command returns an `Answer`; `main` prints it as text, or with ``--json`` as a single JSON document.
+Errors of `stickslip.errors` become one line on stderr, or ``{"error": {"what", "where", "do"}}`` on stdout under
+``--json``; what such an error has found out all the same goes to stdout, before the line or beside ``error``.
+Nothing here imports numpy: arrays are written through their own ``tolist``.
+
+What is printed decides nothing: a stderr that is closed, full or gone loses its lines and raises no error.  A result
+that stdout does not take ends in exit code 3; the work is done then.  A reader that goes away (`| head`) is no error.
+
+Text may come from a board, a file or a path.  All of it goes to the terminal through `stickslip.text.printable`, in the
+encoding of the stream: control characters are printed as escapes, and characters that the encoding lacks are spelled.
+"""
+
+import contextlib
+import errno
+import gc
+import io
+import json
+import logging
+import math
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
+
+import cyclopts
+
+from stickslip.compute.interpreter import ignore_settings
+from stickslip.console import log
+from stickslip.console.termination import end_by_signal, heed_signals
+from stickslip.errors import EXIT_BUG, EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, EXIT_INTERRUPTED, StickslipError
+from stickslip.text import SPELLED, printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+# New objects between two searches for cyclic garbage.  Python's 700 costs a short command 4 % of its CPU time.
+GARBAGE = 100_000
+BAR = 16  # columns of a progress bar
+WHOLE = ("next:", "-> ")  # how lines begin that name a command or a file
+# What is most likely wanted of a file that stands where a command should, by the end of its name.
+COMMAND_OF_FILE = {".h5": "process smooth", ".part": "daq recover", ".toml": "rig-sim events"}
+COMMAND_OF_FILE |= dict.fromkeys((".csv", ".tsv", ".txt", ".mat", ".xlsx", ".lvm", ".tdms"), "daq import")
+logger = logging.getLogger(__name__)
+
+Json = Annotated[
+    bool,
+    cyclopts.Parameter(name="--json", negative=(), help="Print one JSON document to stdout and nothing else."),
+]
+SetChanges = Annotated[
+    list[str] | None,
+    cyclopts.Parameter(
+        name="--set",
+        negative=(),
+        help="Change a scene: section.key=value; repeatable.",
+        consume_multiple=False,
+    ),
+]
+
+
+def whole(type_: type, tokens: Sequence[cyclopts.Token]) -> int:
+    """Read a whole number for a flag (`1000`, `1e3`); a cyclopts converter.  ValueError for anything else."""
+    value = float(tokens[0].value)
+    if not value.is_integer():
+        raise ValueError(f"{tokens[0].value} is not a whole number")
+    return int(value)
+
+
+Whole = cyclopts.Parameter(converter=whole)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Result of a command: its JSON document, its text, its exit code.
+
+    ``text`` is a string or a rich renderable (or a sequence of them), printed when ``--json`` was not given.
+    ``printed`` is closed after that: of a command whose answer to a signal holds until its result is shown.
+    """
+
+    data: Any
+    text: Any = ""
+    exit_code: int = EXIT_DONE
+    printed: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+
+
+def shown_default(value: Any) -> str | None:
+    """Return the default of a flag as the help shows it; None for one that is off or empty."""
+    return None if value is None or value is False or value in ("", ()) else str(value)
+
+
+def application(name: str, summary: str = "", example: str = "", usage: str | None = None) -> cyclopts.App:
+    """Return a cyclopts application with the settings common to all commands; `main` runs it.
+
+    Without a summary its help is that of its default command.
+    """
+    from stickslip.version import VERSION
+
+    made = cyclopts.App(
+        name=name,
+        help=f"{summary}\n\nExample: {example}" if summary else None,
+        usage=usage,
+        help_epilogue=log.FLAGS,
+        version=f"{name} {VERSION} (stickslip)",
+        help_format="plaintext",
+        result_action="return_value",
+        suppress_keyboard_interrupt=False,
+        default_parameter=cyclopts.Parameter(show_default=shown_default),
+    )
+    made.register_install_completion_command(help="Install completion of this command's words in your shell, and exit.")
+    return made
+
+
+def plain(value: Any) -> Any:
+    """Return ``value`` as JSON types: arrays as lists, complex as [re, im], NaN and infinities as null."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    return value
+
+
+def shown(value: float, form: str) -> str:
+    """Return a number as text in a format such as '.4g'; ``-`` where `plain` makes it null."""
+    return format(value, form) if math.isfinite(value) else "-"
+
+
+def print_json(value: Any) -> None:
+    """Write one JSON document on stdout."""
+    sys.stdout.write(json.dumps(plain(value), allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
+def note(line: str) -> None:
+    """Write a line on stderr."""
+    logger.debug(line)
+    _write(line + "\n", sys.stderr)
+
+
+def ask(line: str) -> None:
+    """Write a question on stderr, and wait for Enter on stdin."""
+    _write(line, sys.stderr)
+    sys.stderr.flush()
+    sys.stdin.readline()
+
+
+def _write(text: str, stream: TextIO) -> None:
+    """Write text, from wherever it came, on a stream that may be a terminal."""
+    stream.write(_wrapped(printable(text, stream.encoding), stream))
+
+
+def _console(stderr: bool = False, markup: bool = False) -> "Console":
+    """Return rich's console, for tables, bars and help pages; text is markup only where that is asked for."""
+    from rich.console import Console
+
+    class Printing(Console):
+        def render_str(self, text: str, **how: Any) -> "Text":
+            return super().render_str(printable(text, self.encoding), **how)
+
+        def on_broken_pipe(self) -> None:  # rich's own ends the process with exit code 1
+            raise BrokenPipeError
+
+    return Printing(stderr=stderr, markup=markup, emoji=False, soft_wrap=False)
+
+
+def _wrapped(text: str, stream: TextIO) -> str:
+    """Return a text with its long lines broken between words where ``stream`` is a terminal: others read whole lines.
+
+    A line that is to be copied into a shell (after ``next:``) stays whole.
+    """
+    if not stream.isatty():
+        return text
+    import shutil
+    import textwrap
+
+    width = shutil.get_terminal_size().columns
+    return "\n".join(
+        textwrap.fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        if len(line) > width and not line.startswith(WHOLE)
+        else line
+        for line in text.split("\n")
+    )
+
+
+def _fail(name: str, error: StickslipError, code: int, as_json: bool) -> int:
+    try:
+        if as_json:
+            print_json({"error": error.as_json()} | error.data)
+            return code
+        _print_text(error.lines)
+    except OSError:
+        _discard_stdout()
+    note(f"{name}: {error.as_line()}")
+    return code
+
+
+def _print_text(text: Any) -> None:
+    parts = text if isinstance(text, list | tuple) else [text]
+    for part in parts:
+        if isinstance(part, str):
+            if part:
+                _write(part.rstrip("\n") + "\n", sys.stdout)
+        else:
+            _console().print(part)
+    sys.stdout.flush()
+
+
+def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
+    """Run one command line and return its exit code; the only place where errors become exit codes."""
+    name = app.name[0]
+    as_json = "--json" in arguments
+    if as_json and "--version" in arguments:
+        from stickslip.version import VERSION
+
+        return _printed(name, Answer({"command": name, "version": VERSION}), as_json)
+    try:
+        rest, flags = log.taken_off(arguments)
+        if any(flag in rest for flag in app.help_flags):
+            _reflow_help(app, rest)
+        if any(flag in rest for flag in (*app.help_flags, *app.version_flags)):
+            app.console = _console(markup=True)
+        with log.logging_to(flags, name, arguments):
+            answer = app(rest, exit_on_error=False, print_error=False)
+    except StickslipError as error:
+        return _fail(name, error, error.exit_code, as_json)
+    except cyclopts.CycloptsError as error:
+        forgotten = _without_command(error, name, rest)
+        what = _unused(error) or " ".join(str(error).split()).removesuffix(".")
+        command = " ".join([name, *(error.command_chain or ())])
+        usage = forgotten or StickslipError(what, "command line", f"see '{command} --help'")
+        return _fail(name, usage, EXIT_INPUT, as_json)
+    except KeyboardInterrupt:  # also of SIGTERM and SIGHUP
+        return _fail(name, StickslipError("interrupted"), EXIT_INTERRUPTED, as_json)
+    except BrokenPipeError:  # the reader of a help page has gone, as `| head` does
+        _discard_stdout()
+        return EXIT_DONE
+    except OSError as error:
+        do = "check the path, its permissions and the free space on the disk"
+        refused = StickslipError(error.strerror or str(error), str(error.filename or name), do)
+        return _fail(name, refused, EXIT_DEVICE, as_json)
+    except Exception as error:
+        if not as_json:
+            raise
+        do = "this is a bug: run it again without --json and report it"
+        return _fail(name, StickslipError(f"{type(error).__name__}: {error}", name, do), EXIT_BUG, as_json)
+    return _printed(name, answer, as_json)
+
+
+def _unused(error: cyclopts.CycloptsError) -> str:
+    """Return that a command takes no more words, and which; "" of another error."""
+    if not isinstance(error, cyclopts.UnusedCliTokensError):
+        return ""
+    return f"nothing takes {', '.join(repr(word) for word in error.unused_tokens or ())}"
+
+
+def _without_command(error: cyclopts.CycloptsError, name: str, words: Sequence[str]) -> StickslipError | None:
+    """Return that a file stands where a command should, and the line that was most likely meant; else None."""
+    import shlex
+
+    if not isinstance(error, cyclopts.UnknownCommandError) or not error.unused_tokens:
+        return None
+    file = next((word for word in words if os.path.splitext(word)[1].lower() in COMMAND_OF_FILE), None)
+    if file is None or not (error.unused_tokens[0] == file or error.unused_tokens[0].startswith("-")):
+        return None
+    meant = COMMAND_OF_FILE[os.path.splitext(file)[1].lower()].split()
+    line = " ".join(map(shlex.quote, [*meant, *(words if meant[0] == name else [file])]))
+    return StickslipError(f"{file!r} is a file, not a command", "command line", f"did you mean '{line}'?")
+
+
+def _printed(name: str, answer: object, as_json: bool) -> int:
+    """Print what a command returned; return the exit code, also of a stdout that does not take it."""
+    try:
+        with answer.printed if isinstance(answer, Answer) else contextlib.nullcontext():
+            return _shown(answer, as_json)
+    except OSError as error:
+        _discard_stdout()
+        if error.errno in (errno.EPIPE, errno.EIO):  # the reader has gone: a pipe, or a terminal that was closed
+            return answer.exit_code if isinstance(answer, Answer) else EXIT_DONE
+        # an error in JSON could not be written there either
+        what = f"the command is done, but its result could not be printed: {error.strerror or error}"
+        unprinted = StickslipError(what, "stdout", "check the free space where stdout goes")
+        return _fail(name, unprinted, EXIT_DEVICE, as_json=False)
+
+
+def _discard_stdout() -> None:
+    """Let what waits to be printed go nowhere: at exit it would be an error again."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _shown(answer: object, as_json: bool) -> int:
+    """Print what a command returned; return its exit code (help and version return no Answer)."""
+    if not isinstance(answer, Answer):
+        return EXIT_DONE
+    if as_json:
+        print_json(answer.data)
+    else:
+        _print_text(answer.text)
+    return answer.exit_code
+
+
+def _reflow_help(app: cyclopts.App, words: Sequence[str]) -> None:
+    """Join the lines of each paragraph of the help page asked for: cyclopts breaks them anew, at the terminal's width.
+
+    A command that is imported on use has a summary until then, and its docstring on its own page.
+    """
+    for asked in app.parse_commands(words)[1]:
+        loaded = [command for command in asked._commands.values() if isinstance(command, cyclopts.App)]  # noqa: SLF001
+        for page in (asked, *loaded):
+            own = None if page.default_command is None else page.default_command.__doc__
+            page.help = reflowed(own or page.help)
+
+
+def reflowed(text: str) -> str:
+    """Return a docstring with each paragraph on one line, its section of parameters as it is."""
+    import inspect
+
+    words, header, parameters = inspect.cleandoc(text).partition("Parameters\n----------\n")
+    return "\n\n".join([*(" ".join(part.split()) for part in words.split("\n\n")), header + parameters])
+
+
+def main(app: cyclopts.App) -> NoReturn:
+    """Run the process's own command line and exit; a bug shows its traceback and exits 1."""
+    _open_standard_streams()
+    sys.excepthook = _show_bug
+    ignore_settings()
+    heed_signals()
+    gc.set_threshold(GARBAGE)
+    code = run(app, sys.argv[1:])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is done, and a traceback of the way out would say otherwise
+    end_by_signal()
+    gc.freeze()  # the interpreter does not search what is left on its way out
+    sys.exit(code)
+
+
+def _show_bug(kind: type[BaseException], error: BaseException, where: TracebackType | None) -> None:
+    import traceback
+
+    sys.stderr.write(printable("".join(traceback.format_exception(kind, error, where)), sys.stderr.encoding))
+
+
+def _open_standard_streams() -> None:
+    """Replace standard streams that the caller has closed by the null device, and make stderr raise nothing.
+
+    A closed descriptor would be that of the next file that is opened, into which messages would then be written.  What
+    other packages print is spelled where the encoding lacks it.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor, which is this one
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", closefd=False)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors=SPELLED)
+    buffer = getattr(sys.stderr, "buffer", None)
+    if sys.stderr is None or isinstance(getattr(buffer, "raw", buffer), io.FileIO):  # not the console of Windows
+        encoding = "utf-8" if sys.stderr is None else sys.stderr.encoding
+        written = io.BufferedWriter(_UnfailingFile(2, "wb", closefd=False))
+        sys.stderr = io.TextIOWrapper(written, encoding, SPELLED, line_buffering=True)
+
+
+class _UnfailingFile(io.FileIO):
+    """A file that takes everything: what the system refuses is dropped."""
+
+    def write(self, data: Any) -> int:
+        """Write what can be written; return the bytes that are dealt with."""
+        everything = memoryview(data).nbytes
+        try:
+            written = super().write(data)
+        except OSError:
+            return everything
+        return everything if written is None else written
+
+
+def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
+    """Return an empty table for 80 columns: the first ``left`` columns hold words, the others numbers."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    made = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    for place, heading in enumerate(headings):
+        made.add_column(heading, justify="left" if place < left else "right", no_wrap=place > 0)
+    return made
+
+
+class Progress:
+    """What a long job calls with the amount done so far; it draws nothing where no bar is shown."""
+
+    def __init__(
+        self,
+        update: Callable[..., None] = lambda **changes: None,
+        restart: Callable[..., None] = lambda **changes: None,
+    ) -> None:
+        self._update, self._restart = update, restart
+        self._stage = ""
+
+    def __call__(self, done: float) -> None:
+        """Show the amount done."""
+        self._update(completed=done)
+
+    def stage(self, description: str, done: float, total: float) -> None:
+        """Show how much is done of one stage of the job; rate and ETA begin anew with every stage."""
+        if description != self._stage:
+            self._restart(description=description, total=total)
+            self._stage = description
+        self._update(completed=done)
+
+    def status(self, words: str) -> None:
+        """Show words in place of the rate."""
+        self._update(words=words)
+
+
+@contextmanager
+def progress(description: str, total: float | None, unit: str = "") -> Iterator[Progress]:
+    """Show a progress bar with rate and ETA on stderr, which fits 80 columns; yield what the job calls.
+
+    Nothing is drawn when stderr is not a terminal.
+    """
+    if not sys.stderr.isatty():
+        yield Progress()
+        return
+    from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            speed = task.finished_speed or task.speed
+            each = f"{speed:.3g} {unit}/s" if speed and unit and unit != "%" else ""
+            return Text(printable(task.fields["words"], sys.stderr.encoding) or each)
+
+    class TimeLeft(TimeRemainingColumn):
+        max_refresh = 0.0  # rich keeps a text for half a second: a new stage would show that of the one before
+
+        def render(self, task: Task) -> Text:
+            unknown = task.finished or task.total is None
+            return Text("") if unknown else Text("ETA ") + super().render(task)
+
+    class Amount(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            whole = "" if task.total is None else f"/{task.total:.0f}"
+            return Text(f"{task.completed:.0f}{whole} {unit}")
+
+    bar = Bar(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=BAR),
+        Amount(),
+        Rate(),
+        TimeLeft(compact=True),
+        console=_console(stderr=True),
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task(description, total=total, words="")
+        yield Progress(partial(bar.update, task), partial(bar.reset, task))

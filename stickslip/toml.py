@@ -1,0 +1,53 @@
+"""TOML from people, boards and strangers: every fault of the text is one error that names its place."""
+
+import tomllib
+from typing import Any
+
+from stickslip.errors import InputError, nearest
+
+
+def parsed(text: str, where: str) -> dict[str, Any]:
+    """Return the content of a TOML text.
+
+    Raises InputError: the text is not TOML (with the line), is nested too deeply, or holds a whole number of more than
+        64 bits.
+    """
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"invalid TOML: {error}", where, "correct that line") from error
+    except RecursionError as error:
+        raise InputError("is nested too deeply", where, "write sections of keys and values") from error
+    except ValueError as error:
+        raise InputError("holds a number of too many digits", where, "correct it") from error
+    if has_wide_number(content):
+        raise InputError("holds a number of too many digits", where, "correct it")
+    return content
+
+
+def has_wide_number(content: Any) -> bool:
+    """Return whether a whole number anywhere in a parsed text has more than 64 bits, with its sign."""
+    waiting = [content]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            return True
+        if isinstance(value, dict | list):
+            waiting += value.values() if isinstance(value, dict) else value
+    return False
+
+
+def check_keys(section: str, content: Any, known: list[str], where: str) -> dict[str, Any]:
+    """Return the content of a TOML section; InputError when it is no section or has an unknown key (nearest named)."""
+    if not isinstance(content, dict):
+        raise InputError(f"{section} is a value, not a section", where, f"write [{section}] above its keys")
+    for key in content:
+        if key not in known:
+            raise InputError(f"unknown key {section}.{key}", where, nearest(key, known))
+    return content
+
+
+def quoted(text: str) -> str:
+    """Return a text as TOML's basic string: quotes, backslashes and control characters (DEL too) escaped."""
+    out = "".join(f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else f"\\{c}" if c in '"\\' else c for c in text)
+    return f'"{out}"'

@@ -1,0 +1,140 @@
+"""Machine code of kernels: compiled by one process, also where several need it at once."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from stickslip.compute import compile as kernels
+from stickslip.output.lock import FileLock
+
+KERNEL = """
+def entry(x):
+    total = 0.0
+    for i in range(10):
+        total += x * i
+    return total
+"""
+USE = """
+import sys
+sys.path.insert(0, {folder!r})
+import kernel_used_by_a_test as kernel
+from stickslip.compute.compile import ANNOUNCEMENT, compiled
+print(compiled(kernel.entry, (kernel.__name__,))(2.0))
+"""
+
+
+def start(folder: Path) -> "subprocess.Popen[str]":
+    (folder / "kernel_used_by_a_test.py").write_text(KERNEL)
+    return subprocess.Popen(
+        [sys.executable, "-c", USE.format(folder=str(folder))],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(folder)},
+    )
+
+
+def test_processes_wait_for_the_one_that_compiles(tmp_path: Path) -> None:
+    """Two processes that needed the same kernel each compiled it: 20 s of CPU for those of a fit."""
+    both = [start(tmp_path), start(tmp_path)]
+    answers = [process.communicate() for process in both]
+    assert [out for out, _ in answers] == ["90.0\n", "90.0\n"]
+    assert sorted(err for _, err in answers) == ["", kernels.ANNOUNCEMENT + "\n"]
+
+
+def test_compilation_is_announced_once_per_installation(tmp_path: Path) -> None:
+    """Each process said "once per installation", three in one session.  One that prints nowhere counts for none."""
+    said = []
+    for number, stderr in enumerate((subprocess.DEVNULL, subprocess.PIPE, subprocess.PIPE)):
+        (tmp_path / "kernel_used_by_a_test.py").write_text(f"{KERNEL}\nNUMBER = {number}\n")  # compiled anew each time
+        line = [sys.executable, "-c", USE.format(folder=str(tmp_path))]
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+        done = subprocess.run(line, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment, check=True)
+        said.append(done.stderr)
+    assert len(list((tmp_path / "stickslip").glob("kernels-*"))) == 3
+    assert said == [None, kernels.ANNOUNCEMENT + "\n", ""]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="modes are POSIX")
+def test_compilation_that_is_not_kept_is_said_by_each_process(tmp_path: Path) -> None:
+    (tmp_path / "kernel_used_by_a_test.py").write_text(KERNEL)
+    tmp_path.chmod(0o777)  # where another user could write, nothing is kept
+    for process in (start(tmp_path), start(tmp_path)):
+        assert process.communicate() == ("90.0\n", kernels.NOT_KEPT + "\n")
+
+
+def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(kernels, "LONGEST_WAIT_S", 0.1)
+    path = tmp_path / "entry.lock"
+    path.touch()
+    held = FileLock(path)
+    assert kernels._wait_for_lock(path) is None
+    held.release()
+    free = kernels._wait_for_lock(path)
+    assert free is not None
+    free.release()
+
+
+def test_a_folder_without_room_for_locks(tmp_path: Path) -> None:
+    assert kernels._wait_for_lock(tmp_path / "missing" / "entry.lock") is None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="owners and modes are POSIX")
+def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path: Path, monkeypatch) -> None:
+    # Whoever could write into the folder had its user run his code.
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(shared))
+    (shared / "stickslip").mkdir()
+    (shared / "stickslip").chmod(0o777)
+    folder = kernels.cache_folder(("stickslip.errors",))
+    assert folder is not None
+    assert {path.stat().st_mode & 0o022 for path in (folder, folder.parent)} == {0}
+    shared.chmod(0o777)  # there the folder could be replaced by another one
+    assert kernels.cache_folder(("stickslip.errors",)) is None
+    shared.chmod(0o1777)
+    assert kernels.cache_folder(("stickslip.errors",)) == folder
+    monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
+    assert kernels.cache_folder(("stickslip.errors",)) is None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the variables are those of Linux")
+@pytest.mark.parametrize("value", ["", ".", "cache", "~/cache"])
+def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path: Path, monkeypatch, value: str) -> None:
+    # XDG_CACHE_HOME empty or relative led into the current folder, whose pickles were loaded: a stranger's data folder
+    # could have its reader run anything.
+    monkeypatch.chdir(tmp_path)
+    home = tmp_path / "home"
+    monkeypatch.setenv("HOME", str(home))
+    for variable in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR"):
+        monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+        monkeypatch.setenv(variable, value)
+        assert kernels.cache_root() == home / ".cache" / "stickslip"
+        folder = kernels.cache_folder(("stickslip.errors",))
+        assert folder is not None
+        assert folder.is_relative_to(home)
+        assert list(tmp_path.iterdir()) == [home]
+    monkeypatch.setenv("HOME", value)
+    root = kernels.cache_root()
+    assert root is None or root.is_absolute()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="owners are POSIX")
+def test_machine_code_that_another_user_could_leave_is_not_used(tmp_path: Path, monkeypatch) -> None:
+    # The right of others was taken from an open folder, and what they had put there stayed and was loaded.
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    folder = kernels.cache_folder(("stickslip.errors",))
+    assert folder is not None
+    left = folder / "left.nbi"
+    left.touch()
+    folder.chmod(0o777)
+    lstat = Path.lstat
+    theirs = os.stat_result((0o100644, 0, 0, 1, os.geteuid() + 1, 0, 0, 0, 0, 0))
+    monkeypatch.setattr(Path, "lstat", lambda path: theirs if path == left else lstat(path))
+    assert kernels.cache_folder(("stickslip.errors",)) is None
+    assert kernels.cache_folder(("stickslip.errors",)) is None  # nor the next time
+    left.unlink()
+    assert kernels.cache_folder(("stickslip.errors",)) == folder

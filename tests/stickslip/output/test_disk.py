@@ -1,0 +1,359 @@
+"""A disk that is full: the file's name, exit code 3, nothing half-written, no crash, in whatever is written."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import rig_sim
+from daq import firmware_files
+from daq.cli.app import app
+from daq.runfile import store
+from rig_sim.motion import file as motion_file
+from stickslip.console import application as terminal
+from stickslip.errors import InputError
+from stickslip.output import atomic, disk
+from stickslip.output import lock as lock_module
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits of file size are POSIX")
+
+HANGS_S = 120
+
+
+@pytest.fixture
+def full(monkeypatch):
+    """Return a context in which no file grows beyond so many bytes: to a writer, a full disk.
+
+    It ends with the block, not with the test: what pytest itself prints may go to a file.  No bytecode is kept: Python
+    3.11 kept what fitted of a module that was first imported in the block, and later commands ended with "marshal data
+    too short".
+    """
+    import resource
+
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+
+    @contextmanager
+    def limited(size):
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+            signal.signal(signal.SIGXFSZ, handler)
+
+    return limited
+
+
+def refused(capsys, application, *arguments):
+    code = terminal.run(application, [str(argument) for argument in arguments])
+    return code, capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("name", ["motion.h5", "motion.csv"])
+def test_a_motion_that_does_not_fit_leaves_nothing(full, tmp_path, name):
+    # HDF5 used to print its library's own text, twice, and to end in a segmentation fault.
+    with full(20_000):
+        with pytest.raises(disk.RefusedError, match=f"{name}: the disk is full; free space"):
+            motion_file.write(rig_sim.scene("rig"), tmp_path / name, until=20.0, rate=1000.0)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_whose_disk_is_full_keeps_its_journal_and_says_how_to_go_on(full, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with full(30_000):  # the journal of two seconds is smaller, the run file larger
+        code, line = refused(capsys, app, "record", "--duration", 2, "-o", "run.h5")
+        assert code == 3
+        assert line.startswith(
+            "daq: run.h5: the disk is full; the journal is kept; correct that, then get the data with"
+        )
+        assert [path.name for path in tmp_path.iterdir()] == ["run.h5.part"]
+
+
+@pytest.fixture
+def run(tmp_path, capsys):
+    path = tmp_path / "run.h5"
+    assert terminal.run(app, ["record", "--duration", "2", "-o", str(path)]) == 0
+    capsys.readouterr()
+    return path
+
+
+def test_a_stage_that_does_not_fit_leaves_the_run_as_it_was(full, run):
+    before = run.read_bytes()
+    with full(len(before) + 1000):
+
+        def write(entry):
+            entry.create_dataset("smooth/x", data=np.arange(100_000.0), chunks=(1000,), maxshape=(None,))
+
+        with pytest.raises(disk.RefusedError, match="the disk is full"):
+            store.extend(run, "smooth", write)
+        assert run.read_bytes() == before
+        assert list(run.parent.iterdir()) == [run]
+
+
+@pytest.mark.parametrize("arguments", [["export", "RUN", "--csv", "out"], ["replay", "RUN", "-o", "out.h5"]])
+def test_every_output_names_itself(full, run, capsys, monkeypatch, arguments):
+    # An export used to blame the command: "daq: daq: No space left on device".
+    monkeypatch.chdir(run.parent)
+    with full(5000):
+        code, line = refused(capsys, app, *(str(run) if word == "RUN" else word for word in arguments))
+        assert code == 3
+        assert line.startswith(f"daq: {arguments[-1]}: the disk is full; ")
+        assert list(run.parent.iterdir()) == [run]
+
+
+def test_firmware_on_a_full_disk_is_a_disks_failure_and_leaves_no_empty_file(full, tmp_path, capsys):
+    # It used to exit with 2, and to leave files of 0 bytes.
+    with full(1000):
+        code, line = refused(capsys, app, "firmware", "--board", "uno", "-o", tmp_path / "fw")
+        assert code == 3
+        assert ": the disk is full; " in line
+        assert all(path.stat().st_size > 0 for path in (tmp_path / "fw").iterdir())
+
+
+def test_firmware_into_a_file_is_the_callers_mistake(tmp_path, capsys):
+    (tmp_path / "fw").write_text("mine")
+    code, line = refused(capsys, app, "firmware", "--board", "uno", "-o", tmp_path / "fw")
+    assert (code, line.endswith("fw: is not a folder; give a folder, with -o")) == (2, True)
+    hexfile, _ = firmware_files.write(firmware_files.board("uno"), tmp_path / "new")
+    assert hexfile.stat().st_size > 1000
+
+
+def test_a_picture_that_does_not_fit_leaves_no_file(full, run, capsys):
+    from processing.cli import app as process
+
+    with full(5000):
+        code, line = refused(capsys, process, "inspect", run, "--plot", run.parent / "out.png")
+        assert code == 3
+        assert "out.png: the disk is full" in line
+        assert list(run.parent.iterdir()) == [run]
+
+
+def test_a_folder_that_may_not_be_written_is_told_by_the_files_name(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied", "some.partial")
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(disk.RefusedError, match=r"out.h5: may not be written; give a place"):
+        atomic.replacing(tmp_path / "out.h5", force=False).__enter__()
+
+
+class Full(io.FileIO):
+    """A file on a disk with room for so many bytes."""
+
+    room = 1000
+
+    def write(self, data):
+        if self.tell() >= self.room:
+            raise OSError(28, "No space left on device")
+        return super().write(data[: self.room - self.tell()])
+
+    def truncate(self, size=None):
+        if (self.tell() if size is None else size) > self.room:
+            raise OSError(28, "No space left on device")
+        return super().truncate(size)
+
+
+@pytest.mark.parametrize("first", ["write", "truncate"])
+def test_a_sink_goes_on_in_memory_as_if_nothing_had_happened(tmp_path, first):
+    with Full(str(tmp_path / "x"), "w+") as file:
+        sink, like = disk.Sink(file), io.BytesIO()
+        for both in (sink, like):
+            both.write(b"a" * 600)
+            if first == "truncate":
+                both.truncate(2000)
+            both.write(b"b" * 900)
+            both.seek(300)
+            both.write(b"c" * 10)
+            both.truncate(1600)
+            both.seek(0)
+        like.seek(0, 2)
+        like.write(bytes(1600 - like.tell()))  # BytesIO does not lengthen by truncate
+        like.seek(0)
+        assert sink.error is not None
+        assert sink.read() == like.read()
+
+
+def test_a_file_through_a_sink_is_the_one_that_was_written(tmp_path):
+    import h5py
+
+    path = Path(tmp_path / "x.h5")
+    with disk.hdf5(path, "w") as file:
+        file["x"] = np.arange(5000.0)
+    with disk.hdf5(path, "r+") as file:
+        file["y"] = 2.0
+    with h5py.File(path) as file:
+        assert np.array_equal(file["x"], np.arange(5000.0))
+        assert file["y"][()] == 2.0
+
+
+def twice(x):
+    return 2.0 * x
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, -1])
+def test_ctrl_c_while_hdf5_writes_comes_when_the_file_is_closed(tmp_path, monkeypatch, number):
+    # The KeyboardInterrupt used to come up within HDF5's own write: it was lost there with a part of the file, or ended
+    # the process with a segmentation fault.
+    path, values = tmp_path / "run.h5", np.arange(20_000.0)
+    interrupts = 0
+    writes = []
+
+    def write(sink, data, then=disk.Sink.write):
+        nonlocal interrupts
+        writes.append(len(data))
+        if len(writes) - 1 == at:
+            interrupts += 1
+            signal.raise_signal(signal.SIGINT)
+        return then(sink, data)
+
+    def make():
+        with disk.hdf5(path, "w") as file:
+            file.create_dataset("values", data=values, chunks=(1000,), compression="gzip")
+
+    monkeypatch.setattr(disk.Sink, "write", write)
+    at = None
+    make()
+    at = number % len(writes)
+    writes.clear()
+    with pytest.raises(KeyboardInterrupt):
+        make()
+    assert interrupts == 1
+    with h5py.File(path) as file:
+        assert np.array_equal(file["values"][()], values)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_machine_code_that_does_not_fit_costs_no_result(full, tmp_path, capsys):
+    # A full home directory used to end every command that had something to compile.
+    from stickslip.compute.compile import build
+
+    quick = build(twice, tmp_path)
+    with full(100):
+        assert quick(21.0) == 42.0
+        assert f"machine code is not kept: {tmp_path}: File too large" in capsys.readouterr().err
+
+
+def test_a_symbolic_link_stays_and_the_file_behind_it_is_replaced(tmp_path):
+    real, link = tmp_path / "real.txt", tmp_path / "link.txt"
+    real.write_text("old")
+    link.symlink_to(real)
+    with atomic.replacing(link, force=True) as temporary:  # the link itself was replaced
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert real.read_text() == "new"
+
+
+def test_what_a_killed_command_left_is_removed_by_the_next(tmp_path):
+    # It stayed for ten minutes, whoever came.
+    target = tmp_path / "run[1].h5"
+    left, longer, other = (tmp_path / f".{name}.abc.partial" for name in ("run[1].h5", "run[1].h5.x", "run1.h5"))
+    for path in (tmp_path / ".run[1].h5.partial", left, longer, other):
+        path.write_text("half")
+    with atomic.replacing(target, force=True) as temporary:
+        temporary.write_text("whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([target.name, longer.name, other.name])
+
+
+def test_two_commands_that_write_one_file_do_so_one_after_the_other(tmp_path):
+    # Stages added at the same time used to be lost: both copied the file, and the later copy won.
+    target = tmp_path / "lines.txt"
+    target.write_text("")
+    together = threading.Barrier(4)
+
+    def add(number):
+        together.wait()
+        with atomic.replacing(target, force=True) as temporary:
+            before = target.read_text()
+            time.sleep(0.02)
+            temporary.write_text(f"{before}{number}\n")
+
+    threads = [threading.Thread(target=add, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(target.read_text().split()) == ["0", "1", "2", "3"]
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_lock_on_the_folder_holds_nobody_up(tmp_path):
+    # `flock DIR command` is how people keep two scripts apart: every command that writes waited for that lock, which
+    # its own caller held, for ever and without a word.
+    import fcntl
+
+    folder = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    line = [sys.executable, "-m", "daq.cli.app", "record", "--duration", "0.1", "-o", str(tmp_path / "run.h5")]
+    try:
+        done = subprocess.run(line, capture_output=True, text=True, timeout=HANGS_S, check=False)
+    finally:
+        os.close(folder)
+    assert done.returncode == 0, done.stderr
+    assert list(tmp_path.iterdir()) == [tmp_path / "run.h5"]
+
+
+@pytest.mark.parametrize("kind", ["link", "folder", "another user's"])
+def test_a_name_that_is_taken_by_something_else_is_left_alone(tmp_path, kind, monkeypatch):
+    # In a folder that others may write to, who put a link there must not have its target written or removed.
+    taken, theirs = tmp_path / ".run.h5.partial", tmp_path / "theirs"
+    theirs.write_text("theirs")
+    if kind == "link":
+        taken.symlink_to(theirs)
+    elif kind == "folder":
+        taken.mkdir()
+    else:
+        taken.write_text("half")
+        opened = os.open
+
+        def refuse(path, *how, **more):
+            if Path(path) == taken and not how[0] & os.O_CREAT:
+                raise PermissionError(13, "Permission denied", str(path))
+            return opened(path, *how, **more)
+
+        monkeypatch.setattr(os, "open", refuse)
+    with atomic.replacing(tmp_path / "run.h5", force=False) as temporary:
+        temporary.write_text("whole")
+    assert (tmp_path / "run.h5").read_text() == "whole"
+    assert theirs.read_text() == "theirs"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".run.h5.partial", "run.h5", "theirs"]
+
+
+def test_a_file_that_loses_its_name_before_it_is_locked_is_not_taken_for_the_one_that_has_it(tmp_path, monkeypatch):
+    # Between creation and lock another command may take a new file for one that was left, and remove it.
+    path = tmp_path / "new"
+    lock = lock_module._lock
+
+    def slow(fd):
+        monkeypatch.setattr(lock_module, "_lock", lock)
+        path.unlink()
+        path.write_text("another command's")
+        lock(fd)
+
+    monkeypatch.setattr(lock_module, "_lock", slow)
+    with pytest.raises(BlockingIOError):
+        lock_module.FileLock(path, new=True)
+    assert path.read_text() == "another command's"
+
+
+def test_a_command_that_goes_on_writing_is_named_instead_of_waited_for_without_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(atomic, "WAIT_S", 0.1)
+    target = tmp_path / "run.h5"
+    with (
+        atomic.replacing(target, force=True) as temporary,
+        pytest.raises(InputError, match="another command is writing this file"),
+        atomic.replacing(target, force=True),
+    ):
+        pass
+    assert temporary.exists() is False
+    assert target.exists()
