@@ -160,7 +160,8 @@ class Ranking(result.RankedLaws):
             [
                 {name: getattr(form, name) for name in columns} | in_columns(parameters)
                 for form, parameters in zip(forms, fitted, strict=True)
-            ]
+            ],
+            columns=None if forms else columns,
         )
         table.attrs["units"] = {name: item.unit for parameters in fitted for name, item in parameters.items()}
         return table

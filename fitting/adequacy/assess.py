@@ -17,7 +17,9 @@ from fitting.competitors import ALL_LAWS
 from fitting.curve.measure import furthest_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
+from fitting.departures.base import Base
 from fitting.departures.explain import Question, explain_misfit
+from fitting.departures.fluctuation import fluctuation_share
 from fitting.departures.refit import Refit
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.fit import Fit
@@ -26,6 +28,10 @@ from fitting.estimation.linearised import LinearisedFit
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
 from stickslip.compute.arrays import Array
+
+# Share of the binned residuals' variance that repeats from slip to slip, from which a misfit is deterministic.
+# Friction that fluctuates at random leaves -0.03 to 0.02, contacts with memory 0.5 to 0.8.
+REPEATS = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +90,8 @@ def assess(
     motions: Sequence[MeasuredMotion],
     laws: int,
     revolution: float | None = None,
+    *,
+    explain: bool = True,
 ) -> Assessment:
     """Return whether the law of the first row describes the runs, and what else acts where it does not.
 
@@ -100,6 +108,8 @@ def assess(
         How many of the six were asked for.
     revolution : float, optional
         Travel per revolution of the encoder, m; scanned where it is not known.
+    explain : bool
+        Whether to look for what else acts; else it is known why no law describes the runs.
 
     Returns
     -------
@@ -120,9 +130,15 @@ def assess(
     else:
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FoundDeparture, ...] = ()
-    if curve is not None and rejected:
+    if curve is not None and rejected and explain:
         nearest = [fit for fit in ranked if isinstance(fit, Fit)] or list(measured.fits)
         departures = _departures(nearest, curve, motions, measured.noise, revolution)
+    fluctuation = None
+    if rejected and explain and not departures and chosen.together.repeat < REPEATS and chosen.linearised is not None:
+        path = chosen.fit.path()
+        if path is not None:
+            base = Base.of(chosen.linearised, path, motions, revolution)
+            fluctuation = fluctuation_share(base, float(np.max(measured.noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -130,6 +146,7 @@ def assess(
         chosen.together,
         min((size for size in visible if size is not None), default=None),
         departures=departures,
+        fluctuation=fluctuation,
     )
     if curve is not None:
         mass = known_mass(motions[0], curve)

@@ -43,6 +43,8 @@ class Adequacy:
         Those with which a law describes the record, strongest first.
     forms : tuple of FormFit
         The published laws as fitted to the record, nearest first.
+    fluctuation : float or None
+        Standard deviation of random friction within slips, over Fs, where that is what no law describes.
     """
 
     verdict: str | None
@@ -55,6 +57,7 @@ class Adequacy:
     unit: str = "N/kg"
     departures: tuple[FoundDeparture, ...] = ()
     forms: tuple[FormFit, ...] = ()
+    fluctuation: float | None = None
 
     @property
     def said(self) -> str:

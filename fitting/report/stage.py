@@ -104,9 +104,14 @@ def _names(of: str) -> Callable[[_Stage], list[str] | None]:
     return lambda stage: [_shown_name(row) for row in attrgetter(of)(stage)] or None
 
 
-def _evidence(of: str, name: str) -> Callable[[_Stage], list[float]]:
+def _evidence(of: str, name: str) -> Callable[[_Stage], list[float] | None]:
     """Return how a column of the evidence is read; NaN where no law describes the record."""
-    return lambda stage: [math.nan if (item := getattr(row, name)) is None else item for row in attrgetter(of)(stage)]
+
+    def column(stage: _Stage) -> list[float] | None:
+        items = [getattr(row, name) for row in attrgetter(of)(stage)]
+        return [math.nan if item is None else item for item in items] or None
+
+    return column
 
 
 def _cycles(path: str) -> tree.Tree:

@@ -8,13 +8,14 @@ from operator import attrgetter
 
 import numpy as np
 
-from fitting.adequacy.assess import Assessment
+from fitting.adequacy.assess import Assessment, Measurement
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.competitors import ALL_LAWS
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.formula_parameters import formula_level_error, formula_parameters
 from fitting.curve.result import FormFit
-from fitting.departures.ageing import find_ageing
+from fitting.departures.ageing import find_other_break_away
+from fitting.drawing import curves
 from fitting.estimation import break_aways, derived
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
@@ -22,7 +23,7 @@ from fitting.law import PUBLISHED, SOURCES
 from fitting.model.problem import Run
 from fitting.selection import rig_intervals, verdict, verdict_warnings
 from fitting.selection.asked import Asked
-from fitting.selection.contradictions import Refit, find_contradictions, name_contradictions
+from fitting.selection.contradictions import name_contradictions
 from fitting.selection.judgement import Competition
 from fitting.selection.phase_distance import MeasuredOrbit
 from fitting.selection.result import LawResult, RankedLaws, Unfitted
@@ -30,23 +31,24 @@ from fitting.selection.verdict_warnings import JudgedRun
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
+from stickslip.units import Measured
 
 Contradictions = list[list[Finding]]  # of each run
 
 
 @dataclass(frozen=True, eq=False)
-class Decision:
-    """What was decided about the laws, and from what.
+class Contest:
+    """All laws fitted to runs, and what their competition decided.
 
     Attributes
     ----------
     asked : Asked
     records, runs : sequence
         As smoothed, and in the fit's frame.
+    measured : Measurement
     competition : Competition
     unfitted : tuple of Unfitted
         The laws that were not fitted.
-    assessed : Assessment
     sustained : bool
         Whether the mass sticks in the long run.
     warnings : tuple of str
@@ -56,9 +58,9 @@ class Decision:
     asked: Asked
     records: Sequence[Kinematics]
     runs: Sequence[Run]
+    measured: Measurement
     competition: Competition
     unfitted: tuple[Unfitted, ...]
-    assessed: Assessment
     sustained: bool
     warnings: tuple[str, ...] = ()
 
@@ -71,6 +73,54 @@ class Decision:
     def best(self) -> Fit | FormulaFit:
         """The law of the first row."""
         return self.competition.best
+
+    def described(self) -> list[tuple[int | str, list[dict[str, Parameter]]]]:
+        """Return the laws that describe the runs, best first, each with its parameters of each run."""
+        return [
+            (fit.law, [_parameters(fit, self, number) for number in range(len(self.runs))])
+            for fit in self.competition.fits
+            if self.competition.describes(fit.law)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """A contest with the goodness of fit of its best law, and what contradicts the record.
+
+    Attributes
+    ----------
+    contest : Contest
+    assessed : Assessment
+    contradicted : list of list of Finding
+        What of each run's calibration its record contradicts.
+    other_contact : Finding or None
+        That the runs are not of one contact.
+    """
+
+    contest: Contest
+    assessed: Assessment
+    contradicted: "Contradictions"
+    other_contact: Finding | None = None
+
+    @property
+    def asked(self) -> Asked:
+        """What was asked for."""
+        return self.contest.asked
+
+    @property
+    def records(self) -> Sequence[Kinematics]:
+        """The smoothed runs."""
+        return self.contest.records
+
+    @property
+    def runs(self) -> Sequence[Run]:
+        """The runs in the fit's frame."""
+        return self.contest.runs
+
+    @property
+    def competition(self) -> Competition:
+        """The laws in order."""
+        return self.contest.competition
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,22 +142,12 @@ class Rows:
     depends: tuple[tuple[str, ...], ...]
 
 
-def ranking(decision: Decision, refit: Refit, begun: float) -> RankedLaws:
-    """Return the ranking; ``begun`` is the CPU time at its begin, s, and ``refit`` as in `find_contradictions`."""
+def ranking(decision: Decision, begun: float) -> RankedLaws:
+    """Return the ranking; ``begun`` is the process's CPU time when it began, s."""
     rows = _rows(decision)
-    contradicted = find_contradictions(described_parameters(decision), decision.runs, decision.records, refit)
-    words = _words(decision, rows, contradicted)
-    sides = [_side(decision, number, rows, words, contradicted[number]) for number in range(len(decision.runs))]
+    words = _words(decision, rows)
+    sides = [_side(decision, number, rows, words) for number in range(len(decision.runs))]
     return _together(decision, rows, words, sides, clock.process_time() - begun)
-
-
-def described_parameters(decision: Decision) -> list[list[dict[str, Parameter]]]:
-    """Return the parameters of each run, of each law that describes the runs, best first."""
-    return [
-        [_parameters(fit, decision, number) for number in range(len(decision.runs))]
-        for fit in decision.competition.fits
-        if decision.competition.describes(fit.law)
-    ]
 
 
 def without_law(
@@ -139,7 +179,7 @@ def _rows(decision: Decision) -> Rows:
     """Return the rows of every law, each run's and those of all together."""
     orbits = [MeasuredOrbit.of(run.motion) for run in decision.runs]
     tables = list(zip(*(_rows_of(fit, decision, orbits) for fit in decision.competition.fits), strict=True))
-    depends = [() if decision.rejected else rig_intervals.law_dependent(own) for own in tables]
+    depends = [() if decision.contest.rejected else rig_intervals.law_dependent(own) for own in tables]
     found = [tuple(rig_intervals.over_the_set(own)) for own in tables]
     return Rows(tuple(found[: len(decision.runs)]), found[-1], tuple(depends[: len(decision.runs)]))
 
@@ -149,7 +189,7 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
     runs, competition = decision.runs, decision.competition
     chosen, competitors = competition.chosen, decision.asked.competitors
     parts = [fit.for_run(number) for number in range(len(runs))]
-    parameters = [_parameters(fit, decision, number) for number in range(len(runs))]
+    parameters = [_parameters(fit, decision.contest, number) for number in range(len(runs))]
     distances = [orbit.distance(part) for part, orbit in zip(parts, orbits, strict=True)]
     motions = [run.motion for run in runs]
     if len(runs) > 1:
@@ -183,17 +223,17 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
     ]
 
 
-def _parameters(fit: Fit | FormulaFit, decision: Decision, run: int) -> dict[str, Parameter]:
+def _parameters(fit: Fit | FormulaFit, contest: Contest, run: int) -> dict[str, Parameter]:
     """Return a law's parameters of a run; those that were given as they were given."""
-    motion, alpha = decision.runs[run].motion, decision.asked.alpha
+    motion, alpha = contest.runs[run].motion, contest.asked.alpha
     own: dict[str, Parameter]
     if isinstance(fit, Fit):
-        own = derived.derived_parameters(fit, motion, alpha, run, sustained=decision.sustained)
+        own = derived.derived_parameters(fit, motion, alpha, run, sustained=contest.sustained)
     else:
-        own = formula_parameters(fit, motion, alpha, run, sustained=decision.sustained)
-    trusted = decision.competition.describes(fit.law)
+        own = formula_parameters(fit, motion, alpha, run, sustained=contest.sustained)
+    trusted = contest.competition.describes(fit.law)
     found = {name: replace(item, trusted=trusted and item.trusted) for name, item in own.items()}
-    for name, value in decision.asked.fixed(fit.law).items():
+    for name, value in contest.asked.fixed(fit.law).items():
         shown = name if name in found or f"{name}/m" not in found else f"{name}/m"
         unit = found[shown].unit if shown in found else ""  # that of a ramp's break-away level, which has none
         found[shown] = Parameter(value, 0.0, value, value, unit, fixed=True)
@@ -202,45 +242,55 @@ def _parameters(fit: Fit | FormulaFit, decision: Decision, run: int) -> dict[str
     return found
 
 
-def _words(decision: Decision, rows: Rows, contradicted: Contradictions) -> str:
+def _words(decision: Decision, rows: Rows) -> str:
     """Return the verdict."""
-    if decision.rejected:
-        words = verdict.no_law_sentence(rows.together, decision.assessed.together)
+    if decision.contest.rejected:
+        known = "" if any(decision.contradicted) else None
+        cause = known if decision.other_contact is None else decision.other_contact.text
+        words = verdict.no_law_sentence(rows.together, decision.assessed.together, cause)
     else:
         words = verdict.verdict_sentence(
             rows.together,
             decision.competition.not_excluded,
-            sustained=decision.sustained,
+            sustained=decision.contest.sustained,
             measured=all(run.motion.belt_measured for run in decision.runs),
             rest_known=all(run.motion.datum_prior is not None for run in decision.runs),
             runs=len(decision.runs),
         )
-    return name_contradictions(words, contradicted)
+    return name_contradictions(words, decision.contradicted)
 
 
-def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted: Sequence[Finding]) -> RankedLaws:
+def _side(decision: Decision, number: int, rows: Rows, words: str) -> RankedLaws:
     """Return one run's side: its rows, break-aways, findings and warnings."""
     run, record, own = decision.runs[number], decision.records[number], rows.runs[number]
     best = own[0]
     events = break_aways.find_break_aways(best.fit, run.motion, run.cut)
     # The fitted belt speed is compared with the stated one more exactly than the sticks that smoothing found.
-    findings = (*(finding for finding in record.findings if finding.code != "belt-speed"), *contradicted)
+    findings = [
+        *(finding for finding in record.findings if finding.code != "belt-speed"),
+        *decision.contradicted[number],
+        *_fluctuation(decision.assessed.together),
+        *([] if decision.other_contact is None else [decision.other_contact]),
+    ]
+    # a mass that merely grazes the belt does not break away from rest
+    if decision.contest.sustained and not decision.contest.rejected:
+        friction = best.fit.values.F * curves.mass(run.motion, best.fit)
+        error = _level_error(decision.contest.best, run, number)
+        findings += find_other_break_away(
+            events, run.cut, Measured(friction, error * friction), curves.unit(run.motion)
+        )
     given = decision.asked.given(best.law)
-    judged = JudgedRun(own, best, run.motion, run.cut, record, findings, decision.sustained, given)
+    judged = JudgedRun(own, best, run.motion, run.cut, record, findings, decision.contest.sustained, given)
     together, adequacy = decision.assessed.together, decision.assessed.runs[number]
     warnings = (
         *verdict_warnings.warnings(judged),
-        *decision.warnings,
+        *decision.contest.warnings,
         *rows.depends[number],
         *verdict_warnings.not_judged(adequacy),
         *verdict_warnings.level_of_curve(together),
     )
     if len(decision.runs) == 1:
-        adequacy = _with_forms(adequacy, own, decision.unfitted)
-    if decision.sustained and not decision.rejected:  # a mass that merely grazes the belt does not break away from rest
-        aged = find_ageing(events, run.cut, _level_error(decision.best, run, number))
-        if aged is not None:
-            adequacy = replace(adequacy, departures=(*adequacy.departures, aged))
+        adequacy = _with_forms(adequacy, own, decision.contest.unfitted)
     return RankedLaws(
         verdict=words,
         members=decision.competition.members,
@@ -250,12 +300,21 @@ def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted:
         motion=run.motion,
         cut=run.cut,
         adequacy=adequacy,
-        findings=findings,
+        findings=tuple(findings),
         records=(record,),
         alpha=decision.asked.alpha,
-        unfitted=decision.unfitted,
+        unfitted=decision.contest.unfitted,
         not_excluded=decision.competition.not_excluded,
     )
+
+
+def _fluctuation(adequacy: Adequacy) -> list[Finding]:
+    """Return that friction fluctuates at random within slips, with the share of Fs, where it does."""
+    share = adequacy.fluctuation
+    if share is None:
+        return []
+    text = f"friction fluctuates at random within slips, by about {100 * share:.2g} % of Fs: no law can describe it"
+    return [Finding("random-within-slips", text, share, 0.0, 0.0)]
 
 
 def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], unfitted: Sequence[Unfitted]) -> Adequacy:
@@ -300,13 +359,13 @@ def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Ranked
         warnings=warnings,
         motion=decision.runs[0].motion,
         cut=decision.runs[0].cut,
-        adequacy=_with_forms(decision.assessed.together, rows.together, decision.unfitted),
+        adequacy=_with_forms(decision.assessed.together, rows.together, decision.contest.unfitted),
         cpu_s=cpu_s,
         findings=findings,
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
         records=tuple(decision.records),
         alpha=decision.asked.alpha,
-        unfitted=decision.unfitted,
+        unfitted=decision.contest.unfitted,
         not_excluded=decision.competition.not_excluded,
     )
 
@@ -315,4 +374,4 @@ def _merged(sides: Sequence[RankedLaws], records: Sequence[Kinematics]) -> tuple
     """Return the warnings and the findings of several runs."""
     names = [record.recording.source.name for record in records]
     warnings = verdict_warnings.merge_warnings([side.warnings for side in sides], names)
-    return warnings, tuple(finding for side in sides for finding in side.findings)
+    return warnings, tuple(dict.fromkeys(finding for side in sides for finding in side.findings))

@@ -50,6 +50,7 @@ TIED_SCORE = 1.0
 # differ by S +- 2 sqrt(S), so that the wrong one leads by more than this in 2 % of the records at most; with half of it
 # in 8 %.  The t-interval does not show this: where motions are nearly the same, differences are small but regular.
 OPEN = 4.0
+SAME_SCORE = 1  # decimals of a score: one curve in two forms differs by less
 
 
 class Residuals(Protocol):
@@ -316,7 +317,8 @@ def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[int
         if score[law] < (TIED_SCORE if law in limits else OPEN) and laws[winner] not in nested(law)
     }
     near = {law for law in competing if behind[law][0] <= quantile * behind[law][1]} | alike
-    members = [law for law in sorted(competing, key=score.__getitem__) if law in near]
+    # of laws that are one curve in two forms, the first of the evidence comes first
+    members = [law for law in sorted(competing, key=lambda law: round(score[law], SAME_SCORE)) if law in near]
     preferred = [law for law in members if law in limits]
     if preferred:
         first = preferred[0]

@@ -9,19 +9,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from daq.runfile.rig import Rig
-from fitting.adequacy.assess import assess, measure
+from fitting.adequacy.assess import Assessment, assess, measure
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import FormulaFit
 from fitting.data import frame
 from fitting.estimation.fit import Fit
+from fitting.estimation.result import Parameter
 from fitting.law import Bound, Law
 from fitting.model.problem import Run
 from fitting.selection import answer, law_fits, screening
-from fitting.selection.answer import Decision
+from fitting.selection.answer import Contest, Decision
 from fitting.selection.asked import Asked
 from fitting.selection.contradictions import LawParameters, find_contradictions
 from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import compete
+from fitting.selection.one_contact import find_other_contact
 from fitting.selection.result import RankedLaws
 from fitting.selection.rivals import fit_formulas
 from processing.record.kinematics import Kinematics
@@ -75,19 +77,37 @@ def rank(
 
     def refit(free: Sequence[Run]) -> Sequence[LawParameters]:
         try:
-            return answer.described_parameters(_decided(replace(asked, progress=None), records, free))
+            return [own for _, own in _contest(replace(asked, progress=None), records, free).described()]
         except (law_fits.NoLawError, DataError):
             return []
 
     try:
-        decision = _decided(asked, records, runs)
+        contest = _contest(asked, records, runs)
     except law_fits.NoLawError as refused:
         contradicted = find_contradictions([], runs, records, refit)
         if refused.stick_slip:
             return answer.without_law(refused.reason, contradicted, asked, runs, records, begun)
         raise screening.refusal(refused.reason, contradicted, runs, records) from None
-    _log(decision)
-    return answer.ranking(decision, refit, begun)
+    contradicted = find_contradictions([own for _, own in contest.described()], contest.runs, records, refit)
+    other_contact = None
+    if contest.rejected and len(runs) > 1:
+        alone = [_described_alone(asked, record, run) for record, run in zip(records, contest.runs, strict=True)]
+        other_contact = find_other_contact(alone)
+    first, motions = contest.competition.judged[contest.best.law], [run.motion for run in contest.runs]
+    count, revolution = len(competitors.laws), _revolution(records)
+    explain = other_contact is None and not any(contradicted)
+    assessed = assess(contest.measured, contest.competition.fits, first, motions, count, revolution, explain=explain)
+    _log(contest, assessed)
+    return answer.ranking(Decision(contest, assessed, contradicted, other_contact), begun)
+
+
+def _described_alone(asked: Asked, record: Kinematics, run: Run) -> dict[int | str, Mapping[str, Parameter]]:
+    """Return the laws that describe one run of several alone, best first, with its parameters."""
+    try:
+        contest = _contest(replace(asked, progress=None), [record], [run])
+    except (law_fits.NoLawError, DataError):
+        return {}
+    return {law: own[0] for law, own in contest.described()}
 
 
 def _smoothed(kinematics: Kinematics) -> Kinematics:
@@ -115,7 +135,7 @@ def _cut(records: Sequence[Kinematics], rig: Rig | Sequence[Rig] | None, asked: 
     return with_given(runs, asked.competitors)
 
 
-def _decided(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -> Decision:
+def _contest(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -> Contest:
     """Fit all laws to the runs, and let them compete.
 
     Raises
@@ -127,8 +147,7 @@ def _decided(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -
     six, runs, sustained, doubt = law_fits.fit_runs(
         competitors.searched, runs, records, asked.jobs, asked.progress, asked.scheduler
     )
-    motions = [run.motion for run in runs]
-    measured = measure(six, motions, asked.alpha)
+    measured = measure(six, [run.motion for run in runs], asked.alpha)
     formulas = fit_formulas(competitors, measured.curve, six)
     fits: list[Fit | FormulaFit] = [*(fit for fit in six if fit.law in competitors.direct), *formulas.fits]
     if doubt and not screening.comes_near(formulas.fits, runs):
@@ -137,9 +156,7 @@ def _decided(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -
         what = "none of the laws that were named can be fitted"
         raise DataError(what, "record", "add laws of the six, as --laws 1-6")
     competition = compete(fits, measured.noise, measured.judged, runs, asked.alpha, sustained=sustained)
-    first = competition.judged[competition.best.law]
-    assessed = assess(measured, competition.fits, first, motions, len(competitors.laws), _revolution(records))
-    return Decision(asked, records, runs, competition, formulas.unfitted, assessed, sustained, formulas.warnings)
+    return Contest(asked, records, runs, measured, competition, formulas.unfitted, sustained, formulas.warnings)
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
@@ -151,8 +168,8 @@ def _revolution(records: Sequence[Kinematics]) -> float | None:
     return found.pop() if len(found) == 1 else None
 
 
-def _log(decision: Decision) -> None:
-    for fit in decision.competition.fits:
-        member = "in the set" if fit.law in decision.competition.members else "not in the set"
+def _log(contest: Contest, assessed: Assessment) -> None:
+    for fit in contest.competition.fits:
+        member = "in the set" if fit.law in contest.competition.members else "not in the set"
         logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
-    logger.info("goodness of fit: %s", decision.assessed.together.said)
+    logger.info("goodness of fit: %s", assessed.together.said)

@@ -152,7 +152,7 @@ def _as_well(others: Sequence[LawResult]) -> str:
     return f"; {named} describes the record as well"
 
 
-def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
+def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy, cause: str | None) -> str:
     """Return the verdict on a record that no law describes: what friction does instead, and how far off the laws are.
 
     Parameters
@@ -160,6 +160,8 @@ def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
     rows : sequence of LawResult
         Best first.
     adequacy : Adequacy
+    cause : str or None
+        Why no law does, where that is known already.
     """
     asked = [row for row in rows if row.asked]
     if len(asked) == 1:
@@ -167,7 +169,7 @@ def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
     else:
         custom = adequacy.verdict == NONE_FITTED or any(row.formula is not None for row in asked)
         head = f"none of the {'laws fitted' if custom else 'six laws'} describes this record"
-    parts = [_instead(adequacy), _left_over(rows[0], adequacy, len(rows))]
+    parts = [_instead(adequacy) if cause is None else cause, _left_over(rows[0], adequacy, len(rows))]
     return f"{head}, nor does a published curve: {'; '.join(part for part in parts if part)}"
 
 
@@ -178,10 +180,12 @@ def _instead(adequacy: Adequacy) -> str:
         return f"law {first.law} describes it together with {first.text} ({_size(first)})"
     if adequacy.of_speed:
         return "friction follows a curve of relative speed that is none of these"
-    return (
-        "no curve of relative speed on a constant spring describes it either, and no departure of the rig that was "
-        "tested"
-    )
+    if adequacy.fluctuation is not None:
+        return (
+            f"friction fluctuates at random within slips, by about {100 * adequacy.fluctuation:.2g} % of Fs (nothing "
+            "of the residual repeats from cycle to cycle)"
+        )
+    return "a deterministic effect that none of these models has: the residual repeats from cycle to cycle"
 
 
 def _size(departure: FoundDeparture) -> str:
