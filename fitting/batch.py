@@ -76,27 +76,14 @@ def fit(
 ) -> list[BatchRow]:
     """Fit every run by itself; files are read and written here, by one process, whoever does the fitting.
 
-    Parameters
-    ----------
-    files, places : sequence of Path
-        Runs, and where their reports go; no places where no reports are wanted.
-    options : FitOptions
-    jobs : int
-        Processes; more than there are runs are not started.
-    scheduler : str, optional
-        Address of a dask scheduler, whose workers fit instead; they need no files.
-    progress : callable, optional
-        Called with the number of runs done.
-    force : bool
-        Replace files that are no reports of these runs.
-
-    Raises
-    ------
-    InputError
-        For fewer than one job, or a scheduler that cannot be used; never for a run.
-    DeviceError
-        When all that fits was lost, processes or scheduler, before the first run was finished.  Later, the finished
-        runs are kept and the error stands in the rows of the others.
+    files, places: Runs, and where their reports go; no places where no reports are wanted.
+    jobs: Processes; more than there are runs are not started.
+    scheduler: Address of a dask scheduler, whose workers fit instead; they need no files.
+    progress: Called with the number of runs done.
+    force: Replace files that are no reports of these runs.
+    Raises InputError: for fewer than one job, or a scheduler that cannot be used; never for a run.
+    Raises DeviceError: when all that fits was lost, processes or scheduler, before the first run was finished.  Later,
+        the finished runs are kept and the error stands in the rows of the others.
     """
     rows: list[BatchRow] = []
     pairs = [(file, places[number : number + 1]) for number, file in enumerate(files)]

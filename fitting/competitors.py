@@ -65,24 +65,13 @@ class Given(NamedTuple):
 class Competitors:
     """The laws that compete.
 
-    Attributes
-    ----------
-    laws : tuple of int
-        Of the six.
-    formulas : tuple of Law
-        Those that were named.
-    fix, bounds, start : mapping of str to float, of (low, high), of float
-        By the names of parameters.
-
-    Raises
-    ------
-    InputError
-        For no law at all, unknown laws, two laws of one name, parameters that no law has, and values that cannot be.
+    Raises InputError: for no law at all, unknown laws, two laws of one name, parameters that no law has, and values
+        that cannot be.
     """
 
-    laws: tuple[int, ...] = ALL_LAWS
-    formulas: tuple[Law, ...] = ()
-    fix: Mapping[str, float] = field(default_factory=dict)
+    laws: tuple[int, ...] = ALL_LAWS  # of the six
+    formulas: tuple[Law, ...] = ()  # those that were named
+    fix: Mapping[str, float] = field(default_factory=dict)  # by the names of parameters
     bounds: Mapping[str, Bound] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
 
@@ -150,7 +139,6 @@ class Competitors:
 
     @property
     def every(self) -> tuple[int | Law, ...]:
-        """The laws."""
         return (*self.laws, *self.formulas)
 
     @property
@@ -181,10 +169,7 @@ class Competitors:
     def of_law(self, law: int | Law) -> dict[str, Given]:
         """Return what is given of a law's parameters, by their names without that of the law.
 
-        Raises
-        ------
-        InputError
-            For values that the parameter cannot have.
+        Raises InputError: for values that the parameter cannot have.
         """
         given_of: dict[str, Given] = {}
         for kind, given in (("bounds", self.bounds), ("start", self.start), ("fix", self.fix)):
@@ -283,10 +268,7 @@ def _read(text: str, where: str) -> tuple[list[int], list[Law]]:
 def numbers(text: str, flag: str) -> list[int]:
     """Return the whole numbers that a list such as ``1-3,6`` names; an empty text names none.
 
-    Raises
-    ------
-    InputError
-        For anything else.
+    Raises InputError: for anything else.
     """
     listed: list[int] = []
     for part in filter(None, (piece.strip() for piece in text.split(","))):

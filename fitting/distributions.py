@@ -16,7 +16,6 @@ def normal_quantile(p: float) -> float:
 
 
 def chi_square_quantile(p: float, freedom: float) -> float:
-    """Return the p-quantile of chi square."""
     return 2 * float(special.gammaincinv(0.5 * freedom, p))
 
 

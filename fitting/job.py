@@ -73,7 +73,6 @@ class LoadedRun:
 
     @property
     def named(self) -> FittedRun:
-        """Which run it is."""
         recording = self.recording
         return FittedRun(recording.source, recording.digest, recording.title, recording.started)
 
@@ -106,10 +105,7 @@ class FitOutput:
     def save(self, place: Path | None, *, force: bool = False) -> None:
         """Write the results into the run file, of several runs into one beside the first; the report to ``place``.
 
-        Raises
-        ------
-        InputError
-            The run was recorded or smoothed anew while it was fitted.
+        Raises InputError: the run was recorded or smoothed anew while it was fitted.
         """
         files = [run.file for run in self.runs]
         if len(files) > 1:
@@ -137,10 +133,8 @@ def exit_code(document: Mapping[str, Any]) -> int:
 def load_run(path: Path, options: FitOptions, rig: Rig | None = None) -> LoadedRun:
     """Read a run, with another calibration than its own where one is given.
 
-    Raises
-    ------
-    InputError
-        For a file that is no run, a calibration that cannot be, or times between which the run has no samples.
+    Raises InputError: for a file that is no run, a calibration that cannot be, or times between which the run has no
+        samples.
     """
     samples = runfile.between(path, options.begin, options.end)
     with runfile.opened(path) as file:
@@ -161,10 +155,7 @@ def fit_runs(
 ) -> FitOutput:
     """Smooth what is not yet smoothed, rank the laws, and make the page of all runs.
 
-    Raises
-    ------
-    DataError
-        When the laws cannot be ranked; it holds the statistics and the findings of smoothing.
+    Raises DataError: when the laws cannot be ranked; it holds the statistics and the findings of smoothing.
     """
     # Sticks are looked for at the record's own speed: a wrong stated one would hide them.
     motions = [smooth(run.recording) if run.kinematics is None else run.kinematics for run in runs]

@@ -255,10 +255,7 @@ TITLES = {
 def read_law(spec: str, where: str = "--law") -> Law:
     """Return the law that a text names: ``NAME`` of a published one, or ``NAME: FORMULA``.
 
-    Raises
-    ------
-    InputError
-        For a name that is not known, a published name with another formula, and what `Law` refuses.
+    Raises InputError: for a name that is not known, a published name with another formula, and what `Law` refuses.
     """
     name, colon, formula = (part.strip() for part in spec.partition(":"))
     if not colon:

@@ -21,33 +21,16 @@ from stickslip.output import atomic, suffix
 
 @dataclass(frozen=True)
 class FitRequest:
-    """What was asked of `fit-friction`.
+    """What was asked of `fit-friction`."""
 
-    Attributes
-    ----------
-    files : tuple of Path
-        The runs.
-    options : FitOptions
-        How each is fitted.
-    outputs : OutputFlags
-        Names that were given.
-    work : WorkFlags
-        With ``each`` every run is fitted by itself, else all of them together.
-    places : tuple of Path
-        Where reports go: of a joint fit one, with ``each`` one a run; none where no report is wanted.
-    joint_file : Path or None
-        Where a joint fit is stored.
-    comparison : Path or None
-        Where the page goes that compares runs fitted one by one.
-    """
-
-    files: tuple[Path, ...]
-    options: FitOptions
-    outputs: OutputFlags
-    work: WorkFlags
+    files: tuple[Path, ...]  # the runs
+    options: FitOptions  # how each is fitted
+    outputs: OutputFlags  # names that were given
+    work: WorkFlags  # with ``each`` every run is fitted by itself, else all of them together
+    # where reports go: of a joint fit one, with ``each`` one a run; none where no report is wanted
     places: tuple[Path, ...]
-    joint_file: Path | None
-    comparison: Path | None
+    joint_file: Path | None  # where a joint fit is stored
+    comparison: Path | None  # where the page goes that compares runs fitted one by one
 
     @classmethod
     def of(
@@ -61,10 +44,7 @@ class FitRequest:
     ) -> "FitRequest":
         """Return the request that a command line makes.
 
-        Raises
-        ------
-        InputError
-            For flags that contradict each other, and for outputs that cannot be written.
+        Raises InputError: for flags that contradict each other, and for outputs that cannot be written.
         """
         runs = tuple(_without_fits(files) if work.each else files)
         _refuse_together(runs, rig, outputs, work)

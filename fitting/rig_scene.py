@@ -98,10 +98,7 @@ def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedSc
 
     ``statistics`` are those of the first run.
 
-    Raises
-    ------
-    DataError
-        Neither describes the record.
+    Raises DataError: neither describes the record.
     """
     adequacy = ranking.adequacy
     if not adequacy.rejected and ranking.rows:
@@ -154,10 +151,7 @@ def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
 def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
     """Return the scene of the best law, given as a formula.
 
-    Raises
-    ------
-    DataError
-        Its belt slows under load, which a scene does not have beside a formula.
+    Raises DataError: its belt slows under load, which a scene does not have beside a formula.
     """
     motion, law, at = ranking.motion, fit.asked_for, fit.at
     places = [place % PER_RUN for place in fit.places if place < PER_RUN]

@@ -43,13 +43,8 @@ def natural_size(law: Law, name: str, friction: float, speed: float) -> float:
 def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermined, ...]:
     """Return the free parameters of a formula that it has only together.
 
-    Parameters
-    ----------
-    law : Law
-    friction : float
-        About that of the contact, m/s^2.
-    fastest : float
-        Slip speed up to which the curve is looked at, m/s.
+    friction: About that of the contact, m/s^2.
+    fastest: Slip speed up to which the curve is looked at, m/s.
     """
     rng = np.random.default_rng(len(law.formula))
     speeds = fastest * np.linspace(0.0, 1.0, 12 * len(law.free) + 1)

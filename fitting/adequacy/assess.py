@@ -56,24 +56,12 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """The nearest of the six, the friction curve without a law, and the noise.
+    """The nearest of the six, the friction curve without a law, and the noise."""
 
-    Attributes
-    ----------
-    fits : sequence of Fit
-        Of the six.
-    judged : Judged
-        The nearest of them.
-    curve : MeasuredCurve or None
-        Per unit mass.
-    noise : (runs,) f8
-        Standard deviation of one position of each run, m.
-    """
-
-    fits: Sequence[Fit]
-    judged: Judged
-    curve: MeasuredCurve | None
-    noise: Array
+    fits: Sequence[Fit]  # of the six
+    judged: Judged  # the nearest of them
+    curve: MeasuredCurve | None  # per unit mass
+    noise: Array  # (runs,) standard deviation of one position of each run, m
 
 
 def measure(fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float = 0.05) -> Measurement:
@@ -95,27 +83,14 @@ def assess(
 ) -> Assessment:
     """Return whether the law of the first row describes the runs, and what else acts where it does not.
 
-    Parameters
-    ----------
-    measured : Measurement
-    ranked : sequence of FittedLaw
-        All laws, in the order of the rows.
-    chosen : Judged
-        The first of them.
-    motions : sequence of MeasuredMotion
-        Of each run.
-    laws : int
-        How many of the six were asked for.
-    revolution : float, optional
-        Travel per revolution of the encoder, m; scanned where it is not known.
-    explain : bool
-        Whether to look for what else acts; else it is known why no law describes the runs.
-
-    Returns
-    -------
-    Assessment
-        Of a single run of several, goodness of fit and the smallest visible departure alone: curve and departures are
-        those of all together.
+    ranked: All laws, in the order of the rows.
+    chosen: The first of them.
+    motions: Of each run.
+    laws: How many of the six were asked for.
+    revolution: Travel per revolution of the encoder, m; scanned where it is not known.
+    explain: Whether to look for what else acts; else it is known why no law describes the runs.
+    Returns: Of a single run of several, goodness of fit and the smallest visible departure alone: curve and departures
+        are those of all together.
     """
     curve, rejected = measured.curve, chosen.together.rejected
     curve_goodness = None

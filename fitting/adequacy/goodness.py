@@ -39,28 +39,16 @@ ROUNDING = 1e-9  # difference over a statistic's mean: numbers that differ by le
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """How the residuals of a fit compare with noise.
+    """How the residuals of a fit compare with noise."""
 
-    Attributes
-    ----------
-    noise_m : float
-        Standard deviation of one position, from the record, m.
-    misfit : float
-        Rms of the residuals of the judged cycles over ``noise_m``.
-    lag1, repeat : float
-        As in `fitting.adequacy.statistics.SlipStatistics`; 0 where no slip can be judged.
-    p_value : float or None
-        Probability of statistics at least as large by noise alone; None where nothing could be judged: fewer than
-        `FEWEST_SLIPS` slips, or no statistic that differs between repetitions.
-    left_out : tuple of int
-        Numbers of the cycles that are not judged (`fitting.adequacy.struck`); of several runs together none.
-    """
-
-    noise_m: float
-    misfit: float
-    lag1: float
+    noise_m: float  # standard deviation of one position, from the record, m
+    misfit: float  # rms of the residuals of the judged cycles over ``noise_m``
+    lag1: float  # as in `fitting.adequacy.statistics.SlipStatistics`; 0 where no slip can be judged
     repeat: float
+    # probability of statistics at least as large by noise alone; None where nothing could be judged: fewer than
+    # `FEWEST_SLIPS` slips, or no statistic that differs between repetitions
     p_value: float | None
+    # numbers of the cycles that are not judged (`fitting.adequacy.struck`); of several runs together none
     left_out: tuple[int, ...] = ()
 
     @property
@@ -81,36 +69,18 @@ class GoodnessOfFit:
 
 @dataclass(frozen=True, eq=False)
 class RunSlips:
-    """What is judged of one run: its noise, its slips, and their statistics of the record and of repetitions.
-
-    Attributes
-    ----------
-    noise : PositionNoise
-    noise_m : float
-        Standard deviation of one position, m.
-    bins : SlipBins
-    seen : SlipStatistics
-        Of the record.
-    null_sums, null_squares : (bins, B) f8
-        Sums of the residuals of the repetitions, and of their squares, in each bin.
-    cycles, null_cycles : CycleSquares
-        Of the record, and of the repetitions.
-    counted : (cycles,) bool
-        Which cycles of all runs these are.
-    left_out : tuple of int
-        Numbers of the run's cycles that are not judged.
-    """
+    """What is judged of one run: its noise, its slips, and their statistics of the record and of repetitions."""
 
     noise: PositionNoise
-    noise_m: float
+    noise_m: float  # standard deviation of one position, m
     bins: SlipBins
-    seen: SlipStatistics
-    null_sums: Array
+    seen: SlipStatistics  # of the record
+    null_sums: Array  # (bins, B) sums of the residuals of the repetitions, and of their squares, in each bin
     null_squares: Array
-    cycles: CycleSquares
+    cycles: CycleSquares  # of the record, and of the repetitions
     null_cycles: CycleSquares
-    counted: Mask
-    left_out: tuple[int, ...]
+    counted: Mask  # (cycles,) which cycles of all runs these are
+    left_out: tuple[int, ...]  # numbers of the run's cycles that are not judged
 
     @cached_property
     def null(self) -> SlipStatistics:
@@ -142,23 +112,16 @@ def judge(
 ) -> tuple[RunSlips, ...]:
     """Return the statistics of each run's slips beside those of their null distribution.
 
-    Parameters
-    ----------
-    residual : (N,) f8
-        What is judged, m: what a law leaves, or a curve.
-    refit : callable
-        Residuals (N, B) to what a linear fit of all unknowns leaves of them
+    residual: (N,) What is judged, m: what a law leaves, or a curve.
+    refit: Residuals (N, B) to what a linear fit of all unknowns leaves of them
         (`fitting.estimation.linearised.LinearisedFit.refit`).
-    fit : FittedLaw
-        Whose cycles are judged, of all runs together.
-    motions : sequence of MeasuredMotion
-        Of each run.
-    left_out : (cycles,) bool
-        Which cycles are not judged (`fitting.adequacy.struck`).  A slip that the belt's joint has struck pulls at the
-        parameters that it shares with the others, which then leave smooth residuals under the true law (p = 1e-15 with
-        6 slips): ``residual`` is that of a fit without them (`fitting.estimation.linearised.LinearisedFit.without`).
-    windows : ShootingWindows, optional
-        Of the same cycles, where the residuals are not those of the fit's own.
+    fit: Whose cycles are judged, of all runs together.
+    motions: Of each run.
+    left_out: (cycles,) Which cycles are not judged (`fitting.adequacy.struck`).  A slip that the belt's joint has
+        struck pulls at the parameters that it shares with the others, which then leave smooth residuals under the true
+        law (p = 1e-15 with 6 slips): ``residual`` is that of a fit without them
+        (`fitting.estimation.linearised.LinearisedFit.without`).
+    windows: Of the same cycles, where the residuals are not those of the fit's own.
     """
     windows = fit.windows if windows is None else windows
     owner = np.repeat(windows.table[:, 5], windows.table[:, 3])

@@ -34,21 +34,11 @@ ROUNDING = 1e-9  # distance over the range of the readings: nearer ones are the 
 
 @dataclass(frozen=True)
 class PositionNoise:
-    """Noise of one measured position.
+    """Noise of one measured position."""
 
-    Attributes
-    ----------
-    pitch : float
-        m, step to which readings are rounded; 0 for none.
-    white : float
-        m, standard deviation of white noise before the rounding.
-    jitter : float
-        s, standard deviation of a sample time.
-    """
-
-    pitch: float
-    white: float
-    jitter: float
+    pitch: float  # m, step to which readings are rounded; 0 for none
+    white: float  # m, standard deviation of white noise before the rounding
+    jitter: float  # s, standard deviation of a sample time
 
     def variance(self, velocity: Array) -> Array:
         """Return the variance (n,) of readings at velocities (n,), m^2."""
@@ -77,17 +67,10 @@ def estimate_noise(
 ) -> PositionNoise:
     """Estimate the noise of a run from what a fit leaves.
 
-    Parameters
-    ----------
-    windows : ShootingWindows
-        Of all runs together.
-    residual : (N,) f8
-        m.
-    inliers : (cycles,) bool
-        The cycles to use.
-    motion : MeasuredMotion
-        Of the run.
-    run : int
+    windows: Of all runs together.
+    residual: (N,) m.
+    inliers: (cycles,) The cycles to use.
+    motion: Of the run.
     """
     pitch = reading_pitch(motion.measured)
     rounding = pitch**2 / 12

@@ -17,46 +17,26 @@ NOT_JUDGED = "not judged"
 
 @dataclass(frozen=True, eq=False)
 class Adequacy:
-    """Whether the best law describes a record.
+    """Whether the best law describes a record."""
 
-    Attributes
-    ----------
-    verdict : str or None
-        `ADEQUATE`; `NONE_OF_SIX`: no law, but a curve without a law may; `NOT_OF_SPEED`: not even that; `NONE_FITTED`
-        where not all six laws were fitted; None where nothing could be judged (`fitting.adequacy.goodness`).
-    noise_m : float
-        Standard deviation of one position, m.
-    goodness : GoodnessOfFit or None
-        Of the law that was judged; None where no law could be fitted at all.
-    smallest_visible : float or None
-        Departure of friction, % of Fs, that half of all repetitions of this record would show
-        (`fitting.adequacy.visible`).
-    curve : MeasuredCurve or None
-        Friction against relative speed without a law, in newtons where mass or stiffness is known.
-    curve_goodness : GoodnessOfFit or None
-        Of the curve, where it was judged: no law is adequate, or it leaves far more than the noise.
-    outside_band : mapping of int or str to BandExit
-        Where each law leaves the curve's band the furthest.
-    unit : str
-        Of the curve's friction.
-    departures : tuple of FoundDeparture
-        Those with which a law describes the record, strongest first.
-    forms : tuple of FormFit
-        The published laws as fitted to the record, nearest first.
-    fluctuation : float or None
-        Standard deviation of random friction within slips, over Fs, where that is what no law describes.
-    """
-
+    # `ADEQUATE`; `NONE_OF_SIX`: no law, but a curve without a law may; `NOT_OF_SPEED`: not even that; `NONE_FITTED`
+    # where not all six laws were fitted; None where nothing could be judged (`fitting.adequacy.goodness`)
     verdict: str | None
-    noise_m: float
-    goodness: GoodnessOfFit | None = None
+    noise_m: float  # standard deviation of one position, m
+    goodness: GoodnessOfFit | None = None  # of the law that was judged; None where no law could be fitted at all
+    # departure of friction, % of Fs, that half of all repetitions of this record would show
+    # (`fitting.adequacy.visible`)
     smallest_visible: float | None = None
+    # friction against relative speed without a law, in newtons where mass or stiffness is known
     curve: MeasuredCurve | None = None
+    # of the curve, where it was judged: no law is adequate, or it leaves far more than the noise
     curve_goodness: GoodnessOfFit | None = None
+    # where each law leaves the curve's band the furthest
     outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)
-    unit: str = "N/kg"
-    departures: tuple[FoundDeparture, ...] = ()
-    forms: tuple[FormFit, ...] = ()
+    unit: str = "N/kg"  # of the curve's friction
+    departures: tuple[FoundDeparture, ...] = ()  # those with which a law describes the record, strongest first
+    forms: tuple[FormFit, ...] = ()  # the published laws as fitted to the record, nearest first
+    # standard deviation of random friction within slips, over Fs, where that is what no law describes
     fluctuation: float | None = None
 
     @property

@@ -23,26 +23,16 @@ SAMPLES_IN_BIN = 3
 
 @dataclass(frozen=True, eq=False)
 class SlipStatistics:
-    """Statistics of B sets of residuals of the same slips, each (B,).
+    """Statistics of B sets of residuals of the same slips, each (B,)."""
 
-    Attributes
-    ----------
-    repeat : f8
-        Share of the binned residuals' variance that repeats from slip to slip, without bias: 0 for noise, 1 for
-        residuals that are the same in every slip.
-    smooth : f8
-        Variance of the binned residuals over that of independent residuals of the same rms; median over the slips.
-        1 for white noise, up to the number of samples in a bin.
-    rms : f8
-        m, all slips together.
-    lag1 : f8
-        Autocorrelation of neighbouring residuals.
-    """
-
+    # share of the binned residuals' variance that repeats from slip to slip, without bias: 0 for noise, 1 for residuals
+    # that are the same in every slip
     repeat: Array
+    # variance of the binned residuals over that of independent residuals of the same rms; median over the slips. 1 for
+    # white noise, up to the number of samples in a bin.
     smooth: Array
-    rms: Array
-    lag1: Array
+    rms: Array  # m, all slips together
+    lag1: Array  # autocorrelation of neighbouring residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,30 +61,16 @@ def cycle_squares(residuals: Array, rows: Sequence[slice]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SlipBins:
-    """Bins of the slips of a run: rows of residuals, and where each bin begins among them.
+    """Bins of the slips of a run: rows of residuals, and where each bin begins among them."""
 
-    Attributes
-    ----------
-    rows : (n,) i8
-        The residuals in a bin, slip by slip.
-    starts : (occupied bins,) i8
-        First of ``rows`` in each bin that is not empty.
-    slip, phase : (occupied bins,) i8
-        Slip and bin of its phase.
-    count : (occupied bins,) f8
-        Residuals in it.
-    slips : int
-    bins : int
-        Into how many the phase of a slip is cut: `SAMPLES_IN_BIN` of the usual slip's samples in each, at most
-        `MOST_BINS`.
-    """
-
-    rows: Integers
-    starts: Integers
-    slip: Integers
+    rows: Integers  # (n,) the residuals in a bin, slip by slip
+    starts: Integers  # (occupied bins,) first of ``rows`` in each bin that is not empty
+    slip: Integers  # (occupied bins,) slip and bin of its phase
     phase: Integers
-    count: Array
+    count: Array  # (occupied bins,) residuals in it
     slips: int
+    # into how many the phase of a slip is cut: `SAMPLES_IN_BIN` of the usual slip's samples in each, at most
+    # `MOST_BINS`
     bins: int
 
     @classmethod

@@ -25,22 +25,12 @@ MOST_ODD, MOST_ODD_SHARE = 1, 0.1
 def left_out(path: Path | None, linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers) -> Mask:
     """Return which of the spoilt cycles say nothing of the law: those struck, and others where they are few.
 
-    Parameters
-    ----------
-    path : Path or None
-        Along the windows of the fit; without it no velocity step is looked for.
-    linear : LinearisedFit
-        Of the same fit.
-    landings : (cycles,) f8
-        s.
-    spoilt : (cycles,) bool
-        `ShootingWindows.spoilt` of its residuals.
-    run : (cycles,) i8
-        Which run each cycle is of.
-
-    Returns
-    -------
-    (cycles,) bool
+    path: Along the windows of the fit; without it no velocity step is looked for.
+    linear: Of the same fit.
+    landings: (cycles,) s.
+    spoilt: (cycles,) `ShootingWindows.spoilt` of its residuals.
+    run: (cycles,) Which run each cycle is of.
+    Returns: (cycles,)
     """
     if not spoilt.any():
         return spoilt

@@ -33,19 +33,10 @@ BISECTIONS = 12  # bisections: to 0.4 %
 def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
     """Return for each run the amplitude that half of its repetitions show, % of Fs; median over the waves.
 
-    Parameters
-    ----------
-    fit : FittedLaw
-    linearised : LinearisedFit
-        Of the same fit.
-    slips : sequence of RunSlips
-        Of the same fit, with the null distribution.
-
-    Returns
-    -------
-    tuple of float or None
-        None where no slip can be judged, where the motion cannot be followed, or where even a departure as large as Fs
-        would not show.
+    linearised: Of the same fit.
+    slips: Of the same fit, with the null distribution.
+    Returns: None where no slip can be judged, where the motion cannot be followed, or where even a departure as large
+        as Fs would not show.
     """
     waves = departure_waves(fit)
     if waves is None:

@@ -47,16 +47,10 @@ def curve_columns(fit: SplineFit, s: Array) -> Array:
 def half_widths(columns: Array, both: tuple[Array, Array], confidence: float, widening: float) -> Array:
     """Return half the width of the band (k,), m/s^2.
 
-    Parameters
-    ----------
-    columns : (k, p) f8
-        Derivatives of the curve at each speed by the unknowns.
-    both : pair of (p, p) f8
-        Covariances.
-    confidence : float
-        That the whole curve is inside.
-    widening : float
-        Factor for few cycles.
+    columns: (k, p) Derivatives of the curve at each speed by the unknowns.
+    both: Covariances.
+    confidence: That the whole curve is inside.
+    widening: Factor for few cycles.
     """
     rng = np.random.default_rng(SEED)
     deviation, quantile = np.zeros(columns.shape[0]), 0.0

@@ -48,24 +48,13 @@ START_MISFIT = 4.0
 
 @dataclass(frozen=True, eq=False)
 class FormulaFit(FittedLaw):
-    """A formula fitted to the runs; attributes as of `FittedLaw`, and these.
+    """A formula fitted to the runs; attributes as of `FittedLaw`, and these."""
 
-    Attributes
-    ----------
-    asked_for : Law
-        The law as it was asked for; of parameters that no record can determine apart some are held in the fit.
-    number : int or None
-        That of one of the six, which was fitted as its formula.
-    together : tuple of Undetermined
-        Parameters that the formula has only together.
-    level_held : bool
-        Whether the rest position is assumed, since a constant of the formula stands for it.
-    """
-
+    # the law as it was asked for; of parameters that no record can determine apart some are held in the fit
     asked_for: Law
-    number: int | None
-    together: tuple[Undetermined, ...]
-    level_held: bool
+    number: int | None  # that of one of the six, which was fitted as its formula
+    together: tuple[Undetermined, ...]  # parameters that the formula has only together
+    level_held: bool  # whether the rest position is assumed, since a constant of the formula stands for it
 
     @property
     def law(self) -> int | str:
@@ -135,24 +124,13 @@ def fit_formula(
 ) -> FormulaFit | None:
     """Fit a law to the runs of the measured curve; None where its motion cannot be followed.
 
-    Parameters
-    ----------
-    law : Law
-        With a jump or a ramp of its own.
-    host : SplineFit
-        The measured curve.
-    others : sequence of FittedLaw
-        Other laws fitted to the runs: where the law errs more than constant friction, or than another one that it
+    law: With a jump or a ramp of its own.
+    host: The measured curve.
+    others: Other laws fitted to the runs: where the law errs more than constant friction, or than another one that it
         contains, it starts again where the best of them ended.
-    target : MeasuredTarget, optional
-        The measured curve in the metric of the record, where it is known already.
-    asked_for, number, together
-        See `FormulaFit`.
-
-    Raises
-    ------
-    InputError
-        With none of the values tried is the formula a friction curve.
+    target: The measured curve in the metric of the record, where it is known already.
+    asked_for, number, together: See `FormulaFit`.
+    Raises InputError: with none of the values tried is the formula a friction curve.
     """
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
     curve, measured, within_errors = _started(law, host, fastest, target)

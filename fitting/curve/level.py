@@ -73,15 +73,10 @@ def law_scatters(fit: Fit, noise: Array) -> bool:
 def levels_scatter(solution: Solution, inlier: Mask, stretch: float, noise: Array) -> bool:
     """Return whether the levels of the inlier cycles scatter by more than noise and misfit make them.
 
-    Parameters
-    ----------
-    solution : Solution
-    inlier : (cycles,) bool
-    stretch : float
-        Of the spring under friction in slip, m.  What the levels move it by must exceed the noise of a position: the
-        rounding of counts, which is not white, makes levels scatter by a fifth of that.
-    noise : (runs,) f8
-        Standard deviation of one position of each run, m.
+    inlier: (cycles,)
+    stretch: Of the spring under friction in slip, m.  What the levels move it by must exceed the noise of a position:
+        the rounding of counts, which is not white, makes levels scatter by a fifth of that.
+    noise: (runs,) Standard deviation of one position of each run, m.
     """
     if inlier.sum() < 2:
         return False

@@ -25,19 +25,10 @@ RAMP_NEARER = 0.97
 def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> MeasuredCurve | None:
     """Measure the friction curve of a record, or of several runs of one contact together.
 
-    Parameters
-    ----------
-    fits : sequence of Fit
-        The laws fitted to the record, best first: their windows, calibrations and starting values are used.
-    noise : (runs,) f8
-        Standard deviation of one position of each run, m.
-    alpha : float
-        1 - confidence of the band and the intervals.
-
-    Returns
-    -------
-    MeasuredCurve or None
-        None where the motion cannot be followed with any curve.
+    fits: The laws fitted to the record, best first: their windows, calibrations and starting values are used.
+    noise: (runs,) Standard deviation of one position of each run, m.
+    alpha: 1 - confidence of the band and the intervals.
+    Returns: None where the motion cannot be followed with any curve.
 
     Notes
     -----

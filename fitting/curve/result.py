@@ -39,39 +39,22 @@ class BandExit:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """Friction per unit mass against relative speed, measured without a law, with a simultaneous band.
+    """Friction per unit mass against relative speed, measured without a law, with a simultaneous band."""
 
-    Attributes
-    ----------
-    speed : (k,) f8
-        Relative speed, m/s, where the record shows the curve: from a few percent of the largest slip speed on.
-    friction, lo, hi : (k,) f8
-        m/s^2; mean level of the record, and the band that holds the whole curve at the stated confidence.
-    shape_half : (k,) f8
-        m/s^2; half the width of the same band for the curve less its mean over the speeds.
-    k_over_m : Parameter
-        1/s^2.
-    chi : float
-        Weighted rms residual over the noise: well above 1, friction is no function of relative speed on a constant
-        spring.
-    ramp : float
-        Half-width of the ramp that slip begins beyond, m/s; 0 for a jump.
-    spline_fit : SplineFit
-    linear : LinearisedFit
-        About the solution; the coordinates of the curve's coefficients are the last unknowns.
-    confidence : float
-    cpu_s : float
-    """
-
+    # (k,) relative speed, m/s, where the record shows the curve: from a few percent of the largest slip speed on
     speed: Array = field(repr=False)
+    # (k,) m/s^2; mean level of the record, and the band that holds the whole curve at the stated confidence
     friction: Array = field(repr=False)
     lo: Array = field(repr=False)
     hi: Array = field(repr=False)
+    # (k,) m/s^2; half the width of the same band for the curve less its mean over the speeds
     shape_half: Array = field(repr=False)
-    k_over_m: Parameter
+    k_over_m: Parameter  # 1/s^2
+    # weighted rms residual over the noise: well above 1, friction is no function of relative speed on a constant spring
     chi: float
-    ramp: float
+    ramp: float  # Half-width of the ramp that slip begins beyond, m/s; 0 for a jump
     spline_fit: SplineFit = field(repr=False)
+    # about the solution; the coordinates of the curve's coefficients are the last unknowns
     linear: LinearisedFit = field(repr=False)
     confidence: float
     cpu_s: float

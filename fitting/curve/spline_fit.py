@@ -32,27 +32,13 @@ from stickslip.units import Measured
 
 @dataclass(frozen=True, eq=False)
 class SplineFit:
-    """A spline fitted to the windows of a law's fit.
+    """A spline fitted to the windows of a law's fit."""
 
-    Attributes
-    ----------
-    fit : Fit
-        The law's, whose windows, calibrations and contact it has.
-    at : TaskFit
-        Where the driver ended.
-    path : Path
-        Along every sample, with the curve.
-    noise : (runs,) f8
-        Standard deviation of one position, m.
-    rest : Measured or None
-        Of the first run's spring, where no datum was fitted (`fitting.curve.level`).
-    """
-
-    fit: Fit
-    at: TaskFit
-    path: Path
-    noise: Array
-    rest: Measured | None
+    fit: Fit  # the law's, whose windows, calibrations and contact it has
+    at: TaskFit  # where the driver ended
+    path: Path  # along every sample, with the curve
+    noise: Array  # (runs,) standard deviation of one position, m
+    rest: Measured | None  # of the first run's spring, where no datum was fitted (`fitting.curve.level`)
 
     @property
     def places(self) -> tuple[int, ...]:
@@ -128,12 +114,8 @@ class SplineFit:
 def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     """Fit a spline on the contact (jump or ramp) of a law's fit; None where its flow cannot be followed.
 
-    Parameters
-    ----------
-    fit : Fit
-        The best law of that contact.
-    noise : (runs,) f8
-        Standard deviation of one position of each run, m.
+    fit: The best law of that contact.
+    noise: (runs,) Standard deviation of one position of each run, m.
     """
     rest = assumed_rest(fit)
     if rest is None:

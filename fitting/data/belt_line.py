@@ -28,24 +28,12 @@ VARIATION_SHOWN = 2.0  # residual variation over what counting alone shows: less
 
 @dataclass(frozen=True)
 class BeltLine:
-    """The belt's velocity against the mass's position in stick, in the record's own signs.
+    """The belt's velocity against the mass's position in stick, in the record's own signs."""
 
-    Attributes
-    ----------
-    speed : Measured
-        m/s, signed, at ``middle``: errors of speed and slope are then independent.
-    slope : Measured
-        d(velocity)/d(position), 1/s; -compliance.
-    middle : float
-        m, the mean position of the samples.
-    speed_variation : float
-        m/s, root mean square of what the line leaves, less the noise of counting.
-    """
-
-    speed: Measured
-    slope: Measured
-    middle: float
-    speed_variation: float
+    speed: Measured  # m/s, signed, at ``middle``: errors of speed and slope are then independent
+    slope: Measured  # d(velocity)/d(position), 1/s; -compliance
+    middle: float  # m, the mean position of the samples
+    speed_variation: float  # m/s, root mean square of what the line leaves, less the noise of counting
 
     @property
     def slows_under_load(self) -> bool:
@@ -67,10 +55,7 @@ class BeltLine:
 def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
     """Fit the belt's line; None where the belt was not counted or no stick is long enough.
 
-    Parameters
-    ----------
-    kinematics : Kinematics
-        With a belt channel; its sticks are used.
+    kinematics: With a belt channel; its sticks are used.
 
     Notes
     -----

@@ -46,51 +46,28 @@ STILL_ACCELERATION = 0.05  # acceleration over a slip's: with less the mass stic
 
 @dataclass(frozen=True)
 class Cycle:
-    """One break-away and what surrounds it; sample ranges are half open, and empty where a window is missing.
+    """One break-away and what surrounds it; sample ranges are half open, and empty where a window is missing."""
 
-    Attributes
-    ----------
-    number : int
-        1, 2, 3 ... in order of time.
-    break_away, landing : float
-        Break-away and return to the belt, s, as the smoothed motion shows them.
-    stick, slip : (first, end)
-        Samples of window B (before the break-away) and window A (after it).
-    overtakes : bool
-        Whether the mass overtakes the belt after landing: a slip that returns with more load than the belt can hold.
-    flag : str
-        "" or why the cycle is not used: "gap", "rest" (the belt stood during the slip), "excluded", "short".
-    """
-
-    number: int
-    break_away: float
+    number: int  # 1, 2, 3 ... in order of time.
+    break_away: float  # Break-away and return to the belt, s, as the smoothed motion shows them
     landing: float
-    stick: tuple[int, int]
+    stick: tuple[int, int]  # (first, end) samples of window B (before the break-away) and window A (after it)
     slip: tuple[int, int]
+    # whether the mass overtakes the belt after landing: a slip that returns with more load than the belt can hold
     overtakes: bool = False
+    # "" or why the cycle is not used: "gap", "rest" (the belt stood during the slip), "excluded", "short"
     flag: str = ""
 
 
 @dataclass(frozen=True)
 class CycleSegmentation:
-    """A record cut into cycles.
+    """A record cut into cycles."""
 
-    Attributes
-    ----------
-    cycles : tuple of Cycle
-        In order of time, used or not.
-    plateau_fraction : float
-        Share of the record spent in stick, the drag of the start-up and rests left out.
-    starts_at_rest : bool
-        Whether the record begins before the belt does.
-    drag : (first, end)
-        Samples of the start-up drag, from shortly after the first landing to a tenth of a slip before the first
-        break-away; empty when the record does not begin at rest.
-    """
-
-    cycles: tuple[Cycle, ...]
-    plateau_fraction: float
-    starts_at_rest: bool
+    cycles: tuple[Cycle, ...]  # in order of time, used or not
+    plateau_fraction: float  # share of the record spent in stick, the drag of the start-up and rests left out
+    starts_at_rest: bool  # whether the record begins before the belt does
+    # (first, end) samples of the start-up drag, from shortly after the first landing to a tenth of a slip before the
+    # first break-away; empty when the record does not begin at rest
     drag: tuple[int, int]
 
     @property
@@ -117,17 +94,9 @@ class CycleSegmentation:
 def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset()) -> CycleSegmentation:
     """Cut a record into cycles.
 
-    Parameters
-    ----------
-    motion : MeasuredMotion
-        In the fit's frame.
-    excluded : set of int
-        Numbers of cycles to leave out; they keep their place in the list, flagged.
-
-    Returns
-    -------
-    CycleSegmentation
-        With no cycles when the mass never falls below half the belt's speed.
+    motion: In the fit's frame.
+    excluded: Numbers of cycles to leave out; they keep their place in the list, flagged.
+    Returns: With no cycles when the mass never falls below half the belt's speed.
     """
     time, v, a = motion.time, motion.velocity, motion.acceleration
     n = time.size

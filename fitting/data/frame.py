@@ -35,80 +35,43 @@ GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a ga
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMotion:
-    """What was measured, in the fit's frame; n is the number of samples that were not left out as faults.
+    """What was measured, in the fit's frame; n is the number of samples that were not left out as faults."""
 
-    Attributes
-    ----------
-    time, measured, position, velocity, acceleration : (n,) f8
-        s since `begin`; measured position (counted, m); smoothed position, velocity and acceleration (m, m/s, m/s^2).
-    broken : (n,) bool
-        True at a sample that does not follow the one before it: a gap, a new segment, or a hole left by faults that is
-        as long as the smoothing does not cross.
-    belt_speed : float
-        m/s, > 0: a first value; the fit finds its own.
-    stated_speed : Measured or None
-        m/s, in the record's own sign: what the caller or the calibration states, whether used or not.
-    belt_prior, datum_prior, damping_prior : Measured or None
-        What the calibration knows: belt speed (m/s), spring's rest position in this record (m), damping c (N s/m).
-    mass, stiffness : Measured or None
-        kg, N/m.
-    sign : float
-        -1.0 where the record was mirrored, else 1.0.
-    resolution : float
-        Standard deviation of one measured position, m: of a counter its rounding, else the noise that the record shows.
-    step : float
-        Smallest change of a measured position, m: one count, or the last printed decimal.
-    velocity_error : float
-        Standard error of the smoothed velocity, m/s; median over the record.
-    half_window : float
-        Half of the smoothing window, s: how far a corner is blurred.
-    slip_s : float
-        About how long a slip lasts, s, a power of two (`rounded_slip`): the unit of all times in the fit.
-    samples_per_slip : float
-        Of the usual slip, from break-away to landing (`fitting.data.slip_duration`).
-    length_error : float
-        Relative standard error of every length: that of the metres per count.
-    compliance : Measured or None
-        Belt speed lost per metre of spring stretch, 1/s, where the belt's own counts show that it slows under load.
-    belt_measured : bool
-        Whether the belt's own counts are used: then a ramp cannot be a belt that slows.
-    speed_variation : float
-        m/s rms: variation of the measured belt speed that load does not explain; 0 where it is not significant.
-    counted : bool
-        Whether an encoder counted the positions; else a camera or another sensor measured them.
-    rest_stated_as : str
-        What a stated rest position was stated as: "x0" or "datum".
-    begin : float
-        s; time of the record's first sample, as the record tells time.
-    """
-
+    # (n,) s since `begin`; measured position (counted, m); smoothed position, velocity and acceleration (m, m/s, m/s^2)
     time: Array
     measured: Array
     position: Array
     velocity: Array
     acceleration: Array
+    # (n,) true at a sample that does not follow the one before it: a gap, a new segment, or a hole left by faults that
+    # is as long as the smoothing does not cross
     broken: NDArray[np.bool_]
-    belt_speed: float
+    belt_speed: float  # m/s, > 0: a first value; the fit finds its own
+    # m/s, in the record's own sign: what the caller or the calibration states, whether used or not
     stated_speed: Measured | None
+    # what the calibration knows: belt speed (m/s), spring's rest position in this record (m), damping c (N s/m)
     belt_prior: Measured | None
     datum_prior: Measured | None
     damping_prior: Measured | None
-    mass: Measured | None
+    mass: Measured | None  # kg, N/m
     stiffness: Measured | None
-    sign: float
+    sign: float  # -1.0 where the record was mirrored, else 1.0
+    # standard deviation of one measured position, m: of a counter its rounding, else the noise that the record shows
     resolution: float
-    step: float
-    velocity_error: float
-    half_window: float
-    slip_s: float
-    samples_per_slip: float
-    length_error: float = 0.0
+    step: float  # smallest change of a measured position, m: one count, or the last printed decimal
+    velocity_error: float  # standard error of the smoothed velocity, m/s; median over the record
+    half_window: float  # half of the smoothing window, s: how far a corner is blurred
+    slip_s: float  # about how long a slip lasts, s, a power of two (`rounded_slip`): the unit of all times in the fit
+    samples_per_slip: float  # of the usual slip, from break-away to landing (`fitting.data.slip_duration`)
+    length_error: float = 0.0  # relative standard error of every length: that of the metres per count
+    # belt speed lost per metre of spring stretch, 1/s, where the belt's own counts show that it slows under load
     compliance: Measured | None = None
-    belt_measured: bool = False
+    belt_measured: bool = False  # whether the belt's own counts are used: then a ramp cannot be a belt that slows
+    # m/s rms: variation of the measured belt speed that load does not explain; 0 where it is not significant
     speed_variation: float = 0.0
-    counted: bool = False
-    rest_stated_as: str = "datum"
-    begin: float = 0.0
+    counted: bool = False  # whether an encoder counted the positions; else a camera or another sensor measured them
+    rest_stated_as: str = "datum"  # what a stated rest position was stated as: "x0" or "datum"
+    begin: float = 0.0  # s; time of the record's first sample, as the record tells time
 
     @property
     def span(self) -> float:
@@ -129,23 +92,13 @@ class MeasuredMotion:
 def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | float | str | None) -> MeasuredMotion:
     """Bring a smoothed record into the fit's frame.
 
-    Parameters
-    ----------
-    kinematics : Kinematics
-        A Savitzky-Golay (or better) motion; accelerations of plain differences are too rough to start from.
-    rig : Rig
-        The calibration to use, with the caller's changes already applied.
-    belt_speed : Measured, float, "channel" or None
-        m/s, signed, when the caller states it: it goes before the belt's own counts.  Otherwise these are used where
-        there are any ("channel": there must be), else the calibration and the sticks.  A stated speed that the
+    kinematics: A Savitzky-Golay (or better) motion; accelerations of plain differences are too rough to start from.
+    rig: The calibration to use, with the caller's changes already applied.
+    belt_speed: m/s, signed, when the caller states it: it goes before the belt's own counts.  Otherwise these are used
+        where there are any ("channel": there must be), else the calibration and the sticks.  A stated speed that the
         sticks contradict is not used (`fitting.selection.contradictions` reports it).
-
-    Raises
-    ------
-    InputError
-        For a record in counts, a belt at rest, or belt counts asked for that are not there.
-    DataError
-        When nothing in the record moves.
+    Raises InputError: for a record in counts, a belt at rest, or belt counts asked for that are not there.
+    Raises DataError: when nothing in the record moves.
     """
     recording = kinematics.recording
     source = recording.where
@@ -226,12 +179,8 @@ def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
 
     Half of all travel in slips is in slips that last as long or longer, so that short stretches of noise do not count.
 
-    Parameters
-    ----------
-    time, position : (n,) f8
-        s, m.
-    slips : (n,) bool
-        Where the mass moves much slower than the belt.
+    time, position: (n,) s, m.
+    slips: (n,) Where the mass moves much slower than the belt.
     """
     parts = runs(slips)
     last = time.size - 1

@@ -101,10 +101,7 @@ def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]
     Short sticks, one in each cycle, show a frequency and its sum with that of the cycles, or its difference, nearly
     alike.
 
-    Parameters
-    ----------
-    motion, cut : MeasuredMotion, CycleSegmentation
-        In the fit's frame.
+    motion, cut: In the fit's frame.
     """
     sticks = _in_stick(motion, cut)
     drag = [np.arange(*cut.drag)] if not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0] else []
@@ -124,26 +121,14 @@ def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]
 
 @dataclass(frozen=True, eq=False)
 class InStick:
-    """Samples in stick.
+    """Samples in stick."""
 
-    Attributes
-    ----------
-    time, x, v : (n,) f8
-        s, m, m/s.
-    own : (n,) i8
-        Which stick a sample is in.
-    columns : (n, 2) f8
-        Of one line for all sticks.
-    rest : (n,) f8
-        What that line leaves, m/s.
-    """
-
-    time: Array
+    time: Array  # (n,) s, m, m/s
     x: Array
     v: Array
-    own: NDArray[np.int64]
-    columns: Array
-    rest: Array
+    own: NDArray[np.int64]  # (n,) which stick a sample is in
+    columns: Array  # (n, 2) of one line for all sticks
+    rest: Array  # (n,) what that line leaves, m/s
 
     @classmethod
     def selected(cls, motion: MeasuredMotion, sticks: list[NDArray[np.int64]]) -> "InStick":
@@ -165,18 +150,10 @@ class InStick:
 
 @dataclass(frozen=True, eq=False)
 class OwnSlopes:
-    """Lines through one point with a slope of their own in each stick.
+    """Lines through one point with a slope of their own in each stick."""
 
-    Attributes
-    ----------
-    lever : (n,) f8
-        Position from the point, m.
-    own : (n,) i8
-        Which stick a sample is in.
-    """
-
-    lever: Array
-    own: NDArray[np.int64]
+    lever: Array  # (n,) position from the point, m
+    own: NDArray[np.int64]  # (n,) which stick a sample is in
 
     @classmethod
     def fitted(cls, stuck: InStick, motion: MeasuredMotion) -> "OwnSlopes":
@@ -218,13 +195,8 @@ class OwnSlopes:
 def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) -> list[Ripple]:
     """Return the harmonics that the velocities in stick show beside their lines and that are worth the name.
 
-    Parameters
-    ----------
-    motion : MeasuredMotion
-    stuck : InStick
-    slopes : OwnSlopes or None
-        Lines that are also fitted instead of one for all sticks.  The point that they share is looked for anew: without
-        the harmonic it is displaced to where the lines make up for most of it.
+    slopes: Lines that are also fitted instead of one for all sticks.  The point that they share is looked for anew:
+        without the harmonic it is displaced to where the lines make up for most of it.
     """
     rest, peaks = stuck.rest, _peaks(stuck.time, stuck.rest, motion.slip_s)
     if slopes is not None:
@@ -295,15 +267,9 @@ def _gains(
 
     Velocities are independent over a smoothing window.  A stick shorter than that gives one.
 
-    Parameters
-    ----------
-    motion : MeasuredMotion
-    own : (n,) i8
-        Which stick a sample is in, of all samples looked at.
-    before, after : float
-        Mean squares of the residuals without and with the harmonic, (m/s)^2.
-    slopes : OwnSlopes or None
-        Lines that are also fitted; one for all sticks without.
+    own: (n,) Which stick a sample is in, of all samples looked at.
+    before, after: Mean squares of the residuals without and with the harmonic, (m/s)^2.
+    slopes: Lines that are also fitted; one for all sticks without.
     """
     window = max(2 * motion.half_window, SETTLING_TIME * motion.slip_s)
     samples = np.bincount(own)
@@ -342,25 +308,13 @@ def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np
 def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: float, count: int) -> tuple[Array, float]:
     """Return the strongest frequencies of what is left in stick, and how far apart two are that the transform tells.
 
-    Parameters
-    ----------
-    time : (n,) f8
-        s.
-    rest : (n,) f8
-        What is left, in any unit.
-    slip_s : float
-        About how long a slip lasts, s.
-    slowest : float
-        Hz.
-    count : int
-        At most so many.
-
-    Returns
-    -------
-    frequencies : (k,) f8
-        Hz, the strongest first.
-    apart : float
-        Hz.
+    time: (n,) s.
+    rest: (n,) What is left, in any unit.
+    slip_s: About how long a slip lasts, s.
+    slowest: Hz.
+    count: At most so many.
+    Returns: Hz, the strongest first.
+    Returns: Hz.
     """
     grid = np.bincount(((time - time[0]) * (GRID_SAMPLES / slip_s)).astype(np.int64), weights=rest)
     size = GRID_REFINEMENT * grid.size

@@ -26,12 +26,8 @@ def slip_duration(time: Array, position: Array, noise: float) -> float:
     In 39 contacts of all kinds that stick, with 4 to 14 samples a slip, it is 0.87 to 1.13 times the true duration.
     Of a mass that merely grazes the belt a slip is a swing: in 11 of them it is 0.78 to 0.97 of a natural period.
 
-    Parameters
-    ----------
-    time, position : (n,) f8
-        s, m; the belt runs towards +x.
-    noise : float
-        Standard deviation of one position, m.
+    time, position: (n,) s, m; the belt runs towards +x.
+    noise: Standard deviation of one position, m.
     """
     least = TURN_ABOVE_NOISE * math.sqrt(2) * noise
     rises = _way(position, least, 1)
@@ -52,10 +48,7 @@ def slip_duration(time: Array, position: Array, noise: float) -> float:
 def harmonic_share(ratio: float) -> float:
     """Return the belt's speed over the highest speed of a harmonic motion, at most 1.
 
-    Parameters
-    ----------
-    ratio : float
-        The way of the belt, in the time in which the motion is slower than half the belt, over the motion's height.
+    ratio: The way of the belt, in the time in which the motion is slower than half the belt, over the motion's height.
     """
     share = 0.0
     for _ in range(ITERATIONS):

@@ -31,15 +31,9 @@ def find_other_break_away(
 ) -> list[Finding]:
     """Return that the break-aways disagree with the law's friction at rest; none where they agree, or too few show it.
 
-    Parameters
-    ----------
-    events : sequence of BreakAway
-        Of a law that describes the record.
-    cut : CycleSegmentation
-    rest : Measured
-        Friction at rest, with the error that all cycles share: of rest position and Fs
+    events: Of a law that describes the record.
+    rest: Friction at rest, with the error that all cycles share: of rest position and Fs
         (`fitting.estimation.derived.break_away_level_error`).
-    unit : str
     """
     landing = {cycle.number + 1: cycle.landing for cycle in cut.cycles}
     good = [event for event in events if not event.flag and math.isfinite(event.break_away_level)]

@@ -20,14 +20,7 @@ from stickslip.compute.arrays import Array, Integers
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """A fit, its path, and what departures read of it.
-
-    Attributes
-    ----------
-    linear : LinearisedFit
-    path : Path
-    trajectory : FittedMotion
-    """
+    """A fit, its path, and what departures read of it."""
 
     linear: LinearisedFit
     path: Path
@@ -107,27 +100,13 @@ def _side_by_side(parts: Sequence[Array | None], widths: Sequence[int], rows: in
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Blocks of samples of each window; its first sample comes before them, because a path begins there.
+    """Blocks of samples of each window; its first sample comes before them, because a path begins there."""
 
-    Attributes
-    ----------
-    table : (windows, 6) i8
-        As in `ShootingWindows`, in blocks.
-    middle : (n,) i8
-        Middle sample of each block.
-    first : (n,) i8
-        Its first sample; -1 for the first sample of a window, which counts nothing.
-    rows : tuple of slice
-        The blocks of each cycle.
-    size : int
-        Samples in a block.
-    """
-
-    table: Integers
-    middle: Integers
-    first: Integers
-    rows: tuple[slice, ...]
-    size: int
+    table: Integers  # (windows, 6) as in `ShootingWindows`, in blocks
+    middle: Integers  # (n,) middle sample of each block
+    first: Integers  # (n,) its first sample; -1 for the first sample of a window, which counts nothing
+    rows: tuple[slice, ...]  # the blocks of each cycle
+    size: int  # samples in a block
 
     @classmethod
     def of(cls, windows: ShootingWindows, size: int) -> "Blocks":

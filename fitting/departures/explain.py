@@ -34,27 +34,13 @@ Judge = Callable[[Refit], bool]
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What departures are asked of: a record that no law describes.
+    """What departures are asked of: a record that no law describes."""
 
-    Attributes
-    ----------
-    fits : sequence of Fit
-        The laws, best first.
-    records : sequence of MeasuredMotion
-        The runs.
-    noise : float
-        Standard deviation of one measured position, m.
-    revolution : float or None
-        Travel per revolution of the encoder, m; scanned where it is not known.
-    first : Base or None
-        Of the best law; None where the motion cannot be followed beside its solution.
-    """
-
-    fits: Sequence[Fit]
-    records: Sequence[MeasuredMotion]
-    noise: float
-    revolution: float | None
-    first: Base | None
+    fits: Sequence[Fit]  # the laws, best first
+    records: Sequence[MeasuredMotion]  # the runs
+    noise: float  # standard deviation of one measured position, m
+    revolution: float | None  # travel per revolution of the encoder, m; scanned where it is not known
+    first: Base | None  # of the best law; None where the motion cannot be followed beside its solution
 
     @classmethod
     def of(

@@ -28,29 +28,14 @@ GIVEN_UP_ABOVE_NOISE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Where a fit with one departure ended.
+    """Where a fit with one departure ended."""
 
-    Attributes
-    ----------
-    law : int or None
-        None for the free curve.
-    departure : Departure
-    score : Score
-        Coefficients of the departure, with errors at the solution; the gain is that over the fit without it.
-    scale : float
-        NaN for a departure without one.
-    path : Path
-        Its ``u`` and ``local`` are the other unknowns.
-    linear : LinearisedFit
-        At the solution; the departure's columns are the last of the shared ones.
-    """
-
-    law: int | None
+    law: int | None  # none for the free curve
     departure: Departure
-    score: Score
-    scale: float
-    path: Path
-    linear: LinearisedFit
+    score: Score  # coefficients of the departure, with errors at the solution; the gain is that over the fit without it
+    scale: float  # NaN for a departure without one
+    path: Path  # its ``u`` and ``local`` are the other unknowns
+    linear: LinearisedFit  # at the solution; the departure's columns are the last of the shared ones
 
     @property
     def residual(self) -> Array:
@@ -75,26 +60,13 @@ def refit_with(
 ) -> Refit | None:
     """Fit a law or the free curve together with a departure.
 
-    Parameters
-    ----------
-    host : TaskFit
-        The fit without it.
-    law : int or None
-        The law that it is of; None for the free curve.
-    departure : Departure
-    scale : float
-        As scanned; NaN without one.
-    size : (k,) f8
-        The departure's coefficients as tested.
-    noise : (runs,) f8
-        Standard deviation of one measured position, m.
-    hurried : bool
-        Try one start alone: something already describes the record, or is likely to.
-
-    Returns
-    -------
-    Refit or None
-        None where the motion cannot be followed with it, where it stays far from the noise, or where nothing
+    host: The fit without it.
+    law: The law that it is of; None for the free curve.
+    scale: As scanned; NaN without one.
+    size: (k,) The departure's coefficients as tested.
+    noise: (runs,) Standard deviation of one measured position, m.
+    hurried: Try one start alone: something already describes the record, or is likely to.
+    Returns: None where the motion cannot be followed with it, where it stays far from the noise, or where nothing
         distinguishes it from what the law adjusts.
 
     Notes

@@ -17,43 +17,22 @@ class Scale:
 
 @dataclass(frozen=True)
 class FoundDeparture:
-    """One departure with its size.
-
-    Attributes
-    ----------
-    name : str
-    sigmas : float
-        Standard deviations of a normal variable that is as unlikely, the number of departures and scales that were
-        tried taken into account.
-    parameter : str
-        Symbol of its size.
-    value, stderr : float
-    unit : str
-    text : str
-        What it says of the rig.
-    scale : Scale or None
-    gain : float
-        By how much the cost falls with it.
-    explained : float
-        Share of the misfit beyond the noise that it explains.
-    refitted : bool
-        Whether value and stderr come from a fit with it.
-    law : int or None
-        The law that describes the record together with it, where one does.
-    """
+    """One departure with its size."""
 
     name: str
+    # standard deviations of a normal variable that is as unlikely, the number of departures and scales that were tried
+    # taken into account
     sigmas: float
-    parameter: str
+    parameter: str  # symbol of its size
     value: float
     stderr: float
     unit: str
-    text: str
+    text: str  # what it says of the rig
     scale: Scale | None = None
-    gain: float = 0.0
-    explained: float = 0.0
-    refitted: bool = False
-    law: int | None = None
+    gain: float = 0.0  # by how much the cost falls with it
+    explained: float = 0.0  # share of the misfit beyond the noise that it explains
+    refitted: bool = False  # whether value and stderr come from a fit with it
+    law: int | None = None  # the law that describes the record together with it, where one does
 
     @property
     def size(self) -> Measured:

@@ -28,44 +28,22 @@ RIDGE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """One linear step of a departure's parameters.
+    """One linear step of a departure's parameters."""
 
-    Attributes
-    ----------
-    coefficients : (k,) f8
-    covariance : (k, k) f8
-        The jackknife's over the cycles, and at least that of the noise.
-    gain : float
-        By how much the cost falls.
-    log_p : float
-        Log of the probability of as large a step by chance, from the jackknife alone.
-    kept : float
-        Share of the columns' curvature that the fit does not already adjust, the least of the columns.
-    """
-
-    coefficients: Array
-    covariance: Array
-    gain: float
-    log_p: float
-    kept: float
+    coefficients: Array  # (k,)
+    covariance: Array  # (k, k) the jackknife's over the cycles, and at least that of the noise
+    gain: float  # by how much the cost falls
+    log_p: float  # log of the probability of as large a step by chance, from the jackknife alone
+    kept: float  # share of the columns' curvature that the fit does not already adjust, the least of the columns
 
 
 def score(base: LinearisedFit, columns: Array, widths: Sequence[int]) -> list[Score | None]:
     """Test departures one by one.
 
-    Parameters
-    ----------
-    base : LinearisedFit
-    columns : (N, d) f8
-        Derivatives of the positions with respect to the parameters of the departures, one after another.
-    widths : sequence of int
-        How many parameters each departure has, 1 or 2.
-
-    Returns
-    -------
-    list of Score or None
-        None where the fit already adjusts the parameters, fewer than four cycles are left to judge by, or one cycle
-        alone shows a parameter.
+    columns: (N, d) Derivatives of the positions with respect to the parameters of the departures, one after another.
+    widths: How many parameters each departure has, 1 or 2.
+    Returns: None where the fit already adjusts the parameters, fewer than four cycles are left to judge by, or one
+        cycle alone shows a parameter.
     """
     scores = base.scores(columns)
     ends = np.cumsum(widths)

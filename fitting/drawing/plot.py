@@ -31,18 +31,11 @@ def friction(
 ) -> Figure:
     """Return friction against relative speed (m/s), all speeds and the low ones.
 
-    Parameters
-    ----------
-    laws : sequence of (FittedLaw, str)
-        The laws to draw, best first, and what each is called; at least one.
-    motion : MeasuredMotion
-        Gives mass or stiffness, and where ``measured`` is None the points.
-    measured : MeasuredCurve or None
-        The curve without a law, with its band, in the unit of `curves.unit`.  None: the force balance of the first
-        law at each sample is drawn as points.
-    title : str
-    axes : Axes, optional
-        Where to draw all speeds; by default in a new figure.
+    laws: The laws to draw, best first, and what each is called; at least one.
+    motion: Gives mass or stiffness, and where ``measured`` is None the points.
+    measured: The curve without a law, with its band, in the unit of `curves.unit`.  None: the force balance of the
+        first law at each sample is drawn as points.
+    axes: Where to draw all speeds; by default in a new figure.
     """
     top = float(measured.speed[-1]) if measured is not None else float(np.abs(curves.speeds(motion)).max())
     with mpl.rc_context(fname=STYLE):

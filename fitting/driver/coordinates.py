@@ -21,24 +21,12 @@ BEND_SD = 0.5
 
 @dataclass(frozen=True, eq=False)
 class CurveCoordinates:
-    """How coefficients follow from n - 2 second differences and the two end coefficients, each over its size.
+    """How coefficients follow from n - 2 second differences and the two end coefficients, each over its size."""
 
-    Attributes
-    ----------
-    matrix : (n, n) f8
-        Coefficients (m/s^2) by coordinates.
-    inverse : (n, n) f8
-        Coordinates by coefficients.
-    precision : (n,) f8
-        Of the coordinates' priors: 1, and 0 for the ends.
-    offset, start : (p,) f8
-        How the whole curve moves with each of the unknowns beside it, and where these are at offset 0.
-    """
-
-    matrix: Array
-    inverse: Array
-    precision: Array
-    offset: Array
+    matrix: Array  # (n, n) coefficients (m/s^2) by coordinates
+    inverse: Array  # (n, n) coordinates by coefficients
+    precision: Array  # (n,) of the coordinates' priors: 1, and 0 for the ends
+    offset: Array  # (p,) how the whole curve moves with each of the unknowns beside it, and where these are at offset 0
     start: Array
 
     @classmethod

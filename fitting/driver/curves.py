@@ -21,20 +21,11 @@ from stickslip.compute.arrays import Array
 
 
 class FrictionCurve(ABC):
-    """A curve in a fit.
+    """A curve in a fit."""
 
-    Attributes
-    ----------
-    ramp : bool
-        Whether slip begins beyond a ramp of half-width d, a shared unknown.
-    size : int
-        How many numbers theta it has.
-    start, prior, precision, lower, upper : (size,) f8
-        Of theta: where a fit starts, means and 1/sd^2 of the priors (0 where nothing is known), bounds.
-    """
-
-    ramp: bool
-    size: int
+    ramp: bool  # whether slip begins beyond a ramp of half-width d, a shared unknown
+    size: int  # how many numbers theta it has
+    # (size,) of theta: where a fit starts, means and 1/sd^2 of the priors (0 where nothing is known), bounds
     start: Array
     prior: Array
     precision: Array
@@ -97,15 +88,9 @@ class LawCurve(FrictionCurve):
 
 
 class ThroughSpline(FrictionCurve):
-    """A curve whose friction per unit mass is a spline; a subclass says by which numbers.
+    """A curve whose friction per unit mass is a spline; a subclass says by which numbers."""
 
-    Attributes
-    ----------
-    spline : FrictionSpline
-        Its knots; the coefficients follow from theta.
-    """
-
-    spline: FrictionSpline
+    spline: FrictionSpline  # its knots; the coefficients follow from theta
 
     @abstractmethod
     def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:
@@ -129,15 +114,9 @@ class ThroughSpline(FrictionCurve):
 class FreeCurve(ThroughSpline):
     """A free spline; theta are `CurveCoordinates`.
 
-    Parameters
-    ----------
-    knots : (n + 1,) f8
-        Slip speeds, m/s.
-    ramp : bool
-    coefficients : (n + 3,) f8
-        Where it starts, m/s^2.
-    offset, beside : (p,) f8
-        By how much the whole curve moves with each of the unknowns beside it, and where these start.
+    knots: (n + 1,) Slip speeds, m/s.
+    coefficients: (n + 3,) Where it starts, m/s^2.
+    offset, beside: (p,) By how much the whole curve moves with each of the unknowns beside it, and where these start.
     """
 
     def __init__(self, knots: Array, *, ramp: bool, coefficients: Array, offset: Array, beside: Array) -> None:

@@ -97,24 +97,12 @@ def fit_laws(
 ) -> list[TaskFit]:
     """Fit laws to runs of one contact.
 
-    Parameters
-    ----------
-    laws : sequence of int
-        Those that are asked for.
-    runs : sequence of Run
-    among : sequence of int
-        All that are searched, whichever are asked for: what one leaves does not depend on which others compete.
-    jobs : int
-        Processes; more than one for each law are not started.
-    progress : callable, optional
-        Called with the number of laws searched, of those that are asked for.
-    scheduler : str, optional
-        Address of a dask scheduler whose workers do it instead.
-
-    Returns
-    -------
-    list of TaskFit
-        Jump laws before ramp laws, each by number; a law whose motion cannot be followed is missing.
+    laws: Those that are asked for.
+    among: All that are searched, whichever are asked for: what one leaves does not depend on which others compete.
+    jobs: Processes; more than one for each law are not started.
+    progress: Called with the number of laws searched, of those that are asked for.
+    scheduler: Address of a dask scheduler whose workers do it instead.
+    Returns: Jump laws before ramp laws, each by number; a law whose motion cannot be followed is missing.
     """
     tasks = [law_task(law, runs) for law in sorted(among)]
     asked = set(laws)
@@ -143,14 +131,8 @@ def fit_all(
     A curve that contains another comes after it.  Each starts from the regression and, where another errs less after
     its first pass, from there too.
 
-    Parameters
-    ----------
-    tasks : sequence of Task
-    asked : callable
-    each : callable
-        The ``map`` that work is done by (`stickslip.compute.workers`).
-    progress : callable
-        Called with the number of tasks that have made their first pass.
+    each: The ``map`` that work is done by (`stickslip.compute.workers`).
+    progress: Called with the number of tasks that have made their first pass.
     """
     first = _from_regression(tasks, each, progress)
     chosen = list(each(partial(_from_donors, tasks=tasks, first=tuple(first)), range(len(tasks))))

@@ -19,37 +19,17 @@ from stickslip.compute.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class TaskFit:
-    """A task fitted to its runs.
+    """A task fitted to its runs."""
 
-    Attributes
-    ----------
-    model : Model
-        Its windows have every sample, or every so many where the fit was not brought to its end.
-    q, local : (p + n + m,), (cycles, 6) f8
-        The task's unknowns (`Task`) and each cycle's own.
-    residual : (N,) f8
-        Model minus measurement, m.
-    noise : PassNoise
-        What the next pass is to assume.
-    problem : LeastSquaresProblem
-        What the last pass minimised; of every sample it is seen through nodes.
-    solution : Solution
-        Where it stopped.
-    whole : bool
-        Whether the last pass took every sample.
-    cpu_s : float
-        CPU time of all passes, s.
-    """
-
-    model: Model
-    q: Array
+    model: Model  # its windows have every sample, or every so many where the fit was not brought to its end
+    q: Array  # (p + n + m,) the task's unknowns (`Task`) and each cycle's own
     local: Array
-    residual: Array
-    noise: PassNoise
-    problem: LeastSquaresProblem
-    solution: Solution
-    whole: bool = False
-    cpu_s: float = 0.0
+    residual: Array  # (N,) model minus measurement, m
+    noise: PassNoise  # what the next pass is to assume
+    problem: LeastSquaresProblem  # what the last pass minimised; of every sample it is seen through nodes
+    solution: Solution  # where it stopped
+    whole: bool = False  # whether the last pass took every sample
+    cpu_s: float = 0.0  # CPU time of all passes, s
 
     @property
     def task(self) -> Task:

@@ -32,23 +32,10 @@ class FormulaCurve(FrictionCurve):
 
     Unknowns theta (k,) stand for the law's free parameters: the value, or its logarithm (``by_log``).
 
-    Parameters
-    ----------
-    law : Law
-    fastest : float
-        Up to which slip speed the formula is followed, m/s.
-    near : Target
-        What the formula starts near.
-
-    Attributes
-    ----------
-    starts : list of Start
-        Minima on that target, nearest first.
-
-    Raises
-    ------
-    InputError
-        Where no trial of the parameters is a friction; the reason is that of the first of them.
+    fastest: Up to which slip speed the formula is followed, m/s.
+    near: What the formula starts near.
+    starts: Minima on that target, nearest first.
+    Raises InputError: where no trial of the parameters is a friction; the reason is that of the first of them.
     """
 
     def __init__(self, law: Law, fastest: float, near: Target) -> None:
@@ -104,10 +91,7 @@ class FormulaCurve(FrictionCurve):
     def at_speeds(self, theta: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s.
 
-        Raises
-        ------
-        InputError
-            Where it is not finite, or negative.
+        Raises InputError: where it is not finite, or negative.
         """
         found = self.law.curve.value(s, self.values(theta))
         if found.min() < 0:

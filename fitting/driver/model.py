@@ -23,16 +23,9 @@ class Model:
     A force by the mass's own velocity acts along the motion itself, another one along an earlier path, `near`, which
     `settle` brings up to date.
 
-    Parameters
-    ----------
-    task : Task
-    windows : ShootingWindows
-    longest_step : float
-        Times the fastest rate of the motion (`fitting.sensitivity.flow`).
-    near : Path, optional
-        Where forces are evaluated, in the same windows.
-    count : (N,) f8, optional
-        How many samples each residual stands for; 1 each without it.
+    longest_step: Times the fastest rate of the motion (`fitting.sensitivity.flow`).
+    near: Where forces are evaluated, in the same windows.
+    count: (N,) How many samples each residual stands for; 1 each without it.
     """
 
     def __init__(

@@ -14,23 +14,12 @@ class SampleNodes:
     """Samples n apart in each window, and its last one; a node stands for the samples about it.
 
     A sample counts to the two nodes beside it, by a share that falls linearly from one to the other.
-
-    Attributes
-    ----------
-    windows : ShootingWindows
-        Of the nodes.
-    left : (N,) i8
-        The node before each sample.
-    share : (N,) f8
-        The share of each sample that counts to the next node.
-    count : (nodes,) f8
-        Samples about each.
     """
 
-    windows: ShootingWindows
-    left: Integers
-    share: Array
-    count: Array
+    windows: ShootingWindows  # of the nodes
+    left: Integers  # (N,) the node before each sample
+    share: Array  # (N,) the share of each sample that counts to the next node
+    count: Array  # (nodes,) samples about each
 
     @classmethod
     def of(cls, whole: ShootingWindows, thinned: Sequence[Thinning]) -> "SampleNodes":
@@ -65,12 +54,8 @@ class SampleNodes:
     def seen(self, model: Array, residual: Array) -> ShootingWindows:
         """Return the nodes, measured where their residual is the mean of those of the samples about them.
 
-        Parameters
-        ----------
-        model : (nodes,) f8
-            Positions that are predicted at the nodes, m.
-        residual : (N,) f8
-            Of every sample, m.
+        model: (nodes,) Positions that are predicted at the nodes, m.
+        residual: (N,) Of every sample, m.
         """
         total = _shared_out(residual, self.left, self.share, self.count.size)
         mean = np.divide(total, self.count, out=np.zeros_like(total), where=self.count > 0)

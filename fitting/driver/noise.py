@@ -34,24 +34,12 @@ START_SD = 0.1  # distance over the travel: how far a window may start from the 
 
 @dataclass(frozen=True, eq=False)
 class PassNoise:
-    """What a pass assumes.
+    """What a pass assumes."""
 
-    Attributes
-    ----------
-    sigma : (runs,) f8
-        Effective standard deviation of one residual, m.
-    weights : (cycles,) f8
-        Of each cycle: 1, and less for one that errs more than the usual one.
-    scatter : float
-        Standard deviation of the logarithms of the friction levels.
-    fade_sd : (runs,) f8 or None
-        How much a level may fade within a cycle, 1/s; None while it does not.
-    """
-
-    sigma: Array
-    weights: Array
-    scatter: float = FIRST_SCATTER
-    fade_sd: Array | None = None
+    sigma: Array  # (runs,) effective standard deviation of one residual, m
+    weights: Array  # (cycles,) of each cycle: 1, and less for one that errs more than the usual one
+    scatter: float = FIRST_SCATTER  # standard deviation of the logarithms of the friction levels
+    fade_sd: Array | None = None  # (runs,) how much a level may fade within a cycle, 1/s; None while it does not
 
     @property
     def inliers(self) -> Mask:

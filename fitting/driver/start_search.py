@@ -81,18 +81,10 @@ class Start(NamedTuple):
 def find_starts(law: Law, near: Target, fastest: float = 0.0) -> list[Start]:
     """Return values of a law's free parameters near another friction, nearest first: a local minimum each.
 
-    Parameters
-    ----------
-    law : Law
-        Its first values are where these parameters are tried; its bounds hold.
-    near : Target
-    fastest : float
-        Slip speed up to which it must be friction, m/s; at least the target's fastest.
-
-    Raises
-    ------
-    InputError
-        With none of the values tried is the formula a friction curve; the reason is that of the first of them.
+    law: Its first values are where these parameters are tried; its bounds hold.
+    fastest: Slip speed up to which it must be friction, m/s; at least the target's fastest.
+    Raises InputError: with none of the values tried is the formula a friction curve; the reason is that of the first of
+        them.
     """
     return StartSearch(law, near, fastest).minima()
 

@@ -37,22 +37,12 @@ class Task:
     """What is fitted.
 
     The unknowns q are the shared ones at ``places``, then the curve's own theta, then the sizes of the forces.
-
-    Attributes
-    ----------
-    problem : EstimationProblem
-        The runs, with the priors, bounds and start of the shared unknowns.
-    curve : FrictionCurve
-    places : tuple of int
-        Which shared unknowns are free (`fitting.model.parameters`).
-    forces : tuple of Force
-        What acts besides.
     """
 
-    problem: EstimationProblem
+    problem: EstimationProblem  # the runs, with the priors, bounds and start of the shared unknowns
     curve: FrictionCurve
-    places: tuple[int, ...]
-    forces: tuple[Force, ...] = ()
+    places: tuple[int, ...]  # which shared unknowns are free (`fitting.model.parameters`)
+    forces: tuple[Force, ...] = ()  # what acts besides
 
     @property
     def widths(self) -> tuple[int, int, int]:
@@ -109,22 +99,11 @@ def regress(
 ) -> tuple[Array, float]:
     """Regress the smoothed slips: acceleration = -K (x - rest) + columns(s) c.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-    rest : float
-        Rest position of the spring, m.
-    columns : callable
-        Slip speeds (k,) to what multiplies each number c (k, n).
-    held : (r, n) f8, optional
-        Rows of c that want to be 0.
-
-    Returns
-    -------
-    found : (1 + n,) f8
-        K, then c.
-    error : float
-        Sum of squares left.
+    rest: Rest position of the spring, m.
+    columns: Slip speeds (k,) to what multiplies each number c (k, n).
+    held: (r, n) Rows of c that want to be 0.
+    Returns: K, then c.
+    Returns: Sum of squares left.
     """
     samples = [starts.slip_samples(run.motion, run.cut) for run in runs]
     x, s, a = (np.concatenate([getattr(own, name) for own in samples]) for name in ("x", "s", "a"))
@@ -158,15 +137,9 @@ def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -
     At low speed, where slips show little, the curve begins with the load at the break-aways: with more friction at rest
     than that the mass sticks in every window, with far less it slips too early.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-    start : (13 runs,) f8
-        Unknowns, for rest position, damping and belt speed.
-    knots : (n + 1,) f8
-        m/s.
-    d : float
-        Half-width of the ramp, m/s.
+    start: (13 runs,) Unknowns, for rest position, damping and belt speed.
+    knots: (n + 1,) m/s.
+    d: Half-width of the ramp, m/s.
     """
     spline = FrictionSpline.over(knots)
     held = SMOOTHNESS * np.diff(np.eye(spline.coefficients.size), 2, axis=0)

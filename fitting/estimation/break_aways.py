@@ -27,12 +27,8 @@ POOR_CYCLE = 3.0  # error over a cycle's usual one: a larger one means that some
 def find_break_aways(fit: FittedLaw, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
     """Return every break-away of the record, fitted or not.
 
-    Parameters
-    ----------
-    fit : FittedLaw
-        Of the best law.
-    motion, cut : MeasuredMotion, CycleSegmentation
-        What it was fitted to.
+    fit: Of the best law.
+    motion, cut: What it was fitted to.
     """
     times, loads = _break_aways(fit, motion)
     usual = float(np.median(fit.cycle_rms))

@@ -79,12 +79,8 @@ def covariance(fit: FittedLaw, precision: Array) -> Array:
 def covariances(fit: FittedLaw, precision: Array) -> tuple[Array, Array]:
     """Return the covariances (p, p) of the active shared unknowns by the sandwich and by the curvature.
 
-    Parameters
-    ----------
-    fit : FittedLaw
-    precision : (p,) f8
-        1/sd^2 of the calibrations, and of a formula's own unknowns; 0 where there is none.  A prior's own error is one
-        more independent source.
+    precision: (p,) 1/sd^2 of the calibrations, and of a formula's own unknowns; 0 where there is none.  A prior's own
+        error is one more independent source.
     """
     blocks = fit.solution.blocks
     reduced = SchurComplement(blocks)
@@ -142,11 +138,7 @@ def _excess(fit: FittedLaw) -> Array:
 def without_prior(fit: Fit, index: int) -> Measured:
     """Return what the record alone shows of a parameter that has a prior: one Newton step away from the fitted value.
 
-    Parameters
-    ----------
-    fit : Fit
-    index : int
-        Of the parameter among the active ones.  The priors of the others stay.
+    index: Of the parameter among the active ones.  The priors of the others stay.
     """
     blocks, place = fit.solution.blocks, fit.active[index]
     weight = float(fit.precision[index])

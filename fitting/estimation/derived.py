@@ -90,18 +90,11 @@ def derived_parameters(
     nothing to the default, what depends on it is left out, and the combination that the record does know is given
     instead: ``x0 + Fs/k``, ``(G_slip - c)/m``.
 
-    Parameters
-    ----------
-    fit : Fit
-        Of all runs together.
-    motion : MeasuredMotion
-        Of the run; its mass or stiffness, when known, turns accelerations into newtons.
-    alpha : float
-        1 - confidence.
-    run : int
-        Whose own parameters are wanted, beside those that all runs share.
-    sustained : bool
-        Whether the contact sticks again and again: else its level is not made anew and shows no wear.
+    fit: Of all runs together.
+    motion: Of the run; its mass or stiffness, when known, turns accelerations into newtons.
+    alpha: 1 - confidence.
+    run: Whose own parameters are wanted, beside those that all runs share.
+    sustained: Whether the contact sticks again and again: else its level is not made anew and shows no wear.
     """
     known = _known(fit, motion, run)
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
@@ -119,14 +112,9 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
     Left out are values that follow from others (``Fs/k``, and what is multiplied by a mass or a stiffness), and those
     by the trend of the levels (``Fs0/m``, ``wear``).
 
-    Parameters
-    ----------
-    fit : Fit
-        Of all runs together.
-    motion : MeasuredMotion
-        Of the run.
-    run : int
-        Whose own parameters are wanted, beside those that all runs share.
+    fit: Of all runs together.
+    motion: Of the run.
+    run: Whose own parameters are wanted, beside those that all runs share.
     """
     known = _known(fit, motion, run)
     rows = _rows_each_once(fit, motion, known)

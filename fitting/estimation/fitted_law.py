@@ -20,52 +20,25 @@ from stickslip.compute.arrays import Array, Mask
 
 @dataclass(frozen=True, eq=False)
 class FittedLaw(ABC):
-    """One law fitted to the runs, per unit mass and in the fit's frame.
+    """One law fitted to the runs, per unit mass and in the fit's frame."""
 
-    Attributes
-    ----------
-    at : TaskFit
-        Where the driver ended.
-    problem : EstimationProblem
-        The runs, and the contact: a jump or a ramp.
-    u : (13 runs,) f8
-        Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
-        datum (m), c/m (1/s), fade (fraction of the first level lost per second), compliance (belt speed lost per metre
-        of spring stretch, 1/s), the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s), and a
-        ramp's break-away level over F; see `fitting.model.parameters`.  Of a formula F is its friction at rest.
-    active : tuple of int
-        Which of them the fit moves.
-    local : (cycles, 6) f8
-    residual : (N,) f8
-        Model minus measurement, m, cycle by cycle.
-    cycle_rms : (cycles,) f8
-        m.
-    inlier_cycles : (cycles,) bool
-        False where a cycle fits so badly (a kick, lost counts) that its level says nothing.
-    sigma : (runs,) f8
-        Effective standard deviation of one residual, m: rms x sqrt(correlation time in samples).
-    prior_deviations : (p,) f8
-        How far the active unknowns are from their calibrations, in standard deviations; 0 where there is none.
-    solution : Solution
-        In the active unknowns, then a formula's own.
-    precision : (p,) f8
-        1/sd^2 of the calibrations, for the active unknowns.
-    windows : ShootingWindows
-    cycles : tuple of Cycle
-    """
-
-    at: TaskFit
-    problem: EstimationProblem
+    at: TaskFit  # where the driver ended
+    problem: EstimationProblem  # the runs, and the contact: a jump or a ramp
+    # (13 runs,) of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d
+    # (m/s), datum (m), c/m (1/s), fade (fraction of the first level lost per second), compliance (belt speed lost per
+    # metre of spring stretch, 1/s), the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s), and
+    # a ramp's break-away level over F; see `fitting.model.parameters`.  Of a formula F is its friction at rest.
     u: Array
-    active: tuple[int, ...]
-    local: Array
-    residual: Array
-    cycle_rms: Array
-    inlier_cycles: Mask
-    sigma: Array
+    active: tuple[int, ...]  # which of them the fit moves
+    local: Array  # (cycles, 6)
+    residual: Array  # (N,) model minus measurement, m, cycle by cycle
+    cycle_rms: Array  # (cycles,) m
+    inlier_cycles: Mask  # (cycles,) false where a cycle fits so badly (a kick, lost counts) that its level says nothing
+    sigma: Array  # (runs,) effective standard deviation of one residual, m: rms x sqrt(correlation time in samples)
+    # (p,) how far the active unknowns are from their calibrations, in standard deviations; 0 where there is none
     prior_deviations: Array
-    solution: Solution
-    precision: Array
+    solution: Solution  # in the active unknowns, then a formula's own
+    precision: Array  # (p,) 1/sd^2 of the calibrations, for the active unknowns
     windows: ShootingWindows
     cycles: tuple[Cycle, ...]
 

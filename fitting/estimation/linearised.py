@@ -26,23 +26,14 @@ class Scores:
 
     Where the fit is at its minimum, the estimate of one unknown is -total / total information, and the cost would
     fall by half of total^2 / total information.  A cycle left out takes its own score and information with it.
-
-    Attributes
-    ----------
-    score : (cycles, d) f8
-        Each cycle's gradient.
-    information : (cycles, d, d) f8
-        Each cycle's curvature.
-    prior_score, prior_information : (d,), (d, d) f8
-        The same of the priors of the shared unknowns.
-    raw : (d,) f8
-        Curvature of each unknown alone, before elimination: how much of it is left says how far it is distinguishable.
     """
 
-    score: Array
-    information: Array
-    prior_score: Array
+    score: Array  # (cycles, d) each cycle's gradient
+    information: Array  # (cycles, d, d) each cycle's curvature
+    prior_score: Array  # (d,) the same of the priors of the shared unknowns
     prior_information: Array
+    # (d,) curvature of each unknown alone, before elimination: how much of it is left says how far it is
+    # distinguishable
     raw: Array
 
     @property
@@ -58,34 +49,16 @@ class Scores:
 
 @dataclass(frozen=True, eq=False)
 class LinearisedFit:
-    """Derivatives, residuals and priors of an estimation problem at its solution.
+    """Derivatives, residuals and priors of an estimation problem at its solution."""
 
-    Attributes
-    ----------
-    shared : (N, p) f8
-        Derivatives of the predicted positions with respect to the shared unknowns.
-    local : (N, q) f8
-        The same for the unknowns of the cycle that a position belongs to.
-    residual : (N,) f8
-        Model minus measurement, m.
-    rows : tuple of slice
-        The residuals of each cycle, one after another without a gap.
-    weights : (cycles,) f8
-        1/variance of each cycle's residuals, 1/m^2.
-    prior_precision, prior_gradient : (p, p), (p,) f8
-        Curvature and gradient of the shared unknowns' priors.
-    local_precision, local_gradient : (cycles, q) f8
-        The same for the cycles' own, whose priors are independent.
-    """
-
-    shared: Array
-    local: Array
-    residual: Array
-    rows: tuple[slice, ...]
-    weights: Array
-    prior_precision: Array
+    shared: Array  # (N, p) derivatives of the predicted positions with respect to the shared unknowns
+    local: Array  # (N, q) the same for the unknowns of the cycle that a position belongs to
+    residual: Array  # (N,) model minus measurement, m
+    rows: tuple[slice, ...]  # the residuals of each cycle, one after another without a gap
+    weights: Array  # (cycles,) 1/variance of each cycle's residuals, 1/m^2
+    prior_precision: Array  # (p, p) curvature and gradient of the shared unknowns' priors
     prior_gradient: Array
-    local_precision: Array
+    local_precision: Array  # (cycles, q) the same for the cycles' own, whose priors are independent
     local_gradient: Array
 
     @classmethod
@@ -122,7 +95,6 @@ class LinearisedFit:
 
     @cached_property
     def blocks(self) -> NormalEquations:
-        """The normal equations."""
         residual = self.residual[:, None]
         curvature, own = self._product(self.shared, self.shared), self._product(self.local, self.local)
         cycle_g = self._product(self.shared, residual)[:, :, 0]
@@ -164,17 +136,10 @@ class LinearisedFit:
     def refit(self, residuals: Array) -> Array:
         """Return what a linear fit of all unknowns leaves of other residuals.
 
-        Parameters
-        ----------
-        residuals : (N, B) f8
-            Of B records whose true unknowns are those of the fit, such as noise alone, m: the priors hold at the
-            solution.
-
-        Returns
-        -------
-        (N, B) f8
-            As they were where the step would raise the cost: a search that ended beside a jump of the motion has no
-            derivatives there.
+        residuals: (N, B) Of B records whose true unknowns are those of the fit, such as noise alone, m: the priors hold
+            at the solution.
+        Returns: (N, B) As they were where the step would raise the cost: a search that ended beside a jump of the
+            motion has no derivatives there.
         """
         gradient = self._product(self.shared, residuals).sum(axis=0)
         out = self._moved(residuals, *self.reduced.newton_step(gradient, self._product(self.local, residuals)))
@@ -210,10 +175,7 @@ class LinearisedFit:
     def scores(self, columns: Array) -> Scores:
         """Return gradient and curvature in further unknowns, shared and own unknowns eliminated.
 
-        Parameters
-        ----------
-        columns : (N, d) f8
-            Derivatives of the predicted positions with respect to them.
+        columns: (N, d) Derivatives of the predicted positions with respect to them.
         """
         columns = np.ascontiguousarray(columns)
         raw, to_local = self._product(columns, columns), self._product(self.local, columns)

@@ -16,16 +16,8 @@ def motion_at(fit: FittedLaw, time: Array) -> tuple[Array, Array]:
     From a cycle's stick window to its slip window, where the mass breaks away, the stick goes on as the law has it.
     Outside the cycles that were fitted there is no motion: NaN.
 
-    Parameters
-    ----------
-    fit : FittedLaw
-        Of one run.
-    time : (...) f8
-        s.
-
-    Returns
-    -------
-    position, velocity : (...) f8
+    fit: Of one run.
+    time: s.
     """
     windows, asked = fit.windows, np.asarray(time, np.float64)
     flat, count = asked.ravel(), windows.table[:, 3]

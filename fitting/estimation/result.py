@@ -100,25 +100,13 @@ class Correlations:
 
 @dataclass(frozen=True)
 class BreakAway:
-    """One break-away.
-
-    Attributes
-    ----------
-    number : int
-    t : float
-        s, when the mass leaves the belt.
-    break_away_level : float
-        Load at the break-away over Fs; NaN for a cycle that was not fitted.
-    kinetic_scale : float
-        This cycle's kinetic level over Fs; NaN for a cycle that was not fitted.
-    flag : str
-        "" for a cycle that counted, "rough" for one that fits far worse than the others, else why it was left out.
-    """
+    """One break-away."""
 
     number: int
-    t: float
-    break_away_level: float
-    kinetic_scale: float
+    t: float  # s, when the mass leaves the belt
+    break_away_level: float  # load at the break-away over Fs; NaN for a cycle that was not fitted
+    kinetic_scale: float  # this cycle's kinetic level over Fs; NaN for a cycle that was not fitted
+    # "" for a cycle that counted, "rough" for one that fits far worse than the others, else why it was left out
     flag: str
 
     def as_json(self) -> dict[str, Any]:

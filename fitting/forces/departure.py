@@ -26,64 +26,39 @@ TABLE_REACH, TABLE_CONTRAST, TABLE_ROWS = 1.5, 8.0, 801
 
 
 class Forcing(NamedTuple):
-    """What one departure adds where its parameters are 1; k columns, one a parameter, None for nothing.
+    """What one departure adds where its parameters are 1; k columns, one a parameter, None for nothing."""
 
-    Attributes
-    ----------
-    acceleration : (M, k) f8, optional
-        Force on the mass per unit mass at the stage points of the trajectory, m/s^2 per unit of the parameter.
-    belt_speed : (M, k) f8, optional
-        Change of the belt's speed there, m/s per unit of the parameter.
-    reading : (N, k) f8, optional
-        Change of the position that is read at the samples, m per unit of the parameter.
-    """
-
+    # (M, k) force on the mass per unit mass at the stage points of the trajectory, m/s^2 per unit of the parameter
     acceleration: Array | None = None
-    belt_speed: Array | None = None
+    belt_speed: Array | None = None  # (M, k) change of the belt's speed there, m/s per unit of the parameter
+    # (N, k) change of the position that is read at the samples, m per unit of the parameter
     reading: Array | None = None
 
 
 @dataclass(frozen=True)
 class Departure:
-    """One assumption and how it may break.
-
-    Attributes
-    ----------
-    name : str
-    text : str
-        What it says of the rig, to stand in a sentence after the best law's name.
-    text_of_positions : str
-        The same of a record that no encoder counted, where it then is another thing; else empty.
-    parameter, unit : str
-        Symbol and unit of its size: of the coefficient where there is one column, of the amplitude where there are two,
-        a sine and a cosine.
-    columns : int
-        1 or 2.
-    forcing : callable
-        ``forcing(trajectory, scale)``; ``scale`` is NaN for a departure that has none.
-    scale, scale_unit : str
-        What else it depends on, such as a frequency: scanned.
-    scales : callable, optional
-        ``scales(trajectory)``: the values to scan, rising, at most half a resolution apart.
-    with_mass : (str, str), optional
-        Symbol and unit of the size times the mass, where the mass is known.
-    drag : callable, optional
-        ``drag(velocity, turn)``: a force by the mass's own velocity alone, (n,) in m/s^2 per unit of the parameter, of
-        a departure that is nothing else (`by_velocity`).  Where it jumps at rest, it may do so within ``turn``, m/s.
-        It is followed together with the motion, any other force along the path before.
-    """
+    """One assumption and how it may break."""
 
     name: str
-    text: str
+    text: str  # what it says of the rig, to stand in a sentence after the best law's name
+    # symbol and unit of its size: of the coefficient where there is one column, of the amplitude where there are two, a
+    # sine and a cosine
     parameter: str
     unit: str
+    # ``forcing(trajectory, scale)``; ``scale`` is NaN for a departure that has none
     forcing: Callable[[FittedMotion, float], Forcing]
-    columns: int = 1
-    scale: str = ""
+    columns: int = 1  # 1 or 2
+    scale: str = ""  # what else it depends on, such as a frequency: scanned
     scale_unit: str = ""
+    # ``scales(trajectory)``: the values to scan, rising, at most half a resolution apart
     scales: Callable[[FittedMotion], Array] | None = None
+    # (str, str) symbol and unit of the size times the mass, where the mass is known
     with_mass: tuple[str, str] | None = None
+    # the same of a record that no encoder counted, where it then is another thing; else empty
     text_of_positions: str = ""
+    # ``drag(velocity, turn)``: a force by the mass's own velocity alone, (n,) in m/s^2 per unit of the parameter, of a
+    # departure that is nothing else (`by_velocity`).  Where it jumps at rest, it may do so within ``turn``, m/s. It is
+    # followed together with the motion, any other force along the path before.
     drag: Callable[[Array, float], Array] | None = None
 
     def says(self, *, counted: bool) -> str:

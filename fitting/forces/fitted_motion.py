@@ -16,54 +16,27 @@ from stickslip.compute.arrays import Array, Integers, Mask
 
 @dataclass(frozen=True, eq=False)
 class FittedMotion:
-    """A fitted motion; M stage points, N samples.
+    """A fitted motion; M stage points, N samples."""
 
-    Attributes
-    ----------
-    time, position, velocity : (M,) f8
-        s, m, m/s.
-    belt_speed, belt_position : (M,) f8
-        Of the belt by the unknowns of the fit, without what a departure adds, m/s and m; the position's origin is
-        arbitrary.
-    friction : (M,) f8
-        Force of the belt on the mass per unit mass, positive where it pulls towards +x, m/s^2.
-    stretch : (M,) f8
-        Of the spring, m.
-    elapsed : (M,) f8
-        Since the middle of the run, s.
-    window, run : (M,) i8
-    sticks : (windows,) bool
-        Whether a window is one of stick.
-    samples : (N,) i8
-        Stage point of each sample.
-    residual : (N,) f8
-        Model minus measurement, m.
-    K : float
-        k/m, 1/s^2.
-    cycles : int
-    records : tuple of MeasuredMotion
-        Of each run.
-    revolution : float or None
-        Travel per revolution of the encoder, m, where the calibration has it.
-    """
-
-    time: Array
+    time: Array  # (M,) s, m, m/s
     position: Array
     velocity: Array
+    # (M,) of the belt by the unknowns of the fit, without what a departure adds, m/s and m; the position's origin is
+    # arbitrary
     belt_speed: Array
     belt_position: Array
-    friction: Array
-    stretch: Array
-    elapsed: Array
-    window: Integers
-    sticks: Mask
+    friction: Array  # (M,) force of the belt on the mass per unit mass, positive where it pulls towards +x, m/s^2
+    stretch: Array  # (M,) of the spring, m
+    elapsed: Array  # (M,) since the middle of the run, s
+    window: Integers  # (M,)
+    sticks: Mask  # (windows,) whether a window is one of stick
     run: Integers
-    samples: Integers
-    residual: Array
-    K: float
+    samples: Integers  # (N,) stage point of each sample
+    residual: Array  # (N,) model minus measurement, m
+    K: float  # k/m, 1/s^2
     cycles: int
-    records: tuple[MeasuredMotion, ...]
-    revolution: float | None = None
+    records: tuple[MeasuredMotion, ...]  # of each run
+    revolution: float | None = None  # travel per revolution of the encoder, m, where the calibration has it
 
     @classmethod
     def from_path(

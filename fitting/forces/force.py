@@ -16,17 +16,10 @@ SCALE_RANGE = 0.15  # relative range of a scale: how far a scale may move from w
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """What acts besides in a fit.
-
-    Attributes
-    ----------
-    departure : Departure
-    scale : float
-        Its first scale (a frequency, a wavelength); NaN for a departure without one.
-    """
+    """What acts besides in a fit."""
 
     departure: Departure
-    scale: float = math.nan
+    scale: float = math.nan  # its first scale (a frequency, a wavelength); NaN for a departure without one
 
     def __post_init__(self) -> None:
         """Refuse a departure whose scale is not known."""

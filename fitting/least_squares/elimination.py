@@ -19,14 +19,10 @@ TINY = 1e-200  # least curvature: its inverse stays a number
 def sum_products(jacobian: Array, residual: Array, first: Integers, square: Array, gradient: Array) -> None:
     """Add J'J to ``square`` (c, m, m) and J'r to ``gradient`` (c, m), cycle by cycle.
 
-    Parameters
-    ----------
-    jacobian : (N, m) f8
-    residual : (N,) f8
-    first : (c + 1,) i8
-        First row of each cycle, and the number of rows.
-    square, gradient : f8
-        Zero at first.
+    jacobian: (N, m)
+    residual: (N,)
+    first: (c + 1,) First row of each cycle, and the number of rows.
+    square, gradient: Zero at first.
     """
     cycles, m = gradient.shape
     for k in range(cycles):
@@ -126,15 +122,10 @@ def invert(matrices: Array, inverse: Array) -> None:
 def eliminate(cross: Array, inverse: Array, reduced: Array, follow: Array) -> None:
     """Take the cycles' own unknowns out of the shared curvatures.
 
-    Parameters
-    ----------
-    cross : (c, p, q) f8
-    inverse : (c, q, q) f8
-        Of the cycles' own curvatures.
-    reduced : (p, p) f8
-        The shared curvatures; sum cross inverse cross' is taken off.
-    follow : (c, q, p) f8
-        Filled with inverse cross': how a cycle's own unknowns follow the shared ones.
+    cross: (c, p, q)
+    inverse: (c, q, q) Of the cycles' own curvatures.
+    reduced: (p, p) The shared curvatures; sum cross inverse cross' is taken off.
+    follow: (c, q, p) Filled with inverse cross': how a cycle's own unknowns follow the shared ones.
     """
     cycles, p, q = cross.shape
     for k in range(cycles):

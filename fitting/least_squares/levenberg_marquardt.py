@@ -53,28 +53,15 @@ LARGEST_ACCELERATION = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the minimiser stopped.
+    """Where the minimiser stopped."""
 
-    Attributes
-    ----------
-    u, local : (p,), (cycles, q) f8
-    cost : float
-    residual : (N,) f8
-    blocks : NormalEquations
-        At the solution.
-    outcome : str
-        "converged", "step limit", "no progress", or "no flow": the start could not be followed.
-    steps : int
-        Derivatives taken.
-    """
-
-    u: Array
+    u: Array  # (p,)
     local: Array
     cost: float
-    residual: Array
-    blocks: NormalEquations
-    outcome: str
-    steps: int
+    residual: Array  # (N,)
+    blocks: NormalEquations  # at the solution
+    outcome: str  # "converged", "step limit", "no progress", or "no flow": the start could not be followed
+    steps: int  # derivatives taken
 
 
 class Step(NamedTuple):
@@ -116,23 +103,16 @@ def minimise(
 ) -> Solution | None:
     """Minimise from (u, local); None when not even the start can be followed.
 
-    Parameters
-    ----------
-    problem : LeastSquaresProblem
-    u : (p,) f8
-    local : (cycles, q) f8
-    max_steps : int
-        Derivatives to take at most.
-    tolerance : float
-        Stop when a step lowers the cost by less than this fraction (twice in a row), or by less than this at all.
-    damping : float
-        Of the first step, times the curvatures: less where the start is known to be near.
-    steady : float
-        Of the weighted rms residual: a step that changes it by more is not one to stop at, however little it gains.
+    u: (p,)
+    local: (cycles, q)
+    max_steps: Derivatives to take at most.
+    tolerance: Stop when a step lowers the cost by less than this fraction (twice in a row), or by less than this at
+        all.
+    damping: Of the first step, times the curvatures: less where the start is known to be near.
+    steady: Of the weighted rms residual: a step that changes it by more is not one to stop at, however little it gains.
         Where the noise is taken to be large, the cost is small and nearly all priors.
-    corrections : int
-        How often a step that leads off the floor of a bent valley is led back by the same derivatives before it counts
-        as failed.  Near the end of a search, where derivatives cost much more than residuals.
+    corrections: How often a step that leads off the floor of a bent valley is led back by the same derivatives before
+        it counts as failed.  Near the end of a search, where derivatives cost much more than residuals.
     """
     u, local = np.clip(u, problem.lower, problem.upper), np.minimum(local, problem.local_upper)
     at = _point(problem, u, local)

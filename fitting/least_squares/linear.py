@@ -13,16 +13,8 @@ DEPENDENT = 1e-13  # share of a column's length: as little left of it beside the
 def least_squares(matrix: Array, target: Array) -> tuple[Array, Array]:
     """Return what minimises |matrix x - target|, and the residual target - matrix x.
 
-    Parameters
-    ----------
-    matrix : (n, m) f8
-        A few columns; one that depends on those before it gets 0.
-    target : (n,) f8
-
-    Returns
-    -------
-    x : (m,) f8
-    residual : (n,) f8
+    matrix: (n, m) A few columns; one that depends on those before it gets 0.
+    target: (n,)
     """
     columns = np.array(np.transpose(matrix), np.float64, order="C")
     residual = np.array(target, np.float64)

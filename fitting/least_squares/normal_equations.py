@@ -57,18 +57,9 @@ def normal_equations(
 class SchurComplement:
     """The normal equations with the cycles' own unknowns eliminated.
 
-    Parameters
-    ----------
-    blocks : NormalEquations
-    damping : float
-        By which part of them the curvatures are raised.
-    held : (cycles, q) bool, optional
-        Unknowns of the cycles that do not move.
-
-    Attributes
-    ----------
-    H : (p, p) f8
-        The information on the shared unknowns with every cycle's own unknowns also fitted.
+    damping: By which part of them the curvatures are raised.
+    held: (cycles, q) Unknowns of the cycles that do not move.
+    H: (p, p) The information on the shared unknowns with every cycle's own unknowns also fitted.
     """
 
     def __init__(self, blocks: NormalEquations, damping: float = 0.0, held: Mask | None = None) -> None:

@@ -16,39 +16,21 @@ Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresProblem:
-    """What is minimised.
+    """What is minimised."""
 
-    Attributes
-    ----------
-    evaluate : callable
-        ``evaluate(u, l, derivatives)`` with u (p,), l (cycles, q).
-    rows : tuple of slice
-        Which residuals belong to which cycle.
-    weights : (cycles,) f8
-        1/variance of each cycle's residuals, 1/m^2.
-    lower, upper : (p,) f8
-        Bounds of u.
-    prior, precision : (p,) f8
-        Prior means of u and 1/sd^2; 0 where nothing is known.
-    local_prior, local_precision : (cycles, q) f8
-        The same for the cycles' own unknowns.
-    local_upper : (cycles, q) f8
-        Upper bounds of the cycles' own unknowns, to which a longer step is cut.
-    some : callable, optional
-        ``some(u, cycles)`` returns ``evaluate(nothing, l, derivatives)`` of these cycles alone, u held.  Without it no
-        cycle is followed by itself.
-    """
-
-    evaluate: Evaluate
-    rows: tuple[slice, ...]
-    weights: Array
-    lower: Array
+    evaluate: Evaluate  # ``evaluate(u, l, derivatives)`` with u (p,), l (cycles, q)
+    rows: tuple[slice, ...]  # which residuals belong to which cycle
+    weights: Array  # (cycles,) 1/variance of each cycle's residuals, 1/m^2
+    lower: Array  # (p,) bounds of u
     upper: Array
-    prior: Array
+    prior: Array  # (p,) prior means of u and 1/sd^2; 0 where nothing is known
     precision: Array
-    local_prior: Array
+    local_prior: Array  # (cycles, q) the same for the cycles' own unknowns
     local_precision: Array
+    # (cycles, q) upper bounds of the cycles' own unknowns, to which a longer step is cut
     local_upper: Array | float = math.inf
+    # ``some(u, cycles)`` returns ``evaluate(nothing, l, derivatives)`` of these cycles alone, u held.  Without it no
+    # cycle is followed by itself.
     some: Callable[[Array, Integers], Evaluate] | None = None
 
     def of_cycles(self, u: Array, cycles: Integers) -> "LeastSquaresProblem | None":

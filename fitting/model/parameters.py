@@ -72,12 +72,8 @@ NUISANCE = (Global.DATUM, Global.DAMPING, Global.FADE, Global.COMPLIANCE, *RIPPL
 def active_places(law: int, compliant: Sequence[bool], rippled: Sequence[bool]) -> tuple[int, ...]:
     """Return the places of the parameters that a law has.
 
-    Parameters
-    ----------
-    law : int
-    compliant, rippled : sequence of bool
-        Of each run's belt: whether it slows under load, whether its speed ripples.  On a belt that slows under load a
-        ramp's break-away level is that of slip (`rig_sim.flow.flow.validate`).
+    compliant, rippled: Of each run's belt: whether it slows under load, whether its speed ripples.  On a belt that
+        slows under load a ramp's break-away level is that of slip (`rig_sim.flow.flow.validate`).
     """
     kind = LAWS[law]
     shape = () if kind.curve == "constant" else (Global.SHAPE,)

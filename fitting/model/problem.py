@@ -230,7 +230,6 @@ class EstimationProblem:
 
     @property
     def motions(self) -> tuple[MeasuredMotion, ...]:
-        """The motion of each run."""
         return tuple(run.motion for run in self.runs)
 
     @property

@@ -96,26 +96,14 @@ def regress_start(
 ) -> tuple[Values, float]:
     """Regress one law's starting values; damping, fade and what the belt does besides are 0.
 
-    Parameters
-    ----------
-    motion, cut : MeasuredMotion, CycleSegmentation
-        The record and its cycles (at least one used).
-    curve : int
-        CONSTANT, LINEAR or HYPERBOLIC.
-    ramp : bool
-        Whether the contact has a ramp.
-    datum : Measured
-        What is known of the spring's rest position, m.  The hyperbola finds its own where that is little, since it
+    motion, cut: The record and its cycles (at least one used).
+    curve: CONSTANT, LINEAR or HYPERBOLIC.
+    ramp: Whether the contact has a ramp.
+    datum: What is known of the spring's rest position, m.  The hyperbola finds its own where that is little, since it
         falls towards zero; the other curves cannot.
-    drag : callable, optional
-        A force by the mass's own velocity, regressed besides: velocities (n,) to the acceleration (n,) of a unit of it,
-        m/s^2.
-
-    Returns
-    -------
-    Values
-    size : float
-        Of the drag; 0 without one.
+    drag: A force by the mass's own velocity, regressed besides: velocities (n,) to the acceleration (n,) of a unit of
+        it, m/s^2.
+    Returns: Of the drag; 0 without one.
     """
     samples = slip_samples(motion, cut)
     level, slope = stick_velocity_line(motion, cut)
@@ -158,14 +146,9 @@ def cycle_starts(
 def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float) -> tuple[float, float]:
     """Return (F, shape) of a curve that has the friction of another one at a quarter and three quarters of a speed.
 
-    Parameters
-    ----------
-    curve, other : int
-        CONSTANT, LINEAR or HYPERBOLIC: the curve wanted, and the one known.
-    F, shape : float
-        Of the curve known, in the units of `fitting.model.parameters.Values`.
-    fastest : float
-        m/s; the fastest slip.
+    curve, other: CONSTANT, LINEAR or HYPERBOLIC: the curve wanted, and the one known.
+    F, shape: Of the curve known, in the units of `fitting.model.parameters.Values`.
+    fastest: m/s; the fastest slip.
     """
     s = np.array([0.25, 0.75]) * fastest
     near, far = magnitude(other, s, F, shape * F, shape)
@@ -182,14 +165,9 @@ def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float
 def with_static(curve: int, p: Values, static: float) -> Values:
     """Return a ramp law with another break-away level but the same friction in slip and the same slope in stick.
 
-    Parameters
-    ----------
-    curve : int
-        CONSTANT, LINEAR or HYPERBOLIC.
-    p : Values
-        With a ramp, d > 0.
-    static : float
-        The new break-away level over Fs.
+    curve: CONSTANT, LINEAR or HYPERBOLIC.
+    p: With a ramp, d > 0.
+    static: The new break-away level over Fs.
     """
     # With f the new F over the old and r the new static over the old, the slope in stick asks for d = r f p.d, and the
     # same friction in slip for f = 1 - shape (d - p.d), or 1/(1 + shape (d - p.d)).

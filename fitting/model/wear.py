@@ -19,21 +19,11 @@ FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
 
 @dataclass(frozen=True)
 class Wear:
-    """The line through a run's levels.
+    """The line through a run's levels."""
 
-    Attributes
-    ----------
-    relative_rate : Measured
-        Fraction of the mean level lost per second, 1/s; negative where the contact runs in.
-    middle : float
-        s, the mean time of the levels: there the line passes through their mean.
-    degrees_of_freedom : int
-        Of the standard error of ``relative_rate``.
-    """
-
-    relative_rate: Measured
-    middle: float
-    degrees_of_freedom: int
+    relative_rate: Measured  # fraction of the mean level lost per second, 1/s; negative where the contact runs in
+    middle: float  # s, the mean time of the levels: there the line passes through their mean
+    degrees_of_freedom: int  # of the standard error of ``relative_rate``
 
     @property
     def first(self) -> Measured:
@@ -50,17 +40,9 @@ class Wear:
 def level_trend(time: Array, level: Array) -> Wear | None:
     """Fit the least-squares line of friction levels over time.
 
-    Parameters
-    ----------
-    time : (n,) f8
-        s, each level's cycle.
-    level : (n,) f8
-        Friction level of each cycle, in any unit.
-
-    Returns
-    -------
-    Wear or None
-        None for fewer than four levels, or where the line falls below zero before the recording begins.
+    time: (n,) s, each level's cycle.
+    level: (n,) Friction level of each cycle, in any unit.
+    Returns: None for fewer than four levels, or where the line falls below zero before the recording begins.
     """
     if level.size < FEWEST_LEVELS:
         return None

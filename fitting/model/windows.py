@@ -49,35 +49,20 @@ def stuck_from(time: Array, stick: int, landing: float, *, overtakes: bool) -> i
 
 @dataclass(frozen=True, eq=False)
 class ShootingWindows:
-    """The samples of all windows, end to end, each cycle's stick window before its slip window.
+    """The samples of all windows, end to end, each cycle's stick window before its slip window."""
 
-    Attributes
-    ----------
-    table : (windows, 6) i8
-        Cycle, 1 for a stick window and 0 for a slip window, first sample, number of samples, 1 where the mass was seen
-        to overtake the belt after landing, run (0 when there is one).
-    level_epoch : (windows,) f8
-        s; the cycle's break-away: its level is the level then.
-    earliest_landing : (windows,) f8
-        s; half way from a slip window's start to the measured landing: a touch of the belt before is no landing.
-    time, position : (N,) f8
-        s, m.
-    source : (N,) i8
-        Index of each sample in its run's record.
-    rows : tuple of slice
-        The samples of each cycle.
-    parts : tuple of ShootingWindows
-        Each run's own, where several are joined.
-    """
-
+    # (windows, 6) Cycle, 1 for a stick window and 0 for a slip window, first sample, number of samples, 1 where the
+    # mass was seen to overtake the belt after landing, run (0 when there is one)
     table: NDArray[np.int64]
-    level_epoch: Array
+    level_epoch: Array  # (windows,) s; the cycle's break-away: its level is the level then
+    # (windows,) s; half way from a slip window's start to the measured landing: a touch of the belt before is no
+    # landing
     earliest_landing: Array
-    time: Array
+    time: Array  # (N,) s, m
     position: Array
-    source: NDArray[np.int64]
-    rows: tuple[slice, ...]
-    parts: "tuple[ShootingWindows, ...]" = ()
+    source: NDArray[np.int64]  # (N,) index of each sample in its run's record
+    rows: tuple[slice, ...]  # the samples of each cycle
+    parts: "tuple[ShootingWindows, ...]" = ()  # each run's own, where several are joined
 
     @classmethod
     def from_cycles(
@@ -192,10 +177,7 @@ class ShootingWindows:
         A start beyond the belt's speed meets friction in the other direction.  Noise hides that, and curve, level and
         damping can use it: local minima with Fs 15 % and friction 7 % off.
 
-        Parameters
-        ----------
-        u : (13 runs,) f8
-            The unknowns, for the belt's speed when each window starts.
+        u: (13 runs,) The unknowns, for the belt's speed when each window starts.
         """
         found = np.full((len(self.rows), PER_CYCLE), np.inf)
         for k, stick, first, _, _, run in self.table:

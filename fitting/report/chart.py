@@ -30,23 +30,9 @@ MOST_TICKS, PX_PER_TICK = 6, (62.0, 34.0)  # along x and y
 
 @dataclass(eq=False)
 class Axes:
-    """Axes of one picture and what is drawn into them; lengths in px, x to the right and y down.
+    """Axes of one picture and what is drawn into them; lengths in px, x to the right and y down."""
 
-    Attributes
-    ----------
-    left, top, width, height : float
-        Of all, title and labels included.
-    x, y : AxisScale
-    title, xlabel, ylabel : str
-    rows : int
-        Rows that the legend may take.
-    margin : float
-        Left of the field.
-    over : bool
-        Whether other axes of the same x stand close below and bear its labels.
-    """
-
-    left: float
+    left: float  # of all, title and labels included
     top: float
     width: float
     height: float
@@ -55,9 +41,9 @@ class Axes:
     title: str = ""
     xlabel: str = ""
     ylabel: str = ""
-    rows: int = 1
-    margin: float = LEFT
-    over: bool = False
+    rows: int = 1  # rows that the legend may take
+    margin: float = LEFT  # left of the field
+    over: bool = False  # whether other axes of the same x stand close below and bear its labels
     _drawn: list[str] = field(default_factory=list)
     _legend: list[tuple[str, str]] = field(default_factory=list)
 

@@ -92,23 +92,11 @@ def _mark(files: Sequence[Path]) -> str:
 def write(runs: Sequence[ComparedRun], path: Path, alpha: float, summary: str, *, force: bool = False) -> None:
     """Write the comparison; an older one of the same runs is replaced.
 
-    Parameters
-    ----------
-    runs : sequence of ComparedRun
-        In the order in which they are shown.
-    path : Path
-    alpha : float
-        1 - confidence level of the intervals.
-    summary : str
-        How many were decided, undecided and so on.
-    force : bool
-
-    Raises
-    ------
-    InputError
-        When ``path`` holds something else.
-    RefusedError
-        The disk refuses; an older page still stands.
+    runs: In the order in which they are shown.
+    alpha: 1 - confidence level of the intervals.
+    summary: How many were decided, undecided and so on.
+    Raises InputError: when ``path`` holds something else.
+    Raises RefusedError: the disk refuses; an older page still stands.
     """
     refuse_foreign_file(path, [run.file for run in runs], force=force)
     page.put(render(runs, alpha, summary), path)

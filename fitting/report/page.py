@@ -42,10 +42,7 @@ def default_path(run: Path) -> Path:
 def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
     """Return where the reports of several runs go: each beside its run, or FILE, FILE-2, FILE-3 ... in that order.
 
-    Raises
-    ------
-    InputError
-        When two are the same.
+    Raises InputError: when two are the same.
     """
     if report is None:
         places = [default_path(run) for run in runs]
@@ -96,25 +93,13 @@ def _holder(digests: set[str], file: Path) -> Path | None:
 def write(page: str, path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
     """Write a report that `render` made.
 
-    Parameters
-    ----------
-    page : str
-        The HTML that `render` returned.
-    path : Path
-        An older report of the same runs there is replaced, and one of a run that is gone (`refuse_foreign_file`); any
+    page: The HTML that `render` returned.
+    path: An older report of the same runs there is replaced, and one of a run that is gone (`refuse_foreign_file`); any
         other file only by ``force``.
-    digests : sequence of str
-        Of the raw data of each run.
-    files : sequence of Path
-        The runs.
-    force : bool
-
-    Raises
-    ------
-    InputError
-        When ``path`` holds something else.
-    RefusedError
-        The disk refuses; an older report still stands.
+    digests: Of the raw data of each run.
+    files: The runs.
+    Raises InputError: when ``path`` holds something else.
+    Raises RefusedError: the disk refuses; an older report still stands.
     """
     refuse_foreign_file(path, digests, files=files, force=force)
     put(page, path)
@@ -144,13 +129,8 @@ def render(
 ) -> str:
     """Return the report as HTML.
 
-    Parameters
-    ----------
-    ranking : RankedLaws
-    motions, statistics : sequence
-        Of each run: its smoothed motion, and the statistics of its stick-slip.
-    alpha : float
-        1 - confidence level of the intervals.
+    motions, statistics: Of each run: its smoothed motion, and the statistics of its stick-slip.
+    alpha: 1 - confidence level of the intervals.
     """
     from markupsafe import Markup
 

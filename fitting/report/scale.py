@@ -12,21 +12,12 @@ EDGE = 0.04  # of the range, left free on both sides of the data
 
 @dataclass(frozen=True)
 class AxisScale:
-    """From numbers to a place between 0 and 1.
-
-    Attributes
-    ----------
-    low, high : float
-    log : bool
-        Both are then positive.
-    names : tuple of str
-        Of the places 0, 1, 2 ... where the scale is one of categories.
-    """
+    """From numbers to a place between 0 and 1."""
 
     low: float
     high: float
-    log: bool = False
-    names: tuple[str, ...] = ()
+    log: bool = False  # both are then positive
+    names: tuple[str, ...] = ()  # of the places 0, 1, 2 ... where the scale is one of categories.
 
     @classmethod
     def around(cls, values: Array, *, log: bool = False, edge: float = EDGE) -> "AxisScale":

@@ -219,22 +219,12 @@ TREE: tree.Tree = (
 def save(ranking: RankedLaws, path: Path, record: str, smoothed: str, part: str = "") -> None:
     """Write the stage into the run file, replacing an earlier one.
 
-    Parameters
-    ----------
-    ranking : RankedLaws
-        The fit.
-    path : Path
-        The run file.
-    record, smoothed : str
-        The sha256 of the raw data and of the smoothed stage (`processing.stage.digest`) that the file held when it
-        was read.
-    part : str
-        What was fitted, in words, where something was left out.
-
-    Raises
-    ------
-    InputError
-        For a file that is no run, or one that was recorded or smoothed anew meanwhile.
+    ranking: The fit.
+    path: The run file.
+    record, smoothed: The sha256 of the raw data and of the smoothed stage (`processing.stage.digest`) that the file
+        held when it was read.
+    part: What was fitted, in words, where something was left out.
+    Raises InputError: for a file that is no run, or one that was recorded or smoothed anew meanwhile.
     """
 
     def write(entry: h5py.Group) -> None:

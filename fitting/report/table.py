@@ -38,12 +38,7 @@ def write_curve(path: Path, ranking: RankedLaws, curve: MeasuredCurve) -> None:
 
     Laws given as formulas have a column each.
 
-    Parameters
-    ----------
-    path : Path
-    ranking : RankedLaws
-    curve : MeasuredCurve
-        Its own.
+    curve: Its own.
     """
     unit, formulas = ranking.adequacy.unit, ranking.rivals
     drawn = [np.abs(curves.curve(row.fit, ranking.motion, -curve.speed)) for row in formulas]
@@ -58,12 +53,8 @@ def write_curve(path: Path, ranking: RankedLaws, curve: MeasuredCurve) -> None:
 def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]]) -> None:
     """Write the rankings of runs.
 
-    Parameters
-    ----------
-    path : Path
-        Table to write; an older one is replaced.
-    rankings : sequence of (Path, sequence of dict)
-        Run file and the rows of its ranking, as in its JSON document.
+    path: Table to write; an older one is replaced.
+    rankings: Run file and the rows of its ranking, as in its JSON document.
     """
     rows = [(file, row) for file, ranking in rankings for row in ranking]
     names = dict.fromkeys(name for _, row in rows for name in row["parameters"])

@@ -23,15 +23,9 @@ def of_ranking(
 ) -> list[Any]:
     """Return the lines and tables of a ranking.
 
-    Parameters
-    ----------
-    ranking : RankedLaws
-    statistics : sequence of str
-        Of its stick-slip, in words.
-    written : sequence of Path or None
-        The file of a joint fit, and the report.
-    alpha : float
-        1 - confidence level of the intervals.
+    statistics: Of its stick-slip, in words.
+    written: The file of a joint fit, and the report.
+    alpha: 1 - confidence level of the intervals.
     """
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
     lines: list[Any] = [f"verdict: {ranking.verdict}"]

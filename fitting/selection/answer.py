@@ -38,31 +38,16 @@ Contradictions = list[list[Finding]]  # of each run
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """All laws fitted to runs, and what their competition decided.
-
-    Attributes
-    ----------
-    asked : Asked
-    records, runs : sequence
-        As smoothed, and in the fit's frame.
-    measured : Measurement
-    competition : Competition
-    unfitted : tuple of Unfitted
-        The laws that were not fitted.
-    sustained : bool
-        Whether the mass sticks in the long run.
-    warnings : tuple of str
-        About formulas that could not be fitted, or not in all their parameters.
-    """
+    """All laws fitted to runs, and what their competition decided."""
 
     asked: Asked
-    records: Sequence[Kinematics]
+    records: Sequence[Kinematics]  # as smoothed, and in the fit's frame
     runs: Sequence[Run]
     measured: Measurement
     competition: Competition
-    unfitted: tuple[Unfitted, ...]
-    sustained: bool
-    warnings: tuple[str, ...] = ()
+    unfitted: tuple[Unfitted, ...]  # the laws that were not fitted
+    sustained: bool  # whether the mass sticks in the long run
+    warnings: tuple[str, ...] = ()  # about formulas that could not be fitted, or not in all their parameters
 
     @property
     def rejected(self) -> bool:
@@ -85,22 +70,12 @@ class Contest:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """A contest with the goodness of fit of its best law, and what contradicts the record.
-
-    Attributes
-    ----------
-    contest : Contest
-    assessed : Assessment
-    contradicted : list of list of Finding
-        What of each run's calibration its record contradicts.
-    other_contact : Finding or None
-        That the runs are not of one contact.
-    """
+    """A contest with the goodness of fit of its best law, and what contradicts the record."""
 
     contest: Contest
     assessed: Assessment
-    contradicted: "Contradictions"
-    other_contact: Finding | None = None
+    contradicted: "Contradictions"  # what of each run's calibration its record contradicts
+    other_contact: Finding | None = None  # that the runs are not of one contact
 
     @property
     def asked(self) -> Asked:
@@ -125,21 +100,11 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of the laws, best first.
+    """The rows of the laws, best first."""
 
-    Attributes
-    ----------
-    runs : tuple of tuple of LawResult
-        Those of each run.
-    together : tuple of LawResult
-        Those of all runs together; of a single run its own.
-    depends : tuple of tuple of str
-        Of each run: what of it depends on the law, in words.
-    """
-
-    runs: tuple[tuple[LawResult, ...], ...]
-    together: tuple[LawResult, ...]
-    depends: tuple[tuple[str, ...], ...]
+    runs: tuple[tuple[LawResult, ...], ...]  # those of each run
+    together: tuple[LawResult, ...]  # those of all runs together; of a single run its own
+    depends: tuple[tuple[str, ...], ...]  # of each run: what of it depends on the law, in words
 
 
 def ranking(decision: Decision, begun: float) -> RankedLaws:

@@ -16,10 +16,7 @@ LEAST_ALPHA = 1e-9  # surer is no interval
 class Asked:
     """Which laws compete, and how; as the arguments of `fitting.selection.ranking.rank`.
 
-    Raises
-    ------
-    InputError
-        For alpha outside (0, 1), fewer than one job.
+    Raises InputError: for alpha outside (0, 1), fewer than one job.
     """
 
     competitors: Competitors

@@ -32,15 +32,9 @@ def find_contradictions(
 ) -> list[list[Finding]]:
     """Return what of each run's calibration its record contradicts, in the record's own signs, SI units.
 
-    Parameters
-    ----------
-    described : sequence of sequence of mapping
-        The parameters of each run, of each law that describes the runs.
-    runs : sequence of Run
-    records : sequence of Kinematics
-        Of each run, with the calibration that its positions were made with.
-    refit : callable
-        Fits all laws to runs with other calibrations; returns the parameters of those that describe them.
+    described: The parameters of each run, of each law that describes the runs.
+    records: Of each run, with the calibration that its positions were made with.
+    refit: Fits all laws to runs with other calibrations; returns the parameters of those that describe them.
     """
     found = _of_runs(described, runs, records)
     doubted = {one.code for own in found for one in own} if described else set(UNITS)

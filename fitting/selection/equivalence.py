@@ -47,19 +47,10 @@ SAME = 0.05
 def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int | str], runs: Sequence[Run]) -> Fit | None:
     """Fit the jump law of a narrow ramp on a compliant belt.
 
-    Parameters
-    ----------
-    fits : sequence of Fit
-    members : sequence of int or str
-        The set, best first.
-    runs : sequence of Run
-        What was fitted.
-
-    Returns
-    -------
-    Fit or None
-        None where a belt was measured, where the set's best ramp law is no narrow ramp, or where its jump law is in
-        the set already, was not to be fitted, or leads nowhere.
+    members: The set, best first.
+    runs: What was fitted.
+    Returns: None where a belt was measured, where the set's best ramp law is no narrow ramp, or where its jump law is
+        in the set already, was not to be fitted, or leads nowhere.
     """
     if any(run.motion.belt_measured for run in runs):
         return None
@@ -106,13 +97,8 @@ def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> boo
     whose speed varies looks much like a ramp.  This is possible if the ramp is no wider than such a variation would
     make it, and if the drag fits worse than the rest of the record, which does not depend on the belt.
 
-    Parameters
-    ----------
-    ramp : Fit
-        Of law 2.
-    drag : (pieces,) f8
-        Log error of the pieces of the drags.
-    runs : sequence of Run
+    ramp: Of law 2.
+    drag: (pieces,) Log error of the pieces of the drags.
     """
     noise = max(run.motion.resolution for run in runs)
     rest = math.hypot(ramp.geometric_mean_rms, noise)  # as the log errors are floored
@@ -129,17 +115,9 @@ def with_open_ramps(
     A ramp acts in a few samples of a cycle.  Where noise hides them the ramp law fits no better than its jump law and
     is ranked behind it for its extra parameter, although the interval of its width contains wide ramps.
 
-    Parameters
-    ----------
-    chosen : ModelSet
-    fits : sequence of Fit
-    runs : sequence of Run
-    alpha : float
-        1 - confidence of the interval of the width.
-    samples : float
-        Effective samples of the evidence.
-    sustained : bool
-        Whether the mass sticks in the long run.
+    alpha: 1 - confidence of the interval of the width.
+    samples: Effective samples of the evidence.
+    sustained: Whether the mass sticks in the long run.
     """
     if all(run.motion.belt_measured for run in runs):
         return chosen

@@ -102,43 +102,21 @@ class Candidate(Residuals, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Paired evidence of laws.
+    """Paired evidence of laws."""
 
-    Attributes
-    ----------
-    laws : tuple of int or str
-        Numbers of the six, names of formulas.
-    penalised : (laws, units) f8
-        Log error of each unit, penalty included.
-    samples : float
-        Effective samples behind them; fewer than there are units count as one a unit.
-    """
-
-    laws: tuple[int | str, ...]
-    penalised: Array
-    samples: float = 0.0
+    laws: tuple[int | str, ...]  # numbers of the six, names of formulas
+    penalised: Array  # (laws, units) log error of each unit, penalty included
+    samples: float = 0.0  # effective samples behind them; fewer than there are units count as one a unit
 
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """What is compared: the same units for every law.
+    """What is compared: the same units for every law."""
 
-    Attributes
-    ----------
-    sustained : bool
-        Whether the mass sticks in the long run; else the start-up drags alone are evidence.
-    inliers : (cycles,) bool
-        The cycles that are judged by.
-    pieces : tuple of int
-        Units in each cycle or drag that is judged by.
-    samples : float
-        Effective samples in all units together.
-    """
-
-    sustained: bool
-    inliers: NDArray[np.bool_]
-    pieces: tuple[int, ...]
-    samples: float
+    sustained: bool  # whether the mass sticks in the long run; else the start-up drags alone are evidence
+    inliers: NDArray[np.bool_]  # (cycles,) the cycles that are judged by
+    pieces: tuple[int, ...]  # units in each cycle or drag that is judged by
+    samples: float  # effective samples in all units together
 
 
 def _log_error(residual: Array, motion: MeasuredMotion) -> float:
@@ -292,14 +270,9 @@ class ModelSet:
 def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[int | str] | None = None) -> ModelSet:
     """Apply the set rule to the evidence.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        At least two units (cycles).
-    alpha : float
-        1 - confidence of the t-interval.
-    among : collection of int or str, optional
-        The laws that describe the record, of which the set is; others have no weight.
+    evidence: At least two units (cycles).
+    alpha: 1 - confidence of the t-interval.
+    among: The laws that describe the record, of which the set is; others have no weight.
     """
     laws, errors = evidence.laws, evidence.penalised
     wanted = [k for k, law in enumerate(laws) if among is None or law in among]

@@ -39,10 +39,7 @@ def known_rest(rig: Rig, competitors: Competitors) -> Rig:
 def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
     """Return the runs with what is given of the shared unknowns of each law, the formulas by their names.
 
-    Raises
-    ------
-    InputError
-        For a belt speed of several runs, or a force in newtons that needs a mass.
+    Raises InputError: for a belt speed of several runs, or a force in newtons that needs a mass.
     """
     of_laws: dict[int | str, Mapping[str, Given]] = {law: competitors.of_law(law) for law in competitors.laws}
     of_laws |= {own.name: competitors.of_law(law) for law, own in competitors.restated.items()}

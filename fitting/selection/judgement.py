@@ -56,17 +56,9 @@ def compete(
 
     A jump law on a compliant belt that is equivalent to the best ramp law takes its place.
 
-    Parameters
-    ----------
-    fits : sequence of Fit or FormulaFit
-    noise : (runs,) f8
-        Standard deviation of one position of each run, m.
-    known : Judged
-        A law whose goodness of fit is known already.
-    runs : sequence of Run
-    alpha : float
-    sustained : bool
-        Whether the mass sticks in the long run; else the start-up drags alone are evidence.
+    noise: (runs,) Standard deviation of one position of each run, m.
+    known: A law whose goodness of fit is known already.
+    sustained: Whether the mass sticks in the long run; else the start-up drags alone are evidence.
     """
     motions, by_law = [run.motion for run in runs], {fit.law: fit for fit in fits}
     units = evidence.common_units(fits, runs, sustained=sustained)

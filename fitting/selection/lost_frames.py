@@ -43,20 +43,11 @@ REWEIGHTINGS = 4  # fits, each with the weights of the last
 
 @dataclass(frozen=True, eq=False)
 class PieceModes:
-    """Modes of a random walk in a piece of n samples, less its cubic.
-
-    Attributes
-    ----------
-    vectors : array of shape (n, m)
-    noise : array of shape (NOISE_LAGS + 1, m)
-        Variance that noise of unit autocovariance at each lag gives to each mode.
-    walk : array of shape (m,)
-        The same of a random walk of unit steps.
-    """
+    """Modes of a random walk in a piece of n samples, less its cubic."""
 
     vectors: Array
-    noise: Array
-    walk: Array
+    noise: Array  # variance that noise of unit autocovariance at each lag gives to each mode
+    walk: Array  # the same of a random walk of unit steps
 
 
 @lru_cache(maxsize=len(PIECE_SAMPLES))
@@ -74,14 +65,9 @@ def piece_modes(n: int) -> PieceModes:
 def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None:
     """Return the share of frames that are lost (or doubled) in a run, 0 to 1; None where the record shows none.
 
-    Parameters
-    ----------
-    fit : Fit
-        Of the best law.
-    record : Kinematics
-        The run's; a recording of a board, or one whose times are not even, shows in its times what is missing.
-    run : int
-        Number of the run.
+    fit: Of the best law.
+    record: The run's; a recording of a board, or one whose times are not even, shows in its times what is missing.
+    run: Number of the run.
     """
     motion = fit.problem.motions[run]
     if record.recording.raw is not None or not record.even_times or motion.resolution < DITHERED * motion.step:

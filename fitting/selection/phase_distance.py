@@ -19,18 +19,10 @@ MOST_POINTS = 4000  # points of each curve
 
 @dataclass(frozen=True, eq=False)
 class MeasuredOrbit:
-    """The measured motion in the phase plane, in ascending order of position.
+    """The measured motion in the phase plane, in ascending order of position."""
 
-    Attributes
-    ----------
-    size : (2,) f8
-        Between smallest and largest position (m) and velocity (m/s).
-    position, velocity : (n,) f8
-        Over their sizes.
-    """
-
-    size: Array
-    position: Array
+    size: Array  # (2,) between smallest and largest position (m) and velocity (m/s)
+    position: Array  # (n,) over their sizes
     velocity: Array
 
     @classmethod
@@ -43,16 +35,9 @@ class MeasuredOrbit:
     def distance(self, fit: FittedLaw) -> float:
         """Return the rms distance of a law's orbit to the nearest points of the measured one.
 
-        Parameters
-        ----------
-        fit : FittedLaw
-            Of this one run (`Fit.for_run`).
-
-        Returns
-        -------
-        float
-            In units of the orbit's size, position and velocity each of its own.  What differs in time alone, such as a
-            slip that comes late, does not count.
+        fit: Of this one run (`Fit.for_run`).
+        Returns: In units of the orbit's size, position and velocity each of its own. What differs in time alone, such
+            as a slip that comes late, does not count.
         """
         own = model(fit) / self.size
         x, v = np.ascontiguousarray(own[:: max(1, len(own) // MOST_POINTS)].T)

@@ -50,23 +50,13 @@ def rank(
 ) -> RankedLaws:
     """Fit the laws to a record, or to several records of one contact together, and rank them.
 
-    Parameters
-    ----------
-    kinematics : Kinematics or sequence of Kinematics
-        The smoothed record (`processing.smooth`); plain differences are smoothed again, in memory.  Several are taken
-        as runs of one contact, at other belt speeds say: k/m, Fs/m, the curve, the ramp and the damping are one for
-        all; belt speed, rest position, wear and the belt's compliance are each run's own.
-    rig : Rig or sequence of Rig, optional
-        Calibration; the recording's own by default, one for all, or one for each run.
-    belt_speed : Measured, float or "channel", optional
-        m/s, signed, if known better than from the calibration.
-    laws, fix, bounds, start, excluded, alpha, jobs, progress, scheduler
-        As of `fitting.rank`, which also says what is raised and what is not modelled (`fitting.competitors`,
-        `fitting.selection.equivalence`, `fitting.data.ripple`).
-
-    Returns
-    -------
-    RankedLaws
+    kinematics: The smoothed record (`processing.smooth`); plain differences are smoothed again, in memory.  Several are
+        taken as runs of one contact, at other belt speeds say: k/m, Fs/m, the curve, the ramp and the damping are one
+        for all; belt speed, rest position, wear and the belt's compliance are each run's own.
+    rig: Calibration; the recording's own by default, one for all, or one for each run.
+    belt_speed: m/s, signed, if known better than from the calibration.
+    laws, fix, bounds, start, excluded, alpha, jobs, progress, scheduler: As of `fitting.rank`, which also says what is
+        raised and what is not modelled (`fitting.competitors`, `fitting.selection.equivalence`, `fitting.data.ripple`).
     """
     begun = clock.process_time()
     competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
@@ -138,10 +128,7 @@ def _cut(records: Sequence[Kinematics], rig: Rig | Sequence[Rig] | None, asked: 
 def _contest(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -> Contest:
     """Fit all laws to the runs, and let them compete.
 
-    Raises
-    ------
-    NoLawError
-        No law comes near the record.
+    Raises NoLawError: no law comes near the record.
     """
     competitors = asked.competitors
     six, runs, sustained, doubt = law_fits.fit_runs(

@@ -47,23 +47,12 @@ PROFILE_REACH, PROFILE_STEPS = 3.0, 6
 def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int | None) -> dict[str, Array]:
     """Return parameters of fits of drawn cycles: by name arrays (draws,), per unit mass, of the first run.
 
-    Parameters
-    ----------
-    fit : Fit or FormulaFit
-        Of all runs together.
-    motion : MeasuredMotion
-        Of the first run.
-    n : int
-        How many draws.
-    seed : int or None
-        The same draws for the same seed.
-
-    Raises
-    ------
-    InputError
-        For fewer than two draws.
-    DataError
-        More than a tenth of the draws cannot be fitted.
+    fit: Of all runs together.
+    motion: Of the first run.
+    n: How many draws.
+    seed: The same draws for the same seed.
+    Raises InputError: for fewer than two draws.
+    Raises DataError: more than a tenth of the draws cannot be fitted.
     """
     if not (isinstance(n, int) and n >= 2):
         raise InputError(f"n is {n!r}", "bootstrap", "give 2 draws or more; 200 show a standard error to 5 %")
@@ -98,23 +87,12 @@ def profile(
 ) -> dict[str, Array]:
     """Return ``value`` (k,) of a parameter, and with it held there ``deviance`` (k,) and ``rms_m`` (k,).
 
-    Parameters
-    ----------
-    fit : Fit or FormulaFit
-        Of all runs together.
-    motion : MeasuredMotion
-        Of the first run.
-    parameters : mapping of str to Parameter
-        Of the law.
-    name : str
-        Of an unknown of the fit: per unit mass or, where the mass is known, in newtons.
-
-    Raises
-    ------
-    InputError
-        For a parameter that the law does not have, that is fixed, or that follows from others.
-    DataError
-        The motion cannot be followed with other values.
+    fit: Of all runs together.
+    motion: Of the first run.
+    parameters: Of the law.
+    name: Of an unknown of the fit: per unit mass or, where the mass is known, in newtons.
+    Raises InputError: for a parameter that the law does not have, that is fixed, or that follows from others.
+    Raises DataError: the motion cannot be followed with other values.
     """
     if name not in parameters:
         raise InputError(f"law {fit.law} has no parameter {name!r}", "profile", nearest(name, list(parameters)))

@@ -52,7 +52,6 @@ def law_dependent(rows: Sequence[LawResult]) -> tuple[str, ...]:
 
 
 def _determined(name: str, members: Sequence[LawResult]) -> dict[int | str, Parameter]:
-    """Return a parameter by each law that determines it."""
     known = {row.law: row.parameters[name] for row in members if name in row.parameters}
     if name.startswith("v_dr"):
         return {law: item for law, item in known.items() if item.stderr < OPEN_BELT_SPEED * abs(item.value)}

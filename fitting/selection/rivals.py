@@ -49,18 +49,9 @@ class Formulas:
 def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Formulas:
     """Fit the laws that were named, and every published law.
 
-    Parameters
-    ----------
-    competitors : Competitors
-    curve : MeasuredCurve or None
-        From which each fit starts.
-    six : sequence of Fit
-        Of the six; a formula that errs more than one that it contains starts again where the best of them ended.
-
-    Raises
-    ------
-    InputError
-        For a law that was named and is no friction curve with any values of its parameters.
+    curve: From which each fit starts.
+    six: Of the six; a formula that errs more than one that it contains starts again where the best of them ended.
+    Raises InputError: for a law that was named and is no friction curve with any values of its parameters.
     """
     fits: list[FormulaFit] = []
     unfitted: list[Unfitted] = []

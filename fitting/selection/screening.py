@@ -78,15 +78,9 @@ def refusal(
 ) -> DataError:
     """Return the error of a record whose laws cannot be ranked.
 
-    Parameters
-    ----------
-    why : str
-        Why they cannot.
-    contradicted : sequence of sequence of Finding
-        What was stated of each run's rig without which a law comes near.
-    runs : sequence of Run
-    records : sequence of Kinematics
-        The records of the runs, as they were smoothed.
+    why: Why they cannot.
+    contradicted: What was stated of each run's rig without which a law comes near.
+    records: The records of the runs, as they were smoothed.
     """
     where = ", ".join(record.recording.where for record in records)
     findings = [finding for own in contradicted for finding in own]
@@ -213,13 +207,8 @@ def is_stick_slip(record: Kinematics) -> bool:
 def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int, *, sustained: bool) -> str:
     """Return why a record is no stick-slip on a belt; "" where it may be.
 
-    Parameters
-    ----------
-    motion, cut : MeasuredMotion, CycleSegmentation
-    slips : int
-        How many the smoothing found: where most cycles hold none of them, the cycles are noise.
-    sustained : bool
-        Whether the mass sticks in the long run: a mass that merely grazes the belt ends a slip where it began.
+    slips: How many the smoothing found: where most cycles hold none of them, the cycles are noise.
+    sustained: Whether the mass sticks in the long run: a mass that merely grazes the belt ends a slip where it began.
     """
     # Cycles at rest half the time are left out of the fit, but show as well as any other what drives the mass.
     seen = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
@@ -273,13 +262,8 @@ def reject_by_coarse_fits(laws: Sequence[int], runs: Sequence[Run], *, sustained
     the six to leave less than `SCREENED_ERROR`.  What no law can follow is refused here within a second, before the
     whole record is fitted by all of them.
 
-    Parameters
-    ----------
-    laws : sequence of int
-        Laws to be fitted.
-    runs : sequence of Run
-    sustained : bool
-        Whether the mass sticks in the long run; else constant friction is tried too.
+    laws: Laws to be fitted.
+    sustained: Whether the mass sticks in the long run; else constant friction is tried too.
     """
     if not sustained and all(_is_sine_alone(run) for run in runs):
         return SINE_ALONE

@@ -34,20 +34,12 @@ def verdict_sentence(
 ) -> str:
     """Return the verdict: the law, or the laws that the record cannot distinguish, and why.
 
-    Parameters
-    ----------
-    rows : sequence of LawResult
-        Best first.
-    not_excluded : sequence of int or str
-        Laws outside the set that fit equally well.
-    sustained : bool
-        Whether the record has sustained sticks; without them friction is constant.
-    measured : bool
-        Whether the belt's own counts were used.
-    rest_known : bool
-        Whether the rest position of the spring was stated.
-    runs : int
-        How many were fitted together.
+    rows: Best first.
+    not_excluded: Laws outside the set that fit equally well.
+    sustained: Whether the record has sustained sticks; without them friction is constant.
+    measured: Whether the belt's own counts were used.
+    rest_known: Whether the rest position of the spring was stated.
+    runs: How many were fitted together.
     """
     members = [row for row in rows if row.in_set]
     six = [row for row in members if isinstance(row.law, int)]
@@ -155,13 +147,8 @@ def _as_well(others: Sequence[LawResult]) -> str:
 def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy, cause: str | None) -> str:
     """Return the verdict on a record that no law describes: what friction does instead, and how far off the laws are.
 
-    Parameters
-    ----------
-    rows : sequence of LawResult
-        Best first.
-    adequacy : Adequacy
-    cause : str or None
-        Why no law does, where that is known already.
+    rows: Best first.
+    cause: Why no law does, where that is known already.
     """
     asked = [row for row in rows if row.asked]
     if len(asked) == 1:

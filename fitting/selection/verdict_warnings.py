@@ -21,31 +21,16 @@ POOR_ERROR = 0.003  # error over the motion's range: five times what 12 % scatte
 
 @dataclass(frozen=True, eq=False)
 class JudgedRun:
-    """One run and what was found of it: what a warning may be about.
+    """One run and what was found of it: what a warning may be about."""
 
-    Attributes
-    ----------
-    rows : sequence of LawResult
-        Best first.
-    best : LawResult
-        The first row.
-    motion, cut : MeasuredMotion, CycleSegmentation
-    record : Kinematics
-    findings : sequence of Finding
-    sustained : bool
-        Whether the mass sticks in the long run.
-    given : mapping of str to Given
-        What was given of the best law's parameters.
-    """
-
-    rows: Sequence[LawResult]
-    best: LawResult
+    rows: Sequence[LawResult]  # best first
+    best: LawResult  # the first row
     motion: MeasuredMotion
     cut: CycleSegmentation
     record: Kinematics
     findings: Sequence[Finding]
-    sustained: bool
-    given: Mapping[str, Given] = field(default_factory=dict)
+    sustained: bool  # whether the mass sticks in the long run
+    given: Mapping[str, Given] = field(default_factory=dict)  # what was given of the best law's parameters
 
     @property
     def ramps(self) -> bool:

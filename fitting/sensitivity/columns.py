@@ -35,11 +35,7 @@ def local_tangents(path: Path) -> Array:
 def shared_tangents(path: Path, places: Sequence[int]) -> Array:
     """Return the derivatives of the positions by shared unknowns, shape (N, p).
 
-    Parameters
-    ----------
-    path : Path
-    places : sequence of int
-        p places of `fitting.model.parameters`; with a spline those of F and of the curve's shape act no more.
+    places: p places of `fitting.model.parameters`; with a spline those of F and of the curve's shape act no more.
     """
     runs = path.u.size // PER_RUN
     slots = [place % PER_RUN for place in places] if runs == 1 else sorted({place % PER_RUN for place in places})
@@ -76,14 +72,9 @@ def spline_tangents(path: Path, directions: Array) -> Array:
 def friction_effect(path: Path) -> tuple[Array, Array, Array]:
     """Return what a unit of friction per unit mass more does where a spline is followed.
 
-    Returns
-    -------
-    in_slip : (M,) f8
-        To the acceleration, of friction at each point's slip speed.
-    in_stick : (M,) f8
-        To the acceleration on a ramp, of friction at rest.
-    edge : (windows,) f8
-        To the ramp's edge, of friction at rest.
+    Returns: To the acceleration, of friction at each point's slip speed.
+    Returns: To the acceleration on a ramp, of friction at rest.
+    Returns: To the ramp's edge, of friction at rest.
     """
     d, q, at_rest = _contact(path)
     in_slip = np.broadcast_to(path.level * path.side * _yielding(path), path.time.shape)

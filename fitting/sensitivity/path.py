@@ -51,61 +51,31 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The motion along all windows; M stage points: each step's start, middle and end, shared by consecutive steps.
-
-    Attributes
-    ----------
-    windows : ShootingWindows
-    curve : Curve
-    u, local : (13 runs,), (cycles, 6) f8
-        The unknowns that it was followed with.
-    time, position, velocity : (M,) f8
-        s, m, m/s.
-    belt_speed : (M,) f8
-        Of the unloaded belt, m/s.
-    level : (M,) f8
-        The cycle's friction level over F, faded.
-    friction, friction_slope : (M,) f8
-        m/s^2 and 1/s: friction on the mass per unit mass, level included, positive along x, and its derivative by the
-        relative speed; in stick what holds the mass, and 0.
-    slip_speed : (M,) f8
-        m/s; the argument of the curve, >= 0; 0 on a ramp and in stick.
-    damping : (M,) f8
-        Derivative of what the mass's own velocity takes from its acceleration, 1/s: c/m, and that of a drag.
-    mode : (M,) i8
-        `rig_sim.flow.modes`, or CREEP (`fitting.sensitivity.rates`).
-    landed : (M,) bool
-        Whether the cycle's next level holds: after the landing of a slip window.
-    first_point, first_step : (windows + 1,) i8
-        Where each window's points and steps begin.
-    steps : (S, 3) i8
-        First of a step's three points, its window, the sample at its end or -1.
-    jumps : (S, 3) f8
-        What a change of mode at a step's end does to tangents (`flow.crossing`).
-    reached : (N,) i8
-        The point of each sample.
-    """
+    """The motion along all windows; M stage points: each step's start, middle and end, shared by consecutive steps."""
 
     windows: ShootingWindows
     curve: Curve
-    u: Array
+    u: Array  # (13 runs,) the unknowns that it was followed with
     local: Array
-    time: Array
+    time: Array  # (M,) s, m, m/s
     position: Array
     velocity: Array
-    belt_speed: Array
-    level: Array
+    belt_speed: Array  # (M,) of the unloaded belt, m/s
+    level: Array  # (M,) the cycle's friction level over F, faded
+    # (M,) m/s^2 and 1/s: friction on the mass per unit mass, level included, positive along x, and its derivative by
+    # the relative speed; in stick what holds the mass, and 0
     friction: Array
     friction_slope: Array
-    slip_speed: Array
+    slip_speed: Array  # (M,) m/s; the argument of the curve, >= 0; 0 on a ramp and in stick
+    # (M,) derivative of what the mass's own velocity takes from its acceleration, 1/s: c/m, and that of a drag
     damping: Array
-    mode: Integers
-    landed: Mask
-    first_point: Integers
+    mode: Integers  # (M,) `rig_sim.flow.modes`, or CREEP (`fitting.sensitivity.rates`)
+    landed: Mask  # (M,) whether the cycle's next level holds: after the landing of a slip window
+    first_point: Integers  # (windows + 1,) where each window's points and steps begin
     first_step: Integers
-    steps: Integers
-    jumps: Array
-    reached: Integers
+    steps: Integers  # (S, 3) first of a step's three points, its window, the sample at its end or -1
+    jumps: Array  # (S, 3) what a change of mode at a step's end does to tangents (`flow.crossing`)
+    reached: Integers  # (N,) the point of each sample
 
     def unknown(self, slot: int) -> Array | float:
         """Return a shared unknown at every point, (M,); one number where there is one run."""
@@ -168,23 +138,14 @@ def follow(
 ) -> Path | None:
     """Follow all windows; None where the motion cannot be followed, or only in too many steps.
 
-    Parameters
-    ----------
-    windows : ShootingWindows
-    curve : Curve
-    u : (13 runs,) f8
-        `fitting.model.parameters.Global` of every run.  With a spline, LOG_F and SHAPE are not used: the spline's
-        coefficients are friction per unit mass.
-    local : (cycles, 6) f8
-        `fitting.model.parameters.PerCycle`.
-    along : Path, optional
-        An earlier path of the same windows, at whose points what follows is given.
-    acceleration, belt_speed : (M,) f8, optional
-        A force per unit mass, m/s^2, and a change of the belt's speed, m/s, besides; between points linear in time.
-    drag : Drag
-        A force by the mass's own velocity besides; unlike an acceleration it needs no earlier path.
-    longest_step : float
-        Times the fastest rate of the motion; a search may take longer ones (`flow.LONGEST_STEP`).
+    u: (13 runs,) `fitting.model.parameters.Global` of every run.  With a spline, LOG_F and SHAPE are not used: the
+        spline's coefficients are friction per unit mass.
+    local: (cycles, 6) `fitting.model.parameters.PerCycle`.
+    along: An earlier path of the same windows, at whose points what follows is given.
+    acceleration, belt_speed: (M,) A force per unit mass, m/s^2, and a change of the belt's speed, m/s, besides; between
+        points linear in time.
+    drag: A force by the mass's own velocity besides; unlike an acceleration it needs no earlier path.
+    longest_step: Times the fastest rate of the motion; a search may take longer ones (`flow.LONGEST_STEP`).
     """
     arguments = kernel_arguments(windows, curve, u, local, along, acceleration, belt_speed, drag)
     N, rows = windows.time.size, windows.table.shape[0]

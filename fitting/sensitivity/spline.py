@@ -16,20 +16,12 @@ DEGREE = 3  # degree of the pieces: slopes and curvatures are continuous
 
 @dataclass(frozen=True, eq=False)
 class FrictionSpline:
-    """A cubic B-spline, clamped at its ends.
+    """A cubic B-spline, clamped at its ends."""
 
-    Attributes
-    ----------
-    knots : (n + 1,) f8
-        Slip speeds from 0, m/s, increasing.
-    coefficients : (n + 3,) f8
-        Friction per unit mass, m/s^2; the first is that at s = 0, the last that at the last knot.
-    basis_pieces : (n + 3, n, 4) f8
-        Each basis function's polynomials: powers from 0 of the distance to the knot below.
-    """
-
-    knots: Array
+    knots: Array  # (n + 1,) slip speeds from 0, m/s, increasing
+    # (n + 3,) friction per unit mass, m/s^2; the first is that at s = 0, the last that at the last knot
     coefficients: Array
+    # (n + 3, n, 4) each basis function's polynomials: powers from 0 of the distance to the knot below
     basis_pieces: Array
 
     @classmethod

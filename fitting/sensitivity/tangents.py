@@ -39,22 +39,14 @@ def tangents(
 ) -> Array:
     """Return the derivatives of the positions at all samples, shape (N, k).
 
-    Parameters
-    ----------
-    path : Path
-        M points, N samples.
-    acceleration : (M, k) f8
-        What one unit of each column adds to the acceleration at given position, velocity and belt speed, m/s^2.
-    belt_speed : (M, n) f8, optional
-        What it adds to the belt's speed, m/s.
-    moving : (n,) i8, optional
-        Which columns move the belt; all of them without it.
-    edge : (windows, k) f8, optional
-        What it adds to the half-width of the ramp, m/s.
-    start : pair of (windows, k) f8, optional
-        What it adds to position (m) and velocity (m/s) at the start of each window; 0 without.
-    position : (N, k) f8, optional
-        What it adds to the reading itself, m.
+    path: M points, N samples.
+    acceleration: (M, k) What one unit of each column adds to the acceleration at given position, velocity and belt
+        speed, m/s^2.
+    belt_speed: (M, n) What it adds to the belt's speed, m/s.
+    moving: (n,) Which columns move the belt; all of them without it.
+    edge: (windows, k) What it adds to the half-width of the ramp, m/s.
+    start: What it adds to position (m) and velocity (m/s) at the start of each window; 0 without.
+    position: (N, k) What it adds to the reading itself, m.
     """
     k = acceleration.shape[1]
     none = np.zeros((path.windows.table.shape[0], k))

@@ -24,7 +24,6 @@ ROWS = (
 
 @cache
 def departures(rows: tuple[str, ...] = ROWS) -> tuple[Departure, ...]:
-    """Return the departures of the rows."""
     every = []
     for row in rows:
         departure: Departure = import_module(f"{__name__}.{row}").DEPARTURE
