@@ -139,7 +139,7 @@ def _write_tables(done: "FitOutput", request: "FitRequest") -> None:
     outputs, files, ranking = request.outputs, request.files, done.ranking
     if outputs.csv is not None:
         sides = zip(files, ranking.sides, strict=True)
-        table.write(outputs.csv, [(path, [row.as_json() for row in side.rows]) for path, side in sides])
+        table.write(outputs.csv, [(path, [row.as_json() for row in side.table]) for path, side in sides])
     if outputs.curve_csv is not None:
         curve = ranking.adequacy.curve
         if curve is None:

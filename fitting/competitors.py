@@ -21,12 +21,15 @@ What follows from other parameters (Fs/k, wear, droop, x0 + Fs/k) cannot be give
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from numbers import Integral
+from typing import Any, NamedTuple
 
-from fitting.law import Bound, Law, check_values, read_law
+from fitting.law import Bound, Law, check_values, in_unit, read_law
 from rig_sim.friction.law import LAWS
+from stickslip import units
 from stickslip.errors import InputError, check_known, nearest
 
 ALL_LAWS = tuple(LAWS)  # numbers of the six laws
@@ -40,6 +43,8 @@ LEAST_VALUES: dict[str, tuple[float, bool]] = {
     "static": (1.0, True),
     "c/m": (0.0, True),
 }
+UNITS = {"k/m": "s^-2", "Fs/m": "m s^-2", "G_slip/m": "s^-1", "c/m": "s^-1", "gamma": "s/m", "d": "m/s", "static": ""}
+UNITS |= {"k": "N/m", "Fs": "N", "G_slip": "N s/m", "c": "N s/m", "v_dr": "m/s", "x0": "m"}
 NO_LIMIT = (-math.inf, True)
 PER_MASS = "/m"
 LAST_CYCLE = 100_000  # largest number of a cycle: no record holds as many
@@ -74,6 +79,7 @@ class Competitors:
     fix: Mapping[str, float] = field(default_factory=dict)  # by the names of parameters
     bounds: Mapping[str, Bound] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
+    in_newtons: tuple[str, ...] = field(default=(), init=False)  # names given with a unit that needs the mass
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
@@ -87,11 +93,17 @@ class Competitors:
         for flag, given in (("--fix", self.fix), ("--bound", self.bounds), ("--start", self.start)):
             for name in given:
                 self._check_name(name, flag)
+        newtons: set[str] = set()
+        for flag, kind in (("--fix", "fix"), ("--bound", "bounds"), ("--start", "start")):
+            object.__setattr__(self, kind, self._in_numbers(getattr(self, kind), flag, newtons))
+        object.__setattr__(self, "in_newtons", tuple(sorted(newtons)))
         for name, (low, high) in self.bounds.items():
             if low is not None and high is not None and not low < high:
                 raise InputError(f"bounds of {name} are {low:g} and {high:g}", "--bound", "give the lower one first")
             if name in self.fix:
                 raise InputError(f"{name} is fixed and has bounds", "--bound", "give one of the two")
+        for own in self.formulas:
+            own.refuse_without_speed()
         for law in self.every:
             self.of_law(law)
 
@@ -99,14 +111,18 @@ class Competitors:
     def of(
         cls,
         laws: "int | str | Law | Sequence[int | str | Law]" = ALL_LAWS,
-        fix: Mapping[str, float] | None = None,
+        fix: Mapping[str, float | str] | None = None,
         bounds: Mapping[str, Bound] | None = None,
-        start: Mapping[str, float] | None = None,
+        start: Mapping[str, float | str] | None = None,
     ) -> "Competitors":
         """Return the competitors that a call from Python names: numbers, published names, and laws of one's own."""
         numbers: list[int] = []
         formulas: list[Law] = []
-        for one in [laws] if isinstance(laws, int | str | Law) else laws:
+        several = isinstance(laws, Iterable) and not isinstance(laws, str)
+        for one in laws if several else [laws]:  # type: ignore[union-attr]
+            if not isinstance(one, Integral | str | Law):
+                do = "give numbers, names or fitting.Law: laws=(1, 5), laws='1-6,stribeck'"
+                raise InputError(f"{one!r:.40} is not a law", "laws", do)
             own_numbers, own_formulas = ([], [one]) if isinstance(one, Law) else _read(str(one), "--laws")
             numbers += own_numbers
             formulas += [law for law in own_formulas if law not in formulas]
@@ -132,9 +148,9 @@ class Competitors:
         return cls(
             tuple(dict.fromkeys(numbers)),
             tuple(one.behind_ramp() if one.name in behind else one for one in formulas),
-            {name: _number(value, name, "--fix") for name, value in _pairs(fix, "--fix")},
-            {name: _interval(value, name) for name, value in _pairs(bound, "--bound")},
-            {name: _number(value, name, "--start") for name, value in _pairs(start, "--start")},
+            dict(_pairs(fix, "--fix")),  # type: ignore[arg-type]
+            {name: _interval(value, name) for name, value in _pairs(bound, "--bound")},  # type: ignore[misc]
+            dict(_pairs(start, "--start")),  # type: ignore[arg-type]
         )
 
     @property
@@ -182,6 +198,27 @@ class Competitors:
             _check(name, one, *(LEAST_VALUES.get(_per_mass(name), NO_LIMIT) if name not in own_names else NO_LIMIT))
         return given_of
 
+    def _in_numbers(self, given: Mapping[str, Any], flag: str, newtons: set[str]) -> dict[str, Any]:
+        """Return values with texts as numbers in the unit of the results; names whose unit has newtons are added."""
+        found: dict[str, Any] = {}
+        for name, value in given.items():
+            ends = value if isinstance(value, tuple | list) else (value,)
+            if not any(isinstance(end, str) for end in ends):
+                found[name] = value
+                continue
+            typed = any(isinstance(end, str) and units.typed_unit(end) for end in ends)
+            readings = {_read_value(name, value, law, flag, typed=typed) for law in self.every if _named(name, law)}
+            if len(readings) > 1:
+                what = f"{name} has another unit in each law"
+                raise InputError(what, flag, f"name the law: {_label(self.every[-1])}.{name}")
+            own, number = readings.pop()
+            if own in found or (own != name and own in given):
+                raise InputError(f"{own} is given twice", flag, "leave one out")
+            found[own] = number
+            if typed and any(f"{_named(own, law)}{PER_MASS}" in names_of(law) for law in self.every):
+                newtons.add(own)
+        return found
+
     def _check_name(self, name: str, flag: str) -> None:
         if any(_named(name, law) for law in self.every):
             return
@@ -222,6 +259,23 @@ def _named(name: str, law: int | Law) -> str | None:
         return None
     bare = bare if dot else name
     return bare if bare in names_of(law) else None
+
+
+def _read_value(name: str, value: Any, law: int | Law, flag: str, *, typed: bool) -> tuple[str, Any]:
+    """Return the name per unit mass if the value has such a unit, else the name, and the value as a number."""
+    own = str(_named(name, law))
+    if typed and f"{own}{PER_MASS}" in names_of(law):
+        with suppress(InputError):
+            return f"{name}{PER_MASS}", in_unit(value, unit_of(f"{own}{PER_MASS}", law), name, flag)
+    return name, in_unit(value, unit_of(own, law), name, flag)
+
+
+def unit_of(name: str, law: int | Law) -> str:
+    """Return the unit in which a parameter of a law is given."""
+    plain = name.removesuffix(PER_MASS)
+    if isinstance(law, Law) and plain in law.curve.parameters:
+        return law.unit(plain, newtons=name == plain)
+    return UNITS[name]
 
 
 def _with(given: Given, kind: str, value: float | Bound) -> Given:
@@ -299,19 +353,11 @@ def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
         yield name, value
 
 
-def _number(text: str, name: str, flag: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"{name} is {text!r}, not a number", flag, "give one in the unit of the results, without it")
-    return number
-
-
-def _interval(text: str, name: str) -> Bound:
-    """Return the bounds that LO:HI names; either may be left out."""
+def _interval(text: str, name: str) -> tuple[str | None, str | None]:
+    """Return the bounds that LO:HI names; either may be left out, and a unit behind HI alone is that of both."""
     low, colon, high = (part.strip() for part in text.partition(":"))
     if not colon or not (low or high):
         raise InputError(f"bounds of {name} are {text!r}", "--bound", "write LO:HI, LO: or :HI")
-    return (_number(low, name, "--bound") if low else None, _number(high, name, "--bound") if high else None)
+    if low and units.typed_unit(high) and not units.typed_unit(low):
+        low = f"{low} {units.typed_unit(high)}"
+    return low or None, high or None

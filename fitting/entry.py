@@ -16,6 +16,7 @@ from fitting.competitors import ALL_LAWS, Competitors
 from fitting.job import FitOptions, LoadedRun
 from fitting.law import Bound, Law
 from fitting.ranked import RankedRun, RankedRuns, Ranking
+from fitting.selection.asked import check_numbers
 from processing.record.kinematics import Kinematics
 from stickslip import units
 from stickslip.errors import InputError
@@ -40,9 +41,9 @@ def rank(
     damping: Stated | None = None,
     belt_speed: Stated | None = None,
     rig: Rig | Sequence[Rig] | None = None,
-    fix: Mapping[str, float] | None = None,
+    fix: Mapping[str, float | str] | None = None,
     bounds: Mapping[str, Bound] | None = None,
-    start: Mapping[str, float] | None = None,
+    start: Mapping[str, float | str] | None = None,
     begin: float | str | None = None,
     end: float | str | None = None,
     excluded: int | Sequence[int] = (),
@@ -78,7 +79,8 @@ def rank(
         The whole calibration instead of the run's: one for all, or one for each run.
     fix, bounds, start : mapping, optional
         Values of parameters that are known, bounds as (low, high), and first values, by the names that the results
-        give them and in their units: ``{"gamma": 9.6}``, of one law ``{"mine.v_s": 0.05}``.
+        give them and in their units, or as text with a unit: ``{"gamma": 9.6}``, of one law
+        ``{"mine.v_s": "50 mm/s"}``.
     begin, end : time, optional
         Of a run file the part to fit: from, and up to, s or text with a unit.
     excluded : int or sequence of int
@@ -99,8 +101,8 @@ def rank(
     Raises
     ------
     InputError
-        For what is no run, unknown laws, parameters that no law has or values that they cannot have, a formula that is
-        no friction with any values, a record in counts, a belt speed of zero, belt counts asked for that are not
+        For what is no run, unknown laws, parameters that no law has or values that they cannot have, a formula
+        without the slip speed, a record in counts, a belt speed of zero, belt counts asked for that are not
         there, alpha outside (0, 1), fewer than one job, a scheduler that cannot be used, or a speed or cycles to
         exclude beside several runs.
     DataError
@@ -129,6 +131,7 @@ def rank(
     """
     if isinstance(position, Rig) or (isinstance(position, list | tuple) and _are(position, Rig)):
         rig, position = position, None
+    check_numbers(alpha, jobs)
     options = _fit_options(
         laws,
         mass=mass,
@@ -242,9 +245,9 @@ def _fit_options(
     x0: Stated | None = None,
     damping: Stated | None = None,
     belt_speed: Stated | None = None,
-    fix: Mapping[str, float] | None = None,
+    fix: Mapping[str, float | str] | None = None,
     bounds: Mapping[str, Bound] | None = None,
-    start: Mapping[str, float] | None = None,
+    start: Mapping[str, float | str] | None = None,
     begin: float | str | None = None,
     end: float | str | None = None,
     excluded: int | Sequence[int] = (),

@@ -34,7 +34,7 @@ class LawFlags:
     ramp: Annotated[list[str] | None, _repeated("Put the law of this name behind a ramp.")] = None
     fix: Annotated[
         list[str] | None,
-        _repeated("A parameter that is known, NAME=VALUE as the results name it: gamma=9.6, mine.v_s=0.05."),
+        _repeated("A parameter that is known, NAME=VALUE as the results name it: gamma=9.6, 'mine.v_s=50 mm/s'."),
     ] = None
     bound: Annotated[list[str] | None, _repeated("Bounds of a parameter: NAME=LO:HI, LO: or :HI.")] = None
     start: Annotated[list[str] | None, _repeated("First value of a parameter, NAME=VALUE.")] = None

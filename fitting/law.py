@@ -23,9 +23,11 @@ from numbers import Real
 from typing import Any
 
 from rig_sim.friction.formula import SPEED, Formula
+from stickslip import units
 from stickslip.errors import InputError, nearest
 
 NAME = re.compile(r"[A-Za-z][\w-]*")
+SPEED_WORDS = re.compile(r"[svuwx]|[vu]_?(rel|r|slip)|speed|vel\w*|slip\w*|[sx]_?dot", re.IGNORECASE)  # meant as s
 # Part of a derivative beside those by other parameters, over the whole, or singular value over the largest: below,
 # derivatives are dependent; above 1e-6 they are not.
 DEPENDENT_BELOW = 1e-8
@@ -34,7 +36,10 @@ Bound = tuple[float | None, float | None]
 
 
 def check_values(given: Any, kind: str) -> Mapping[str, Any]:
-    """Return what a caller gives of parameters; InputError, which names the keyword, for what is no such mapping."""
+    """Return what a caller gives of parameters; InputError, which names the keyword, for what is no such mapping.
+
+    A value is a number or text with a unit; only a bound may be infinite.
+    """
     example = "{'gamma': (0, 20)}, with None for no bound" if kind == "bounds" else "{'gamma': 9.6}"
     do = f"give a dictionary, as in {kind}={example}"
     if given is None:
@@ -44,9 +49,29 @@ def check_values(given: Any, kind: str) -> Mapping[str, Any]:
     for name, value in given.items():
         pair = kind == "bounds" and isinstance(value, tuple | list) and len(value) == 2
         parts = [part for part in value if part is not None] if pair else [value]
-        if pair != (kind == "bounds") or not all(isinstance(one, Real) and not math.isnan(one) for one in parts):
+        if pair != (kind == "bounds") or not all(isinstance(part, Real) or _has_unit(part) for part in parts):
             raise InputError(f"of {name} is {value!r:.40}", kind, do)
+        if not all(isinstance(part, str) or _is_number(part, finite=not pair) for part in parts):
+            raise InputError(f"{name} is {value!r:.40}", kind, "give a finite number, or text with a unit")
     return given
+
+
+def _has_unit(value: Any) -> bool:
+    return isinstance(value, str) and bool(units.typed_unit(value))
+
+
+def _is_number(value: Any, *, finite: bool) -> bool:
+    try:
+        return math.isfinite(value) or not (finite or math.isnan(value))
+    except OverflowError:
+        return False
+
+
+def in_unit(value: Any, unit: str, name: str, where: str) -> Any:
+    """Return a value of a parameter, or its bounds, with texts as numbers in its unit."""
+    if isinstance(value, tuple | list):
+        return tuple(in_unit(end, unit, name, where) for end in value)
+    return units.in_unit(value, unit, name, where) if isinstance(value, str) else value
 
 
 @dataclass(frozen=True)
@@ -61,8 +86,8 @@ class Law:
         As `rig_sim.friction.formula` reads it.
     ramp : bool
         Whether slip begins beyond a ramp, as under laws 2, 4 and 6; else friction jumps.
-    start : mapping of str to float, optional
-        First values of parameters; those left out are found.
+    start : mapping of str to float or str, optional
+        First values of parameters, as text with a unit (``"30 mm/s"``) or in SI; those left out are found.
     bounds : mapping of str to (low, high), optional
         None for no bound.
     fix : mapping of str to float, optional
@@ -100,10 +125,14 @@ class Law:
         if not known:
             raise InputError(f"law {self.name} has no parameter", "formula", "name at least the friction level")
         for kind in ("start", "bounds", "fix"):
-            for name in check_values(getattr(self, kind), kind):
+            values = check_values(getattr(self, kind), kind)
+            for name in values:
                 if name not in known:
                     what = f"{name} is no parameter of law {self.name}"
                     raise InputError(what, kind, nearest(name, list(known)))
+            if values:
+                numbers = {name: in_unit(value, self.unit(name), name, kind) for name, value in values.items()}
+                object.__setattr__(self, kind, numbers)
         for name, (low, high) in (self.bounds or {}).items():
             if low is not None and high is not None and not low < high:
                 raise InputError(f"bounds of {name} are {low:g} and {high:g}", "bounds", "give the lower one first")
@@ -174,6 +203,15 @@ class Law:
         """Return the least and the largest value of a parameter."""
         low, high = (self.bounds or {}).get(name, (None, None))
         return -math.inf if low is None else low, math.inf if high is None else high
+
+    def refuse_without_speed(self) -> None:
+        """Raise InputError for a curve without the slip speed, but for one level: its name may be misspelt."""
+        names = self.curve.parameters
+        meant = next((name for name in names if SPEED_WORDS.fullmatch(name)), None)
+        if any(step.name == SPEED for step in self.curve.steps) or (meant is None and len(names) == 1):
+            return
+        hint = "write s for it; law 1 is constant friction" if meant is None else f"did you mean {SPEED} for {meant}?"
+        raise InputError(f"law {self.name} does not depend on the slip speed {SPEED}", "formula", hint)
 
     def behind_ramp(self) -> "Law":
         """Return the law behind a ramp."""
@@ -261,6 +299,8 @@ def read_law(spec: str, where: str = "--law") -> Law:
     if not colon:
         if name in PUBLISHED:
             return PUBLISHED[name]
+        if re.fullmatch(r"[\d\s,-]+", name):
+            raise InputError(f"{name!r} is a number of a law, not a name", where, f"did you mean --laws {name}?")
         do = f'{nearest(name, list(PUBLISHED))}; a law of your own is "NAME: FORMULA", such as "mine: Fs/(1 + s/v)"'
         raise InputError(f"{name!r} is no published law", where, do)
     if name in PUBLISHED and formula != PUBLISHED[name].formula:

@@ -14,6 +14,7 @@ from fitting.flags import CalibrationFlags, LawFlags, OutputFlags, PartFlags, Wo
 from fitting.job import FitOptions
 from fitting.report import comparison, table
 from fitting.report import page as pages
+from fitting.selection.asked import check_numbers
 from stickslip.console import application
 from stickslip.errors import InputError
 from stickslip.output import atomic, suffix
@@ -46,6 +47,7 @@ class FitRequest:
 
         Raises InputError: for flags that contradict each other, and for outputs that cannot be written.
         """
+        check_numbers(part.alpha, work.jobs)
         runs = tuple(_without_fits(files) if work.each else files)
         _refuse_together(runs, rig, outputs, work)
         options = FitOptions(

@@ -1,7 +1,7 @@
 """What holds of stick-slip without any friction law: durations, drops, and where the mass breaks away.
 
 A stick has a duration between two slips, a slip between two sticks.  One that an end of the record or a gap cuts off
-has none; a stick that ends in a slip has a break-away all the same.
+or during which the belt rests has none; a stick that ends in a slip has a break-away all the same.
 """
 
 import math
@@ -16,6 +16,7 @@ from stickslip.compute.arrays import Array
 from stickslip.output.lengths import shown_length
 
 FEWEST_SLIPS = 3  # with fewer there is no scatter to speak of
+BELT_RUNS = 0.5  # way of a stick over the belt's in that time: with less the belt rested, and the stick has no duration
 QUANTITIES = {"stick_s": "s", "slip_s": "s", "drop_m": "m", "break_away_m": "m"}
 TITLES = {"stick_s": "stick", "slip_s": "slip", "drop_m": "drop", "break_away_m": "break-away"}
 
@@ -131,6 +132,9 @@ def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSl
         stretch = float(np.interp(slip.start, time, position))
         last = phases[index - 2] if index > 1 else None
         complete = last is not None and last.kind == "slip" and before.start - last.end <= 2 * interval
+        advance = float(np.ptp(position[before.first : before.last + 1]))
+        if advance < BELT_RUNS * abs(motion.belt_speed) * before.duration:  # False where the speed is unknown
+            complete = False
         landed = after is not None and after.kind == "stick" and after.start - slip.end <= 2 * interval
         drop = math.nan
         if landed and after is not None:

@@ -67,9 +67,12 @@ QUANTITIES: dict[str, str | None] = {
     "x0": None,
 }
 _RULES = {"positive": lambda x: x > 0, "not negative": lambda x: x >= 0, "not zero": lambda x: x != 0}
+# What composed units are made of, as powers of kg, m and s.
+COMPOSED = {"mass": (1, 0, 0), "length": (0, 1, 0), "time": (0, 0, 1), "force": (1, 1, -2), "rate": (0, 0, -1)}
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
+_FACTOR = re.compile(r"([A-Za-z]+)\^?([+-]?\d+)?|1")
 _PLUS_MINUS = re.compile(r"±|\+-|\+/-")
 
 
@@ -148,6 +151,44 @@ def in_si(value: Stated, dimension: str, key: str) -> Measured:
         do = f"give a number in {si_unit(dimension)}, (value, sd), or text such as {EXAMPLES[dimension]!r}"
         raise InputError(f"{key} is {value!r:.60}", key, do)
     return Measured(*map(float, parts))
+
+
+def in_unit(text: str, unit: str, name: str, where: str) -> float:
+    """Return a typed value of a parameter in its unit, such as ``m s^-2``; a bare number is in that already."""
+    parts = _QUANTITY.fullmatch(text.strip())
+    if not parts or not math.isfinite(float(parts[1])):
+        raise InputError(f"{name} is {text!r}, not a number", where, f"give one in {unit}" if unit else "give one")
+    if parts[2].strip() in ("", unit):
+        return float(parts[1])
+    (size, dimension), (own_size, own_dimension) = _composed(parts[2]), _composed(unit)
+    if dimension is None or dimension != own_dimension:
+        do = f"give a number in {unit}, or with such a unit" if unit else "give a number without a unit"
+        raise InputError(f"{name} is {text!r}, and {parts[2].strip()!r} is not a unit of it", where, do)
+    return float(parts[1]) * size / own_size
+
+
+def typed_unit(text: str) -> str:
+    """Return what stands behind the number of a typed value."""
+    parts = _QUANTITY.fullmatch(text.strip())
+    return "" if parts is None else parts[2].strip()
+
+
+def _composed(unit: str) -> tuple[float, tuple[int, int, int] | None]:
+    """Return the size in SI of a product of powers of units, and its powers of kg, m and s; None if one is unknown."""
+    size, powers = 1.0, [0, 0, 0]
+    for k, part in enumerate(_latin(unit).replace("²", "^2").replace("·", " ").replace("*", " ").split("/")):
+        for n, factor in enumerate(part.split()):
+            match = _FACTOR.fullmatch(factor)
+            power = int(match[2] or 1) if match else 0
+            power *= -1 if k and not n else 1
+            name = match[1] if match else ""
+            base = next((key for key in COMPOSED if name in UNITS[key]), None)
+            if match is None or (name and base is None):
+                return 1.0, None
+            if base is not None:
+                size *= UNITS[base][name] ** power
+                powers = [own + power * more for own, more in zip(powers, COMPOSED[base], strict=True)]
+    return size, (powers[0], powers[1], powers[2])
 
 
 def unit_size(text: str, dimension: str, where: str) -> float:

@@ -272,6 +272,7 @@ MISTAKES = [
     ("fit-friction run.h5 --x0 '5 kg'", ["--x0", "'kg' is not a unit of length"]),
     ("fit-friction run.h5 --datum 1mm --x0 1mm", ["--x0 and --datum together", "give --x0 alone"]),
     ("fit-friction run.h5 --alpha 5", ["--alpha", "5", "such as 0.05"]),
+    ("fit-friction none.h5 --alpha 5", ["--alpha", "such as 0.05"]),  # the file was read and smoothed first
     ("fit-friction run.h5 --fix gamma", ["--fix", "NAME=VALUE", "gamma=9.6"]),
     ("fit-friction run.h5 --bound gamma=5:1", ["--bound", "gamma", "lower one first"]),
     ("fit-friction run.h5 run.h5", ["named twice", "once"]),

@@ -71,7 +71,7 @@ CALLS = {
     "any module": "from stickslip.compute.interpreter import start_python\nstart_python('webbrowser', '--help').wait()",
     "a browser": "import time\nfrom daq.cli.live import open_browser\nopen_browser('file:///no'); time.sleep(0.5)",
     "a child that reads a file": (
-        "from stickslip.compute import isolation\nfrom daq.runfile import trust\nfrom pathlib import Path\n"
+        "from daq.runfile import isolation\nfrom daq.runfile import trust\nfrom pathlib import Path\n"
         "try: isolation._spawn(Path.read_bytes, Path('none'), 20.0, 1 << 30)\nexcept Exception: pass"
     ),
     "processes": (

@@ -84,7 +84,7 @@ class FormulaCurve(FrictionCurve):
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (k,) of the unknowns."""
-        lower, upper = np.array([self.law.limits(name) for name in self.law.free]).T
+        lower, upper = np.array([self.law.limits(name) for name in self.law.free]).reshape(-1, 2).T
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.by_log, np.log(lower), lower), np.where(self.by_log, np.log(upper), upper)
 

@@ -282,6 +282,8 @@ class StartSearch:
         from scipy.optimize import least_squares
 
         names = self.law.free
+        if not names:
+            return start if self._is_friction(start.values) else None
         low, high = np.array([self.law.limits(name) for name in names]).T
         begin = np.array([start.values[name] for name in names])
         size = np.maximum(np.abs(begin), [DERIVATIVE_ROUNDING * self.sizes[name] for name in names])

@@ -158,6 +158,10 @@ def _law(path: str, title: str, runs: int = 0) -> tree.Tree:
     )
 
 
+def _unfitted(stage: _Stage) -> list[str] | None:
+    return [f"law {row.law}: {row.reason}" for row in stage.ranking.unfitted] or None
+
+
 PARAMETERS = "each parameter in its unit, with `NAME_errors`, NaN where no law describes the record"
 ABOUT: tree.Tree = (
     Group("fit/parameters", "NXparameters"),
@@ -168,6 +172,7 @@ ABOUT: tree.Tree = (
     Field("fit/parameters/begin", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[0]),
     Field("fit/parameters/end", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[1]),
     Field("fit/parameters/warnings", "text[i]", "", "in words", "ranking.warnings", optional=True),
+    Field("fit/parameters/not_fitted", "text[i]", "", "laws without a fit, and why", value=_unfitted, optional=True),
     Field("fit/parameters/sha256_smooth", "text", "", "of the smoothed velocity", "smoothed", optional=True),
 )
 RANKING = _table(

@@ -64,7 +64,7 @@ def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]])
     ):
         out = csv.writer(file)
         columns = [f"{name}{part}" for name in names for part in ("", " stderr")]
-        more = ("formula", "asked") if any("formula" in row for _, row in rows) else ()
+        more = [key for key in ("formula", "asked", "reason") if any(key in row for _, row in rows)]
         out.writerow(["file", *EVIDENCE, *more, *columns])
         for run, row in rows:
             values = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]

@@ -31,7 +31,8 @@ def of_ranking(
     lines: list[Any] = [f"verdict: {ranking.verdict}"]
     if ranking.rows:
         law = f"{ranking.best.label}: {formula_of(ranking.best)}; {MOTION}"
-        lines += [_laws(ranking), _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
+        unfitted = [f"law {row.law} was not fitted: {row.reason}" for row in ranking.unfitted]
+        lines += [_laws(ranking), *unfitted, _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines += statistics
     named = [f"; {kind}: {path}" for kind, path in zip(("joint fit", "report"), written, strict=True) if path]
@@ -50,7 +51,7 @@ def _laws(ranking: RankedLaws) -> "Table":
         shown = (format_length(row.rms_m), f"{row.misfit:.3g}", *page.format_evidence(row), member)
         table.add_row(row.title, *shown, style=style)
     for law in ranking.unfitted:
-        table.add_row(f"{law.law}: {law.formula}", "not fitted", *["-"] * 4)
+        table.add_row(law.title, "not fitted", *["-"] * 4)
     return table
 
 

@@ -26,7 +26,7 @@ from fitting.selection.asked import Asked
 from fitting.selection.contradictions import name_contradictions
 from fitting.selection.judgement import Competition
 from fitting.selection.phase_distance import MeasuredOrbit
-from fitting.selection.result import LawResult, RankedLaws, Unfitted
+from fitting.selection.result import LawResult, RankedLaws, UnfittedLaw
 from fitting.selection.verdict_warnings import JudgedRun
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
@@ -45,7 +45,7 @@ class Contest:
     runs: Sequence[Run]
     measured: Measurement
     competition: Competition
-    unfitted: tuple[Unfitted, ...]  # the laws that were not fitted
+    unfitted: tuple[UnfittedLaw, ...]  # the laws that were not fitted
     sustained: bool  # whether the mass sticks in the long run
     warnings: tuple[str, ...] = ()  # about formulas that could not be fitted, or not in all their parameters
 
@@ -282,7 +282,7 @@ def _fluctuation(adequacy: Adequacy) -> list[Finding]:
     return [Finding("random-within-slips", text, share, 0.0, 0.0)]
 
 
-def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], unfitted: Sequence[Unfitted]) -> Adequacy:
+def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], unfitted: Sequence[UnfittedLaw]) -> Adequacy:
     """Return what is known of a record, with the published laws as they were fitted to it."""
     forms = [
         FormFit(
@@ -297,7 +297,7 @@ def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], unfitted: Sequenc
         if row.law in PUBLISHED
     ]
     forms += [
-        FormFit(name, one.formula, SOURCES[name], dict.fromkeys(PUBLISHED[name].free), None, inside_band=False)
+        FormFit(name, str(one.formula), SOURCES[name], dict.fromkeys(PUBLISHED[name].free), None, inside_band=False)
         for one in unfitted
         if (name := str(one.law)) in PUBLISHED
     ]

@@ -12,6 +12,14 @@ from stickslip.units import Measured
 LEAST_ALPHA = 1e-9  # surer is no interval
 
 
+def check_numbers(alpha: float, jobs: int = 1) -> None:
+    """Raise InputError for alpha outside (0, 1), or fewer than one job."""
+    if not (isinstance(alpha, Real) and LEAST_ALPHA <= alpha < 1):
+        raise InputError(f"alpha is {alpha!r}", "--alpha", f"give a number from {LEAST_ALPHA:g} to 1, such as 0.05")
+    if not (isinstance(jobs, int) and jobs >= 1):
+        raise InputError(f"jobs is {jobs!r}", "--jobs", "give 1 or more")
+
+
 @dataclass(frozen=True, eq=False)
 class Asked:
     """Which laws compete, and how; as the arguments of `fitting.selection.ranking.rank`.
@@ -29,11 +37,7 @@ class Asked:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        if not (isinstance(self.alpha, Real) and LEAST_ALPHA <= self.alpha < 1):
-            do = f"give a number from {LEAST_ALPHA:g} to 1, such as 0.05"
-            raise InputError(f"alpha is {self.alpha!r}", "--alpha", do)
-        if not (isinstance(self.jobs, int) and self.jobs >= 1):
-            raise InputError(f"jobs is {self.jobs!r}", "--jobs", "give 1 or more")
+        check_numbers(self.alpha, self.jobs)
 
     def given(self, law: int | str) -> dict[str, Given]:
         """Return what is given of a law's parameters; nothing of a rival that was not asked for."""

@@ -47,6 +47,9 @@ def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
     if len(runs) > 1 and any("v_dr" in given for given in of_laws.values()):
         raise InputError("one belt speed for several runs", "v_dr", "leave it out: each run finds its own")
     mass = runs[0].motion
+    if competitors.in_newtons and mass.mass is None and mass.stiffness is None:
+        name = competitors.in_newtons[0]
+        raise InputError(f"{name} has a unit with newtons, and the mass is not known", name, "give --mass as well")
     return [
         replace(run, given={law: _unknowns(given, run.motion.sign, mass) for law, given in of_laws.items() if given})
         for run in runs

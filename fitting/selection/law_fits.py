@@ -217,12 +217,24 @@ def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematic
         raise DataError(
             f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {FEWEST_CYCLES}",
             ", ".join(sources),
-            "leave out fewer (--exclude-cycles)" if any(map(_excluded, runs)) else "record longer",
+            _remedy(runs, sustained=sustained),
         )
     for run, record in zip(runs, records, strict=True):
         if run.cut.shows_belt:
             screening.refuse_impossible_rest(run.motion, record)
     return sustained
+
+
+def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
+    """Return what gives more cycles."""
+    if any(map(_excluded, runs)):
+        return "leave out fewer (--exclude-cycles)"
+    if not sustained and all(run.cut.starts_at_rest and screening.dies_away(run.motion.velocity) for run in runs):
+        return (
+            "the oscillation dies away after the belt starts, so a longer record has no more: record several starts of "
+            "the belt and fit these runs together, or reduce the damping"
+        )
+    return "record longer"
 
 
 def refuse(why: str, records: Sequence[Kinematics]) -> None:

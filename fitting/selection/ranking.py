@@ -25,7 +25,7 @@ from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import compete
 from fitting.selection.one_contact import find_other_contact
 from fitting.selection.result import RankedLaws
-from fitting.selection.rivals import fit_formulas
+from fitting.selection.rivals import fit_formulas, unfitted
 from processing.record.kinematics import Kinematics
 from stickslip.errors import DataError
 from stickslip.units import Measured
@@ -139,11 +139,15 @@ def _contest(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -
     fits: list[Fit | FormulaFit] = [*(fit for fit in six if fit.law in competitors.direct), *formulas.fits]
     if doubt and not screening.comes_near(formulas.fits, runs):
         law_fits.refuse(doubt, records)
-    if not fits:
-        what = "none of the laws that were named can be fitted"
-        raise DataError(what, "record", "add laws of the six, as --laws 1-6")
+    lost = [unfitted(law, "its motion cannot be followed") for law in competitors.direct if sustained]
+    followed = {fit.law for fit in six}
+    missing = (*(row for row in lost if row.law not in followed), *formulas.unfitted)
+    if not any(fit.law in competitors.laws or fit.law in competitors.names for fit in fits):
+        reasons = "; ".join(f"law {row.law}: {row.reason}" for row in missing if row.asked)
+        where = ", ".join(record.recording.where for record in records)
+        raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")
     competition = compete(fits, measured.noise, measured.judged, runs, asked.alpha, sustained=sustained)
-    return Contest(asked, records, runs, measured, competition, formulas.unfitted, sustained, formulas.warnings)
+    return Contest(asked, records, runs, measured, competition, missing, sustained, formulas.warnings)
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:

@@ -19,7 +19,6 @@ from fitting.estimation.result import STATED_ERROR, BreakAway, Correlations, Par
 from fitting.law import TITLES
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError, InputError, in_python
 
@@ -264,25 +263,34 @@ class LawResult:
 
 
 @dataclass(frozen=True)
-class Unfitted:
-    """A law that was not fitted, with the reason; ``asked`` is whether it was asked for."""
+class UnfittedLaw:
+    """The row of a law that was not fitted, or not to an end that holds: it has no numbers."""
 
     law: int | str
-    formula: str
-    asked: bool
+    name: str
     reason: str
+    formula: str | None = None
+    asked: bool = True
 
+    @property
+    def title(self) -> str:
+        """The law in a table, as `LawResult.title`."""
+        return f"{self.law} {self.name}" if self.formula is None else f"{self.law}: {self.formula}"
 
-def unfitted_as_json(law: Unfitted) -> dict[str, Any]:
-    """Return the document's row of a law that was not fitted: its numbers are null."""
-    of_formula = {} if isinstance(law.law, int) else {"formula": law.formula, "asked": law.asked}
-    name = LAWS[law.law].name if isinstance(law.law, int) else law.law.replace("-", " ")
-    numbers = dict.fromkeys(("score", "weight", "rms_m", "misfit", "cycles", "outside_band", "orbit_distance", "cpu_s"))
-    return (
-        {"law": law.law, "name": name, **of_formula, "in_set": False, "parameters": {}}
-        | numbers
-        | {"fitted": False, "reason": law.reason}
-    )
+    def as_json(self) -> dict[str, Any]:
+        """Return the document's form, with the keys of `LawResult.as_json`."""
+        document: dict[str, Any] = {"law": self.law, "name": self.name}
+        document |= {} if self.formula is None else {"formula": self.formula, "asked": self.asked}
+        document |= {"score": None, "weight": None, "in_set": False, "rms_m": None, "misfit": None}
+        return document | {
+            "cycles": None,
+            "fitted": False,
+            "reason": self.reason,
+            "parameters": {},
+            "outside_band": None,
+            "orbit_distance": None,
+            "cpu_s": None,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,7 +322,7 @@ class RankedLaws:
         The smoothed runs.
     alpha : float
         1 - confidence of the intervals.
-    unfitted : tuple of Unfitted
+    unfitted : tuple of UnfittedLaw
         The laws that were not fitted, with the reasons.
     not_excluded : tuple of int or str
         Laws outside the set whose residual is no larger than the best law's within the noise of the comparison.
@@ -333,7 +341,7 @@ class RankedLaws:
     runs: "tuple[RankedLaws, ...]" = ()
     records: tuple[Kinematics, ...] = field(default=(), repr=False)
     alpha: float = 0.05
-    unfitted: tuple[Unfitted, ...] = ()
+    unfitted: tuple[UnfittedLaw, ...] = ()
     not_excluded: tuple[int | str, ...] = ()
 
     @property
@@ -345,6 +353,11 @@ class RankedLaws:
     def best(self) -> LawResult:
         """The first row; there is none where no law came near the record."""
         return self.rows[0]
+
+    @property
+    def table(self) -> "tuple[LawResult | UnfittedLaw, ...]":
+        """The rows, then those of the laws that could not be fitted."""
+        return (*self.rows, *self.unfitted)
 
     @property
     def rivals(self) -> tuple[LawResult, ...]:
@@ -361,7 +374,8 @@ class RankedLaws:
         for row in self.rows:
             if row.law == law:
                 return row
-        raise KeyError(f"law {law} was not fitted; fitted: {', '.join(str(row.law) for row in self.rows)}")
+        why = next((f": {row.reason}" for row in self.unfitted if row.law == law), "")
+        raise KeyError(f"law {law} was not fitted{why}; fitted: {', '.join(str(row.law) for row in self.rows)}")
 
     def as_json(self) -> dict[str, Any]:
         """Return the command's JSON document."""
@@ -370,7 +384,7 @@ class RankedLaws:
             "set": list(self.laws_in_set),
             "rivals": [row.law for row in self.rivals if row.in_set],
             "not_excluded": list(self.not_excluded),
-            "ranking": [row.as_json() for row in self.rows] + [unfitted_as_json(one) for one in self.unfitted],
+            "ranking": [row.as_json() for row in self.table],
             "cycles": [event.as_json() for event in self.events],
             "warnings": list(self.warnings),
             "findings": [vars(finding) for finding in self.findings],
@@ -428,6 +442,8 @@ class RankedLaws:
             del flat["outside_band"], flat["parameters"]
             table.append(flat | in_columns(row.parameters))
             units |= {name: item.unit for name, item in row.parameters.items()}
+        for unfitted in self.unfitted:
+            table.append({key: value for key, value in unfitted.as_json().items() if key in (*table[0], "reason")})
         frame = pd.DataFrame(table)
         frame.attrs["units"] = units
         return frame
@@ -485,7 +501,8 @@ class RankedLaws:
                 )
                 for row in self.rows
             )
-            parts.append(notebook.table("Laws, best first", laws, header))
+            unfitted = ((str(row.law), row.formula or row.name, "not fitted", "", "") for row in self.unfitted)
+            parts.append(notebook.table("Laws, best first", (*laws, *unfitted), header))
             values = ((name, str(item)) for name, item in self.best.parameters.items())
             parts.append(notebook.table(f"Parameters of {self.best.label}", values))
         return "\n".join(parts)

@@ -25,8 +25,9 @@ from fitting.estimation.fit import Fit
 from fitting.law import PUBLISHED, Law
 from fitting.selection import evidence
 from fitting.selection.given import formula_given
-from fitting.selection.result import Unfitted
+from fitting.selection.result import UnfittedLaw
 from fitting.undetermined import natural_size, undetermined
+from rig_sim.friction.law import LAWS
 from stickslip.errors import InputError
 
 logger = logging.getLogger(__name__)
@@ -42,7 +43,7 @@ class Formulas:
     """The formulas that were fitted, those that were not, and warnings about parameters that were named."""
 
     fits: tuple[FormulaFit, ...]
-    unfitted: tuple[Unfitted, ...] = ()
+    unfitted: tuple[UnfittedLaw, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
@@ -51,27 +52,32 @@ def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, six: Seq
 
     curve: From which each fit starts.
     six: Of the six; a formula that errs more than one that it contains starts again where the best of them ended.
-    Raises InputError: for a law that was named and is no friction curve with any values of its parameters.
     """
     fits: list[FormulaFit] = []
-    unfitted: list[Unfitted] = []
+    missing: list[UnfittedLaw] = []
     warned: list[str] = []
     host = None if curve is None else curve.spline_fit
     target = None if host is None else measured_target(host, host.linearised())
     for law, number in _candidates(competitors, curve, six):
         asked = number is not None or law.name in competitors.names
-        name = law.name if number is None else number
-        fit: FormulaFit | str = "no friction curve can follow the motion"
+        fit: FormulaFit | str = "the friction curve could not be measured"
         if host is not None and target is not None:
             fit = _fit(law, number, host, target, [*six, *fits], asked=asked)
         if isinstance(fit, str):
-            unfitted.append(Unfitted(name, law.formula, asked, fit))
-            warned += [f"law {name} was not fitted: {fit}"] if asked else []
+            missing.append(replace(unfitted(law if number is None else number, fit), asked=asked))
+            logger.info("law %s was not fitted: %s", missing[-1].law, fit)
             continue
         logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
         fits.append(fit)
         warned += [_said(law, str(group), group.names) for group in fit.together] if asked else []
-    return Formulas(tuple(fits), tuple(unfitted), tuple(warned))
+    return Formulas(tuple(fits), tuple(missing), tuple(warned))
+
+
+def unfitted(law: int | Law, reason: str) -> UnfittedLaw:
+    """Return the row of a law that was not fitted."""
+    if isinstance(law, int):
+        return UnfittedLaw(law, LAWS[law].name, reason)
+    return UnfittedLaw(law.name, law.name.replace("-", " "), reason, law.formula)
 
 
 def _candidates(
@@ -116,9 +122,7 @@ def _fit(
     try:
         fit = fit_formula(free, host, others=others, target=target, asked_for=law, number=number, together=together)
     except InputError as error:
-        if asked:
-            raise
-        return error.what
+        return error.what.removeprefix(f"law {law.name} is ")
     if fit is None:
         return "its motion cannot be followed"
     if any(abs(fit.own_values[name]) > RUN_AWAY * natural_size(law, name, friction, fastest) for name in free.free):

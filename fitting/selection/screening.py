@@ -219,6 +219,12 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int,
     begin = np.searchsorted(time, [cycle.break_away for cycle in seen])
     end = np.minimum(np.searchsorted(time, [cycle.landing for cycle in seen]), time.size - 1)
     reach = np.array([np.ptp(x[i : j + 1]) for i, j in zip(begin, end, strict=True)])
+    turned = _reversal(motion, begin, end)
+    if turned is not None:
+        return (
+            f"the belt reverses at about {turned:.4g} s; fit the two parts separately, with --to {turned:.4g} and with "
+            f"--from {turned:.4g}"
+        )
     if sustained and float(np.median((x[begin] - x[end]) / np.maximum(reach, motion.resolution))) < COMES_BACK:
         return _not_back(motion, begin, end)
     if slips >= FEW and len(seen) > 2 * slips and float(np.median(reach)) < BEYOND_NOISE * motion.resolution:
@@ -245,7 +251,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int,
     rested = len(seen) - len(cut.used)
     if 2 * rested >= len(seen):
         return f"the mass stands still in {rested} of {len(seen)} supposed slips"
-    if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
+    if not sustained and not cut.starts_at_rest and dies_away(motion.velocity):
         return "a decaying oscillation, without a start-up; constant friction with damping is possible"
     drag = cut.starts_at_rest and not sustained  # constant friction with damping: a start-up, then less and less motion
     filled = 1.0 if drag else _filled(motion, cut)
@@ -347,6 +353,24 @@ def _of_motion(motion: MeasuredMotion) -> str:
     return "no slip between two sticks"
 
 
+def _reversal(motion: MeasuredMotion, begin: Integers, end: Integers) -> float | None:
+    """Return the time of the run, s, at which the belt reverses; None where it does not.
+
+    Sticks on a belt that runs the other way are taken for slips, all of one constant speed, which is that of the belt.
+    """
+    middle = [motion.velocity[i + (j - i) // 4 : j - (j - i) // 4 + 1] for i, j in zip(begin, end, strict=True)]
+    speed = np.array([float(np.median(v)) for v in middle]) / motion.belt_speed
+    even = (np.abs(speed + 1) < ONE_SPEED) & (_speed_changes(motion, begin, end) < EVEN_SLIP)
+    first = int(np.argmax(even))
+    last = even.size - int(np.argmax(even[::-1]))
+    if np.count_nonzero(even) < FEWEST_STICKS or even.all() or not even[first:last].all():
+        return None
+    if first > 0 and last < even.size:
+        return None
+    turned = first if first > 0 else last + int(np.argmax(np.abs(speed[last:]) > REST_SPEED))
+    return motion.begin + float(motion.time[begin[turned]])
+
+
 def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Array:
     """Return how much the velocity changes in the middle half of each slip, over the mean slip speed there (slips,)."""
     quarter = (end - begin) // 4
@@ -386,7 +410,8 @@ def _sine_residual(motion: MeasuredMotion) -> float:
     return float(np.std(residual))
 
 
-def _dies_away(velocity: Array) -> bool:
+def dies_away(velocity: Array) -> bool:
+    """Return whether a motion is slower at the end than at first."""
     first, _, last = (float(np.max(np.abs(part))) for part in np.array_split(velocity, 3))
     return last < DIES_AWAY * first
 

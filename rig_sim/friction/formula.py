@@ -19,6 +19,7 @@ that is finite only as a limit, as that of ``sqrt(s**2)`` at 0.
 
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
@@ -33,6 +34,7 @@ FUNCTIONS = {"exp": 1, "log": 1, "sqrt": 1, "tanh": 1, "abs": 1, "min": 2, "max"
 # Published forms have up to 60 characters and 3 levels.  At half of either a sum of several forms still fits; at twice,
 # parsing, which calls itself for each level, would use half of the levels that Python allows.
 LONGEST, DEEPEST = 2000, 60
+OVERFLOW = 1e150  # no friction and no derivative of one is as large, and its square is not finite
 TOKEN = re.compile(r"(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[^\W\d]\w*)|(?P<mark>\*\*|[-+*/(),])")
 BLANKS = " \t\r\n"
 INSTEAD = {
@@ -42,6 +44,11 @@ INSTEAD = {
     "{": "use round brackets",
     ".": "write a name of letters, digits and _",
 }
+# Letters that look like a plain one; Unicode's compatibility forms (NFKC) make plain only others, as full-width ones.
+LOOK_ALIKES = str.maketrans(
+    "аеорсухѕіјһԁԛԝѵԍАВЕЅІЈКМНОРСТУХԌԚԜѴονϳΑΒΕΖΗΙΚΜΝΟΡΤΥΧհոսօցքɑɡıꜱᴠᴡᴢᴏᴜᴄʋ",
+    "aeopcyxsijhdqwvgABESIJKMHOPCTYXGQWVovjABEZHIKMNOPTYXhnuogqagisvwzoucv",
+)
 Slopes = dict[str, "Array"]  # derivative by each variable that the value depends on
 
 
@@ -207,7 +214,7 @@ class Formula:
         """Raise InputError where values, or derivatives by ``variable``, are not finite."""
         import numpy as np
 
-        wrong = np.flatnonzero(~np.isfinite(found.ravel()))
+        wrong = np.flatnonzero(~(np.abs(found.ravel()) < OVERFLOW))
         if not wrong.size:
             return
         at = float(speeds.ravel()[wrong[0]])
@@ -237,7 +244,7 @@ class Formula:
             stack.append(i)
             if not math.isfinite(float(results[i][0])):
                 return _reason(step, taken), step.column
-        raise AssertionError("the last step is not finite")
+        return "overflow", self._steps[-1].column
 
 
 def _reason(step: Operation, taken: list[float]) -> str:
@@ -264,6 +271,11 @@ def pointed(text: str, column: int) -> str:
         for letter in text[first : column + 40]
     )
     return f"    {shown}\n    {'^':>{column - first + 1}}"
+
+
+def with_plain_letters(name: str) -> str:
+    """Return a name with the letters that its own look like."""
+    return unicodedata.normalize("NFKC", name).translate(LOOK_ALIKES)
 
 
 class _Parser:
@@ -300,8 +312,21 @@ class _Parser:
                 do = INSTEAD.get(letter, "use names, numbers, + - * / ** ( ) and functions")
                 self._fault(f"{letter!a} has no meaning in a formula", column, do)
             tokens.append(Token(str(match.lastgroup), match.group(), column))
+            self._refuse_look_alikes(tokens[-1])
             column = match.end()
         return [*tokens, Token("end", "", len(self.text.rstrip(BLANKS)))]
+
+    def _refuse_look_alikes(self, token: Token) -> None:
+        """Refuse a name with a letter that is read as another one: two names would look like one."""
+        plain = with_plain_letters(token.text)
+        if token.kind != "name" or plain == token.text:
+            return
+        place = next(k for k, letter in enumerate(token.text) if with_plain_letters(letter) != letter)
+        letter = token.text[place]
+        looks = f"{letter!r} ({unicodedata.name(letter, 'unnamed').lower()}) looks like {with_plain_letters(letter)!r}"
+        power = unicodedata.decomposition(letter).startswith("<super>")
+        do = "write ** for powers" if power else f"did you mean {plain}?"
+        self._fault(f"{looks} in the name {token.text!r:.40}", token.column + place, do)
 
     def _fault(self, what: str, column: int, do: str) -> NoReturn:
         raise InputError(what, "formula", f"{do}\n{pointed(self.text, column)}")

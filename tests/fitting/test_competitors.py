@@ -74,11 +74,68 @@ def test_a_formula_may_call_its_parameters_as_the_rig_does():
         ({"bound": ["gamma=:"]}, "write LO:HI"),
         ({"bound": ["gamma=1:2"], "fix": ["gamma=1.5"]}, "fixed and has bounds"),
         ({"bound": ["gamma=1:2"], "start": ["gamma=3"]}, "not within 1 and 2"),
+        ({"law": ["5"]}, "did you mean laws 5"),
+        ({"law": ["1-3"]}, "did you mean laws 1-3"),
+        ({"fix": ["gamma=9.6 kg"]}, "'kg' is not a unit of it; give a number in s/m"),
+        ({"fix": ["gamma=inf"]}, "gamma is 'inf'"),
+        ({"start": ["static=1.2 m"]}, "without a unit"),
+        ({"fix": ["Fs=1 N", "Fs=4 m/s^2"]}, "given twice"),
+        ({"law": ["mine: Fs/(1+g*v)"]}, "did you mean s for v"),  # these were fitted as constants
+        ({"law": ["mine: Fs/(1+g*S)"]}, "did you mean s for S"),
+        ({"law": ["mine: Fs/(1+g*v_rel)"]}, "did you mean s for v_rel"),
+        ({"law": ["mine: Fs*exp(-velocity/v_s)"]}, "did you mean s for velocity"),
+        ({"law": ["mine: v"]}, "did you mean s for v"),
+        ({"law": ["mine: Fs - Fc"]}, "law 1 is constant friction"),
+        ({"law": ["mine: Fs/(1+g*\uff53)"]}, "fullwidth latin small letter s"),
+        ({"law": ["mine: Fs/(1+g*\u0455)"]}, "cyrillic small letter dze.*did you mean s"),
+        ({"law": ["mine: F\u0441 - b*s"]}, "cyrillic small letter es.*did you mean Fc"),
     ],
 )
 def test_what_cannot_be_is_refused(typed, said):
     with pytest.raises(InputError, match=said):
         Competitors.typed(**{"laws": "1-6"} | typed)
+
+
+@pytest.mark.parametrize(
+    ("law", "typed", "expected"),
+    [
+        (5, {"fix": ["gamma=9.6e-3 s/mm"]}, {"gamma": Given(9.6, 9.6, 9.6)}),
+        (5, {"start": ["Fs=4.6 m/s^2"]}, {"Fs/m": Given(start=4.6)}),
+        (5, {"start": ["5.Fs=4.6 N/kg"]}, {"Fs/m": Given(start=4.6)}),
+        (5, {"start": ["Fs=0.5 kN"]}, {"Fs": Given(start=500.0)}),
+        (5, {"bound": ["k=9:11 N/mm"]}, {"k": Given(9e3, 11e3)}),
+        (6, {"bound": ["d=:30 mm/s"]}, {"d": Given(high=0.03)}),
+        (6, {"bound": ["d=1 mm/s:3 cm/s"]}, {"d": Given(0.001, 0.03)}),
+        (5, {"fix": ["x0=60 mm"]}, {"x0": Given(0.06, 0.06, 0.06)}),
+    ],
+)
+def test_values_take_units(law, typed, expected):
+    assert Competitors.typed(str(law), **typed).of_law(law) == expected
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"start": {"gamma": math.inf}}, "gamma is inf"),  # the record was blamed
+        ({"start": {"gamma": math.nan}}, "gamma is nan"),
+        ({"fix": {"gamma": 10**400}}, "gamma is 1000"),
+        ({"start": {"gamma": None}}, "of gamma is None"),
+        ({"bounds": {"gamma": (0.0, math.nan)}}, "gamma is "),
+        ({"bounds": {"gamma": (0.0, "20 kg")}}, "not a unit of it"),
+        ({"laws": object()}, "is not a law"),  # a TypeError
+        ({"laws": [5, None]}, "None is not a law"),
+        ({"laws": 5.5}, "5.5 is not a law"),
+    ],
+)
+def test_arguments_that_cannot_be_are_refused(arguments, said):
+    with pytest.raises(InputError, match=said):
+        Competitors.of(**{"laws": 5} | arguments)
+
+
+def test_arguments_take_units():
+    found = Competitors.of("5,stribeck", {"gamma": "9.6 s/m"}, {"v_s": (0, "30 cm/s")}, {"v_s": "30 mm/s"})
+    assert (found.fix, found.bounds, found.start) == ({"gamma": 9.6}, {"v_s": (0, 0.3)}, {"v_s": 0.03})
+    assert Law("mine", "Fs*exp(-s/v_s)", start={"v_s": "30 mm/s"}).start == {"v_s": 0.03}
 
 
 def test_bounds_may_be_open():

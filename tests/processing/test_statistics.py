@@ -103,3 +103,19 @@ def test_the_commands_print_and_draw_the_statistics(tmp_path, capsys):
     drawn = picture.read_text()
     assert "break-away level (mm)" in drawn
     assert f"mean {1e3 * found['break_away_m']['mean']:.4g} mm" in drawn
+
+
+def test_a_stick_during_which_the_belt_rests_has_no_duration():
+    """A pause of 10 s used to be a stick of 11 s."""
+    time, position, *_ = force_record(seed=5)
+    middle = int(np.searchsorted(time, 0.4 * time[-1]))
+    while position[middle + 50] <= position[middle]:  # not in a slip
+        middle += 50
+    pause = 10 * round(1 / (time[1] - time[0]))
+    noise = 4e-6 * np.random.default_rng(1).standard_normal(pause)
+    paused = np.concatenate((position[:middle], position[middle] + noise, position[middle:]))
+    times = (time[1] - time[0]) * np.arange(paused.size)
+    found, whole = (
+        statistics.from_kinematics(processing.smooth(recorded(*one))) for one in ((times, paused), (time, position))
+    )
+    assert np.nanmax(found.column("stick_s")) == pytest.approx(np.nanmax(whole.column("stick_s")), rel=0.1)

@@ -15,6 +15,7 @@ from daq.runfile import listing
 from fitting import job
 from fitting.competitors import restated
 from fitting.estimation.derived import RUNS_OWN
+from fitting.ranked import Ranking
 from fitting.report import page
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
@@ -22,7 +23,7 @@ from processing.statistics import from_kinematics
 from rig_sim.motion.play import events
 from rig_sim.scenes.scene import scene
 from stickslip.console import application
-from stickslip.errors import InputError
+from stickslip.errors import DataError, InputError
 from stickslip.units import Measured
 
 from .. import command
@@ -171,9 +172,48 @@ def test_parameters_that_enter_only_as_a_product_are_said_to_be_undetermined(hyp
     assert ranking.row("two").fit.law_parameters == fixed.row("two").fit.law_parameters
 
 
-def test_a_formula_that_is_no_friction_is_refused_with_the_reason(hyperbolic):
-    with pytest.raises(InputError, match="friction is negative"):
-        rank(hyperbolic, laws=(5, fitting.Law("mine", "-abs(Fs)")))
+@pytest.mark.parametrize(
+    ("formula", "reason"),
+    [
+        ("-abs(Fs)", "friction is negative"),  # used to end the whole fit
+        ("Fs-Fs", "friction is not above 0"),  # used to end in a ValueError
+        ("Fs/(1e-300+s)", "overflow"),
+        ("Fs*log(-abs(b)*s)", "log of"),
+        ("Fs*s", "friction is not above 0"),
+    ],
+)
+def test_a_law_that_cannot_be_fitted_is_a_row_that_says_why(hyperbolic, formula, reason):
+    ranking = Ranking.of(rank(hyperbolic, laws=(5, fitting.Law("mine", formula))))
+    assert ranking.best.law == 5
+    fitted, missing = ranking.as_json()["ranking"]
+    assert (fitted["fitted"], missing["fitted"], missing["law"], missing["formula"]) == (True, False, "mine", formula)
+    assert reason in missing["reason"]
+    assert {missing[key] for key in ("score", "weight", "rms_m", "cycles", "orbit_distance", "cpu_s")} == {None}
+    assert (missing["in_set"], missing["parameters"], set(fitted) - set(missing)) == (False, {}, set())
+    table = ranking.to_dataframe()
+    assert table.law.tolist() == [5, "mine"]
+    assert reason in table.reason[1]
+    assert "not fitted" in ranking._repr_html_()
+    with pytest.raises(KeyError, match="was not fitted: "):
+        ranking.row("mine")
+
+
+def test_where_no_requested_law_can_be_fitted_each_reason_is_said(hyperbolic):
+    with pytest.raises(
+        DataError, match=r"none of the requested laws can be fitted \(law mine: .*negative.*; law two: "
+    ):
+        rank(hyperbolic, laws=(fitting.Law("mine", "-abs(Fs)"), fitting.Law("two", "Fs*s")))
+
+
+def test_a_law_without_free_parameters_is_fitted(hyperbolic):
+    law = fitting.Law("mine", "Fs/(1 + gamma*s)", fix={"Fs": "4.6 m/s^2", "gamma": "9.6e-3 s/mm"})  # a ValueError
+    assert rank(hyperbolic, laws=(5, law)).row("mine").rms_m < 1e-4
+
+
+def test_a_value_in_newtons_needs_a_mass(hyperbolic):
+    bare = replace(hyperbolic.recording.rig, mass=None, stiffness=None)
+    with pytest.raises(InputError, match="the mass is not known"):
+        rank(hyperbolic, bare, laws=5, start={"Fs": "1.4 N"})
 
 
 def test_a_force_in_newtons_needs_a_mass(hyperbolic):

@@ -1,6 +1,8 @@
 """Records that are no belt stick-slip get no ranking but a clear reason, whatever is known of the rig."""
 
 import json
+import math
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,6 +13,7 @@ import pytest
 import daq
 from daq.cli import app as daq_cli
 from daq.runfile import store
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting import cli
 from fitting.data.cycles import Cycle, CycleSegmentation
@@ -282,3 +285,46 @@ def test_a_drive_at_nearly_constant_speed_is_no_stick_slip(strangers, belt_rig, 
     blank = belt_rig.recording(law=5, duration=1.0)
     recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=Rig())
     assert not screening.is_stick_slip(smooth(recording))
+
+
+def driven(belt, gamma=9.6, c=0.02, seconds=40.0, Fs=1.3):
+    """Return the record of a mass of 0.3 kg on a belt of speed ``belt(t)``, by steps of 0.1 ms, with encoder counts."""
+    k, m, dt, count = 10.555, 0.3, 1e-4, 7.67e-6
+    x = v = 0.0
+    stuck, positions = False, []
+    for i in range(round(seconds / dt)):
+        b = belt(i * dt)
+        if i % 20 == 0:
+            positions.append(x)
+        if stuck and abs(k * x + c * b) <= Fs:
+            x, v = x + b * dt, b
+            continue
+        stuck, slip = False, b - v
+        force = math.copysign(Fs / (1 + gamma * abs(slip)), slip)
+        landed = v + dt * (force - k * x - c * v) / m
+        if (b - landed) * slip <= 0 and abs(k * x + c * b) <= Fs:
+            stuck, landed = True, b
+        x, v = x + dt * landed, landed
+    readings = 0.05 + count * np.floor(np.array(positions) / count)
+    return smooth(Recording.from_arrays(2e-3 * np.arange(readings.size), readings))
+
+
+@pytest.mark.parametrize(
+    ("pause", "back"),
+    [(20.0, 20.0), (20.0, 24.0), (30.0, 31.0), (9.0, 12.0)],
+)
+def test_a_belt_that_reverses_is_named_with_the_time(pause, back):
+    """Used to be "the mass slips back at constant speed, which a spring cannot cause"."""
+    record = driven(lambda t: 0.15 if t < pause else 0.0 if t < back else -0.15)
+    ranking = rank(record)
+    assert ranking.rows == ()
+    said = re.search(r"the belt reverses at about ([\d.]+) s; .*--to \1 and with --from \1", ranking.verdict)
+    assert said is not None, ranking.verdict
+    assert back - 0.5 < float(said[1]) < back + 2.5
+
+
+@pytest.mark.parametrize("c", [0.1, 0.3])
+def test_of_an_oscillation_that_dies_away_no_longer_record_is_asked_for(c):
+    record = driven(lambda t: 0.0 if t < 1.0 else 0.1, gamma=0.0, c=c, Fs=0.8)
+    with pytest.raises(DataError, match=r"a verdict needs 4; the oscillation dies away .* fit these runs together"):
+        rank(record)
