@@ -172,7 +172,7 @@ ABOUT: tree.Tree = (
     Field("fit/parameters/begin", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[0]),
     Field("fit/parameters/end", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[1]),
     Field("fit/parameters/warnings", "text[i]", "", "in words", "ranking.warnings", optional=True),
-    Field("fit/parameters/not_fitted", "text[i]", "", "laws without a fit, and why", value=_unfitted, optional=True),
+    Field("fit/parameters/not_fitted", "text[u]", "", "laws without a fit, and why", value=_unfitted, optional=True),
     Field("fit/parameters/sha256_smooth", "text", "", "of the smoothed velocity", "smoothed", optional=True),
 )
 RANKING = _table(
