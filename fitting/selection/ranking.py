@@ -21,11 +21,12 @@ from fitting.selection import answer, law_fits, screening
 from fitting.selection.answer import Contest, Decision
 from fitting.selection.asked import Asked
 from fitting.selection.contradictions import LawParameters, find_contradictions
+from fitting.selection.evidence import nested
 from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import compete
 from fitting.selection.one_contact import find_other_contact
 from fitting.selection.result import RankedLaws
-from fitting.selection.rivals import fit_formulas, unfitted
+from fitting.selection.rivals import fit_formulas, name_better_limit, unfitted
 from processing.record.kinematics import Kinematics
 from stickslip.errors import DataError
 from stickslip.units import Measured
@@ -136,12 +137,14 @@ def _contest(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -
     )
     measured = measure(six, [run.motion for run in runs], asked.alpha)
     formulas = fit_formulas(competitors, measured.curve, six)
-    fits: list[Fit | FormulaFit] = [*(fit for fit in six if fit.law in competitors.direct), *formulas.fits]
+    direct = [fit for fit in six if fit.law in competitors.direct]
+    lost = {fit.law: name_better_limit(fit, (1, *nested(fit.law)), six) for fit in direct}
+    fits: list[Fit | FormulaFit] = [*(fit for fit in direct if not lost[fit.law]), *formulas.fits]
     if doubt and not screening.comes_near(formulas.fits, runs):
         law_fits.refuse(doubt, records)
-    lost = [unfitted(law, "its motion cannot be followed") for law in competitors.direct if sustained]
-    followed = {fit.law for fit in six}
-    missing = (*(row for row in lost if row.law not in followed), *formulas.unfitted)
+    if sustained:
+        lost |= {law: "its motion cannot be followed" for law in competitors.direct if law not in lost}
+    missing = (*(unfitted(law, why) for law, why in lost.items() if why), *formulas.unfitted)
     if not any(fit.law in competitors.laws or fit.law in competitors.names for fit in fits):
         reasons = "; ".join(f"law {row.law}: {row.reason}" for row in missing if row.asked)
         where = ", ".join(record.recording.where for record in records)

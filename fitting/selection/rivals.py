@@ -127,15 +127,29 @@ def _fit(
         return "its motion cannot be followed"
     if any(abs(fit.own_values[name]) > RUN_AWAY * natural_size(law, name, friction, fastest) for name in free.free):
         return "its parameters grow without bound"
-    worse = [other for other in others if other.law in contained(law)]
-    worse = [other for other in worse if fit.geometric_mean_rms > CONTAINED_ERROR * other.geometric_mean_rms]
-    if worse:
-        return f"its fit errs more than law {worse[0].law}"
+    if worse := name_better_limit(fit, contained(law), others):
+        return worse
     for other in others:
         if isinstance(other, FormulaFit) and other.number is None and other.law not in PUBLISHED and not asked:
             if _draws(other.asked_for, fit, host):
                 return f"law {other.law} can be the same curve"
     return fit
+
+
+def name_better_limit(
+    fit: Fit | FormulaFit, limits: Sequence[int | str], others: Sequence[Fit | FormulaFit]
+) -> str | None:
+    """Return which of the laws that it contains a fit errs more than: it has not come to its end; None for none."""
+    better = [
+        other
+        for other in others
+        if other.law in limits
+        and other.law != fit.law
+        and (
+            fit.geometric_mean_rms > CONTAINED_ERROR * other.geometric_mean_rms or fit.rms > CONTAINED_ERROR * other.rms
+        )
+    ]
+    return f"its fit errs more than law {better[0].law}" if better else None
 
 
 def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:
