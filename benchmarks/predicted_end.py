@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import rig_sim
-from rig_sim.functions.arguments import parameter_range
-from rig_sim.functions.branches import point_intervals
+from rig_sim.functions.arguments import parse_range
+from rig_sim.functions.branches import find_point_intervals
 from rig_sim.functions.systems import SweptScene
-from rig_sim.scenes.draws import drawn_changes
+from rig_sim.scenes.draws import draw_changes
 from rig_sim.scenes.scene import scene
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -50,10 +50,10 @@ def main(seeds: int) -> None:
                 asked = ["--duration", "20", "-o", run, "--set", f"seed={seed}", "--set", f"damper.c={DAMPER}"]
                 called("daq.cli.app", "record", "--scene", "rig", *asked, *changes)
                 called("fitting.cli", run, "--laws", "5", "--mass", "0.3", "--save-scene", file, "--no-report")
-                drawn = drawn_changes(scene(file), DRAWS, file)
+                drawn = draw_changes(scene(file), DRAWS, file)
                 for key, points in truth.items():
                     swept = SweptScene(scene(file), key)
-                    intervals, _ = point_intervals(swept, points, parameter_range(RANGES[key]), drawn)
+                    intervals, _ = find_point_intervals(swept, points, parse_range(RANGES[key]), drawn)
                     for point, one in zip(points, intervals, strict=True):
                         lo, hi = (-math.inf if one.lo is None else one.lo), (math.inf if one.hi is None else one.hi)
                         inside = lo <= point.value <= hi

@@ -19,7 +19,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 from rig_sim.comparison import reference
-from rig_sim.comparison.solve_ivp import by_solver
+from rig_sim.comparison.solve_ivp import make_ivp_solver
 from rig_sim.comparison.stepping import sample_phase
 from rig_sim.integrate.events import EventList, list_events
 from rig_sim.motion.play import play_events
@@ -97,7 +97,7 @@ def main(until: float, write: bool) -> None:
         cycles = sum(kind.startswith("S>") for _, kind, _ in expected)
         for method, rtol in PEERS:
             begun = time.process_time()
-            phases = partial(sample_phase, by_solver(method, rtol, dense=False))
+            phases = partial(sample_phase, make_ivp_solver(method, rtol, dense=False))
             found = play_events(played, until, phases, max_steps=EVALUATIONS)
             row[f"{method}_s"] = (time.process_time() - begun) / cycles
             row[f"{method}_error"], row[f"{method}_t_error"] = errors(found, expected)

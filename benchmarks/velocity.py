@@ -273,7 +273,7 @@ def speed(bench: Bench) -> dict[str, float]:
         found[f"sg {window},4 over scipy"] = peer / cpu
     data = bench.series()
     noise = white_jerk.fit(data)
-    reach, motion = white_jerk.reach(noise.rho(data.interval)), np.empty((6, data.time.size))
+    reach, motion = white_jerk.samples_to_fade(noise.rho(data.interval)), np.empty((6, data.time.size))
     asked = data.time, data.position, noise, white_jerk.BLOCK, reach, motion
     found["rts, noise known"] = data.time.size / timed(lambda: white_jerk.smooth_piece(*asked), 20)[0] / 1e6
     found["rts, ms in all"] = 1e3 * timed(lambda: registry.estimate("rts", data, Setting()), 10)[0]

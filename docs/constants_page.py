@@ -16,8 +16,8 @@ PACKAGES = ("processing", "fitting")
 DRAWN = {"drawing", "report", "plot"}  # folders and modules whose constants are sizes and colours
 HEAD = """# Numbers that decide
 
-Each is physics, learned from the record, or chosen; its comment says what it counts, and of a chosen one what breaks
-at half and at twice of it.  This page is made from the source: {count} numbers.
+Each is physics, learned from the record, or chosen; its comment says what it counts, in which unit, and why.  This page
+is made from the source: {count} numbers.
 """
 
 

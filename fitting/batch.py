@@ -1,4 +1,4 @@
-"""Many runs, each fitted by itself: an error of one stands in its own row and stops no other."""
+"""Many runs, each fitted separately: an error of one appears in its row and does not stop the others."""
 
 import os
 import traceback
@@ -24,7 +24,7 @@ SEVERITY = (errors.EXIT_DONE, errors.EXIT_UNDECIDED, errors.EXIT_NO_LAW, *FAILUR
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a run has no ranking, the exit code that it alone would end in, and what was found out all the same."""
+    """Why a run has no ranking, its exit code, and what was found nevertheless."""
 
     what: str
     where: str
@@ -33,7 +33,6 @@ class Failure:
     data: dict[str, Any] = field(default_factory=dict)
 
     def as_error(self) -> StickslipError:
-        """Return the same as the error that `fitting.rank` raises."""
         kinds = (InputError, DeviceError, DataError)
         kind = next((kind for kind in kinds if kind.exit_code == self.code), StickslipError)
         error = kind(self.what, self.where, self.do)
@@ -43,21 +42,18 @@ class Failure:
 
 @dataclass(frozen=True)
 class BatchRow:
-    """What became of one run: the document of the command for it alone, or its failure."""
-
     file: Path
     document: dict[str, Any]
     failure: Failure | None = None
 
     @property
     def code(self) -> int:
-        """The exit code that this run alone would end in."""
+        """The exit code of this run alone."""
         if self.failure is not None:
             return self.failure.code
         return job.exit_code(self.document)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the run's part of the document."""
         if self.failure is None:
             return {"file": self.file} | self.document
         error = {"what": self.failure.what, "where": self.failure.where, "do": self.failure.do}
@@ -74,16 +70,11 @@ def fit(
     *,
     force: bool = False,
 ) -> list[BatchRow]:
-    """Fit every run by itself; files are read and written here, by one process, whoever does the fitting.
+    """Fit every run separately; this process alone reads and writes the files.
 
-    files, places: Runs, and where their reports go; no places where no reports are wanted.
-    jobs: Processes; more than there are runs are not started.
-    scheduler: Address of a dask scheduler, whose workers fit instead; they need no files.
-    progress: Called with the number of runs done.
-    force: Replace files that are no reports of these runs.
-    Raises InputError: for fewer than one job, or a scheduler that cannot be used; never for a run.
-    Raises DeviceError: when all that fits was lost, processes or scheduler, before the first run was finished.  Later,
-        the finished runs are kept and the error stands in the rows of the others.
+    ``places`` are those of the reports, if wanted; the workers of a dask ``scheduler`` need no files; ``progress`` gets
+    the number of finished runs. An unusable run becomes a row; DeviceError is raised only where all workers were lost
+    before the first run had finished.
     """
     rows: list[BatchRow] = []
     pairs = [(file, places[number : number + 1]) for number, file in enumerate(files)]
@@ -102,7 +93,7 @@ def fit_each(
     jobs: int = 1,
     scheduler: str | None = None,
 ) -> Iterator[FitOutput | Failure]:
-    """Yield what was found of each run, in their order; raises as `fit`."""
+    """Yield the result of each run, in order; raises as `fit`."""
     if jobs < 1:
         raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
     done = 0
@@ -123,7 +114,6 @@ def exit_code(rows: Sequence[BatchRow]) -> int:
 
 
 def summary(rows: Sequence[BatchRow]) -> str:
-    """Return how many runs were decided, undecided, and so on, in words."""
     count = Counter(errors.EXIT_BUG if row.failure else row.code for row in rows)
     without = f"{count[errors.EXIT_NO_LAW]} that no law describes, " if count[errors.EXIT_NO_LAW] else ""
     undecided = f"{count[errors.EXIT_UNDECIDED]} undecided"
@@ -131,7 +121,7 @@ def summary(rows: Sequence[BatchRow]) -> str:
 
 
 def text(rows: Sequence[BatchRow], compared: Path | None) -> list[Any]:
-    """Return what is printed of a batch: a table of file, set and verdict, or what went wrong; and all warnings."""
+    """Return the printed table of file, set and verdict, or of errors, and all warnings."""
     table = application.table("runs fitted one by one", ("file", "set", "verdict"))
     table.columns[0].overflow = table.columns[2].overflow = "fold"
     table.columns[2].justify, table.columns[2].no_wrap = "left", False
@@ -150,7 +140,6 @@ def text(rows: Sequence[BatchRow], compared: Path | None) -> list[Any]:
 
 
 def compare(rows: Sequence[BatchRow], path: Path, alpha: float, *, force: bool = False) -> None:
-    """Write the page that compares the runs (`fitting.report.comparison`)."""
     runs = [ComparedRun(row.file, row.document, row.failure.what if row.failure else "") for row in rows]
     comparison.write(runs, path, alpha, summary(rows), force=force)
 
@@ -158,7 +147,7 @@ def compare(rows: Sequence[BatchRow], path: Path, alpha: float, *, force: bool =
 def _read(
     pairs: Sequence[tuple[Path, Sequence[Path]]], options: FitOptions, force: bool
 ) -> Iterator[LoadedRun | Failure]:
-    """Read each run, and refuse the file at the place of its report, if there is one, that is no report of it."""
+    """Read each run; an existing file in place of its report that is not its report is a failure."""
     for file, places in pairs:
         try:
             run = job.load_run(file, options)
@@ -170,7 +159,6 @@ def _read(
 
 
 def _fitted(run: LoadedRun | Failure, options: FitOptions) -> FitOutput | Failure:
-    """Fit one run, in whatever process."""
     if isinstance(run, Failure):
         return run
     try:
@@ -180,7 +168,7 @@ def _fitted(run: LoadedRun | Failure, options: FitOptions) -> FitOutput | Failur
 
 
 def _saved(file: Path, places: Sequence[Path], outcome: FitOutput | Failure, force: bool) -> BatchRow:
-    """Write what was found where it belongs."""
+    """Save the result and the report, and return the row."""
     if isinstance(outcome, Failure):
         return BatchRow(file, {}, outcome)
     try:
@@ -191,7 +179,7 @@ def _saved(file: Path, places: Sequence[Path], outcome: FitOutput | Failure, for
 
 
 def read_failure(error: Exception, file: Path) -> Failure:
-    """Return what the command would say of an error, and end in."""
+    """Return the message and exit code of an error."""
     if isinstance(error, StickslipError):
         return Failure(error.what, error.where, error.do, error.exit_code, error.data)
     if isinstance(error, OSError):

@@ -79,7 +79,6 @@ def fit(
 
 
 def _fit_each(request: "FitRequest") -> Answer:
-    """Fit every run by itself."""
     from fitting import batch
     from fitting.report import table
 
@@ -97,7 +96,6 @@ def _fit_each(request: "FitRequest") -> Answer:
 
 
 def _fit_together(request: "FitRequest") -> Answer:
-    """Fit one run, or several as one contact."""
     from daq.runfile import joint
     from fitting import job
     from fitting.report import page, terminal
@@ -132,7 +130,6 @@ def _fit_together(request: "FitRequest") -> Answer:
 
 
 def _write_tables(done: "FitOutput", request: "FitRequest") -> None:
-    """Write the ranking, the measured curve and the scene where they were asked for."""
     from fitting import rig_scene
     from fitting.report import table
 
@@ -150,7 +147,6 @@ def _write_tables(done: "FitOutput", request: "FitRequest") -> None:
 
 
 def main() -> NoReturn:
-    """Run the command."""
     application.main(app)
 
 

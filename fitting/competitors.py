@@ -54,7 +54,7 @@ FORMULAS = {"constant": "Fs", "linear": "Fs - G_slip*s", "hyperbolic": "Fs/(1 + 
 
 
 class Given(NamedTuple):
-    """What is given of one parameter: its bounds, equal where it is fixed, and its first value, if any."""
+    """Bounds of a parameter, equal where it is fixed, and its first value, if any."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -62,17 +62,12 @@ class Given(NamedTuple):
 
     @property
     def fixed(self) -> bool:
-        """Whether it has one value."""
         return self.low == self.high
 
 
 @dataclass(frozen=True, eq=False)
 class Competitors:
-    """The laws that compete.
-
-    Raises InputError: for no law at all, unknown laws, two laws of one name, parameters that no law has, and values
-        that cannot be.
-    """
+    """The laws that compete; unknown or repeated laws, unknown parameters and impossible values raise InputError."""
 
     laws: tuple[int, ...] = ALL_LAWS  # of the six
     formulas: tuple[Law, ...] = ()  # those that were named
@@ -82,7 +77,6 @@ class Competitors:
     in_newtons: tuple[str, ...] = field(default=(), init=False)  # names given with a unit that needs the mass
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
         unknown = [law for law in self.laws if law not in ALL_LAWS]
         if unknown or not self.count:
             what = f"unknown law {unknown[0]}" if unknown else "no law to fit"
@@ -115,7 +109,7 @@ class Competitors:
         bounds: Mapping[str, Bound] | None = None,
         start: Mapping[str, float | str] | None = None,
     ) -> "Competitors":
-        """Return the competitors that a call from Python names: numbers, published names, and laws of one's own."""
+        """Return the competitors that Python code names: numbers, published names, custom laws."""
         numbers: list[int] = []
         formulas: list[Law] = []
         several = isinstance(laws, Iterable) and not isinstance(laws, str)
@@ -139,7 +133,7 @@ class Competitors:
         bound: Iterable[str] = (),
         start: Iterable[str] = (),
     ) -> "Competitors":
-        """Return the competitors that the flags of a command line name."""
+        """Return the competitors that flags name."""
         numbers, formulas = _read(laws, "--laws")
         formulas += [one for one in map(read_law, law) if one not in formulas]
         behind = list(ramp)
@@ -159,34 +153,28 @@ class Competitors:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the formulas."""
         return tuple(law.name for law in self.formulas)
 
     @property
     def count(self) -> int:
-        """How many laws compete."""
+        """Number of laws."""
         return len(self.laws) + len(self.formulas)
 
     @cached_property
     def restated(self) -> dict[int, Law]:
-        """The laws of the six that are fitted as their formula, since something is given of their G_slip."""
         return {law: restated(law) for law in self.laws if {"G_slip/m", "G_slip"} & self.of_law(law).keys()}
 
     @property
     def direct(self) -> tuple[int, ...]:
-        """The laws of the six that compete as they are fitted, not as formulas."""
         return tuple(law for law in self.laws if law not in self.restated)
 
     @property
     def searched(self) -> tuple[int, ...]:
-        """The laws of the six that are fitted: those that compete; beside formulas, which start from them, all six."""
+        """The laws of the six that are fitted: all six where a formula competes, since it starts from them."""
         return ALL_LAWS if self.formulas or self.restated else self.laws
 
     def of_law(self, law: int | Law) -> dict[str, Given]:
-        """Return what is given of a law's parameters, by their names without that of the law.
-
-        Raises InputError: for values that the parameter cannot have.
-        """
+        """Return the conditions on a law's parameters, named without the law; impossible values raise InputError."""
         given_of: dict[str, Given] = {}
         for kind, given in (("bounds", self.bounds), ("start", self.start), ("fix", self.fix)):
             for name, value in given.items():
@@ -199,7 +187,7 @@ class Competitors:
         return given_of
 
     def _in_numbers(self, given: Mapping[str, Any], flag: str, newtons: set[str]) -> dict[str, Any]:
-        """Return values with texts as numbers in the unit of the results; names whose unit has newtons are added."""
+        """Return values as numbers in the unit of the results; adds names whose unit has newtons to ``newtons``."""
         found: dict[str, Any] = {}
         for name, value in given.items():
             ends = value if isinstance(value, tuple | list) else (value,)
@@ -231,14 +219,12 @@ class Competitors:
 
 
 def restated(law: int) -> Law:
-    """Return one of the six as its formula."""
     kind = LAWS[law]
     bounds = dict.fromkeys([name for name in ("gamma", "G_slip") if name in FORMULAS[kind.curve]], (0.0, None))
     return Law(f"law{law}", FORMULAS[kind.curve], ramp=bool(kind.ramp), bounds=bounds)
 
 
 def names_of(law: int | Law) -> tuple[str, ...]:
-    """Return the names of a law's parameters of which something may be given."""
     if isinstance(law, int):
         kind = LAWS[law]
         ramp = ("d", "static") if kind.ramp else ()
@@ -253,7 +239,7 @@ def _label(law: int | Law) -> str:
 
 
 def _named(name: str, law: int | Law) -> str | None:
-    """Return a parameter's name in a law, without the law's; None where the law has none of that name."""
+    """Return a parameter's name without the law's; None where the law has no such parameter."""
     prefix, dot, bare = name.partition(".")
     if dot and prefix != _label(law):
         return None
@@ -262,7 +248,7 @@ def _named(name: str, law: int | Law) -> str | None:
 
 
 def _read_value(name: str, value: Any, law: int | Law, flag: str, *, typed: bool) -> tuple[str, Any]:
-    """Return the name per unit mass if the value has such a unit, else the name, and the value as a number."""
+    """Return the name, per unit mass if the value's unit is, and the value as a number."""
     own = str(_named(name, law))
     if typed and f"{own}{PER_MASS}" in names_of(law):
         with suppress(InputError):
@@ -271,7 +257,7 @@ def _read_value(name: str, value: Any, law: int | Law, flag: str, *, typed: bool
 
 
 def unit_of(name: str, law: int | Law) -> str:
-    """Return the unit in which a parameter of a law is given."""
+    """Return the unit of a parameter of a law in the results."""
     plain = name.removesuffix(PER_MASS)
     if isinstance(law, Law) and plain in law.curve.parameters:
         return law.unit(plain, newtons=name == plain)
@@ -279,7 +265,7 @@ def unit_of(name: str, law: int | Law) -> str:
 
 
 def _with(given: Given, kind: str, value: float | Bound) -> Given:
-    """Return what is given with one thing more; a fixed value is that alone."""
+    """Return the conditions with one more; a fixed value replaces all."""
     if kind == "bounds":
         low, high = value  # type: ignore[misc]
         return given._replace(
@@ -290,12 +276,11 @@ def _with(given: Given, kind: str, value: float | Bound) -> Given:
 
 
 def _per_mass(name: str) -> str:
-    """Return the name per unit mass of what has a name in newtons too."""
     return f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in LEAST_VALUES else name
 
 
 def _check(name: str, given: Given, least: float, itself: bool) -> None:
-    """Raise InputError for values that a parameter cannot have: below ``least``, or that unless ``itself``."""
+    """Raise InputError for values below ``least``, or equal to it unless ``itself``."""
     for value in (given.high, given.start):
         if value is not None and (math.isnan(value) or value < least or (value == least and not itself)):
             do = f"it must be {'at least' if itself else 'above'} {least:g}"
@@ -306,7 +291,7 @@ def _check(name: str, given: Given, least: float, itself: bool) -> None:
 
 
 def _read(text: str, where: str) -> tuple[list[int], list[Law]]:
-    """Return the numbers and the laws that a list such as ``1-3,stribeck`` names; or one ``NAME: FORMULA``."""
+    """Return the numbers and laws of a list such as ``1-3,stribeck``, or of one ``NAME: FORMULA``."""
     if ":" in text:
         return [], [read_law(text, where)]
     listed: list[int] = []
@@ -320,10 +305,7 @@ def _read(text: str, where: str) -> tuple[list[int], list[Law]]:
 
 
 def numbers(text: str, flag: str) -> list[int]:
-    """Return the whole numbers that a list such as ``1-3,6`` names; an empty text names none.
-
-    Raises InputError: for anything else.
-    """
+    """Return the whole numbers of a list such as ``1-3,6``; other text raises InputError."""
     listed: list[int] = []
     for part in filter(None, (piece.strip() for piece in text.split(","))):
         first, dash, last = part.partition("-")
@@ -339,7 +321,7 @@ def numbers(text: str, flag: str) -> list[int]:
 
 
 def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
-    """Yield the parts of each NAME=VALUE."""
+    """Yield name and value of each NAME=VALUE."""
     seen: set[str] = set()
     for text in typed:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -354,7 +336,7 @@ def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
 
 
 def _interval(text: str, name: str) -> tuple[str | None, str | None]:
-    """Return the bounds that LO:HI names; either may be left out, and a unit behind HI alone is that of both."""
+    """Return the bounds of LO:HI; either may be missing, and a unit after HI alone is that of both."""
     low, colon, high = (part.strip() for part in text.partition(":"))
     if not colon or not (low or high):
         raise InputError(f"bounds of {name} are {text!r}", "--bound", "write LO:HI, LO: or :HI")

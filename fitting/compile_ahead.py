@@ -1,8 +1,8 @@
-"""Compile kernels of a fit and keep them: ``python -m fitting.compile_ahead [motion]`` (`daq demo` runs both).
+"""Compile kernels of a fit and cache them: ``python -m fitting.compile_ahead [motion]`` (`daq demo` runs both).
 
-The kernel that predicts positions, on two windows of an imagined cycle, while another process records and smooths, then
-the smaller ones; ``motion``: the kernel that follows the motion, in a second process while the fit waits for the first.
-A process that needs a kernel meanwhile waits for its machine code (`stickslip.compute.compile`).
+The kernel that predicts positions, on two windows of an artificial cycle, while another process records and smooths,
+then the smaller ones; ``motion``: the kernel that follows the motion, in a second process while the fit waits for the
+first.  A process that needs a kernel meanwhile waits for its machine code (`stickslip.compute.compile`).
 """
 
 import math
@@ -25,7 +25,6 @@ SAMPLES = 5  # samples of each window: compiled code does not depend on how many
 
 
 def compile_arithmetic() -> None:
-    """Compile the sums and eliminations of a search, the basis of a friction curve and the distance of orbits."""
     rows, first = np.ones((2, 1)), np.array([0, 2])
     residual, matrix, matrices = np.ones(2), np.ones((1, 1)), np.ones((1, 1, 1))
     for function, arguments in (
@@ -44,19 +43,17 @@ def compile_arithmetic() -> None:
 
 
 def compile_predictions() -> None:
-    """Compile what predicts the positions of a law in windows."""
     windows, run, local = _imagined()
     positions(windows, law_curve(1, ramp=False), run, local)
 
 
 def compile_motion() -> None:
-    """Compile what follows the motion."""
     windows, run, local = _imagined()
     follow(windows, law_curve(1, ramp=False), run, local)
 
 
 def compile_derivatives() -> None:
-    """Compile what integrates the derivatives of a motion, along one that was not followed: it has no steps."""
+    """Compile what integrates the derivatives of a motion, along a path without steps."""
     windows, run, local = _imagined()
     begin, point = np.zeros(windows.table.shape[0] + 1, int), np.zeros(1)
     path = Path(
@@ -85,7 +82,7 @@ def compile_derivatives() -> None:
 
 
 def _imagined() -> tuple[ShootingWindows, Array, Array]:
-    """Return a slip and a stick window of one cycle, and the unknowns of its run and its own."""
+    """Return a slip and a stick window of one cycle, and the unknowns of its run and cycle."""
     run = np.zeros(PER_RUN)
     run[[Global.K, Global.LOG_F, Global.V_DR, Global.SHAPE, Global.STATIC]] = 100.0, math.log(5.0), 0.1, 1.0, 1.0
     local = np.zeros((1, PER_CYCLE))

@@ -253,7 +253,7 @@ def _fit_options(
     excluded: int | Sequence[int] = (),
     alpha: float = 0.05,
 ) -> FitOptions:
-    """Return the options that keywords of `rank` state."""
+    """Return the fit options of keywords of `rank`."""
     if mass is not None and stiffness is not None:
         raise InputError("mass and stiffness together", "fitting.rank", "give one: the fit finds the other")
     return FitOptions(
@@ -272,7 +272,7 @@ def _fit_options(
 
 
 def _rigs(rig: Rig | Sequence[Rig] | None, count: int) -> Sequence[Rig | None]:
-    """Return the calibration to use of each run; None where it is the run's own."""
+    """Return the calibration of each run; None for the run's own."""
     rigs = [rig] * count if rig is None or isinstance(rig, Rig) else list(rig)
     if len(rigs) != count:
         raise InputError(f"{len(rigs)} rigs for {count} runs", "rig", "give one for all, or one for each run")
@@ -280,7 +280,6 @@ def _rigs(rig: Rig | Sequence[Rig] | None, count: int) -> Sequence[Rig | None]:
 
 
 def _runs(run_or_time: Any, position: Any) -> list[Run]:
-    """Return the runs that a caller gives."""
     call = "fitting.rank"
     if isinstance(run_or_time, RUNS):
         if position is not None:
@@ -307,7 +306,7 @@ def _time(value: float | str | None, name: str) -> float | None:
 
 
 def _loaded(run: Run, rig: Rig | None, options: FitOptions) -> LoadedRun:
-    """Return a run with the calibration to use; a run file as the command reads it, smoothed where it holds that."""
+    """Return a run with its calibration; a run file as the command reads it, smoothed where it has that stage."""
     if isinstance(run, str | os.PathLike) and Path(run).suffix.lower() in suffix.RUN.suffixes:
         return job.load_run(Path(run), options, rig)
     if options.begin is not None or options.end is not None:

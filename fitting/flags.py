@@ -12,7 +12,6 @@ from stickslip.units import Measured
 
 
 def _repeated(text: str) -> Parameter:
-    """Return a flag that may be given several times."""
     return Parameter(negative=(), consume_multiple=False, help=f"{text.removesuffix('.')}; repeatable.")
 
 

@@ -36,9 +36,9 @@ SIX = Competitors()
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Options of a fit, the same for every run; None keeps the run's own calibration.
+    """Options of a fit, the same for every run; None keeps the run's calibration.
 
-    ``begin`` and ``end`` are times (s) of the run between which it is fitted; ``report`` is whether a page is wanted.
+    ``begin`` and ``end`` are times (s) of the run; ``report`` is whether to make the page.
     """
 
     competitors: Competitors = SIX
@@ -59,11 +59,7 @@ class FitOptions:
 
 @dataclass(frozen=True, eq=False)
 class LoadedRun:
-    """A run as it was read: smoothed already, where its file holds that stage; with the calibration to use.
-
-    ``stage`` is the digest of the smoothed stage that its file held (`processing.stage.digest`); ``whole`` holds the
-    times (s) of the file's first and last sample.
-    """
+    """A run with its calibration, smoothed if its file has that ``stage`` (digest); ``whole`` are its end times, s."""
 
     recording: Recording
     kinematics: Kinematics | None
@@ -79,10 +75,10 @@ class LoadedRun:
 
 @dataclass(frozen=True, eq=False)
 class FitOutput:
-    """A ranking, the statistics of each run's stick-slip, which runs they are, and the page, where one is wanted.
+    """A ranking, the statistics of each run's stick-slip, the runs, and the page if requested.
 
-    ``stages`` are the digests of the smoothed stages beside which the runs were read; ``part`` says in words what was
-    left out: of the runs, of the laws, of the cycles; empty where nothing was.
+    ``stages`` are the digests of the smoothed stages of the runs; ``part`` names what was omitted: runs, laws or
+    cycles.
     """
 
     ranking: RankedLaws
@@ -93,7 +89,7 @@ class FitOutput:
     part: str
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document of the ranking, with the statistics of stick-slip of all runs together and of each."""
+        """Return the document of the ranking, with the statistics of stick-slip, total and by run."""
         document = self.ranking.as_json() | {"statistics": pooled(self.statistics).as_json()}
         if self.ranking.runs:
             document["runs"] = [
@@ -103,9 +99,9 @@ class FitOutput:
         return document
 
     def save(self, place: Path | None, *, force: bool = False) -> None:
-        """Write the results into the run file, of several runs into one beside the first; the report to ``place``.
+        """Write the results into the run file, of several runs into a new one, and the report to ``place``.
 
-        Raises InputError: the run was recorded or smoothed anew while it was fitted.
+        Raises InputError where the run was recorded or smoothed again meanwhile.
         """
         files = [run.file for run in self.runs]
         if len(files) > 1:
@@ -117,10 +113,7 @@ class FitOutput:
 
 
 def exit_code(document: Mapping[str, Any]) -> int:
-    """Return the exit code of a fit by its document: one law that was asked for, several laws, or none.
-
-    A rival that was not asked for leaves no law where it is alone in the set.
-    """
+    """Return the exit code of a document by the number of requested laws in the set; other laws do not count."""
     if document["adequacy"]["verdict"] not in (ADEQUATE, None):  # None: goodness of fit could not be judged
         return EXIT_NO_LAW
     rivals = document.get("rivals", ())
@@ -131,11 +124,7 @@ def exit_code(document: Mapping[str, Any]) -> int:
 
 
 def load_run(path: Path, options: FitOptions, rig: Rig | None = None) -> LoadedRun:
-    """Read a run, with another calibration than its own where one is given.
-
-    Raises InputError: for a file that is no run, a calibration that cannot be, or times between which the run has no
-        samples.
-    """
+    """Read a run, with another calibration if given; an unusable file, calibration or time range is an InputError."""
     samples = runfile.between(path, options.begin, options.end)
     with runfile.opened(path) as file:
         beside = stage.digest(file["entry"])  # before the rest: what replaces it later is another one
@@ -153,10 +142,7 @@ def fit_runs(
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FitOutput:
-    """Smooth what is not yet smoothed, rank the laws, and make the page of all runs.
-
-    Raises DataError: when the laws cannot be ranked; it holds the statistics and the findings of smoothing.
-    """
+    """Smooth the runs, rank the laws, and make the page; a DataError has the statistics and findings."""
     # Sticks are looked for at the record's own speed: a wrong stated one would hide them.
     motions = [smooth(run.recording) if run.kinematics is None else run.kinematics for run in runs]
     motions = [_with_replaced(motion, run.rig, options) for motion, run in zip(motions, runs, strict=True)]
@@ -187,7 +173,7 @@ def fit_runs(
 
 
 def _with_replaced(motion: Kinematics, rig: Rig, options: FitOptions) -> Kinematics:
-    """Return a motion with a finding for each value of its run's calibration that the fit's differs from."""
+    """Return a motion with a finding for each replaced value of its run's calibration."""
     speed = options.belt_speed
     if speed is not None and not isinstance(speed, str):
         rig = replace(rig, belt_speed=speed if isinstance(speed, Measured) else Measured(speed))
@@ -196,7 +182,7 @@ def _with_replaced(motion: Kinematics, rig: Rig, options: FitOptions) -> Kinemat
 
 
 def _with_replaced_mass(ranking: RankedLaws, runs: Sequence[LoadedRun], options: FitOptions) -> RankedLaws:
-    """Return a ranking with a finding where the mass that a stated stiffness implies is not the stored one."""
+    """Return a ranking with a finding where the mass implied by a stated stiffness is not the stored one."""
     ratio = ranking.rows[0].parameters.get("k/m") if ranking.rows else None
     if options.stiffness is None or ratio is None or not ratio.value > 0:
         return ranking
@@ -210,7 +196,7 @@ def _with_replaced_mass(ranking: RankedLaws, runs: Sequence[LoadedRun], options:
 
 
 def fitted_part(runs: Sequence[LoadedRun], times: Sequence[Array], options: FitOptions) -> str:
-    """Return in words what a fit leaves out: of the runs, whose fitted times (s) are given, the laws and the cycles."""
+    """Return the omissions of a fit in words: of the runs (with fitted times, s), the laws and the cycles."""
     said = []
     for run, time in zip(runs, times, strict=True):
         first, last = run.whole
@@ -224,7 +210,7 @@ def fitted_part(runs: Sequence[LoadedRun], times: Sequence[Array], options: FitO
 
 
 def _fitted_laws(competitors: Competitors) -> list[str]:
-    """Return in words which laws were fitted, where they were not the six alone, and what was given of them."""
+    """Return the fitted laws in words, unless the six alone, and the conditions on them."""
     laws, names = competitors.laws, competitors.names
     said = []
     if laws != ALL_LAWS and laws:
@@ -239,7 +225,7 @@ def _fitted_laws(competitors: Competitors) -> list[str]:
 
 
 def calibrated(rig: Rig, options: FitOptions) -> Rig:
-    """Return a run's calibration with the values of the options in place of its own."""
+    """Return a run's calibration with the options' values."""
     for name in ("mass", "stiffness"):
         stated = getattr(options, name)
         if stated is not None and not stated.value > 0:
@@ -268,7 +254,7 @@ def calibrated(rig: Rig, options: FitOptions) -> Rig:
 
 
 def _changed(flag: str, known: Measured | None, typed: Measured | None, sd: float | None) -> Measured:
-    """Return a calibration with the value, the error, or both replaced; a new value without an error is exact."""
+    """Return a calibration with value or error replaced; a new value without an error is exact."""
     if typed is not None and typed.sd and sd is not None:
         raise InputError(f"{flag} with +- and {flag}-sd together", "command line", "give the error once")
     value, typed_sd = (typed.value, typed.sd) if typed is not None else (0.0 if known is None else known.value, 0.0)

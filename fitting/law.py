@@ -1,4 +1,4 @@
-"""`Law`: a friction curve of one's own, or a published one by its name, to be fitted beside the six.
+"""`Law`: a custom friction curve, or a published one by its name, fitted together with the six.
 
 ``s`` is the slip speed, m/s; every other name of the formula is a parameter, per unit mass as Fs/m is.
 
@@ -36,10 +36,7 @@ Bound = tuple[float | None, float | None]
 
 
 def check_values(given: Any, kind: str) -> Mapping[str, Any]:
-    """Return what a caller gives of parameters; InputError, which names the keyword, for what is no such mapping.
-
-    A value is a number or text with a unit; only a bound may be infinite.
-    """
+    """Return a caller's parameter values, numbers or text with a unit (bounds may be infinite), or raise InputError."""
     example = "{'gamma': (0, 20)}, with None for no bound" if kind == "bounds" else "{'gamma': 9.6}"
     do = f"give a dictionary, as in {kind}={example}"
     if given is None:
@@ -68,7 +65,7 @@ def _is_number(value: Any, *, finite: bool) -> bool:
 
 
 def in_unit(value: Any, unit: str, name: str, where: str) -> Any:
-    """Return a value of a parameter, or its bounds, with texts as numbers in its unit."""
+    """Return a parameter's value or bounds as numbers in its unit."""
     if isinstance(value, tuple | list):
         return tuple(in_unit(end, unit, name, where) for end in value)
     return units.in_unit(value, unit, name, where) if isinstance(value, str) else value
@@ -115,7 +112,6 @@ class Law:
     fix: Mapping[str, float] | None = field(default=None, kw_only=True, hash=False)
 
     def __post_init__(self) -> None:
-        """Read the formula, and refuse values that cannot be."""
         if not (isinstance(self.name, str) and isinstance(self.formula, str)):
             what = f"name and formula are {self.name!r:.40} and {self.formula!r:.40}"
             raise InputError(what, "law", 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")')
@@ -145,21 +141,19 @@ class Law:
 
     @cached_property
     def curve(self) -> Formula:
-        """The formula as it was read."""
         return Formula.parse(self.formula)
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The parameters that are fitted, in order of first appearance."""
+        """The fitted parameters, in order of first appearance."""
         return tuple(name for name in self.curve.parameters if name not in (self.fix or {}))
 
     @cached_property
     def dimensions(self) -> dict[str, tuple[int, int]]:
         """Powers of friction and of speed in each parameter, by Euler's theorem on homogeneous functions.
 
-        Friction f has the unit of its own, so that sum a_j p_j df/dp_j = f; speeds may be counted in any unit, so that
-        sum b_j p_j df/dp_j + s df/ds = 0.  Empty where no whole powers a, b satisfy both: a number of the formula then
-        stands for a quantity with a unit.
+        Friction f has an independent unit, so that sum a_j p_j df/dp_j = f; the unit of speed is arbitrary, so that sum
+        b_j p_j df/dp_j + s df/ds = 0.  Empty without whole powers a, b: a number of the formula then has a unit.
         """
         import numpy as np
 
@@ -190,7 +184,7 @@ class Law:
         return {name: (int(a), int(b)) for name, (a, b) in zip(names, whole, strict=True)}
 
     def unit(self, name: str, *, newtons: bool = False) -> str:
-        """Return the unit of a parameter, per unit mass or with friction in newtons; empty where it is not known."""
+        """Return the unit of a parameter, per unit mass or with friction in newtons; empty if unknown."""
         force, speed = self.dimensions.get(name, (0, 0))
         if newtons and force == 1:
             return {0: "N", -1: "N s/m"}.get(speed) or f"N (m/s)^{speed}"
@@ -200,12 +194,11 @@ class Law:
         return words.get((force, speed), composed)
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return the least and the largest value of a parameter."""
         low, high = (self.bounds or {}).get(name, (None, None))
         return -math.inf if low is None else low, math.inf if high is None else high
 
     def refuse_without_speed(self) -> None:
-        """Raise InputError for a curve without the slip speed, but for one level: its name may be misspelt."""
+        """Raise InputError for a curve without the slip speed, unless it is one level: its name may be misspelt."""
         names = self.curve.parameters
         meant = next((name for name in names if SPEED_WORDS.fullmatch(name)), None)
         if any(step.name == SPEED for step in self.curve.steps) or (meant is None and len(names) == 1):
@@ -219,7 +212,7 @@ class Law:
 
     @property
     def title(self) -> str:
-        """What the curve is called in a sentence."""
+        """Name of the curve in a sentence."""
         return TITLES.get(self.name, f"the formula {self.formula}")
 
     def given(
@@ -228,7 +221,7 @@ class Law:
         bounds: Mapping[str, Bound] | None = None,
         start: Mapping[str, float] | None = None,
     ) -> "Law":
-        """Return the law with more parameters fixed, bounded or started; what is given here comes first."""
+        """Return the law with more parameters fixed, bounded or started; these take precedence."""
         fixed = dict(self.fix or {}) | dict(fix or {})
         return replace(
             self,
@@ -291,10 +284,7 @@ TITLES = {
 
 
 def read_law(spec: str, where: str = "--law") -> Law:
-    """Return the law that a text names: ``NAME`` of a published one, or ``NAME: FORMULA``.
-
-    Raises InputError: for a name that is not known, a published name with another formula, and what `Law` refuses.
-    """
+    """Return the law of ``NAME``, published, or ``NAME: FORMULA``; unknown or invalid ones raise InputError."""
     name, colon, formula = (part.strip() for part in spec.partition(":"))
     if not colon:
         if name in PUBLISHED:

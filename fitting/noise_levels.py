@@ -1,6 +1,6 @@
-"""How far an error is above the noise: the levels at which a fit is taken for described, near, or lost.
+"""Levels of error over noise at which a fit is taken as good, near, or lost.
 
-Each is an rms error over the noise of one position; while a fit runs, over the resolution of the record.
+Each is an rms residual over the noise of one position; during a fit, over the resolution of the record.
 """
 
 # Error of a fit that describes the record: true laws and departures end at 0.98 to 1.02.  At half the excess noise

@@ -67,13 +67,13 @@ class Ranking(result.RankedLaws):
 
     @classmethod
     def of(cls, ranking: result.RankedLaws) -> "Ranking":
-        """Return a ranking with what Python adds to it."""
+        """Return a ranking as a `Ranking`."""
         values = {field.name: getattr(ranking, field.name) for field in fields(ranking)}
         return cls(**(values | {"runs": tuple(map(cls.of, ranking.runs))}))
 
     @property
     def correlation(self) -> "pd.DataFrame":
-        """How the errors of the best law's parameters go together, -1 to 1, as a pandas table.
+        """Correlations of the errors of the best law's parameters, -1 to 1, as a pandas table.
 
         The parameters are those that are fitted and follow from no others, per unit mass; of several runs v_dr and x0
         are those of the first, ``v_dr (1)``.
@@ -304,12 +304,12 @@ class Ranking(result.RankedLaws):
 
     @property
     def _files(self) -> list[Path]:
-        """The files of the runs; a run in memory has none."""
+        """The files of the runs; empty for a run in memory."""
         return [record.recording.source for record in self.records if record.recording.source.name]
 
     @property
     def _names(self) -> list[str]:
-        """The parameters of the best law that are fitted and follow from no others."""
+        """The fitted parameters of the best law that follow from no others."""
         return [name for name in self._correlations("names").names if not self.best.parameters[name].fixed]
 
     def _square(self, matrix: Array) -> "pd.DataFrame":

@@ -1,6 +1,6 @@
-"""One command line of `fit-friction` as one value: which runs, what is fitted to them, and where the results go.
+"""One command line of `fit-friction` as one value: the runs, the fit, and the outputs.
 
-What cannot be is refused here, before anything is fitted.
+Invalid requests are rejected here, before anything is fitted.
 """
 
 from collections.abc import Sequence
@@ -22,8 +22,6 @@ from stickslip.output import atomic, suffix
 
 @dataclass(frozen=True)
 class FitRequest:
-    """What was asked of `fit-friction`."""
-
     files: tuple[Path, ...]  # the runs
     options: FitOptions  # how each is fitted
     outputs: OutputFlags  # names that were given
@@ -43,10 +41,7 @@ class FitRequest:
         outputs: OutputFlags,
         work: WorkFlags,
     ) -> "FitRequest":
-        """Return the request that a command line makes.
-
-        Raises InputError: for flags that contradict each other, and for outputs that cannot be written.
-        """
+        """Return the request of a command line; contradictory flags and unwritable outputs raise InputError."""
         check_numbers(part.alpha, work.jobs)
         runs = tuple(_without_fits(files) if work.each else files)
         _refuse_together(runs, rig, outputs, work)
@@ -75,7 +70,7 @@ class FitRequest:
         return request
 
     def _refuse_outputs(self) -> None:
-        """Raise InputError for names of outputs that say another format, are used twice, or stand for other files."""
+        """Raise InputError for outputs with the suffix of another format, repeated, or in place of other files."""
         outputs, files, force = self.outputs, list(self.files), self.outputs.force
         for place, form, flag in (
             (outputs.report, suffix.PAGE, "--report"),
@@ -99,7 +94,7 @@ class FitRequest:
 
 
 def _without_fits(files: Sequence[Path]) -> list[Path]:
-    """Return the files that are runs: a pattern such as *.h5 names the joint fits of a folder, too."""
+    """Return the files that are runs: a pattern such as *.h5 also matches the joint fits of a folder."""
     fits = [path for path in files if path.name.endswith(joint.SUFFIX) and joint.recognised(path)]
     for path in fits:
         application.note(f"{path} is the file of a joint fit, left out")
@@ -110,7 +105,7 @@ def _without_fits(files: Sequence[Path]) -> list[Path]:
 
 
 def _refuse_together(runs: Sequence[Path], rig: CalibrationFlags, outputs: OutputFlags, work: WorkFlags) -> None:
-    """Raise InputError for flags and runs that do not go together."""
+    """Raise InputError for flags and runs that cannot be combined."""
     given, alone = "command line", "fit the runs one at a time"
     twice = len({path.resolve() for path in runs}) < len(runs)
     for wrong, what, where, do in (

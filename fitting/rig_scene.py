@@ -53,7 +53,7 @@ LEAST_SCATTER = 2.0  # scatter of the levels over what noise makes of it: with l
 
 
 class Calibration(NamedTuple):
-    """What turns the fit's units into those of a scene: mass (kg) or stiffness (N/m), and the error of a metre."""
+    """Conversion of the fit's units to a scene's: mass (kg) or stiffness (N/m), and the error of a metre."""
 
     mass: Measured | None
     stiffness: Measured | None
@@ -66,7 +66,7 @@ class Calibration(NamedTuple):
         return (known.sd / known.value if known else 0.0), self.length_error
 
     def mass_for(self, K: float, factor: float) -> float:
-        """Return the mass (kg) for k/m = K, with ``factor`` on what is known; 1 where nothing is."""
+        """Return the mass (kg) for k/m = K, with ``factor`` on the calibration; 1 without one."""
         if self.mass is not None:
             return self.mass.value * factor
         return self.stiffness.value * factor / K if self.stiffness is not None else 1.0
@@ -74,11 +74,10 @@ class Calibration(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FittedScene:
-    """What the file holds: keys ``section.key`` in order with their values (n,) and covariance (n, n), and the rest.
+    """The contents of the file: keys ``section.key`` in order with their values (n,) and covariance (n, n).
 
-    ``points`` are the slip speeds (m/s) of a measured curve, whose frictions are the last keys; ``ramp`` whether its
-    contact is one; ``scatter`` the standard deviation of the levels, of Fs; ``cycles`` how many were fitted.  Of a law
-    given as a formula ``formula`` is its text, and ``fixed`` the parameters that were not fitted.
+    ``points`` are the slip speeds (m/s) of a measured curve, whose frictions are the last keys; ``scatter`` is the
+    standard deviation of the levels, of Fs.  A law given as a formula has its text and ``fixed`` parameters.
     """
 
     law: int
@@ -94,11 +93,9 @@ class FittedScene:
 
 
 def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedScene:
-    """Return the scene of a ranking: its best law, or the measured curve where no law describes the record.
+    """Return the scene of the best law, or of the measured curve; DataError where neither describes the record.
 
     ``statistics`` are those of the first run.
-
-    Raises DataError: neither describes the record.
     """
     adequacy = ranking.adequacy
     if not adequacy.rejected and ranking.rows:
@@ -114,7 +111,6 @@ def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedSc
 
 
 def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
-    """Return the scene of the best law, one of the six."""
     motion = ranking.motion
     law = LAWS[fit.law]
     slots = columns(fit.active, fit.runs)[0]
@@ -149,10 +145,7 @@ def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
 
 
 def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
-    """Return the scene of the best law, given as a formula.
-
-    Raises DataError: its belt slows under load, which a scene does not have beside a formula.
-    """
+    """Return the scene of a formula; DataError where its belt slows under load, which a scene cannot have."""
     motion, law, at = ranking.motion, fit.asked_for, fit.at
     places = [place % PER_RUN for place in fit.places if place < PER_RUN]
     if Global.COMPLIANCE in places:
@@ -196,7 +189,7 @@ def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
 
 
 def _scene_names(law: Law) -> dict[str, str]:
-    """Return the key of each parameter of a formula in a scene, whose section of friction has keys of its own."""
+    """Return the key of each parameter of a formula in a scene, whose friction section has reserved keys."""
     keys: dict[str, str] = {}
     for name in law.curve.parameters:
         key = name
@@ -209,8 +202,8 @@ def _scene_names(law: Law) -> dict[str, str]:
 def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
     """Return the scene of the measured curve.
 
-    Slips hardly show friction at rest.  The break-aways do: unless they are significantly above the curve, the curve
-    passes through them, and what the record knows of it is combined with what they say.
+    Slips hardly constrain friction at rest, break-aways do: unless they are significantly above the curve, it passes
+    through them, weighted by both errors.
     """
     spline_fit, motion = curve.spline_fit, ranking.motion
     spline, basis = spline_fit.spline, spline_fit.basis
@@ -243,7 +236,7 @@ def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipSta
         place = broken.value
 
         def above(unknowns: Array) -> float:
-            """Return the load at the break-aways less the curve at rest, m/s^2."""
+            """Return the load at the break-aways minus the curve at rest, m/s^2."""
             p = values_at(unknowns)
             return p.K * (place - p.datum) + p.damping * p.v_dr - float(basis.coefficients(unknowns)[0])
 
@@ -278,14 +271,14 @@ def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipSta
 
 
 def _held(spread: Array, place: int) -> Array:
-    """Return a covariance (p, p) where the unknown at ``place`` is known."""
+    """Return a covariance (p, p) where the unknown at ``place`` is fixed."""
     if not spread[place, place] > 0:
         return spread
     return np.asarray(spread - np.outer(spread[place], spread[place]) / spread[place, place])
 
 
 def _other_rest(fit: SplineFit, unknowns: Array, place: int, default: float) -> float:
-    """Return by how much to move the spring's rest (m), and the curve with it: see the module's text."""
+    """Return the move of the spring's rest (m), and of the curve with it: see the module."""
     moved = unknowns.copy()
     moved[place] = default
     lowest = fit.spline.with_coefficients(fit.basis.coefficients(moved))
@@ -296,7 +289,6 @@ def _other_rest(fit: SplineFit, unknowns: Array, place: int, default: float) -> 
 
 
 def _rig_of(p: Values, m: float, sign: float, length: float) -> dict[str, float]:
-    """Return the keys that every scene has."""
     return {
         "mass.m": m,
         "spring.k": p.K * m,
@@ -331,7 +323,7 @@ def _propagated(
 
 
 def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array) -> Array:
-    """Return the derivatives of a function of unknowns u (n,), the last axis theirs, by central differences."""
+    """Return the derivatives of a function of u (n,), along the last axis, by central differences."""
     columns_of = []
     for j in range(u.size):
         step = np.zeros(u.size)
@@ -367,7 +359,7 @@ def _built(
 
 
 def _positive(spread: Array) -> Array:
-    """Return a covariance without what rounding makes of directions that have next to no variance."""
+    """Return a covariance without the rounding errors of directions with next to no variance."""
     scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
     size, axes = eigen(0.5 * (spread + spread.T) / scale[:, None] / scale)
     root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
@@ -376,7 +368,7 @@ def _positive(spread: Array) -> Array:
 
 
 def _static(ranking: RankedLaws) -> Measured | None:
-    """Return the break-away level over Fs where the record shows that it is above 1."""
+    """Return the break-away level over Fs where it is significantly above 1."""
     ratio = np.array([e.break_away_level for e in ranking.events if e.flag == "" and math.isfinite(e.break_away_level)])
     if ratio.size < FEWEST_LEVELS:
         return None
@@ -385,7 +377,7 @@ def _static(ranking: RankedLaws) -> Measured | None:
 
 
 def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion) -> Measured | None:
-    """Return where the mass breaks away in the fit's frame, m, found without a law; None where too few do."""
+    """Return the break-away position in the fit's frame, m, without a law; None with too few."""
     seen = statistics.column("break_away_m")
     seen = seen[np.isfinite(seen)]
     if seen.size < FEWEST_LEVELS:
@@ -398,10 +390,7 @@ def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion
 
 
 def _scatter(fit: Fit | FormulaFit) -> float:
-    """Return the standard deviation of the cycles' levels about their trend, of Fs, less what noise makes of it.
-
-    0 where no more than noise is seen.
-    """
+    """Return the standard deviation of the cycles' levels about their trend, of Fs, beyond noise, or 0."""
     run = fit.for_run(0)
     table = run.windows.table
     slips = (table[:, 1] == 0) & run.inlier_cycles[table[:, 0]]
@@ -417,7 +406,6 @@ def _scatter(fit: Fit | FormulaFit) -> float:
 
 
 def text(scene: FittedScene, ranking: RankedLaws, run: Path) -> str:
-    """Return the TOML text of a scene."""
     values = dict(zip(scene.keys, scene.values.tolist(), strict=True))
     assumed = "mass.m" not in values
     mass = values.get("mass.m", 1.0)
@@ -472,18 +460,17 @@ def text(scene: FittedScene, ranking: RankedLaws, run: Path) -> str:
 
 
 def _quoted(words: str) -> str:
-    """Return a TOML basic string."""
     plain = words.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(letter if letter.isprintable() else " " for letter in plain) + '"'
 
 
 def save(path: Path, ranking: RankedLaws, statistics: StickSlipStatistics, run: Path) -> None:
-    """Write the scene of a ranking (`of_ranking`), replacing what stands there: see `refuse_existing`."""
+    """Write the scene of a ranking, in place of an older file: see `refuse_existing`."""
     content = text(of_ranking(ranking, statistics), ranking, run)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(content, encoding="utf-8")
 
 
 def refuse_existing(path: Path, files: list[Path], *, force: bool) -> None:
-    """Raise InputError when a scene cannot go to ``path``: a folder, a run, or a file that exists without ``force``."""
+    """Raise InputError when ``path`` is a folder, a run, or a file that exists without ``force``."""
     atomic.refuse_existing(path, force, *files, kind="scene", flag="--save-scene")

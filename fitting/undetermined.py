@@ -1,8 +1,8 @@
-"""Which parameters a formula has only together: no record can determine those of ``a*b*s`` or ``Fs - (a + b)*s`` apart.
+"""Parameters that a formula has only together, as those of ``a*b*s`` or ``Fs - (a + b)*s``.
 
-A direction in the parameters along which the curve does not change at any speed is found where the derivatives by them,
-each over its size, are linearly dependent.  It must be there at several sets of values, of the sizes that the units of
-the parameters allow: a fall of no height leaves its speed undetermined, but the formula does not.
+A direction in the parameters along which the curve does not change at any speed exists where the derivatives by them,
+each over its size, are linearly dependent.  It must exist at several sets of values, of the sizes that the units of the
+parameters allow: a fall of no height leaves its speed undetermined, but the formula does not.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ EQUAL_SIZES = 1e-4  # relative difference of a direction's parts that are equal
 
 
 class Undetermined(NamedTuple):
-    """Parameters, how the formula has them together, and how many of them may have any value."""
+    """Parameters, their combination in the formula, and how many of them may have any value."""
 
     names: tuple[str, ...]
     how: str
@@ -34,18 +34,14 @@ class Undetermined(NamedTuple):
 def natural_size(law: Law, name: str, friction: float, speed: float) -> float:
     """Return the size of a parameter by its unit, for curves of that friction (m/s^2) and speed (m/s); else 1.
 
-    Above 0 also where the friction is not: a measured curve without a known level may be negative.
+    Positive also for negative friction, as of a measured curve without a known level.
     """
     force, power = law.dimensions.get(name, (0, 0))
     return float(abs(friction) ** force * speed**power)
 
 
 def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermined, ...]:
-    """Return the free parameters of a formula that it has only together.
-
-    friction: About that of the contact, m/s^2.
-    fastest: Slip speed up to which the curve is looked at, m/s.
-    """
+    """Return the parameters that a formula has only together, for friction (m/s^2) and slip speeds like these."""
     rng = np.random.default_rng(len(law.formula))
     speeds = fastest * np.linspace(0.0, 1.0, 12 * len(law.free) + 1)
     sizes = np.array([natural_size(law, name, friction, fastest) for name in law.free])
@@ -102,7 +98,7 @@ def _groups(columns: Array, values: Array) -> dict[tuple[int, ...], tuple[Array,
 
 
 def _how(directions: list[tuple[Array, Array]]) -> str:
-    """Return in which way a group enters, from its directions at every set of values."""
+    """Return the combination of a group in words, from its directions at every set of values."""
     count = directions[0][0].shape[1]
     if count == 1:
         return "does not change friction"
@@ -123,6 +119,5 @@ def _basis(directions: Array) -> Array:
 
 
 def _inside(steps: Array, basis: Array) -> bool:
-    """Return whether steps (n, m) lie in a space."""
     left = steps - np.einsum("nm,rm,rj->nj", steps, basis, basis)
     return bool(np.all(np.abs(left) < EQUAL_SIZES * np.abs(steps).max()))

@@ -1,10 +1,9 @@
-"""Learn from a record how its motion is to be smoothed, apply that to each block of it, and join the blocks.
+"""Learn from a record how to smooth its motion, apply that to each block of it, and join the blocks.
 
-`learn` takes stretches that represent a record and returns its `MotionModel`: noise levels, thresholds and speeds.
-`apply` smooths a block with some samples on either side, and looks at nothing else: sticks and slips do not depend on
-where blocks begin, and a smoothing can be repeated from its model.  A record in memory is one block.  `join` puts
-together what was found in the blocks: a few numbers for each stick and slip, so that memory does not grow with the
-record.
+`learn` returns the `MotionModel` of a record, from stretches that represent it: noise levels, thresholds and speeds.
+`apply` smooths a block with some samples on either side, and uses nothing else: sticks and slips do not depend on where
+blocks begin, and a smoothing can be repeated from its model.  A record in memory is one block.  `join` combines the
+findings of the blocks: a few numbers for each stick and slip, so that memory does not grow with the record.
 """
 
 import math
@@ -21,7 +20,7 @@ from processing.defects.findings import belt_findings, drift_finding, sensor_fin
 from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.methods.method_model import MethodModel
-from processing.model_values import values
+from processing.model_values import values_in_si
 from processing.record.finding import Finding
 from processing.record.motion import (
     DERIVATIVES,
@@ -47,40 +46,34 @@ if TYPE_CHECKING:
     from daq.runfile.recording import Recording
 
 PARTS = 8  # of a block, whose means show a drift
-LONGEST = 2**16  # samples: no smoother's window counts as longer
+LONGEST = 2**16  # samples of the longest window of a smoother
 
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """The stretches that represent a record, as one.
-
-    ``number`` (m,) are the samples' numbers in the record, ``positions`` returns a slice of all its positions, m,
-    ``seen`` is how these move, and ``units`` are those of the record.
-    """
+    """The stretches that represent a record, as one series."""
 
     recording: "Recording"
     data: Series
-    number: Integers
-    positions: Callable[[slice], Array]
-    seen: Survey
-    units: Units
+    number: Integers  # of each sample in the record
+    positions: Callable[[slice], Array]  # returns a slice of all positions of the record, m
+    seen: Survey  # of the record
+    units: Units  # of the record
 
 
 @dataclass(frozen=True, eq=False)
 class MotionModel:
-    """What is learned from a record: all that smoothing a block of it needs."""
+    """The model of a record: all that is needed to smooth a block of it."""
 
-    units: Units  # of the record: those of all that follows
+    units: Units  # of the record, and of all fields that follow
     interval: float  # median sample interval
-    moving: tuple[int, int]  # (int, int) samples of the first motion of the record and of the last one
-    faults: faults.FaultModel  # what faults of the record are judged by
-    method: MethodModel  # the method that runs, and what it learned
-    # how sticks show in the motion that the method makes; None where the method finds them itself
-    rule: plateaus.PlateauRule | None
-    belt_speed: float  # of the belt by its sticks, signed; NaN where there are none
+    moving: tuple[int, int]  # first and last sample of the motion of the record
+    faults: faults.FaultModel
+    method: MethodModel
+    rule: plateaus.PlateauRule | None  # for finding sticks in the motion; None if the method finds them itself
+    belt_speed: float  # from the sticks, signed; NaN without sticks
     belt_noise: BeltNoise | None  # of a belt with an encoder
-    # the record and its faults where all of it was learned from, which is not stored: in one block it is smoothed from
-    # there
+    # the record without its faults, reused if it was learned from as a whole; not stored
     checked: CheckedRecord | None = field(default=None, metadata={"stored": False})
 
     @property
@@ -90,7 +83,7 @@ class MotionModel:
 
     @property
     def slip(self) -> float:
-        """Samples of a usual slip; 0 where the method does not look for sticks, or finds none."""
+        """Samples of a usual slip; 0 if the method does not search for sticks, or finds none."""
         return 0.0 if self.method.sticks is None else self.method.sticks.slip / self.interval
 
     @property
@@ -101,17 +94,17 @@ class MotionModel:
 
 @dataclass(frozen=True, eq=False)
 class BlockFindings:
-    """What was found in a block, by the samples' numbers in the record."""
+    """The findings in a block, by the samples' numbers in the record."""
 
     phases: tuple[Phase, ...]  # cut off at the ends of the block
-    continues: bool  # whether the first phase goes on from the block before
+    continues: bool  # whether the first phase continues one of the block before
     faults: tuple[Fault, ...]
     steps: tuple[PositionStep, ...]
-    step_segments: tuple[int, ...]  # segment of every step of the position
+    step_segments: tuple[int, ...]  # segment number of each step of the position
     kicks: tuple[VelocityStep, ...]
     corners: tuple[Corner, ...]
     step_sums: Array  # `processing.defects.frames.step_sums`; zeros where a board's sample numbers show missing samples
-    means: list[tuple[float, float]]  # Time, s, and position, m, of parts of the block
+    means: list[tuple[float, float]]  # time, s, and position, m, of parts of the block
     samples: int
     window: int
     order: int
@@ -120,118 +113,123 @@ class BlockFindings:
 
 @dataclass(frozen=True, eq=False)
 class BlockMotion:
-    """The motion of the k samples of a block, and what was found in it.
-
-    ``columns`` are arrays of shape (k,) by name: time, position, velocity, acceleration, their errors, and the belt's
-    velocity where it has an encoder.
-    """
-
-    columns: dict[str, Array]
-    found: BlockFindings
+    columns: dict[str, Array]  # time, position, velocity, acceleration, errors, and belt velocity if measured, by name
+    findings: BlockFindings
 
 
 def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -> MotionModel:
-    """Learn the model of a record.
-
-    stretches: Those that represent the record.
-    method: Name in `processing.methods.registry`.
-    setting: Window, order and stated belt speed.
-    steps: Whether to look for steps of the position.
-    """
+    """Learn the model of a record; ``steps`` tells whether to search for steps of the position."""
     recording, units, record = stretches.recording, stretches.units, stretches.seen
     data, length = stretches.data.in_units(units), units.length_unit
-    known, checked = faults.learn(data, recording.segment, steps=steps)
-    slack = plateaus.slack_at_rest(data.pitch, record.travel / abs(length), known.noise)
+    fault_model, checked = faults.learn(data, recording.segment, steps=steps)
+    slack = plateaus.slack_at_rest(data.pitch, record.travel / abs(length), fault_model.noise)
     moving = moving_samples(lambda part: stretches.positions(part) / length, record.n, slack)
     setting = replace(setting, belt_speed=speed_in(units, setting.belt_speed))
-    sound = replace(checked.series, moving=_span(data.time, stretches.number, moving))
-    checked = replace(checked, series=sound)
-    seen = sound.taken(checked.kept) if checked.faults else sound
-    how = registry.learn(method, sound, setting, known.noise)
-    belt = BeltRecord.of(recording, checked.kept, seen, units)
+    clean_series = replace(checked.series, moving=_motion_span(data.time, stretches.number, moving))
+    checked = replace(checked, series=clean_series)
+    kept_series = clean_series.select(checked.kept) if checked.faults else clean_series
+    method_model = registry.learn(method, clean_series, setting, fault_model.noise)
+    belt = BeltRecord.of(recording, checked.kept, kept_series, units)
     noise = None if belt is None else learn_noise(belt)
-    whole = checked if sound.time.size == record.n else None
-    model = MotionModel(units, data.interval, moving, known, how, None, math.nan, noise, whole)
-    if whole is None:
-        model = replace(model, method=replace(how, known=None))
-    if how.sticks is not None:
-        return replace(model, belt_speed=how.sticks.speed)
-    motion = registry.apply(seen, how)
-    rides = _belt_motion(belt, model, motion, seen)
-    rule, speed = plateaus.learn(seen, motion, how.stated, rides)
+    whole_record = checked if clean_series.time.size == record.n else None
+    model = MotionModel(units, data.interval, moving, fault_model, method_model, None, math.nan, noise, whole_record)
+    if whole_record is None:
+        model = replace(model, method=replace(method_model, first_pass=None))
+    if method_model.sticks is not None:
+        return replace(model, belt_speed=method_model.sticks.speed)
+    motion = registry.apply(kept_series, method_model)
+    belt_motion = _smooth_belt(belt, model, motion, kept_series)
+    rule, speed = plateaus.learn(kept_series, motion, method_model.stated, belt_motion)
     return replace(model, rule=rule, belt_speed=speed)
 
 
 def apply(
-    recording: "Recording", data: Series, own: slice, low: int, model: MotionModel, *, repair: str, before: float = 0.0
+    recording: "Recording",
+    data: Series,
+    samples: slice,
+    first_number: int,
+    model: MotionModel,
+    *,
+    repair: str,
+    before: float = 0.0,
 ) -> BlockMotion:
-    """Smooth one block of a record.
+    """Smooth one block of a record, the ``samples`` of a recording that has neighbouring ones on either side.
 
-    recording, data: The block with its neighbouring samples, m in all.
-    own: The k samples of the block among them.
-    low: Number of the first of the m samples in the record.
-    model: Of the record.
-    repair: Whether the position is without its steps ("fix") or as it was read.
-    before: Sum of the steps of the position before the first of the m samples, in its segment, m.
+    ``first_number`` is the number of the first neighbour in the record, and ``before`` the sum of the steps of the
+    position before it in its segment, m.  Steps are removed from the position if ``repair`` is "fix".
     """
-    units, recorded = model.units, data.time[own]
+    units, recorded = model.units, data.time[samples]
     data = data.in_units(units)
-    span = _span(data.time, low + np.arange(data.time.size), model.moving)
+    span = _motion_span(data.time, first_number + np.arange(data.time.size), model.moving)
     data = replace(data, interval=model.interval, moving=span)
     if model.checked is not None and model.checked.series.time.size == data.time.size:
         checked = model.checked
     else:
-        checked = faults.find(data, recording.segment, model.faults, low)
-    sound = checked.series
-    motion = registry.apply(sound, model.method)
-    belt = _belt_motion(BeltRecord.of(recording, np.ones(sound.time.size, bool), sound, units), model, motion, sound)
-    found = _phases(recording, sound, motion, belt, model)
-    phases = found.phases
+        checked = faults.find(data, recording.segment, model.faults, first_number)
+    clean_series = checked.series
+    motion = registry.apply(clean_series, model.method)
+    belt = _smooth_belt(
+        BeltRecord.of(recording, np.ones(clean_series.time.size, bool), clean_series, units),
+        model,
+        motion,
+        clean_series,
+    )
+    segmentation = _segment_motion(recording, clean_series, motion, belt, model)
+    phases = segmentation.phases
     columns = {"time": recorded}
     for power, name in enumerate(DERIVATIVES):
         unit = units.of(1, -power)
-        columns |= {name: getattr(motion, name)[own] * unit}
-        columns |= {f"{name}_errors": getattr(motion, f"{name}_errors")[own] * abs(unit)}
+        columns |= {name: getattr(motion, name)[samples] * unit}
+        columns |= {f"{name}_errors": getattr(motion, f"{name}_errors")[samples] * abs(unit)}
     if repair == "fix":
         segment = recording.segment
-        columns["position"] = columns["position"] - np.where(segment[own] == segment[0], before, 0.0)
+        columns["position"] = columns["position"] - np.where(segment[samples] == segment[0], before, 0.0)
     else:
-        columns["position"] = columns["position"] + checked.offset[own] * units.length_unit
+        columns["position"] = columns["position"] + checked.offset[samples] * units.length_unit
     if belt is not None:
-        columns["belt_velocity"] = belt.velocity[own] * units.of(1, -1)
-        columns["belt_velocity_errors"] = belt.velocity_errors[own] * abs(units.of(1, -1))
-    steps = tuple(step for step in checked.steps if own.start <= step.first < own.stop)
+        columns["belt_velocity"] = belt.velocity[samples] * units.of(1, -1)
+        columns["belt_velocity_errors"] = belt.velocity_errors[samples] * abs(units.of(1, -1))
+    steps = tuple(step for step in checked.steps if samples.start <= step.first < samples.stop)
     parts = [part for part in np.array_split(np.arange(recorded.size), PARTS) if part.size]
     numbered = recording.raw is not None
     return BlockMotion(
         columns,
         BlockFindings(
-            phases=tuple(_cut(phase, data, own, low, units) for phase in phases if _meets(phase, own)),
-            continues=any(phase.first < own.start <= phase.last for phase in phases),
-            faults=tuple(
-                Fault(max(fault.first, own.start) + low, min(fault.last, own.stop - 1) + low, fault.kind)
-                for fault in checked.faults
-                if _meets(fault, own)
+            phases=tuple(
+                _cut_phase(phase, data, samples, first_number, units) for phase in phases if _overlaps(phase, samples)
             ),
-            steps=tuple(_in_si(step, low, units) for step in steps),
+            continues=any(phase.first < samples.start <= phase.last for phase in phases),
+            faults=tuple(
+                Fault(
+                    max(fault.first, samples.start) + first_number,
+                    min(fault.last, samples.stop - 1) + first_number,
+                    fault.kind,
+                )
+                for fault in checked.faults
+                if _overlaps(fault, samples)
+            ),
+            steps=tuple(_convert_step(step, first_number, units) for step in steps),
             step_segments=tuple(int(recording.segment[step.first]) for step in steps),
             kicks=tuple(
-                VelocityStep(kick.sample + low, kick.step * units.of(1, -1))
+                VelocityStep(kick.sample + first_number, kick.step * units.of(1, -1))
                 for kick in checked.kicks
-                if own.start <= kick.sample < own.stop
+                if samples.start <= kick.sample < samples.stop
             ),
-            corners=_corners(motion, data, own, units),
-            # A board's sample numbers show where samples are missing.  Steps may be frames lost where the mass is fast.
+            corners=_select_corners(motion, data, samples, units),
+            # The sample numbers of a board show where samples are missing.  Steps may be frames lost in fast motion.
             step_sums=np.zeros(frames.SUMS)
             if numbered
             else frames.step_sums(
-                replace(sound, position=sound.position + checked.offset), own, model.faults.noise, model.faults.step
+                replace(clean_series, position=clean_series.position + checked.offset),
+                samples,
+                model.faults.noise,
+                model.faults.step,
             ),
             means=[(float(recorded[k].mean()), float(columns["position"][k].mean())) for k in parts],
-            samples=own.stop - own.start,
+            samples=samples.stop - samples.start,
             window=motion.window,
             order=motion.order,
-            belt_speed=found.belt_speed * units.of(1, -1),
+            belt_speed=segmentation.belt_speed * units.of(1, -1),
         ),
     )
 
@@ -239,27 +237,30 @@ def apply(
 def join(
     model: MotionModel, blocks: Sequence[BlockFindings], unit: str, stated: Measured | None, *, fixed: bool
 ) -> dict[str, Any]:
-    """Return what `SmoothingHeader` states of a record, from what was found in its blocks, in order.
+    """Return the fields of `SmoothingHeader` from the findings of the blocks, in order.
 
-    model: Of the record.
-    blocks: In order.
-    unit: Of the positions.
-    stated: The rig's belt speed, m/s.
-    fixed: Whether steps of the position were taken out of it.
+    ``stated`` is the rig's belt speed, m/s; ``fixed`` tells whether steps were removed from the position.
     """
     phases: list[Phase] = []
     for block in blocks:
-        own = list(block.phases)
-        if block.continues and phases and phases[-1].kind == own[0].kind and phases[-1].last + 1 == own[0].first:
-            begun = phases.pop()
-            own[0] = replace(own[0], start=begun.start, first=begun.first, start_sd=begun.start_sd)
-        phases += own
+        block_phases = list(block.phases)
+        if (
+            block.continues
+            and phases
+            and phases[-1].kind == block_phases[0].kind
+            and phases[-1].last + 1 == block_phases[0].first
+        ):
+            previous = phases.pop()
+            block_phases[0] = replace(
+                block_phases[0], start=previous.start, first=previous.first, start_sd=previous.start_sd
+            )
+        phases += block_phases
     stuck = sum(phase.kind == "stick" for phase in phases)
     windows = [(block.window, block.order) for block in blocks]
     window, order = max(set(windows), key=windows.count)
     steps = tuple(step for block in blocks for step in block.steps)
-    every = tuple(fault for block in blocks for fault in block.faults)
-    counted = frames.count_frames(np.sum([block.step_sums for block in blocks], axis=0))
+    block_faults = tuple(fault for block in blocks for fault in block.faults)
+    frame_count = frames.count_frames(np.sum([block.step_sums for block in blocks], axis=0))
     speeds = [block.belt_speed for block in blocks if math.isfinite(block.belt_speed)]
     return {
         "method": model.method.method,
@@ -271,17 +272,17 @@ def join(
         "losses": steps,
         "kicks": tuple(kick for block in blocks for kick in block.kicks),
         "corners": tuple(corner for block in blocks for corner in block.corners),
-        "faults": every,
-        "dropped_frames": counted.lost,
+        "faults": block_faults,
+        "dropped_frames": frame_count.lost,
         "findings": (
-            *sensor_findings(every, counted, sum(block.samples for block in blocks)),
-            *step_findings(list(steps), counted, unit, repaired=fixed),
-            *([] if stuck > 1 else _drift(blocks, unit)),
+            *sensor_findings(block_faults, frame_count, sum(block.samples for block in blocks)),
+            *step_findings(list(steps), frame_count, unit, repaired=fixed),
+            *([] if stuck > 1 else _find_drift(blocks, unit)),
             *belt_findings(stated, model.plateau_speed if stuck else math.nan, unit),
         ),
         "noise": model.faults.noise * abs(model.units.length_unit),
         "repaired": fixed and bool(steps),
-        "model": values(model, model.units),
+        "model": values_in_si(model, model.units),
     }
 
 
@@ -290,64 +291,60 @@ def steps_before(blocks: Sequence[BlockFindings], segment: int, sample: int) -> 
     return sum(
         step.size
         for block in blocks
-        for step, own in zip(block.steps, block.step_segments, strict=True)
-        if own == segment and step.first < sample
+        for step, step_segment in zip(block.steps, block.step_segments, strict=True)
+        if step_segment == segment and step.first < sample
     )
 
 
-def _span(time: Array, number: Integers, moving: tuple[int, int]) -> tuple[float, float]:
-    """Return when the motion between two samples of the record begins and ends, s, as seen from some of its samples.
-
-    ``number`` (n,) are these samples' numbers; what lies before the first of them or behind the last is infinite.
-    """
+def _motion_span(time: Array, number: Integers, moving: tuple[int, int]) -> tuple[float, float]:
+    """Return the times, s, of the first and last moving sample, from some samples of these numbers; else infinite."""
     first, last = np.searchsorted(number, moving[0]), np.searchsorted(number, moving[1], side="right") - 1
     begin = -math.inf if moving[0] <= number[0] else float(time[first]) if first < number.size else math.inf
     end = math.inf if moving[1] >= number[-1] else float(time[last]) if last >= 0 else -math.inf
     return begin, end
 
 
-def _belt_motion(belt: BeltRecord | None, model: MotionModel, motion: Motion, seen: Series) -> BeltMotion | None:
+def _smooth_belt(belt: BeltRecord | None, model: MotionModel, motion: Motion, kept_series: Series) -> BeltMotion | None:
     if belt is None or model.belt_noise is None:
         return None
-    return smooth_belt(belt, model.belt_noise, motion, model.method, seen.pitch)
+    return smooth_belt(belt, model.belt_noise, motion, model.method, kept_series.pitch)
 
 
-def _phases(
-    recording: "Recording", seen: Series, motion: Motion, belt: BeltMotion | None, model: MotionModel
+def _segment_motion(
+    recording: "Recording", kept_series: Series, motion: Motion, belt: BeltMotion | None, model: MotionModel
 ) -> PhaseSegmentation:
-    """Return the sticks and slips of the samples ``seen``."""
     measured = measured_in(model.units, recording.rig.belt_speed if recording.unit == "m" else None)
     stated, level = model.method.stated, model.belt_speed
     if model.rule is not None:
-        return plateaus.segment(seen, motion, model.rule, level, measured, stated, belt)
-    moving = plateaus.in_motion(seen)
-    found = segment_at_corners(seen, motion, moving, level, stated, measured)
-    return found if belt is None or stated is not None else replace(found, belt_speed=belt.speed(moving))
+        return plateaus.segment(kept_series, motion, model.rule, level, measured, stated, belt)
+    moving = plateaus.in_motion(kept_series)
+    segmentation = segment_at_corners(kept_series, motion, moving, level, stated, measured)
+    return segmentation if belt is None or stated is not None else replace(segmentation, belt_speed=belt.speed(moving))
 
 
-def _meets(found: Phase | Fault, own: slice) -> bool:
-    return bool(found.first < own.stop and found.last >= own.start)
+def _overlaps(interval: Phase | Fault, samples: slice) -> bool:
+    return bool(interval.first < samples.stop and interval.last >= samples.start)
 
 
-def _cut(phase: Phase, data: Series, own: slice, low: int, units: Units) -> Phase:
+def _cut_phase(phase: Phase, data: Series, samples: slice, first_number: int, units: Units) -> Phase:
     """Return the part of a phase that lies in a block, in SI units."""
-    first, last = max(phase.first, own.start), min(phase.last, own.stop - 1)
+    first, last = max(phase.first, samples.start), min(phase.last, samples.stop - 1)
     cut_before, cut_behind = first > phase.first, last < phase.last
     return Phase(
         phase.kind,
         units.start + units.time_unit * (float(data.time[first]) if cut_before else phase.start),
         units.start + units.time_unit * (float(data.time[last]) if cut_behind else phase.end),
-        first + low,
-        last + low,
+        first + first_number,
+        last + first_number,
         math.inf if cut_before else units.time_unit * phase.start_sd,
         math.inf if cut_behind else units.time_unit * phase.end_sd,
     )
 
 
-def _corners(motion: Motion, data: Series, own: slice, units: Units) -> tuple[Corner, ...]:
-    """Return the corners in a block, each up to and including the sample behind it, in SI units."""
-    low = float(data.time[own.start - 1]) if own.start else -math.inf
-    high = float(data.time[own.stop - 1]) if own.stop < data.time.size else math.inf
+def _select_corners(motion: Motion, data: Series, samples: slice, units: Units) -> tuple[Corner, ...]:
+    """Return the corners in a block, in SI units; one between blocks belongs to the block of the sample after it."""
+    low = float(data.time[samples.start - 1]) if samples.start else -math.inf
+    high = float(data.time[samples.stop - 1]) if samples.stop < data.time.size else math.inf
     return tuple(
         Corner(units.start + units.time_unit * corner.time, units.time_unit * corner.sd, corner.what)
         for corner in motion.corners
@@ -355,17 +352,19 @@ def _corners(motion: Motion, data: Series, own: slice, units: Units) -> tuple[Co
     )
 
 
-def _in_si(step: PositionStep, low: int, units: Units) -> PositionStep:
-    """Return a step of the position of the record, by the record's numbers, in SI units."""
-    way = 1 if units.length_unit > 0 else -1
-    return PositionStep(step.first + low, step.last + low, way * step.counts, step.size * units.length_unit)
+def _convert_step(step: PositionStep, first_number: int, units: Units) -> PositionStep:
+    """Return a step of the position by the numbers of the record, in SI units."""
+    direction = 1 if units.length_unit > 0 else -1
+    return PositionStep(
+        step.first + first_number, step.last + first_number, direction * step.counts, step.size * units.length_unit
+    )
 
 
-def _drift(blocks: Sequence[BlockFindings], unit: str) -> list[Finding]:
-    """Return the drift of a record that moves, and never slips."""
+def _find_drift(blocks: Sequence[BlockFindings], unit: str) -> list[Finding]:
+    """Return the drift of a record that moves but never slips."""
     means = [mean for block in blocks for mean in block.means]
     if len(means) < PARTS:
         return []
     time, position = np.array(means).T
-    found = drift_finding(time, position, unit)
-    return [] if found is None else [found]
+    finding = drift_finding(time, position, unit)
+    return [] if finding is None else [finding]

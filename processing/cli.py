@@ -70,21 +70,21 @@ def smooth(
     from stickslip.units import quantity, time_or_none
 
     speed = belt_speed if belt_speed == "auto" else quantity(belt_speed, "speed", "--belt-speed")
-    asked = (method, window, order, times, speed, repair_counts)
+    options = (method, window, order, times, speed, repair_counts)
     motion: Kinematics | SmoothingSummary
-    own = store.between(file, time_or_none(begin, "--from"), time_or_none(end, "--to"))
-    with store.reading(file, own) as run:
+    samples = store.between(file, time_or_none(begin, "--from"), time_or_none(end, "--to"))
+    with store.reading(file, samples) as run:
         n = run.samples
     if n > smoothing.LARGE:
         with application.progress("smoothing", n, "samples") as progress:
-            motion = smoothing.smooth_file(file, *asked, progress=progress, own=own)
+            motion = smoothing.smooth_file(file, *options, progress=progress, samples=samples)
     else:
-        made = smoothing.smooth(store.load(file, own), *asked)
-        stage.save(made, file, own)
-        motion = made
-    counted = stage.load_statistics(file)
-    data = summary.as_json(motion) | {"statistics": counted.as_json()}
-    lines = summary.sentences(motion, chosen=window == "auto") + counted.sentences(motion.unit)
+        kinematics = smoothing.smooth(store.load(file, samples), *options)
+        stage.save(kinematics, file, samples)
+        motion = kinematics
+    slip_statistics = stage.load_statistics(file)
+    data = summary.as_json(motion) | {"statistics": slip_statistics.as_json()}
+    lines = summary.format_sentences(motion, chosen=window == "auto") + slip_statistics.sentences(motion.unit)
     return Answer(data, [*lines, f"written to /entry/smooth of {file}"])
 
 
@@ -103,9 +103,11 @@ def compare(file: Run, /, *, json: Json = False) -> Answer:
 
     recording = store.load(file)
     with application.progress("comparing", 100, "%") as show:
-        rows = comparison.rows(recording, store.truth(file), show)
-    known = any(row.rms_error is not None for row in rows)
-    return Answer({"rows": [vars(row) for row in rows], "truth": known}, _table(rows, file, recording.unit, known))
+        rows = comparison.compare_methods(recording, store.truth(file), show)
+    has_truth = any(row.rms_error is not None for row in rows)
+    return Answer(
+        {"rows": [vars(row) for row in rows], "truth": has_truth}, _table(rows, file, recording.unit, has_truth)
+    )
 
 
 @app.command
@@ -127,21 +129,21 @@ def inspect(
     Example: process inspect run.h5 --plot portrait.png
     """
     from processing import statistics, summary
-    from processing.plot import inspection
+    from processing.plot import draw_inspection
     from stickslip.output.plot import check_place, save
 
     target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
-    recording, stored = _stored(file)
+    recording, stored = _load_motion(file)
     check_place(target, file, force=force, digest=recording.digest)
-    motion = _smoothed(recording) if stored is None else stored
-    save(inspection(motion), target, file, force=force, digest=recording.digest)
-    counted = statistics.from_kinematics(motion)
+    motion = _smooth_in_memory(recording) if stored is None else stored
+    save(draw_inspection(motion), target, file, force=force, digest=recording.digest)
+    slip_statistics = statistics.from_kinematics(motion)
     data = summary.run_as_json(motion) | {
-        "statistics": counted.as_json(),
+        "statistics": slip_statistics.as_json(),
         "smoothed_in_memory": stored is None,
         "plot": target,
     }
-    lines = summary.run_sentences(motion, file) + counted.sentences(motion.unit)
+    lines = summary.format_run_sentences(motion, file) + slip_statistics.sentences(motion.unit)
     if stored is None:
         lines.append("not smoothed yet, so smoothed in memory; keep it with: process smooth")
     return Answer(data, [*lines, f"picture: {target}"])
@@ -169,15 +171,15 @@ def export(
         raise InputError("nothing to write", "command line", "give --csv FILE")
     atomic.refuse_existing(csv, force, file)
     suffix.check(csv, suffix.CSV, "--csv")
-    recording, stored = _stored(file)
-    motion = _smoothed(recording) if stored is None else stored
+    recording, stored = _load_motion(file)
+    motion = _smooth_in_memory(recording) if stored is None else stored
     columns = tables.write_csv(motion, csv, force=force)
     rows = int(motion.time.size)
     data = {"rows": rows, "columns": columns, "file": csv, "smoothed_in_memory": stored is None}
     return Answer(data, f"{csv}: {rows} rows; columns {', '.join(columns)}")
 
 
-def _stored(file: Path) -> "tuple[Recording, Kinematics | None]":
+def _load_motion(file: Path) -> "tuple[Recording, Kinematics | None]":
     """Return the recording of a run, and its motion where it has been smoothed."""
     from daq.runfile import store
     from processing import stage
@@ -186,22 +188,22 @@ def _stored(file: Path) -> "tuple[Recording, Kinematics | None]":
     return (store.load(file), None) if motion is None else (motion.recording, motion)
 
 
-def _smoothed(recording: "Recording") -> "Kinematics":
+def _smooth_in_memory(recording: "Recording") -> "Kinematics":
     """Return the motion, smoothed in memory."""
     from processing.smoothing import smooth as rebuild
 
     return rebuild(recording)
 
 
-def _table(rows: "list[MethodError]", file: Path, unit: str, known: bool) -> Any:
+def _table(rows: "list[MethodError]", file: Path, unit: str, has_truth: bool) -> Any:
     factor, name = (1e3, "mm/s") if unit == "m" else (1.0, f"{unit}/s")
     headings = ("method", "setting", "CPU ms", "stated", "true rms", "true max")
     table = application.table(f"{file}: errors of the velocity, {name}", headings, left=2)
     for row in rows:
         errors = (row.sigma_v, row.rms_error, row.max_error)
-        shown = ["-" if value is None else f"{factor * value:.3g}" for value in errors]
-        table.add_row(row.method, row.setting, f"{1e3 * row.cpu_s:.1f}", *shown)
-    if known:
+        texts = ["-" if value is None else f"{factor * value:.3g}" for value in errors]
+        table.add_row(row.method, row.setting, f"{1e3 * row.cpu_s:.1f}", *texts)
+    if has_truth:
         return table
     return [table, "this run contains no exact motion; record it with: daq record --set output.truth=true"]
 

@@ -1,7 +1,7 @@
 """Error against run time: every method and a range of its settings on one record.
 
-The true errors are stated only where the run file of a simulated rig holds the truth; this is the one place in
-`processing` that may look at it.
+The true errors are available only if the run file of a simulated rig contains the truth; this is the only module of
+`processing` that may read it.
 """
 
 import math
@@ -19,8 +19,8 @@ from processing.record.series import Series
 from processing.record.setting import Setting, parse_window
 from stickslip.compute.arrays import Array
 
-WINDOWS = (11, 21, 41, 81, 161)  # samples: what a table of windows shows
-ORDER = 4  # of the polynomials in that table
+WINDOWS = (11, 21, 41, 81, 161)  # samples: windows in the table
+ORDER = 4  # of their polynomials
 
 
 @dataclass(frozen=True)
@@ -35,49 +35,43 @@ class MethodError:
     max_error: float | None
 
 
-def rows(
+def compare_methods(
     recording: Recording, truth: Truth | None, progress: Callable[[float], None] = lambda share: None
 ) -> list[MethodError]:
-    """Run every method on the recording.
-
-    recording: The run.
-    truth: Its exact motion, where it is known.
-    progress: Called after each row with the percentage of rows done.
-    Returns: Finite differences, Savitzky-Golay, both smoothers and auto, on nominal and on recorded times.
-    """
+    """Run every method on nominal and on recorded times; ``progress`` is called with the percentage done."""
     for times in series.TIMES:
-        for method in ("sg", "segment"):  # compiles what it needs now, an even grid needs other kernels
+        for method in ("sg", "segment"):  # compile their kernels before timing; an even grid needs other ones
             registry.estimate(method, series.from_recording(recording, times), Setting())
     true = velocity_at(recording, truth) if truth is not None else None
-    found: list[MethodError] = []
+    errors: list[MethodError] = []
     for times in reversed(series.TIMES):
         data = series.from_recording(recording, times)
         longest = max(piece.stop - piece.start for piece in data.pieces)
         windows = [(f"{length},{ORDER}", Setting(length, ORDER)) for length in WINDOWS if length <= longest]
         windows.append(("auto", parse_window("auto", None, data)))
-        asked = [("fd", times, Setting()), *(("sg", f"{name} {times}", window) for name, window in windows)]
-        asked += [(method, times, Setting()) for method in ("rts", "segment", "auto")]
-        for method, name, setting in asked:
-            found.append(_row(method, name, data, setting, true))
-            progress(100.0 * len(found) / (len(series.TIMES) * len(asked)))
-    return found
+        runs = [("fd", times, Setting()), *(("sg", f"{name} {times}", window) for name, window in windows)]
+        runs += [(method, times, Setting()) for method in ("rts", "segment", "auto")]
+        for method, name, setting in runs:
+            errors.append(_measure_method(method, name, data, setting, true))
+            progress(100.0 * len(errors) / (len(series.TIMES) * len(runs)))
+    return errors
 
 
-def _row(method: str, setting: str, data: Series, asked: Setting, true: Array | None) -> MethodError:
-    begun = clock.process_time()
-    motion = registry.estimate(method, data, asked)
-    cpu = clock.process_time() - begun
+def _measure_method(method: str, setting: str, data: Series, choice: Setting, true: Array | None) -> MethodError:
+    started = clock.process_time()
+    motion = registry.estimate(method, data, choice)
+    cpu = clock.process_time() - started
     if setting.startswith("auto"):
         setting = f"auto = {motion.window},{motion.order}{setting[4:]}"
     if method == "auto":
         setting = f"{setting} = {motion.method}"
-    rms, worst = _errors(motion, true) if true is not None else (None, None)
-    known = np.isfinite(motion.velocity_errors)
-    sigma = float(np.sqrt(np.mean(motion.velocity_errors[known] ** 2))) if known.any() else math.inf
+    rms, worst = _measure_errors(motion, true) if true is not None else (None, None)
+    finite = np.isfinite(motion.velocity_errors)
+    sigma = float(np.sqrt(np.mean(motion.velocity_errors[finite] ** 2))) if finite.any() else math.inf
     return MethodError(method, setting, cpu, sigma, rms, worst)
 
 
-def _errors(motion: Motion, true: Array) -> tuple[float, float] | tuple[None, None]:
+def _measure_errors(motion: Motion, true: Array) -> tuple[float, float] | tuple[None, None]:
     error = (motion.velocity - true)[np.isfinite(true) & np.isfinite(motion.velocity_errors)]
     if not error.size:
         return None, None
@@ -85,10 +79,10 @@ def _errors(motion: Motion, true: Array) -> tuple[float, float] | tuple[None, No
 
 
 def velocity_at(recording: Recording, truth: Truth) -> Array:
-    """Return the true velocity at the recorded samples, m/s; NaN where the truth holds no sample near.
+    """Return the true velocity at the recorded samples, m/s; NaN where the truth has no sample nearby.
 
-    Both are on the run's time axis.  They name the same samples when they are equally many; otherwise (rows were lost
-    on the way) each recorded sample takes the true one nearest in time.
+    If both have equally many samples, these are the same; otherwise (rows were lost) each recorded sample is paired
+    with the true one nearest in time.
     """
     if truth.v.size == recording.time.size:
         return truth.v
@@ -96,6 +90,6 @@ def velocity_at(recording: Recording, truth: Truth) -> Array:
         return np.full(recording.time.size, np.nan)
     after = np.clip(np.searchsorted(truth.time, recording.time), 1, truth.time.size - 1)
     nearest = after - (recording.time - truth.time[after - 1] < truth.time[after] - recording.time)
-    found = truth.v[nearest].copy()
-    found[np.abs(truth.time[nearest] - recording.time) > 0.5 / recording.rate_hz] = np.nan
-    return found
+    velocity = truth.v[nearest].copy()
+    velocity[np.abs(truth.time[nearest] - recording.time) > 0.5 / recording.rate_hz] = np.nan
+    return velocity

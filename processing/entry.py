@@ -1,4 +1,4 @@
-"""``processing.smooth``: of a run, of a file, or of two arrays."""
+"""``processing.smooth`` for a run, a file, or two arrays."""
 
 import math
 import os
@@ -28,35 +28,35 @@ def smooth(
     repair_counts: str = "flag",
     model: Mapping[str, Any] | None = None,
 ) -> Kinematics:
-    """Rebuild position, velocity and acceleration from a recording, a file or arrays.
+    """Estimate position, velocity and acceleration from a recording, a file or arrays.
 
     Parameters
     ----------
     run_or_time : Recording, path or array_like of shape (n,)
         A run, a file that `daq.load` reads, or times, s, of the ``position``.
     position : array_like of shape (n,), optional
-        Positions, m (integers: counts), beside times; see `daq.Recording.from_arrays`, which also takes what is known
-        of the rig.  Beside a run, the name of a method.
+        Positions, m (integers: counts), at these times; see `daq.Recording.from_arrays`, which also accepts the
+        parameters of the rig.  After a run, the name of a method.
     method : {"auto", "segment", "rts", "sg", "fd"}
-        "segment" smooths sticks and slips apart, with fitted corners; "rts" smooths all alike; "auto" takes "segment"
-        where its sticks are beyond doubt, else "rts" ("sg" where a window or an order is asked for); "sg" is
-        Savitzky-Golay; "fd" the plain two-point difference, a baseline.
+        "segment" smooths sticks and slips separately, with fitted corners; "rts" smooths all motion in one way; "auto"
+        chooses "segment" if the record clearly contains sticks, else "rts" ("sg" if a window or an order is given);
+        "sg" is Savitzky-Golay; "fd" the plain two-point difference, a baseline.
     window : int, "auto" or a duration such as "20ms"
         Length of the Savitzky-Golay window: an odd number of samples above the order, or chosen from the record.
     order : int, optional
-        Degree of the local polynomial; by default chosen with the window, or 4 beside a window that was given.
+        Degree of the local polynomial; by default chosen with the window, or 4 for a given window.
     times : {"recorded", "nominal"}
         Whether to trust the board's sample times or to assume an even grid.
     belt_speed : float, text with a unit, or "auto"
-        m/s, or such as "22 cm/s"; signed.  "auto" takes it from the belt's own counts where there are any, else finds
-        it in the plateaus of the velocity.
+        m/s, or a text such as "22 cm/s"; signed.  "auto" determines it from the counts of the belt if recorded, else
+        from the plateaus of the velocity.
     repair_counts : {"off", "flag", "fix"}
-        What to do about steps of the position, as where counts are lost or the datum moves: not to look for them; to
-        mark them, and leave the position as it was counted; or to mark them and put them back.  Where they are looked
-        for, velocity and acceleration are those of the motion on either side, without the jump of the count.
+        How to treat steps of the position, caused by lost counts or a datum that moves: "off" does not search for
+        them, "flag" marks them and leaves the position as counted, "fix" marks them and corrects the position.  With
+        "flag" and "fix", velocity and acceleration are without the jump of the count.
     model : mapping, optional
-        `Kinematics.model` of an earlier smoothing, applied as it is: nothing is learned, and method, window, order and
-        belt speed are its own.
+        `Kinematics.model` of an earlier smoothing, applied without learning: it also determines method, window, order
+        and belt speed.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def smooth(
     InputError
         For an unknown method or repair, an even window, an order that the window cannot carry, a record with a number
         that is not finite or with times that do not increase (naming the sample), fewer than 5 samples, or a belt
-        speed beside positions in counts; times without positions, or positions beside a run.
+        speed for positions in counts; times without positions, or positions for a run.
 
     Notes
     -----
@@ -98,13 +98,13 @@ def smooth(
         if isinstance(position, str):
             method, position = position, None
         if position is not None:
-            what = "a position beside a run, which has its own"
-            raise InputError(what, where, "give the run alone: processing.smooth(run, method=...)")
+            problem = "a position beside a run, which has its own"
+            raise InputError(problem, where, "give the run alone: processing.smooth(run, method=...)")
         run = run_or_time if isinstance(run_or_time, daq.Recording) else daq.load(run_or_time)
     elif position is None:
-        what = f"a {type(run_or_time).__name__} and no position"
-        do = "give a run, a file or two arrays: processing.smooth(time, position)"
-        raise InputError(what, where, do)
+        problem = f"a {type(run_or_time).__name__} and no position"
+        advice = "give a run, a file or two arrays: processing.smooth(time, position)"
+        raise InputError(problem, where, advice)
     else:
         run = daq.Recording.from_arrays(run_or_time, position)
     return smoothing.smooth(run, method, window, order, times, belt_speed, repair_counts, model)

@@ -1,6 +1,6 @@
-"""A motion model as values by name, in SI units, nested as its parts are: how run file and `process inspect` have it.
+"""A motion model as nested values by name, in SI units, for the run file and `process inspect`.
 
-A part that a record does not have is left out.  `restored` makes the model again, number by number, so that a smoothing
+Parts that a record does not have are left out.  `restore` returns the same model, number by number, so that a smoothing
 can be repeated without learning.
 """
 
@@ -16,7 +16,7 @@ from processing.record.units import Units
 
 Model = TypeVar("Model")
 
-# Powers of length and time of the numbers in a model, by name; all others have none.
+# Powers of length and time of the numbers in a model, by name; all others are dimensionless.
 DIMENSIONS: dict[str, tuple[Any, Any]] = {
     **dict.fromkeys(("interval", "shortest", "slip"), (0, 1)),
     **dict.fromkeys(("step", "noise", "belt", "relative"), (1, 0)),
@@ -28,62 +28,61 @@ DIMENSIONS: dict[str, tuple[Any, Any]] = {
 SIGNED = ("speed", "belt_speed", "stated", "mean_snap")
 
 
-def values(model: Any, units: Units) -> dict[str, Any]:
-    """Return the values of a model in these units, in SI units: numbers, text, arrays, and such of its parts."""
-    found = {name: getattr(model, name) for name in _names(type(model))}
-    return {name: _value(name, own, units) for name, own in found.items() if own is not None}
+def values_in_si(model: Any, units: Units) -> dict[str, Any]:
+    """Return the values of a model, whose numbers are in ``units``, in SI units, with nested dicts for its parts."""
+    parts = {name: getattr(model, name) for name in _stored_names(type(model))}
+    return {name: _convert_value(name, value, units) for name, value in parts.items() if value is not None}
 
 
-def restored(kind: type[Model], stored: Mapping[str, Any], units: Units) -> Model:
-    """Return the model of this type, in these units, that has the values ``stored``."""
+def restore(kind: type[Model], stored: Mapping[str, Any], units: Units) -> Model:
+    """Return the model of this type, with numbers in ``units``, from the values ``stored`` in SI units."""
     hints = get_type_hints(kind)
-    return kind(**{name: _restored(name, hints[name], stored.get(name), units) for name in _names(kind)})
+    return kind(**{name: _restore_value(name, hints[name], stored.get(name), units) for name in _stored_names(kind)})
 
 
 def unit_of(name: str, length: str) -> str:
-    """Return the unit of a number by its name, where lengths have the unit ``length``; "" for none, or for several."""
-    known = {"length_unit": (1, 0), "time_unit": (0, 1), "start": (0, 1)} | DIMENSIONS
-    powers = known.get(name, (0, 0))
-    if name not in known or np.ndim(powers[1]):
+    """Return the unit of a number by its name, for lengths in the unit ``length``; "" for none or several."""
+    dimensions = {"length_unit": (1, 0), "time_unit": (0, 1), "start": (0, 1)} | DIMENSIONS
+    powers = dimensions.get(name, (0, 0))
+    if name not in dimensions or np.ndim(powers[1]):
         return ""
-    above = "" if not powers[0] else length if powers[0] == 1 else f"{length}^{powers[0]}"
+    length_text = "" if not powers[0] else length if powers[0] == 1 else f"{length}^{powers[0]}"
     if powers[1] >= 0:
-        return above or "s" * powers[1]
-    return f"{above}/s" if powers[1] == -1 else f"{above}/s^{-powers[1]}"
+        return length_text or "s" * powers[1]
+    return f"{length_text}/s" if powers[1] == -1 else f"{length_text}/s^{-powers[1]}"
 
 
-def _unit(name: str, units: Units) -> Any:
-    """Return the unit of a number in SI units."""
+def _si_unit(name: str, units: Units) -> Any:
     length, time = DIMENSIONS.get(name, (0, 0))
     size = units.length_unit**length * units.time_unit ** np.asarray(time, float)
     return size if name in SIGNED else np.abs(size)
 
 
-def _value(name: str, own: Any, units: Units) -> Any:
-    if _names(type(own)):
-        return values(own, units)
-    if isinstance(own, float | np.ndarray) and name in DIMENSIONS:
-        return own * _unit(name, units) if isinstance(own, np.ndarray) else float(own * _unit(name, units))
-    return own
+def _convert_value(name: str, value: Any, units: Units) -> Any:
+    if _stored_names(type(value)):
+        return values_in_si(value, units)
+    if isinstance(value, float | np.ndarray) and name in DIMENSIONS:
+        return value * _si_unit(name, units) if isinstance(value, np.ndarray) else float(value * _si_unit(name, units))
+    return value
 
 
-def _names(kind: type) -> tuple[str, ...]:
-    """Return the names of the parts of a dataclass that are stored, or of a NamedTuple; none of any other type."""
+def _stored_names(kind: type) -> tuple[str, ...]:
+    """Return the names of the stored fields of a dataclass, or of a NamedTuple; empty for any other type."""
     if not is_dataclass(kind):
         return getattr(kind, "_fields", ())
     return tuple(field.name for field in fields(kind) if field.metadata.get("stored", True))
 
 
-def _restored(name: str, hint: Any, value: Any, units: Units) -> Any:
+def _restore_value(name: str, hint: Any, value: Any, units: Units) -> Any:
     if value is None:
         return None
     if get_origin(hint) in (Union, UnionType):
-        hint = next(own for own in get_args(hint) if own is not type(None))
-    if isinstance(hint, type) and _names(hint):
-        return restored(hint, value, units)
+        hint = next(part for part in get_args(hint) if part is not type(None))
+    if isinstance(hint, type) and _stored_names(hint):
+        return restore(hint, value, units)
     if get_origin(hint) is tuple:
-        return tuple(int(own) for own in value)
+        return tuple(int(part) for part in value)
     if hint in (int, bool, str):
         return hint(value)
-    own = np.asarray(value, float) / _unit(name, units)
-    return float(own) if hint is float else own
+    part = np.asarray(value, float) / _si_unit(name, units)
+    return float(part) if hint is float else part

@@ -20,44 +20,39 @@ MOST_DRAWN = 500  # break-aways drawn as shapes, of some 80 bytes each; more bec
 BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
 
 
-def inspection(kinematics: Kinematics) -> Figure:
-    """Return the figure of `process inspect`.
-
-    kinematics: The run.
-    Returns: The motion as `processing.record.plot` draws it. Below, where there are at least `FEWEST_SLIPS` slips: the
-        panels of `_break_aways`.
-    """
-    counted = from_kinematics(kinematics)
-    several = counted.slips >= FEWEST_SLIPS and len(counted.events) >= FEWEST_SLIPS
+def draw_inspection(kinematics: Kinematics) -> Figure:
+    """Draw the motion, and below it the panels of `_draw_break_aways` if there are at least `FEWEST_SLIPS` slips."""
+    statistics = from_kinematics(kinematics)
+    enough_slips = statistics.slips >= FEWEST_SLIPS and len(statistics.events) >= FEWEST_SLIPS
     with mpl.rc_context(fname=STYLE):
-        drawn = figure(11.5, 8.8 if several else 5.6)
-        parts = drawn.add_gridspec(2 if several else 1, 1, height_ratios=(5.6, 3.2) if several else None)
-        if several:
-            _break_aways(drawn, parts[1].subgridspec(1, 3, wspace=0.06), counted, kinematics.unit)
-        draw_motion(drawn, parts[0], kinematics.drawing())
-    return drawn
+        picture = figure(11.5, 8.8 if enough_slips else 5.6)
+        parts = picture.add_gridspec(2 if enough_slips else 1, 1, height_ratios=(5.6, 3.2) if enough_slips else None)
+        if enough_slips:
+            _draw_break_aways(picture, parts[1].subgridspec(1, 3, wspace=0.06), statistics, kinematics.unit)
+        draw_motion(picture, parts[0], kinematics.drawing())
+    return picture
 
 
-def _break_aways(drawn: Figure, cells: "GridSpecBase", counted: StickSlipStatistics, unit: str) -> None:
+def _draw_break_aways(picture: Figure, cells: "GridSpecBase", statistics: StickSlipStatistics, unit: str) -> None:
     """Draw the break-away levels into one row of cells: their distribution, trend, and level against stick time."""
-    distribution, trend, stick = (drawn.add_subplot(cells[0, column]) for column in range(3))
-    factor, shown = shown_length(unit)
-    time, level = counted.column("t"), factor * counted.column("break_away_m")
-    label = f"break-away level ({shown})"
+    distribution, trend, stick = (picture.add_subplot(cells[0, column]) for column in range(3))
+    factor, unit_text = shown_length(unit)
+    time, level = statistics.column("t"), factor * statistics.column("break_away_m")
+    label = f"break-away level ({unit_text})"
     bins = int(np.clip(np.sqrt(level.size), *BINS))
     distribution.hist(level, bins, color=MOTION, alpha=0.55, edgecolor="white", lw=0.6)
-    distribution.axvline(level.mean(), color=BELT, lw=1.2, ls=(0, (5, 3)), label=f"mean {level.mean():.4g} {shown}")
+    distribution.axvline(level.mean(), color=BELT, lw=1.2, ls=(0, (5, 3)), label=f"mean {level.mean():.4g} {unit_text}")
     distribution.yaxis.set_major_locator(MaxNLocator(integer=True))
     distribution.set(title="distribution", xlabel=label, ylabel="number of break-aways")
     cloud: dict[str, Any] = {"ms": 4, "mew": 0, "color": MOTION, "alpha": 0.75, "rasterized": level.size > MOST_DRAWN}
     trend.plot(time, level, "o", **cloud)
-    summary = counted.summary("break_away_m")
+    summary = statistics.summary("break_away_m")
     if summary is not None and summary["trend_per_s"] is not None:
         slope, ends = factor * summary["trend_per_s"], np.array([time.min(), time.max()])
         line = level.mean() + slope * (ends - time.mean())
-        trend.plot(ends, line, color=BELT, lw=1.4, label=f"trend {slope:+.2g} {shown}/s")
+        trend.plot(ends, line, color=BELT, lw=1.4, label=f"trend {slope:+.2g} {unit_text}/s")
     trend.set(title="against time", xlabel="time (s)", ylabel=label)
-    stick.plot(counted.column("stick_s"), level, "o", **cloud)
+    stick.plot(statistics.column("stick_s"), level, "o", **cloud)
     stick.set(title="against stick time", xlabel="stick time (s)", ylabel=label)
     for axes in (distribution, trend):
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.2, handlelength=1.6)

@@ -1,8 +1,8 @@
-"""From a recording to its motion: estimate, then find what is lost, where it stuck and how fast the belt ran.
+"""From a recording to its motion, with its faults, sticks and slips, and the belt's speed.
 
-`smooth` does so in memory; `smooth_file` reads, smooths and writes a run block by block, whatever its length.  Both
-learn from stretches of the record and apply that to its blocks (`processing.blocks`).  The rig's scene and its truth
-are never looked at here.
+`smooth` works in memory; `smooth_file` reads, smooths and writes a run block by block, whatever its length.  Both learn
+from stretches of the record and apply that to its blocks (`processing.blocks`).  The rig's scene and its truth are
+never read here.
 """
 
 import logging
@@ -20,7 +20,7 @@ from daq.runfile.nexus import EVERY
 from processing import belt_motion, blocks, stage
 from processing.blocks import BlockFindings, MotionModel, Stretches
 from processing.methods import registry
-from processing.model_values import restored
+from processing.model_values import restore
 from processing.record import import_grid, series
 from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.series import Series
@@ -36,12 +36,10 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 REPAIRS = ("off", "flag", "fix")
 
-BLOCK = 2**16  # samples kept at a time: memory grows with it (200 to 250 MB), and with less the margins cost more CPU
-MARGIN = 2**12, 2**16  # samples smoothed too on either side of a block, at least and at most
-# Slips among them.  A neighbourhood cuts its last slip, and a stick beside that one may be missed together with the
-# motion up to the stick before: with one slip that reached into the block.
-MARGIN_SLIPS = 2.0
-LARGE = 2**19  # samples: the command smooths longer records block by block; one as long takes about 300 MB
+BLOCK = 2**16  # samples kept at a time: memory grows with it (200 to 250 MB), and CPU time for margins falls
+MARGIN = 2**12, 2**16  # samples that are also smoothed on either side of a block, at least and at most
+MARGIN_SLIPS = 2.0  # slips in a margin, since its end cuts one and can hide the stick next to it
+LARGE = 2**19  # samples: the command smooths longer records block by block; this length needs about 300 MB
 
 
 def smooth(
@@ -54,33 +52,32 @@ def smooth(
     repair_counts: str = "flag",
     model: Mapping[str, Any] | None = None,
 ) -> Kinematics:
-    """Rebuild position, velocity and acceleration from a recording.
-
-    recording: Positions in metres (or counts) at times in seconds.
-    method, window, order, times, belt_speed, repair_counts, model: As of `processing.smooth`, which also says what is
-        raised.  Steps of the position are looked for as `processing.defects.faults` says.
-    """
-    begun = clock.process_time()
-    _check(method, repair_counts)
+    """Estimate position, velocity and acceleration from a recording; see `processing.smooth` for the parameters."""
+    started = clock.process_time()
+    _check_options(method, repair_counts)
     data = series.from_recording(recording, times)
-    n, asked = data.time.size, (method, window, order, belt_speed, repair_counts)
+    n, setting = data.time.size, (method, window, order, belt_speed, repair_counts)
     if model:
-        known = restored(MotionModel, model, restored(Units, model["units"], Units()))
+        motion_model = restore(MotionModel, model, restore(Units, model["units"], Units()))
     else:
-        known, _ = _learn(lambda own: _part(recording, data, own), recording.position.__getitem__, n, *asked)
-    block = blocks.apply(recording, data, slice(0, n), 0, known, repair=repair_counts)
-    header = blocks.join(known, [block.found], recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
+        motion_model, _ = _learn_model(
+            lambda samples: _take_part(recording, data, samples), recording.position.__getitem__, n, *setting
+        )
+    block = blocks.apply(recording, data, slice(0, n), 0, motion_model, repair=repair_counts)
+    header = blocks.join(
+        motion_model, [block.findings], recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix"
+    )
     columns: dict[str, Any] = block.columns
-    made = Kinematics(
+    kinematics = Kinematics(
         recording=recording,
         times=times,
         **columns,
         **header,
-        cpu_s=clock.process_time() - begun,
+        cpu_s=clock.process_time() - started,
     )
-    said = made.recording.name, made.method, len(made.sticks), made.cpu_s
-    logger.info("smoothed %s: %s, %d sticks, %.2f s of CPU time", *said)
-    return made
+    details = kinematics.recording.name, kinematics.method, len(kinematics.sticks), kinematics.cpu_s
+    logger.info("smoothed %s: %s, %d sticks, %.2f s of CPU time", *details)
+    return kinematics
 
 
 def smooth_file(
@@ -92,46 +89,43 @@ def smooth_file(
     belt_speed: float | str = "auto",
     repair_counts: str = "flag",
     progress: Callable[[float], None] = lambda done: None,
-    own: slice = EVERY,
+    samples: slice = EVERY,
 ) -> SmoothingSummary:
-    """Smooth a run block by block and write the stage into its file.
+    """Smooth ``samples`` of a run file block by block and write the stage into it, with the same phases as `smooth`.
 
-    The phases are those that `smooth` finds, whatever the size of the blocks.
-
-    path: The run file.
-    progress: Called with the number of samples done.
-    own: Samples to smooth; by default all.
-    Raises InputError: as `smooth`.
+    ``progress`` is called with the number of samples done.
     """
-    begun = clock.process_time()
-    _check(method, repair_counts)
-    with store.reading(path, own) as run:
+    started = clock.process_time()
+    _check_options(method, repair_counts)
+    with store.reading(path, samples) as run:
         n = run.samples
-        asked = method, window, order, belt_speed, repair_counts
+        setting = method, window, order, belt_speed, repair_counts
         start = run.load(slice(0, 1))
-        model, recording = _learn(lambda part: _read(run, part, times, start), run.positions, n, *asked)
+        model, recording = _learn_model(lambda part: _read_part(run, part, times, start), run.positions, n, *setting)
     margin = int(np.clip(max(2 * model.window, MARGIN_SLIPS * model.slip), *MARGIN))
     belt = belt_motion.has_belt_encoder(recording)
-    found: list[BlockFindings] = []
-    made: list[SmoothingSummary] = []
+    block_findings: list[BlockFindings] = []
+    summaries: list[SmoothingSummary] = []
 
     def write(entry: h5py.Group) -> None:
         table = stage.begin(entry, n, recording.unit, belt=belt)
         ends = []
-        with store.reading(path, own) as run:
+        with store.reading(path, samples) as run:
             reader = _Reader(run, times, margin, start)
             for begin in range(0, n, BLOCK):
                 end = min(begin + BLOCK, n)
                 part, data, low = reader.read(begin, end)
-                before = blocks.steps_before(found, int(part.segment[0]), low)
+                before = blocks.steps_before(block_findings, int(part.segment[0]), low)
                 block = blocks.apply(
                     part, data, slice(begin - low, end - low), low, model, repair=repair_counts, before=before
                 )
-                found.append(block.found)
+                block_findings.append(block.findings)
                 stage.fill(table, begin, block.columns)
                 ends += [float(block.columns["time"][0]), float(block.columns["time"][-1])]
                 progress(end)
-        header = blocks.join(model, found, recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
+        header = blocks.join(
+            model, block_findings, recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix"
+        )
         stuck = sum(phase.last - phase.first + 1 for phase in header["phases"] if phase.kind == "stick")
         summary = SmoothingSummary(
             **header,
@@ -141,22 +135,22 @@ def smooth_file(
             unit=recording.unit,
             plateau_fraction=stuck / n,
             belt_counted=belt,
-            cpu_s=clock.process_time() - begun,
+            cpu_s=clock.process_time() - started,
         )
-        made.append(summary)
-        stage.finish(entry, summary, recording.digest, own)
+        summaries.append(summary)
+        stage.finish(entry, summary, recording.digest, samples)
 
     store.extend(path, "smooth", write, default="smooth")
-    return made[0]
+    return summaries[0]
 
 
-def _check(method: str, repair_counts: str) -> None:
-    registry.check(method)
+def _check_options(method: str, repair_counts: str) -> None:
+    registry.check_method(method)
     if repair_counts not in REPAIRS:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
 
 
-def _learn(
+def _learn_model(
     read: "Callable[[slice], tuple[Recording, Series]]",
     positions: Callable[[slice], Array],
     n: int,
@@ -166,25 +160,25 @@ def _learn(
     belt_speed: float | str,
     repair_counts: str,
 ) -> "tuple[MotionModel, Recording]":
-    """Return the model of a record of n samples, and the stretches that it was learned from.
+    """Return the model of a record of n samples, and the recording of the stretches that it was learned from.
 
-    ``read`` returns some of the samples, ``positions`` their positions alone, m.
+    ``read`` returns some of the samples, ``positions`` only their positions, m.
     """
-    seen = survey(positions, n)
-    wanted = Setting(None if window == "auto" else 0, order)
-    for least in registry.samples_learned(method, wanted):
-        picked = seen.stretches(least)
-        recording, data, number = _joined([read(own) for own in picked], picked)
-        units = seen.units(data.interval, float(data.time[0]))
-        stretches = Stretches(recording, data, number, positions, seen, units)
-        setting = _setting(window, order, belt_speed, data, recording.unit)
+    record = survey(positions, n)
+    requested_setting = Setting(None if window == "auto" else 0, order)
+    for least in registry.sample_counts(method, requested_setting):
+        picked_stretches = record.stretches(least)
+        recording, data, number = _join_parts([read(stretch) for stretch in picked_stretches], picked_stretches)
+        units = record.units(data.interval, float(data.time[0]))
+        stretches = Stretches(recording, data, number, positions, record, units)
+        setting = _parse_setting(window, order, belt_speed, data, recording.unit)
         model = blocks.learn(stretches, method, setting, steps=repair_counts != "off")
         if model.method.sticks is not None or data.time.size == n:
             break
     return model, recording
 
 
-def _setting(window: int | str, order: int | None, belt_speed: float | str, data: Series, unit: str) -> Setting:
+def _parse_setting(window: int | str, order: int | None, belt_speed: float | str, data: Series, unit: str) -> Setting:
     speed = parse_belt_speed(belt_speed)
     if speed is not None and unit != "m":
         raise InputError(
@@ -195,38 +189,37 @@ def _setting(window: int | str, order: int | None, belt_speed: float | str, data
     return replace(parse_window(window, order, data), belt_speed=speed)
 
 
-def _read(run: store.RunReader, own: slice, times: str, start: "Recording") -> "tuple[Recording, Series]":
-    recording = run.load(own)
+def _read_part(run: store.RunReader, samples: slice, times: str, start: "Recording") -> "tuple[Recording, Series]":
+    recording = run.load(samples)
     return recording, series.from_recording(recording, times, start=start)
 
 
-def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording, Series]":
-    """Return some samples of a recording in memory."""
+def _take_part(recording: "Recording", data: Series, samples: slice) -> "tuple[Recording, Series]":
     count, belt = recording.count, recording.belt_count
     part = replace(
         recording,
-        time=data.time[own],
-        position=recording.position[own],
-        count=None if count is None else count[own],
+        time=data.time[samples],
+        position=recording.position[samples],
+        count=None if count is None else count[samples],
         raw=None,
-        segment=recording.segment[own],
-        belt_count=None if belt is None else belt[own],
+        segment=recording.segment[samples],
+        belt_count=None if belt is None else belt[samples],
     )
     kept = np.zeros(data.time.size, bool)
-    kept[own] = True
-    # Of these samples, as a file that is read block by block gives it.
-    return part, replace(data.taken(kept), interval=float(np.median(np.diff(part.time))))
+    kept[samples] = True
+    # The interval of these samples, as when a file is read block by block.
+    return part, replace(data.select(kept), interval=float(np.median(np.diff(part.time))))
 
 
-def _joined(parts: "list[tuple[Recording, Series]]", own: list[slice]) -> "tuple[Recording, Series, Integers]":
-    """Return parts of a record, its samples ``own``, as one of as many pieces or more, and the samples' numbers."""
+def _join_parts(parts: "list[tuple[Recording, Series]]", slices: list[slice]) -> "tuple[Recording, Series, Integers]":
+    """Return the parts of a record, its ``slices``, joined into one, and the samples' numbers."""
     recording, data = parts[0]
-    number = np.concatenate([np.arange(part.start, part.stop) for part in own])
+    number = np.concatenate([np.arange(part.start, part.stop) for part in slices])
     if len(parts) > 1:
-        pieces, at = [], 0
+        pieces, offset = [], 0
         for _, part in parts:
-            pieces += [slice(piece.start + at, piece.stop + at) for piece in part.pieces]
-            at += part.time.size
+            pieces += [slice(piece.start + offset, piece.stop + offset) for piece in part.pieces]
+            offset += part.time.size
         belts = [part.belt_count for part, _ in parts if part.belt_count is not None]
         recording = replace(
             recording,
@@ -247,7 +240,7 @@ def _joined(parts: "list[tuple[Recording, Series]]", own: list[slice]) -> "tuple
 
 
 class _Reader:
-    """Reads blocks of a run with ``margin`` samples on either side, on one time axis and from one origin throughout."""
+    """Reads blocks of a run with ``margin`` samples on either side, on a common time axis and from a common origin."""
 
     def __init__(self, run: store.RunReader, times: str, margin: int, start: "Recording") -> None:
         self._run, self._times, self._margin, self._start = run, times, margin, start
@@ -255,19 +248,19 @@ class _Reader:
         self._grid = None
         n = run.samples
         if times == "nominal" and self._start.raw is None:
-            # An import has no sample numbers: its even grid follows from the whole record.
+            # An import has no sample numbers, so its even grid depends on the whole record.
             self._grid = import_grid.learn(run, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
 
     def read(self, begin: int, end: int) -> "tuple[Recording, Series, int]":
         """Return samples begin..end-1 with their neighbours, and the number of the first of these."""
-        low, high = max(begin - self._margin, 0), min(end + self._margin, self._run.samples)
-        recording = self._run.load(slice(low, high))
-        grid = None if self._grid is None else self._grid.times(low, recording.time)
+        first, last = max(begin - self._margin, 0), min(end + self._margin, self._run.samples)
+        recording = self._run.load(slice(first, last))
+        grid = None if self._grid is None else self._grid.times(first, recording.time)
         data = series.from_recording(recording, self._times, self._anchor(recording), grid, self._start)
-        return recording, data, low
+        return recording, data, first
 
     def _anchor(self, recording: "Recording") -> tuple[float, int] | None:
-        """Return time and number of the first sample of the segment that the samples begin in."""
+        """Return time and number of the first sample of the first segment of a block."""
         if self._times != "nominal" or recording.raw is None:
             return None
         for segment in np.unique(recording.segment).tolist():

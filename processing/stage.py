@@ -1,7 +1,7 @@
-"""The smoothed stage of a run file: /entry/smooth, beside the untouched raw data; its tree is `TREE`.
+"""The smoothed stage of a run file: /entry/smooth, next to the unchanged raw data; its tree is `TREE`.
 
-A stage that holds a part of the run says which samples; the values of a model stand in groups as
-`processing.blocks.MotionModel` has them.
+A stage of a part of the run states its samples; the values of a model are stored in groups like the fields of
+`processing.blocks.MotionModel`.
 """
 
 import hashlib
@@ -44,11 +44,11 @@ HASHED_AT_A_TIME = 1 << 20  # values, 8 MB
 
 @dataclass(frozen=True)
 class _Stage:
-    """What is written: the motion, the sha256 of the raw data, the samples of a part of the run, the statistics."""
+    """The source of the fields of the stage."""
 
     motion: Kinematics | SmoothingSummary
-    digest: str
-    part: slice
+    digest: str  # sha256 of the raw data
+    part: slice  # samples of the run
     statistics: StickSlipStatistics
 
     @cached_property
@@ -65,24 +65,24 @@ class _Stage:
         return None if self.part == nexus.EVERY else self.part.stop - 1
 
 
-def _summary(of: str, key: str) -> Callable[[_Stage], float | None]:
+def _make_summary_getter(of: str, key: str) -> Callable[[_Stage], float | None]:
     return lambda stage: stage.summaries[of].get(key)
 
 
-def _columns(name: str, unit: str, text: str) -> tuple[Field, Field]:
+def _make_columns(name: str, unit: str, text: str) -> tuple[Field, Field]:
     path = f"smooth/kinematics/{name}"
     errors = Field(f"{path}_errors", "f4[n]", unit, "", f"motion.{name}_errors")
     return Field(path, "f8[n]", unit, text, f"motion.{name}"), errors
 
 
-# Optional fields are absent in the stages of earlier releases, optional groups where there is nothing to say.
-BELT = _columns("belt_velocity", SPEED, "the belt's, of its own encoder")
+# Optional fields are absent in the stages of earlier releases, optional groups where they would be empty.
+BELT = _make_columns("belt_velocity", SPEED, "the belt's, of its own encoder")
 KINEMATICS: tree.Tree = (
     tree.table("smooth/kinematics", "time", "velocity", "kinematics", auxiliary=("position", "acceleration")),
     Field("smooth/kinematics/time", "f8[n]", "s", "since the first sample of the run", "motion.time"),
-    *_columns("position", LENGTH, "smoothed"),
-    *_columns("velocity", SPEED, "positive towards +x"),
-    *_columns("acceleration", f"{SPEED}^2", "positive towards +x"),
+    *_make_columns("position", LENGTH, "smoothed"),
+    *_make_columns("velocity", SPEED, "positive towards +x"),
+    *_make_columns("acceleration", f"{SPEED}^2", "positive towards +x"),
 )
 PARAMETERS: tree.Tree = (
     Group("smooth/parameters", "NXparameters"),
@@ -163,7 +163,7 @@ STATISTICS: tree.Tree = (
             "f8",
             f"{unit}/s" if key == "trend" else unit,
             f"{text}: mean; `_sd`, `_min`, `_max`, `_trend` likewise" if key == "mean" else "",
-            value=_summary(of, kind),
+            value=_make_summary_getter(of, kind),
             optional=True,
         )
         for name, (of, unit, text) in BREAK_AWAYS.items()
@@ -183,28 +183,25 @@ MADE: tree.Tree = (
     *PORTRAIT,
     *ROWS,
     *STATISTICS,
-)  # beside KINEMATICS
+)  # everything but KINEMATICS
 TREE: tree.Tree = (*STAGE, *KINEMATICS, *BELT, *MADE)
 
 
-def save(kinematics: Kinematics, path: Path, own: slice = nexus.EVERY) -> None:
-    """Write the stage into the run file, replacing an earlier one (and dropping what was fitted to that).
-
-    ``own`` are the samples of the run that were smoothed, where they are a part of it.
-    """
+def save(kinematics: Kinematics, path: Path, samples: slice = nexus.EVERY) -> None:
+    """Write the stage of some samples of a run into its file, replacing an earlier one and the fits to that."""
 
     def write(entry: h5py.Group) -> None:
         table = begin(entry, kinematics.samples, kinematics.unit, belt=kinematics.belt_counted)
         fill(table, 0, {name: getattr(kinematics, name) for name in table})
-        finish(entry, kinematics, kinematics.recording.digest, own)
+        finish(entry, kinematics, kinematics.recording.digest, samples)
 
     store.extend(path, "smooth", write, default="smooth")
 
 
 def begin(entry: h5py.Group, n: int, unit: str, *, belt: bool = False) -> h5py.Group:
-    """Make the stage with a table of the kinematics for ``n`` samples yet to be written, and return the table.
+    """Create the stage with an empty table of the kinematics for ``n`` samples, and return the table.
 
-    ``unit`` is that of the position; with a counted ``belt`` there are columns for its velocity.
+    ``unit`` is that of the position; ``belt`` adds columns for the velocity of the belt.
     """
     tree.write(entry, STAGE, None)
     tree.empty(entry, (*KINEMATICS, *(BELT if belt else ())), n, {LENGTH: unit})
@@ -217,20 +214,20 @@ def fill(table: h5py.Group, begin: int, columns: Mapping[str, Array]) -> None:
         table[name][begin : begin + values.size] = values
 
 
-def finish(entry: h5py.Group, motion: Kinematics | SmoothingSummary, digest: str, own: slice = nexus.EVERY) -> None:
-    """Write how the motion was made, its portrait, and its phases, beside the kinematics."""
+def finish(entry: h5py.Group, motion: Kinematics | SmoothingSummary, digest: str, samples: slice = nexus.EVERY) -> None:
+    """Write the parameters, the model, the portrait, the phases and the statistics after the kinematics."""
     kinematics = entry["smooth/kinematics"]
     position, time = kinematics["position"][()], kinematics["time"][()]
     if motion.losses and not motion.repaired:
-        segment = entry["raw/segment"][own] if "raw/segment" in entry else np.zeros(time.size, np.int64)
+        segment = entry["raw/segment"][samples] if "raw/segment" in entry else np.zeros(time.size, np.int64)
         position -= step_offsets(segment, motion.losses)
-    stage = _Stage(motion, digest, own, statistics(motion, position, time))
+    stage = _Stage(motion, digest, samples, statistics(motion, position, time))
     tree.write(entry, MADE, stage, {LENGTH: motion.unit})
     _write_model(entry["smooth/model"], motion.model, motion.unit)
 
 
 def digest(entry: h5py.Group) -> str:
-    """Return the sha256 of the smoothed velocity in a run's /entry; "" where it holds no stage."""
+    """Return the sha256 of the smoothed velocity in a run's /entry; "" without a stage."""
     velocity = entry.get("smooth/kinematics/velocity")
     if not isinstance(velocity, h5py.Dataset):
         return ""
@@ -241,88 +238,87 @@ def digest(entry: h5py.Group) -> str:
 
 
 def load(path: Path) -> Kinematics | None:
-    """Read the stage back; None when the run holds none.
-
-    Raises InputError: for a file that is no run, or a stage that is damaged or was made from other raw data.
-    """
+    """Read the stage back, or None without one; InputError if it is damaged or was computed from other raw data."""
     with store.opened(path) as file, trust.damage(path):
         entry = file["entry"]
         if "smooth" not in entry:
             return None
         belt = BELT if "smooth/kinematics/belt_velocity" in entry else ()
-        found = tree.read(entry, (*PARAMETERS, *KINEMATICS, *belt, *ROWS), path)
-        part = slice(found["first"], found["last"] + 1) if "first" in found else nexus.EVERY
-        recording = _with_own_events(store.load(path, part), part)
-        if found["digest"] != recording.digest:
+        stored = tree.read(entry, (*PARAMETERS, *KINEMATICS, *belt, *ROWS), path)
+        part = slice(stored["first"], stored["last"] + 1) if "first" in stored else nexus.EVERY
+        recording = _select_events(store.load(path, part), part)
+        if stored["digest"] != recording.digest:
             raise InputError(
                 "its smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
             )
-        nexus.check_length(found["motion.time"].size, recording.time.size, "smooth/kinematics/time", path)
-        made = tree.part(found, "motion")
-        made["repaired"] = bool(made.get("repaired", False))
-        if "noise" not in made:
-            made["noise"] = position_noise(series.from_recording(recording, made["times"]))
+        nexus.check_length(stored["motion.time"].size, recording.time.size, "smooth/kinematics/time", path)
+        values = tree.part(stored, "motion")
+        values["repaired"] = bool(values.get("repaired", False))
+        if "noise" not in values:
+            values["noise"] = position_noise(series.from_recording(recording, values["times"]))
         unknown = {"start_sd": math.nan, "end_sd": math.nan}
         return Kinematics(
             recording=recording,
-            **made,
-            phases=tuple(Phase(**unknown | row) for row in tree.rows(found, "motion.phases")),
-            losses=tuple(_loss(recording, **row) for row in tree.rows(found, "motion.losses")),
-            kicks=tuple(VelocityStep(**row) for row in tree.rows(found, "motion.kicks")),
-            corners=tuple(Corner(**row) for row in tree.rows(found, "motion.corners")),
-            faults=tuple(Fault(**row) for row in tree.rows(found, "motion.faults")),
-            findings=tuple(Finding(**row) for row in tree.rows(found, "motion.findings")),
+            **values,
+            phases=tuple(Phase(**unknown | row) for row in tree.rows(stored, "motion.phases")),
+            losses=tuple(_restore_loss(recording, **row) for row in tree.rows(stored, "motion.losses")),
+            kicks=tuple(VelocityStep(**row) for row in tree.rows(stored, "motion.kicks")),
+            corners=tuple(Corner(**row) for row in tree.rows(stored, "motion.corners")),
+            faults=tuple(Fault(**row) for row in tree.rows(stored, "motion.faults")),
+            findings=tuple(Finding(**row) for row in tree.rows(stored, "motion.findings")),
             model=_read_model(entry["smooth/model"]) if "smooth/model" in entry else {},
         )
 
 
-def _write_model(made: h5py.Group, model: Mapping[str, Any], unit: str) -> None:
+def _write_model(group: h5py.Group, model: Mapping[str, Any], unit: str) -> None:
     """Write the values of a model, each with its units, and its parts as groups."""
     for name, value in model.items():
         if isinstance(value, Mapping):
-            _write_model(nexus.group(made, name, "NXcollection"), value, unit)
+            _write_model(nexus.group(group, name, "NXcollection"), value, unit)
         elif isinstance(value, str):
-            nexus.field(made, name, value)
+            nexus.field(group, name, value)
         else:
             numbers = np.asarray(value)
             units = unit_of(name, unit) if numbers.dtype.kind == "f" else None
-            nexus.field(made, name, numbers.astype(np.uint8) if numbers.dtype == bool else numbers, units)
+            nexus.field(group, name, numbers.astype(np.uint8) if numbers.dtype == bool else numbers, units)
 
 
-def _read_model(made: h5py.Group) -> dict[str, Any]:
-    """Return the values of a model as they were written."""
-    found: dict[str, Any] = {}
-    for name, member in made.items():
+def _read_model(group: h5py.Group) -> dict[str, Any]:
+    """Return the values of a model in SI units."""
+    values: dict[str, Any] = {}
+    for name, member in group.items():
         if isinstance(member, h5py.Group):
-            found[name] = _read_model(member)
+            values[name] = _read_model(member)
         else:
-            found[name] = member.asstr()[()] if h5py.check_string_dtype(member.dtype) else member[()]
-    return found
+            values[name] = member.asstr()[()] if h5py.check_string_dtype(member.dtype) else member[()]
+    return values
 
 
-def _with_own_events(recording: Recording, part: slice) -> Recording:
-    """Return a part of a run with the events of its samples alone, numbered from its first one."""
+def _select_events(recording: Recording, part: slice) -> Recording:
+    """Return a part of a run with only the events of its samples, numbered from its first sample."""
     if part == nexus.EVERY:
         return recording
     events = zip(recording.event_sample.tolist(), recording.event_kind, recording.event_note, strict=True)
-    inside = [(sample - part.start, kind, note) for sample, kind, note in events if part.start <= sample < part.stop]
-    samples, kinds, notes = zip(*inside, strict=True) if inside else ((), (), ())
+    events_inside = [
+        (sample - part.start, kind, note) for sample, kind, note in events if part.start <= sample < part.stop
+    ]
+    samples, kinds, notes = zip(*events_inside, strict=True) if events_inside else ((), (), ())
     return replace(recording, event_sample=np.array(samples, np.uint32), event_kind=kinds, event_note=notes)
 
 
 def load_statistics(path: Path) -> StickSlipStatistics:
-    """Read the statistics of stick-slip back; of a stage written before they were stored, computed again.
+    """Read the statistics of stick-slip back, or compute them for a stage of an earlier release.
 
-    Raises InputError: as `load` does, and for a run that is not smoothed.
+    InputError as in `load`, and for a run that is not smoothed.
     """
     with store.opened(path) as file, trust.damage(path):
         entry = file["entry"]
         if "smooth/statistics" in entry:
-            found = tree.read(entry, (*PARAMETERS, *STATISTICS), path)
+            stored = tree.read(entry, (*PARAMETERS, *STATISTICS), path)
             return StickSlipStatistics(
-                **tree.part(found, "statistics"),
-                dropped_frames=found.get("motion.dropped_frames", 0),
-                events=tuple(SlipEvent(**row) for row in tree.rows(found, "statistics.events")),
+                **tree.part(stored, "statistics"),
+                dropped_frames=stored.get("motion.dropped_frames", 0),
+                events=tuple(SlipEvent(**row) for row in tree.rows(stored, "statistics.events")),
             )
     motion = load(path)
     if motion is None:
@@ -330,8 +326,8 @@ def load_statistics(path: Path) -> StickSlipStatistics:
     return from_kinematics(motion)
 
 
-def _loss(recording: Recording, first: int, last: int, counts: int, size: float | None = None) -> PositionStep:
-    """Return a step of the position; without a size all of an earlier release's steps are lost counts."""
+def _restore_loss(recording: Recording, first: int, last: int, counts: int, size: float | None = None) -> PositionStep:
+    """Return a step of the position; steps without a size, of an earlier release, are lost counts."""
     metres = recording.rig.metres_per_count
     pitch = 1.0 if metres is None else abs(metres.value)
     return PositionStep(first, last, counts, counts * pitch if size is None else size)

@@ -1,7 +1,7 @@
-"""What holds of stick-slip without any friction law: durations, drops, and where the mass breaks away.
+"""Statistics of stick-slip without a friction law: durations, drops, and break-away levels.
 
-A stick has a duration between two slips, a slip between two sticks.  One that an end of the record or a gap cuts off
-or during which the belt rests has none; a stick that ends in a slip has a break-away all the same.
+A stick has a duration between two slips, a slip between two sticks, unless an end of the record or a gap cuts it off,
+or the belt rests during it; a stick that ends in a slip has a break-away in any case.
 """
 
 import math
@@ -15,38 +15,36 @@ from processing.record.kinematics import Kinematics, SmoothingHeader
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import shown_length
 
-FEWEST_SLIPS = 3  # with fewer there is no scatter to speak of
-BELT_RUNS = 0.5  # way of a stick over the belt's in that time: with less the belt rested, and the stick has no duration
+FEWEST_SLIPS = 3  # with fewer the scatter is not meaningful
+BELT_RUNS = 0.5  # travel of a stick relative to that of the belt; with less the belt rested: the stick has no duration
 QUANTITIES = {"stick_s": "s", "slip_s": "s", "drop_m": "m", "break_away_m": "m"}
 TITLES = {"stick_s": "stick", "slip_s": "slip", "drop_m": "drop", "break_away_m": "break-away"}
 
 
 @dataclass(frozen=True)
 class SlipEvent:
-    """One break-away and the slip after it; NaN for what the record does not show whole."""
+    """One break-away and the slip after it; NaN for what the record contains only in part."""
 
     t: float  # time of the break-away, s
-    stick_s: float  # durations of the stick before and of the slip, s
-    slip_s: float
-    # how far the mass slips back, m (or counts): from its farthest position around the break-away to the nearest one
-    # around the landing, each up to the middle of the stick there
+    stick_s: float  # duration of the stick before, s
+    slip_s: float  # duration of the slip, s
+    # how far the mass slips back, m (or counts): range of the position from the middle of the stick before to that of
+    # the stick after
     drop_m: float
-    # stretch of the spring at the break-away, m (or counts): the position from the spring's rest, positive in the
-    # direction of the belt
-    break_away_m: float
+    break_away_m: float  # stretch of the spring at the break-away, m (or counts), positive in the belt's direction
 
 
 @dataclass(frozen=True, eq=False)
 class StickSlipStatistics:
     """The statistics of one record, or of several together."""
 
-    sticks: int  # how many there are, cut ones included
+    sticks: int  # including those that are cut off
     slips: int
-    spikes: int  # samples left out as spikes or while the sensor held its value; frames lost
-    frozen: int
+    spikes: int  # samples left out as spikes
+    frozen: int  # samples left out while the sensor held its value
     dropped_frames: int
-    events: tuple[SlipEvent, ...]  # in order of time; of several records one after the other
-    records: int = 1  # how many records there are; only one has a trend
+    events: tuple[SlipEvent, ...]  # in order of time, record by record
+    records: int = 1
 
     def summary(self, name: str) -> dict[str, float | None] | None:
         """Return mean, sd, min, max and trend of a quantity of `SlipEvent`; None with fewer than `FEWEST_SLIPS` slips.
@@ -55,8 +53,8 @@ class StickSlipStatistics:
         units of the quantity per second: None over several records.
         """
         time, values = self.column("t"), self.column(name)
-        known = np.isfinite(values)
-        time, values = time[known], values[known]
+        finite = np.isfinite(values)
+        time, values = time[finite], values[finite]
         if self.slips < FEWEST_SLIPS or values.size < FEWEST_SLIPS:
             return None
         centred = time - time.mean()
@@ -70,7 +68,7 @@ class StickSlipStatistics:
         }
 
     def column(self, name: str) -> Array:
-        """Return one quantity of all events, NaN where it is not known."""
+        """Return one quantity of all events, NaN where unknown."""
         return np.array([getattr(event, name) for event in self.events], np.float64)
 
     def as_json(self) -> dict[str, Any]:
@@ -90,17 +88,17 @@ class StickSlipStatistics:
 
         Lengths are in mm, or in counts where ``unit`` is "count".
         """
-        found = []
-        for name, own in QUANTITIES.items():
+        rows = []
+        for name, quantity_unit in QUANTITIES.items():
             summary = self.summary(name)
             if summary is None:
                 continue
-            size, shown = (1.0, own) if own == "s" else shown_length(unit)
+            size, unit_text = (1.0, quantity_unit) if quantity_unit == "s" else shown_length(unit)
             mean, sd, low, high = (f"{size * (summary[key] or 0.0):.4g}" for key in ("mean", "sd", "min", "max"))
             trend = summary["trend_per_s"]
-            drift = "" if trend is None else f"{size * trend:+.2g} {shown}/s"
-            found.append((TITLES[name], mean, sd, low, high, drift, shown))
-        return found
+            drift = "" if trend is None else f"{size * trend:+.2g} {unit_text}/s"
+            rows.append((TITLES[name], mean, sd, low, high, drift, unit_text))
+        return rows
 
     def sentences(self, unit: str) -> list[str]:
         """Return a compact table as lines; lengths in mm, or in counts where ``unit`` is "count"."""
@@ -115,11 +113,7 @@ class StickSlipStatistics:
 
 
 def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSlipStatistics:
-    """Return the statistics of a smoothed record.
-
-    motion: Its sticks and slips.
-    position, time: Smoothed and without steps, m from the spring's rest, and s.
-    """
+    """Return the statistics of a smoothed record; ``position`` is without steps, m from the spring's rest position."""
     sign = math.copysign(1.0, motion.belt_speed) if math.isfinite(motion.belt_speed) else 1.0
     phases = motion.phases
     interval = float(np.median(np.diff(time[:10_000]))) if time.size > 1 else 0.0

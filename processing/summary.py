@@ -1,4 +1,4 @@
-"""What a smoothed run says: as JSON, and in sentences for a person."""
+"""The summary of a smoothed run, as JSON and as sentences."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -45,7 +45,7 @@ def as_json(motion: Kinematics | SmoothingSummary) -> dict[str, Any]:
         ],
         "samples": motion.samples,
         "findings": [vars(finding) for finding in motion.findings],
-        "warnings": warnings(motion),
+        "warnings": list_warnings(motion),
     }
 
 
@@ -62,47 +62,47 @@ def run_as_json(motion: Kinematics) -> dict[str, Any]:
         "unit": recording.unit,
         "position_range": [float(motion.position.min()), float(motion.position.max())],
         "velocity_range": [float(motion.velocity.min()), float(motion.velocity.max())],
-        "model": _plain(motion.model),
+        "model": _to_lists(motion.model),
         "events": {kind: recording.event_kind.count(kind) for kind in sorted(set(recording.event_kind))},
     }
 
 
-def warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
+def list_warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
     """Return what a person should know before using the motion."""
-    found = []
+    messages = []
     if motion.lost_counts:
-        found.append(
+        messages.append(
             f"counts went missing {_count(motion.lost_counts, 'time')} "
             f"({'put back' if motion.repaired else 'marked, not repaired'}): "
             "look for a bouncing encoder wheel or a slipping coupling"
         )
     if motion.kicks:
-        found.append(
+        messages.append(
             f"the velocity stepped {_count(len(motion.kicks), 'time')}, as at a belt joint "
             f"(first by {motion.kicks[0].step:.2g} {shown_speed(motion.unit)}); marked"
         )
     if motion.phases and not motion.sticks and math.isfinite(motion.plateau_speed):
-        found.append(
+        messages.append(
             f"no stick at the belt speed of {motion.belt_speed:g}, but the mass sticks at {motion.plateau_speed:.5g}: "
             "check --belt-speed and its sign, or leave it at auto"
         )
     if not motion.phases:
-        found.append("the mass never moves in this record")
-    return found + [finding.text for finding in motion.findings]
+        messages.append("the mass never moves in this record")
+    return messages + [finding.text for finding in motion.findings]
 
 
-def sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) -> list[str]:
-    """Return how the motion was made and what was found in it; ``chosen``: the window was left to the program."""
-    how = METHOD_NAMES[motion.method]
+def format_sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) -> list[str]:
+    """Return how the motion was computed and its findings; ``chosen``: the window was chosen automatically."""
+    method_text = METHOD_NAMES[motion.method]
     if motion.method == "sg":
         span = 1e3 * (motion.window - 1) * motion.span / max(motion.samples - 1, 1)
-        how += f", window {motion.window} samples ({span:.3g} ms), order {motion.order}"
-        how += ", chosen from the record" if chosen else ""
+        method_text += f", window {motion.window} samples ({span:.3g} ms), order {motion.order}"
+        method_text += ", chosen from the record" if chosen else ""
     known = math.isfinite(motion.belt_speed)
     belt = f"belt {motion.belt_speed:.5g} {shown_speed(motion.unit)}" if known else "belt speed unknown"
     belt += " (from its own encoder)" if motion.belt_counted else ""
     lines = [
-        f"{how}; {motion.times} times",
+        f"{method_text}; {motion.times} times",
         f"{_count(len(motion.sticks), 'stick')} and {_count(len(motion.slips), 'slip')}; {belt}; "
         f"stuck for {100 * motion.plateau_fraction:.0f} % of the record",
     ]
@@ -111,10 +111,10 @@ def sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) ->
         leaving = _median_error([stick.end_sd for stick in motion.sticks])
         lines.append(f"standard errors of switching times: {landing} (landings), {leaving} (break-aways)")
     lines.append(f"{motion.samples} samples in {motion.cpu_s:.2f} s of CPU time")
-    return lines + [f"warning: {warning}" for warning in warnings(motion)]
+    return lines + [f"warning: {warning}" for warning in list_warnings(motion)]
 
 
-def run_sentences(motion: Kinematics, file: Path) -> list[str]:
+def format_run_sentences(motion: Kinematics, file: Path) -> list[str]:
     data = run_as_json(motion)
     unit = data["unit"]
     events = ", ".join(f"{count} × {kind}" for kind, count in data["events"].items()) or "none"
@@ -125,30 +125,34 @@ def run_sentences(motion: Kinematics, file: Path) -> list[str]:
         *(f"{name}: {text}" for name, text in motion.recording.remarks().items()),
         f"{data['samples']} samples at {data['rate_hz']:g} Hz, {data['duration_s']:.4g} s{segments}; events: {events}",
         f"position {shown_range(low, high, unit)}, velocity {slow:.4g} to {fast:.4g} {shown_speed(unit)}",
-        *sentences(motion),
-        *(f"model{name}: {numbers}" for name, numbers in _groups(motion.model)),
+        *format_sentences(motion),
+        *(f"model{name}: {numbers}" for name, numbers in _list_groups(motion.model)),
     ]
 
 
-def _plain(model: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a model in lists and plain numbers."""
-    plain = {name: _plain(value) if isinstance(value, Mapping) else np.asarray(value) for name, value in model.items()}
+def _to_lists(model: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a model as lists and plain numbers."""
+    plain = {
+        name: _to_lists(value) if isinstance(value, Mapping) else np.asarray(value) for name, value in model.items()
+    }
     return {name: value if isinstance(value, dict) else value.tolist() for name, value in plain.items()}
 
 
-def _groups(model: Mapping[str, Any], name: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the parts of a model: the name of each, and its numbers, those by label of the motion left out."""
-    own = {key: np.asarray(value) for key, value in model.items() if not isinstance(value, Mapping)}
-    numbers = [f"{key} {_shown(value)}" for key, value in own.items() if value.size <= 2]
+def _list_groups(model: Mapping[str, Any], name: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the name of each part of a model and its numbers as text, without arrays by label of the motion."""
+    plain_values = {key: np.asarray(value) for key, value in model.items() if not isinstance(value, Mapping)}
+    numbers = [f"{key} {_format_numbers(value)}" for key, value in plain_values.items() if value.size <= 2]
     if numbers:
         yield name, ", ".join(numbers)
     for key, value in model.items():
         if isinstance(value, Mapping):
-            yield from _groups(value, f"{name} {key}")
+            yield from _list_groups(value, f"{name} {key}")
 
 
-def _shown(value: "NDArray[Any]") -> str:
-    return " to ".join(f"{own:.4g}" if isinstance(own, float) else str(own) for own in np.atleast_1d(value).tolist())
+def _format_numbers(value: "NDArray[Any]") -> str:
+    return " to ".join(
+        f"{number:.4g}" if isinstance(number, float) else str(number) for number in np.atleast_1d(value).tolist()
+    )
 
 
 def _count(number: int, word: str) -> str:
@@ -156,5 +160,5 @@ def _count(number: int, word: str) -> str:
 
 
 def _median_error(errors: list[float]) -> str:
-    known = sorted(error for error in errors if error < math.inf)
-    return f"{1e3 * known[len(known) // 2]:.2g} ms" if known else "unknown"
+    finite = sorted(error for error in errors if error < math.inf)
+    return f"{1e3 * finite[len(finite) // 2]:.2g} ms" if finite else "unknown"

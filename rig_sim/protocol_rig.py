@@ -37,15 +37,7 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
         super().__init__(*args, **kwargs)
 
     def open(self) -> None:
-        """Build the scene and power the board up.
-
-        Raises
-        ------
-        SerialException
-            Open already, or no port given.
-        InputError
-            The URL or the scene is wrong.
-        """
+        """Build the scene and power the board up; raises SerialException where the port is open or not named."""
         if self.port is None:
             raise SerialException("Port must be configured before it can be used.")
         if self.is_open:
@@ -56,7 +48,7 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
         self.is_open = True
 
     def close(self) -> None:
-        """Let go of the rig; a waiting read returns what it has."""
+        """Release the rig; a waiting read returns what it has."""
         with self._changed:
             self.is_open = False
             self._changed.notify_all()
@@ -65,29 +57,29 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
     def in_waiting(self) -> int:
         """Bytes that a read would return at once."""
         with self._changed:
-            self._fill(self._opened())
+            self._fill(self._require_board())
             return len(self._buffer)
 
     def read(self, size: int = 1) -> bytes:
         """Return up to ``size`` bytes: as many as come before the timeout (None: wait for all of them)."""
         end = None if self.timeout is None else time.monotonic() + self.timeout
         with self._changed:
-            board = self._opened()
+            board = self._require_board()
             while self.is_open:
                 self._fill(board, size)
-                left = None if end is None else end - time.monotonic()
-                if len(self._buffer) >= size or (left is not None and left <= 0):
+                remaining = None if end is None else end - time.monotonic()
+                if len(self._buffer) >= size or (remaining is not None and remaining <= 0):
                     break
-                self._changed.wait(self._pause(board, left))
+                self._changed.wait(self._choose_wait(board, remaining))
             data = bytes(self._buffer[:size])
             del self._buffer[:size]
         return data
 
     def write(self, data: Any, /) -> int:
-        """Give the board commands; its answers follow in the stream."""
+        """Send the board commands; its answers follow in the stream."""
         sent = bytes(data)
         with self._changed:
-            board = self._opened()
+            board = self._require_board()
             was_running = board.running
             self._buffer += board.write(sent)
             if board.running and not was_running:
@@ -99,14 +91,14 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
         """Nothing waits to be sent: a write has arrived when it returns."""
 
     def reset_input_buffer(self) -> None:
-        """Throw away what was not read."""
+        """Discard what was not read."""
         with self._changed:
-            self._opened()
+            self._require_board()
             self._buffer.clear()
 
     def reset_output_buffer(self) -> None:
         """Nothing waits to be sent."""
-        self._opened()
+        self._require_board()
 
     @property
     def out_waiting(self) -> int:
@@ -114,11 +106,11 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
         return 0
 
     def cancel_read(self) -> None:
-        """Wake a waiting read; it goes on waiting unless the port was closed."""
+        """Wake a waiting read; it keeps waiting unless the port was closed."""
         with self._changed:
             self._changed.notify_all()
 
-    def _opened(self) -> SimulatedBoard:
+    def _require_board(self) -> SimulatedBoard:
         if not self.is_open or self._board is None:
             raise PortNotOpenError()
         return self._board
@@ -135,10 +127,10 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
             self._taken += count
             self._buffer += board.samples(count)
 
-    def _pause(self, board: SimulatedBoard, left: float | None) -> float | None:
+    def _choose_wait(self, board: SimulatedBoard, remaining: float | None) -> float | None:
         if self._realtime and board.running:
-            return _REALTIME_POLL_S if left is None else min(_REALTIME_POLL_S, left)
-        return left
+            return _REALTIME_POLL_S if remaining is None else min(_REALTIME_POLL_S, remaining)
+        return remaining
 
     # Modem lines and line settings mean nothing to the simulated rig; pyserial calls these when they are set.
     def _reconfigure_port(self) -> None: ...
@@ -171,13 +163,7 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
 
 
 def parse_url(url: str) -> tuple[str, list[str], bool]:
-    """Return scene, changes and whether real time is asked for, of a ``rig://`` URL.
-
-    Raises
-    ------
-    InputError
-        Another scheme, no scene, or an unknown option.
-    """
+    """Return the scene, its changes and the ``realtime`` flag of a ``rig://`` URL."""
     if not url.lower().startswith(_SCHEME):
         raise InputError("is no rig:// URL", url, "write rig://SCENE?set=section.key=value&realtime=1")
     name, _, query = url[len(_SCHEME) :].partition("?")

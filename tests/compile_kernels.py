@@ -24,7 +24,7 @@ from stickslip.errors import EXIT_DONE
 
 fitting.rank(processing.smooth(daq.load(Path(__file__).parents[1] / "data_samples" / "law5.h5")))
 list_events(Flow(), 0.0, 0.0, 1e-9, compiled=True)
-ring_down.motion(np.linspace(0.0, 1.0, 3), 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+ring_down.predict_motion(np.linspace(0.0, 1.0, 3), 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 for command in ("map two-mass --d 0.1 --iterate 600", "lyapunov forced --events 20"):
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         code = application.run(app, [*command.split(), "--json"])

@@ -61,7 +61,7 @@ def smoothing_kernels() -> None:
     import daq
     from processing import compare
 
-    compare.rows(daq.load(Path(__file__).resolve().parent.parent / "data_samples" / "law5.h5"), None)
+    compare.compare_methods(daq.load(Path(__file__).resolve().parent.parent / "data_samples" / "law5.h5"), None)
 
 
 @contextmanager

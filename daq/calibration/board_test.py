@@ -1,6 +1,6 @@
 """Test of a board from one short recording: its sample rate, line, clock and counting.
 
-In the first seconds the mass is left alone: counts then are errors.  Then it is moved by hand towards +x: the count
+In the first seconds the mass is not touched: counts then are errors.  Then it is moved by hand towards +x: the count
 must follow, and both channels must change their levels.
 """
 
@@ -12,49 +12,46 @@ from daq.finalise.quality import RecordingQuality
 from daq.runfile.recording import Recording
 from daq.wire.quadrature import EDGES_PER_COUNT
 
-RATE_TOLERANCE = 0.01  # deviation from the commanded rate, relative; above the 0.5 % of a ceramic resonator, not swept
-PARKED_EDGES = 4  # a parked mass may dither about an edge
-MOVED_EDGES = 400  # by more than this a mass was not parked (an x4 count is never far off by itself)
-HAND_EDGES = 40  # a hand moves a mass by more
+RATE_TOLERANCE = 0.01  # deviation from the commanded rate, relative; above the 0.5 % of a ceramic resonator
+PARKED_EDGES = 4  # a parked mass may dither around an edge
+MOVED_EDGES = 400  # a mass that moves farther was not parked (an x4 count by itself is never far off)
+HAND_EDGES = 40  # a hand moves a mass farther
 
 
 @dataclass(frozen=True)
 class BoardCheck:
-    """The result of one check."""
-
-    name: str  # of the check
-    ok: bool | None  # none when it could not be checked
-    seen: str  # what was found, with its number
-    do: str = ""  # what to do when it failed
+    name: str
+    ok: bool | None  # None if it could not be checked
+    seen: str  # the result, with its number
+    do: str = ""  # what to do if it failed
 
 
 @dataclass(frozen=True)
 class CountedSpan:
-    """What was counted in a stretch of the recording: the net count, and the span of all counts, in counts."""
+    """Counts in a stretch of the recording: the net count, and the span of all counts."""
 
     seconds: float
     counts: int
     span: int
 
 
-def stretch(run: Recording, begin_s: float, end_s: float) -> CountedSpan:
-    """Return what was counted between two times of a run."""
-    here = (run.time >= begin_s) & (run.time < end_s)
-    if run.count is None or not here.any():
+def count_span(run: Recording, begin_s: float, end_s: float) -> CountedSpan:
+    in_span = (run.time >= begin_s) & (run.time < end_s)
+    if run.count is None or not in_span.any():
         return CountedSpan(0.0, 0, 0)
-    count = run.count[here]
-    return CountedSpan(float(np.ptp(run.time[here])), int(count[-1] - count[0]), int(np.ptp(count)))
+    count = run.count[in_span]
+    return CountedSpan(float(np.ptp(run.time[in_span])), int(count[-1] - count[0]), int(np.ptp(count)))
 
 
-def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list[BoardCheck]:
-    """Check a recording: the mass is left alone for ``parked_s`` seconds, then moved by hand."""
-    parked = stretch(run, 0.0, parked_s)
-    moved = stretch(run, parked_s, float("inf"))
-    pace = summary.measured_rate_hz / summary.rate_hz - 1
+def check_board(summary: RecordingQuality, run: Recording, parked_s: float) -> list[BoardCheck]:
+    """Check a recording: the mass is not touched for ``parked_s`` seconds, then moved by hand."""
+    parked = count_span(run, 0.0, parked_s)
+    moved = count_span(run, parked_s, float("inf"))
+    rate_deviation = summary.measured_rate_hz / summary.rate_hz - 1
     checks = [
         BoardCheck(
             "rate",
-            abs(pace) <= RATE_TOLERANCE,
+            abs(rate_deviation) <= RATE_TOLERANCE,
             f"{summary.measured_rate_hz:.6g} Hz by the board's clock, {summary.rate_hz:.6g} requested",
             "lower --rate, or update its firmware",
         ),
@@ -64,7 +61,7 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
             f"{summary.lost} samples lost, {summary.crc_errors} damaged",
             "try another cable or port, a lower --rate, or a faster line",
         ),
-        _clock(summary),
+        _check_clock(summary),
         BoardCheck(
             "counting",
             summary.illegal + summary.phase_errors == 0,
@@ -73,59 +70,59 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
         ),
     ]
     if parked_s > 0:
-        checks.append(_parked(parked, run))
+        checks.append(_check_parked(parked, run))
     if moved.seconds > 0:
-        checks.append(_moved(moved, run))
-        levels = _levels(run, parked_s, moved)
+        checks.append(_check_direction(moved, run))
+        levels = _check_levels(run, parked_s, moved)
         if levels is not None:
             checks.append(levels)
     return checks
 
 
-def _clock(summary: RecordingQuality) -> BoardCheck:
+def _check_clock(summary: RecordingQuality) -> BoardCheck:
     if not summary.clock_drift:
         return BoardCheck("clock", None, "cannot be compared with this machine's in so short a time, or not at all")
     return BoardCheck("clock", True, summary.clock_drift)
 
 
-def _parked(parked: CountedSpan, run: Recording) -> BoardCheck:
+def _check_parked(parked: CountedSpan, run: Recording) -> BoardCheck:
     edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
-    seen = f"{parked.counts:+d} counts in {parked.seconds:.3g} s, within a span of {parked.span}"
+    result = f"{parked.counts:+d} counts in {parked.seconds:.3g} s, within a span of {parked.span}"
     if parked.span * edges > MOVED_EDGES and run.rig.decoder in ("x4", "x1"):
-        return BoardCheck("parked drift", False, seen + ": the mass moved", "leave it alone while it is parked")
+        return BoardCheck("parked drift", False, result + ": the mass moved", "leave it alone while it is parked")
     do = (
         "it vibrates about an edge, which a J-K decoder counts; use x4"
         if "jk" in run.rig.decoder
         else "check its mount"
     )
-    return BoardCheck("parked drift", abs(parked.counts) * edges <= PARKED_EDGES, seen, do)
+    return BoardCheck("parked drift", abs(parked.counts) * edges <= PARKED_EDGES, result, do)
 
 
-def _moved(moved: CountedSpan, run: Recording) -> BoardCheck:
+def _check_direction(moved: CountedSpan, run: Recording) -> BoardCheck:
     edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
     pitch = run.rig.metres_per_count
     sign = -1 if pitch is not None and pitch.value < 0 else 1
-    seen = f"move the mass by hand towards +x: {moved.counts:+d} counts"
+    result = f"move the mass by hand towards +x: {moved.counts:+d} counts"
     if pitch is not None:
-        seen += f", {1e3 * moved.counts * pitch.value:+.3g} mm"
+        result += f", {1e3 * moved.counts * pitch.value:+.3g} mm"
     if moved.span * edges < HAND_EDGES:
         return BoardCheck(
-            "direction", False, seen, "nothing was counted: check the encoder's supply, and its wires A and B"
+            "direction", False, result, "nothing was counted: check the encoder's supply, and its wires A and B"
         )
     if abs(moved.counts) * edges < HAND_EDGES:
-        return BoardCheck("direction", None, seen + ": it came back", "move it one way and leave it there")
+        return BoardCheck("direction", None, result + ": it came back", "move it one way and leave it there")
     do = "swap the wires A and B, or give metres_per_count the other sign"
-    return BoardCheck("direction", moved.counts * sign > 0, seen, do)
+    return BoardCheck("direction", moved.counts * sign > 0, result, do)
 
 
-def _levels(run: Recording, parked_s: float, moved: CountedSpan) -> BoardCheck | None:
-    """Return whether both channels change while the mass moves; None when the board sends no levels."""
+def _check_levels(run: Recording, parked_s: float, moved: CountedSpan) -> BoardCheck | None:
+    """Return whether both channels change while the mass moves; None if the board sends no levels."""
     if run.raw is None or moved.span * EDGES_PER_COUNT.get(run.rig.decoder, 1) < HAND_EDGES or not run.raw.levels.any():
         return None
     levels = run.raw.levels[run.time >= parked_s]
-    still = [name for name, bit in (("A", 1), ("B", 2)) if np.ptp(levels & bit) == 0]
-    if not still:
+    constant = [name for name, bit in (("A", 1), ("B", 2)) if np.ptp(levels & bit) == 0]
+    if not constant:
         return BoardCheck("channels", True, "A and B both change")
     return BoardCheck(
-        "channels", False, f"{' and '.join(still)} never changes", f"check the wire of {' and '.join(still)}"
+        "channels", False, f"{' and '.join(constant)} never changes", f"check the wire of {' and '.join(constant)}"
     )

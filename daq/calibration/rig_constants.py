@@ -1,10 +1,10 @@
 """Constants of a rig, with standard deviations, from a known distance and a ring-down.
 
-Count zero lies where the counters stand at zero: where the mass stood when the board was powered up or reset, which an
-Arduino does whenever its port is opened.  The datum found here is that of the mark at which the mass stood then; it
-holds for every recording that is opened with the mass at the same mark.
+Count zero is the position at which the counters are zero: that of the mass when the board was powered up or reset,
+which an Arduino does whenever its port is opened.  The datum determined here is that of the mark at which the mass was
+then; it is valid for every recording that is opened with the mass at the same mark.
 
-Not measured here: the mass, which a balance measures better, and the belt's speed, which every stick shows.
+Not measured here: the mass, which a balance measures better, and the belt's speed, which follows from every stick.
 """
 
 import math
@@ -19,21 +19,19 @@ from daq.runfile.rig import Rig
 from stickslip.errors import DataError
 from stickslip.units import Measured
 
-STILL_S = 0.5  # at either end of a known distance the mass must stand for so long
+STILL_S = 0.5  # the mass must be at rest for so long at either end of a known distance
 STILL_COUNTS = 4
-CELL = 1 / math.sqrt(12)  # counts: standard deviation of where a mass stands within its count
+CELL = 1 / math.sqrt(12)  # counts: standard deviation of the position of a mass within its count
 
 
-def metres_per_count(run: Recording, distance: Measured) -> Measured:
-    """Return the pitch from a recording in which the mass was moved by a known distance and stood still after it.
+def measure_pitch(run: Recording, distance: Measured) -> Measured:
+    """Return metres per count from a recording in which the mass was moved by a known distance and then rested.
 
-    Where it did not stand before (`stands_at_first`), the distance counts from the first sample.
-
-    run: One segment.
-    distance: Towards +x, m; negative towards -x.
-    Raises DataError: the mass did not stand at the end, or hardly moved.
+    If it did not rest before (`stands_at_first`), the distance counts from the first sample.  ``run`` has one segment;
+    ``distance`` is towards +x, m, negative towards -x.  Raises DataError if the mass did not rest at the end, or hardly
+    moved.
     """
-    count = _counts(run)
+    count = _connected_counts(run)
     n = max(1, round(STILL_S * run.rate_hz))
     if count.size < 4 * n:
         raise DataError("the recording is too short", "distance", f"record at least {4 * STILL_S:g} s")
@@ -51,22 +49,21 @@ def metres_per_count(run: Recording, distance: Measured) -> Measured:
 
 
 def stands_at_first(run: Recording) -> bool:
-    """Return whether the mass stands still when a recording begins."""
-    return bool(np.ptp(_counts(run)[: max(1, round(STILL_S * run.rate_hz))]) <= STILL_COUNTS)
+    return bool(np.ptp(_connected_counts(run)[: max(1, round(STILL_S * run.rate_hz))]) <= STILL_COUNTS)
 
 
-def ring_down(run: Recording) -> RingDown:
-    """Return the ring-down in a recording, lengths in counts; DataError when there is none."""
+def fit_ring_down(run: Recording) -> RingDown:
+    """Return the ring-down in a recording, lengths in counts; DataError if there is none."""
     from daq.calibration import ring_down
 
-    return ring_down.fit(run.time, _counts(run).astype(np.float64) + 0.5, 1.0)
+    return ring_down.fit_ring_down(run.time, _connected_counts(run).astype(np.float64) + 0.5, 1.0)
 
 
-def calibrated(rig: Rig, pitch: Measured | None, ring: RingDown | None, mass: Measured | None) -> Rig:
-    """Return a rig with everything that was measured, and what follows from it, in the place of what stood there.
+def calibrate_rig(rig: Rig, pitch: Measured | None, ring: RingDown | None, mass: Measured | None) -> Rig:
+    """Return a rig with everything that was measured, and the quantities that follow from it, replaced.
 
-    Stiffness and damping need a mass, the datum metres per count; without it they stay as they were.  A belt speed of 0
-    is left out: the belt stands still for the calibration alone.
+    Stiffness and damping need a mass, the datum metres per count; without it they are not changed.  A belt speed of 0
+    is dropped: the belt stands still only for the calibration.
     """
     rig = replace(rig, mass=mass or rig.mass, belt_speed=None if belt_stands(rig) else rig.belt_speed)
     if pitch is not None:
@@ -74,25 +71,25 @@ def calibrated(rig: Rig, pitch: Measured | None, ring: RingDown | None, mass: Me
     if ring is None:
         return rig
     if rig.mass is not None:
-        rig = replace(rig, stiffness=stiffness(ring, rig.mass), damping=damping(ring, rig.mass))
+        rig = replace(rig, stiffness=compute_stiffness(ring, rig.mass), damping=compute_damping(ring, rig.mass))
     if rig.metres_per_count is not None:
-        rig = replace(rig, datum=datum(ring, rig.metres_per_count), x0=None)
+        rig = replace(rig, datum=compute_datum(ring, rig.metres_per_count), x0=None)
     return rig
 
 
 def belt_stands(rig: Rig) -> bool:
-    """Return whether the belt speed that is known of a rig is zero."""
+    """Return whether a rig's belt speed is known to be zero."""
     return rig.belt_speed is not None and rig.belt_speed.value == 0
 
 
-def stiffness(ring: RingDown, mass: Measured) -> Measured:
+def compute_stiffness(ring: RingDown, mass: Measured) -> Measured:
     """Return k = m omega0^2, N/m."""
     w = ring.omega0
     value = mass.value * w.value**2
     return Measured(value, value * math.hypot(mass.sd / mass.value, 2 * w.sd / w.value))
 
 
-def damping(ring: RingDown, mass: Measured) -> Measured:
+def compute_damping(ring: RingDown, mass: Measured) -> Measured:
     """Return c = 2 zeta omega0 m, N s/m."""
     w, zeta, m = ring.omega0, ring.zeta, mass
     value = 2 * zeta.value * w.value * m.value
@@ -100,13 +97,13 @@ def damping(ring: RingDown, mass: Measured) -> Measured:
     return Measured(value, sd)
 
 
-def datum(ring: RingDown, pitch: Measured) -> Measured:
-    """Return position of count zero, from the spring's rest position, m."""
+def compute_datum(ring: RingDown, pitch: Measured) -> Measured:
+    """Return the position of count zero relative to the spring's rest position, m."""
     value = -ring.equilibrium.value * pitch.value
     return Measured(value, math.hypot(ring.equilibrium.sd * pitch.value, ring.equilibrium.value * pitch.sd))
 
 
-def _counts(run: Recording) -> NDArray[np.int64]:
+def _connected_counts(run: Recording) -> NDArray[np.int64]:
     if run.count is None:
         raise DataError("holds no counts", str(run.source), "record from an encoder board")
     if run.segment[-1] > 0:

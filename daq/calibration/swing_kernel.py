@@ -24,13 +24,13 @@ def follow(
     """Continue the motion from node 0 of ``times`` (s), ``xs`` (u), ``vs`` (u/s) to ``end`` s; return how many nodes.
 
     ``step`` (s) is the longest time between two nodes; every turning point is a node.  Stops where the arrays end.  A
-    mass that friction holds gets one more node, after ``end``.
+    mass at rest by friction gets one more node, after ``end``.
     """
     beta = zeta * w
     wd = w * math.sqrt(max(1e-12, 1 - zeta * zeta))
     decay, c, s = math.exp(-beta * step), math.cos(wd * step), math.sin(wd * step)
     now, x, v, n = times[0], xs[0], vs[0], 1
-    turns = 0  # in a row without time passing; the second means that rounding alone holds the mass beyond a
+    turns = 0  # consecutive turns without time passing; at the second, only rounding keeps the mass beyond a
     sign = math.copysign(1.0, v) if v != 0.0 else math.copysign(1.0, rest - x)
     while now < end and n < len(times):
         if v == 0 and (turns > 1 or abs(x - rest) <= a):

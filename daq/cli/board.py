@@ -86,10 +86,10 @@ def check(
     if parked_s:
         _ask(f"do not touch the mass for {parked_s:g} s", not (yes or json or simulated))
     summary, run = _take(request, progress)
-    checks = board_test.findings(summary, run, parked_s)
+    checks = board_test.check_board(summary, run, parked_s)
     ok = all(finding.ok is not False for finding in checks)
-    still = board_test.stretch(run, 0.0, parked_s)
-    moved = board_test.stretch(run, parked_s, float("inf"))
+    still = board_test.count_span(run, 0.0, parked_s)
+    moved = board_test.count_span(run, parked_s, float("inf"))
     data: dict[str, Any] = {key: value for key, value in summary.as_json().items() if key != "file"}
     data |= {
         "ok": ok,
@@ -166,14 +166,14 @@ def calibrate(
         far = f"{1e3 * distance.value:g} mm"
         _ask(f"let the mass rest; move it by {far} within {move:g} s, and let it rest again", wait)
         summary, recording = _take(replace(request, duration_s=move))
-        pitch = measure.metres_per_count(recording, distance)
+        pitch = measure.measure_pitch(recording, distance)
         warnings += summary.warnings
         if not measure.stands_at_first(recording):
             warnings.append("the mass moved from the first sample on: the distance was counted from there")
     if ring_down:
         _ask(f"displace the mass, release it, and do not touch it for {duration:g} s", wait)
         summary, recording = _take(replace(request, duration_s=duration))
-        ring = measure.ring_down(recording)
+        ring = measure.fit_ring_down(recording)
         warnings += summary.warnings
         if ring.poor:
             raise DataError(
@@ -184,7 +184,7 @@ def calibrate(
             )
     if recording is None:
         raise ValueError("neither measurement was made")
-    made = measure.calibrated(recording.rig, pitch, ring, mass)
+    made = measure.calibrate_rig(recording.rig, pitch, ring, mass)
     if ring is not None and made.mass is None:
         warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
     if made.metres_per_count is None:

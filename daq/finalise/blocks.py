@@ -1,6 +1,6 @@
-"""The samples of a journal of blocks (`daq.protocols.blocks`), in the pieces that the finaliser makes a run of.
+"""The samples of a journal of blocks (`daq.protocols.blocks`), in the pieces from which the finaliser makes a run.
 
-Their times are those of the source, and increase: the recorder refuses others.  Where they step by n periods, n - 1
+Their times are those of the source, and increase: the recorder rejects others.  Where they step by n periods, n - 1
 samples are missing.  There is one segment, and nothing to unwrap.
 """
 
@@ -16,7 +16,7 @@ from daq.runfile import journal
 from daq.wire.decode import Stream
 from stickslip.compute.arrays import Array, Integers
 
-COUNTER_BITS = 32  # no counter of the source's rolls over; the widest there is
+COUNTER_BITS = 32  # the widest: the source has no counter that rolls over
 
 
 class BlockPiece(NamedTuple):
@@ -27,43 +27,43 @@ class BlockPiece(NamedTuple):
     values: Array | Integers
 
 
-def pieces(recorded: journal.Journal) -> Iterator[BlockPiece]:
-    """Yield the samples of a journal, one record after the other; a damaged one has none, and counts as damaged."""
-    rate_hz, columns, most = (recorded.header[name] for name in ("rate_hz", "columns", "samples"))
-    begun: float | None = None
-    last_s, last_index, last_ns, last_value, taken = 0.0, -1, 0, 0, 0
+def read_pieces(recorded: journal.Journal) -> Iterator[BlockPiece]:
+    """Yield the samples of a journal record by record; a damaged record has none, and counts as damaged."""
+    rate_hz, columns, n_requested = (recorded.header[name] for name in ("rate_hz", "columns", "samples"))
+    first_s: float | None = None
+    last_s, last_index, last_ns, last_value, n_taken = 0.0, -1, 0, 0, 0
     for number, record in enumerate(recorded.records.of_kind(journal.RECEIVED)):
-        content = blocks.unpacked(record.data, columns)
+        content = blocks.unpack(record.data, columns)
         time, values = (np.empty(0), np.empty(0)) if content is None else content
-        left = len(time) if most is None else most - taken
-        time, values = time[:left], values[:left]
-        if begun is None and len(time):
-            begun = last_s = float(time[0])
+        room = len(time) if n_requested is None else n_requested - n_taken
+        time, values = time[:room], values[:room]
+        if first_s is None and len(time):
+            first_s = last_s = float(time[0])
         steps = np.diff(time, prepend=last_s)
         periods = np.maximum(np.rint(steps * rate_hz).astype(np.int64), 1)
         index = last_index + np.cumsum(periods)
-        if len(time) and not taken:
+        if len(time) and not n_taken:
             index -= index[0]
-        lost = np.diff(index, prepend=last_index if taken else -1) - 1
-        # When each sample was taken, if the source is not behind; those of a faster one have come all at once.
+        lost = np.diff(index, prepend=last_index if n_taken else -1) - 1
+        # When each sample was taken, if the source keeps up; the samples of a faster source arrive all at once.
         stamp = record.stamp_ns - np.rint((time[-1:] - time) * 1e9).astype(np.int64)
-        stamp = np.maximum(stamp, last_ns) if taken else stamp
-        rate = 0.0
+        stamp = np.maximum(stamp, last_ns) if n_taken else stamp
+        peak_rate = 0.0
         if columns == blocks.COUNTS and len(time):
-            moved = np.abs(np.diff(values, prepend=last_value if taken else values[0]))
-            rate = float(np.max(moved / np.maximum(steps, 1 / rate_hz), initial=0.0))
+            moved = np.abs(np.diff(values, prepend=last_value if n_taken else values[0]))
+            peak_rate = float(np.max(moved / np.maximum(steps, 1 / rate_hz), initial=0.0))
             last_value = int(values[-1])
         yield BlockPiece(
-            _piece(time - (begun or 0.0), index, stamp, number, damaged=content is None),
-            _checked(values, lost, rate, begins=not taken),
+            _build_piece(time - (first_s or 0.0), index, stamp, number, damaged=content is None),
+            _build_counts(values, lost, peak_rate, begins=not n_taken),
             values,
         )
         if len(time):
             last_s, last_index, last_ns = float(time[-1]), int(index[-1]), int(stamp[-1])
-        taken += len(time)
+        n_taken += len(time)
 
 
-def _piece(time: Array, index: Integers, stamp: Integers, number: int, *, damaged: bool) -> Piece:
+def _build_piece(time: Array, index: Integers, stamp: Integers, number: int, *, damaged: bool) -> Piece:
     n, zero = len(time), np.zeros(len(time), np.int64)
     samples = Samples(
         time=time,
@@ -102,11 +102,11 @@ def _piece(time: Array, index: Integers, stamp: Integers, number: int, *, damage
     return Piece(samples, stream, number, index)
 
 
-def _checked(values: Array | Integers, lost: Integers, rate: float, *, begins: bool) -> CheckedCounts:
+def _build_counts(values: Array | Integers, lost: Integers, rate: float, *, begins: bool) -> CheckedCounts:
     n, seconds = len(values), np.zeros(int(begins and len(values) > 0))
     starts = np.zeros(len(seconds), np.int64)
-    first: SegmentReason = "reopened"
-    reasons = (first,) * len(starts)
+    reopened: SegmentReason = "reopened"
+    reasons = (reopened,) * len(starts)
     return CheckedCounts(
         count=values.astype(np.int64) if values.dtype.kind == "i" else np.zeros(n, np.int64),
         segment=np.zeros(n, np.uint16),

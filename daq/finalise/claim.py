@@ -1,4 +1,4 @@
-"""Who may finish or remove a journal: one process at a time, which holds its lock (`stickslip.output.lock`)."""
+"""The right to finish or remove a journal: one process at a time holds its lock (`stickslip.output.lock`)."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,15 +12,15 @@ from stickslip.output.lock import FileLock
 
 
 @contextmanager
-def claimed(path: Path) -> Iterator[Callable[[], None]]:
-    """Hold a journal's lock, where the file system has locks; yield what removes the journal.
+def claim_journal(path: Path) -> Iterator[Callable[[], None]]:
+    """Hold a journal's lock, if the file system has locks; yield the function that removes the journal.
 
-    Raises InputError: A recording is writing it, another process is finishing it, or it does not exist.
+    Raises InputError if a recording is writing it, another process is finishing it, or it does not exist.
     """
     try:
         lock = FileLock(path)
     except BlockingIOError as error:
-        what, do = in_use(path)
+        what, do = explain_lock(path)
         raise InputError(what, str(path), do) from error
     except FileNotFoundError as error:
         raise journal.missing(path) from error
@@ -46,20 +46,20 @@ def is_locked(path: Path) -> bool:
     return False
 
 
-def in_use(path: Path) -> tuple[str, str]:
-    """Return who holds a journal's lock, and what to do about it."""
-    who = "another process"
+def explain_lock(path: Path) -> tuple[str, str]:
+    """Return the holder of a journal's lock, and what to do about it."""
+    owner = "another process"
     try:
         started = journal.beginning(path)
         when = datetime.fromtimestamp(started["wall_ns"] / 1e9).astimezone()
-        who = f"process {started['pid']} on {started['host']}, since {when:%Y-%m-%d %H:%M:%S}"
+        owner = f"process {started['pid']} on {started['host']}, since {when:%Y-%m-%d %H:%M:%S}"
     except (OSError, InputError, KeyError, OverflowError, ValueError):
         pass
-    return f"a recording is writing it ({who})", "wait until that recording ends, or stop it with Ctrl-C there"
+    return f"a recording is writing it ({owner})", "wait until that recording ends, or stop it with Ctrl-C there"
 
 
 def remove_empty(path: Path) -> bool:
-    """Remove a journal that was left before one byte was received; return whether it is gone."""
+    """Remove a journal that ended before the first byte was received; return whether it is gone."""
     try:
         lock = FileLock(path)
     except OSError:
@@ -67,12 +67,12 @@ def remove_empty(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             content = file.read(journal.HEADER_EVERY)
-        places = list(journal_records.scan(journal.Content(content)))
-        whole = max((place.at + place.record.size for place in places), default=len(journal.MAGIC))
-        headers = all(place.record.kind == journal.HEADER for place in places)
-        headers = headers and content[whole : whole + 1] in (b"", bytes([journal.HEADER]))
-        own = journal.MAGIC.startswith(content[: len(journal.MAGIC)])
-        if own and headers and len(content) < journal.HEADER_EVERY:
+        records = list(journal_records.scan(journal.Content(content)))
+        headers_end = max((place.at + place.record.size for place in records), default=len(journal.MAGIC))
+        only_headers = all(place.record.kind == journal.HEADER for place in records)
+        only_headers = only_headers and content[headers_end : headers_end + 1] in (b"", bytes([journal.HEADER]))
+        is_journal = journal.MAGIC.startswith(content[: len(journal.MAGIC)])
+        if is_journal and only_headers and len(content) < journal.HEADER_EVERY:
             lock.remove(path)
     except OSError:
         return False

@@ -16,11 +16,11 @@ long as the drift does not carry them across a poll; whole frames then give the 
 over the run.  So `daq.finalise.clock_points` takes the reads that ended inside a frame, too: on a serial line of known
 speed each byte has its own time.
 
-Interval: it is what the line allows, not what the residuals look like, which are perfect in step with the host.  A read
-bounds the line from both sides: the last byte it brought had been sent, the next one had not.  So the true line lies
-below the one and, less the read's latency, above the other; all lines between give the interval.  Assumed is that in
-each second the read that leaves least open had a latency at most `READ_LATENCY_S` above the least of all; where no line
-is left, that is doubled until one is.
+Interval: it follows from the lines that the reads allow, not from the residuals, which are perfect in step with the
+host.  A read bounds the line from both sides: its last byte had been sent, the next one had not.  So the true line lies
+below the first and, less the read's latency, above the second; all lines between give the interval.  It is assumed that
+in each second the read with the least uncertainty had a latency at most `READ_LATENCY_S` above the least of all; if no
+line is possible, that is doubled until one is.
 
 Sign: a positive drift in ppm means that the device's clock runs fast.  Not modelled: a drift that changes during
 the run (temperature), and the constant part of the delay, which one-way data cannot distinguish from the offset.
@@ -37,27 +37,26 @@ from stickslip.compute.arrays import joined, rows
 
 MOST_POINTS = 600  # the pairwise slopes of so many take 180,000 values; longer runs get wider bins
 FEWEST_POINTS = 3
-BELIEVABLE = 0.02  # a crystal is within 0.01 %, a ceramic resonator within 0.5 %; beyond 2 % this was no clock
-# A thread that waits for a read is woken within less, most of the time.  Twice as much moves each end of the drift's
-# interval by 0.25 ms over the length of the run, 4 ppm in a minute.
+BELIEVABLE = 0.02  # largest drift of a clock: a crystal is within 0.01 %, a ceramic resonator within 0.5 %
+# A thread that waits for a read is usually woken within less than this, s.
 READ_LATENCY_S = 2.5e-4
 LIKELY_PPM = 8.0  # a wider interval means polls in step with the host
-PAUSE_S = 2.0  # nothing read for so long: longer than a busy computer stalls, shorter than a suspended one; not swept
+PAUSE_S = 2.0  # without a read: longer than a busy computer stalls, shorter than a suspended one
 TOO_EARLY_S = 0.05  # below the robust line by more than this, a stamp is wrong and not early
 
 
 @dataclass(frozen=True)
 class ClockSync:
-    """How the host's clock and the device's went together."""
+    """Comparison of the host's clock and the device's."""
 
     index: NDArray[np.int64]  # (c,) samples at the points with the least delay of their second
-    # (c,) host minus device there, s: of the byte that came, or, `by_bytes`, of the middle between it and the next
+    # (c,) host minus device there, s: of the byte that arrived, or, `by_bytes`, of the middle between it and the next
     offset: NDArray[np.float64]
     # device seconds per host second, minus 1, in ppm; None where the two cannot be compared: a simulated rig that runs
     # faster than real time, or too few seconds
     ppm: float | None
-    ppm_error: float | None = None  # how far off the drift may be, ppm
-    # (c,) how far off each offset may be, s, but for a constant delay.  NaN where it is not known.
+    ppm_error: float | None = None  # uncertainty of the drift, ppm
+    # (c,) uncertainty of each offset, s, apart from a constant delay; NaN where it is unknown
     offset_error: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
@@ -65,11 +64,11 @@ class ClockSync:
 class Points:
     """Readings of both clocks, k of them, and the samples that they belong to."""
 
-    host: NDArray[np.float64]  # (k,) when each frame, or part of a frame, had come in, s
+    host: NDArray[np.float64]  # (k,) time at which each frame, or part of a frame, had arrived, s
     device: NDArray[np.float64]  # (k,) the device's time when it had sent that much, s, not decreasing
-    # (k,) the device's time when it had sent more, of which nothing had come in yet; NaN where that is not known
+    # (k,) the device's time when it had sent more, none of which had arrived yet; NaN where it is unknown
     following: NDArray[np.float64]
-    sample: NDArray[np.int64]  # (k,) the sample
+    sample: NDArray[np.int64]  # (k,)
 
     @property
     def delay(self) -> NDArray[np.float64]:
@@ -91,7 +90,6 @@ class ClockPoints:
         self._shelf: Shelf[Points] = Shelf(spill)
 
     def append(self, points: Points) -> None:
-        """Take the next points."""
         if not len(points.device):
             return
         host = points.host if self.n == 0 else np.concatenate(([self.last[1]], points.host))
@@ -105,118 +103,119 @@ class ClockPoints:
     def compare(self, *, by_bytes: bool) -> ClockSync:
         """Compare the two clocks.
 
-        by_bytes: Both times are those of bytes on a serial line, which come in as they are sent or at the next poll.
-            Then a wide interval means polls in step with the host, for which every line within is as likely: the middle
-            is taken, of drift and offset.  Whole frames that come at once leave a wide interval, too, and there the
-            line below is right.
+        ``by_bytes``: both times are those of bytes on a serial line, which arrive as they are sent or at the next poll.
+        Then a wide interval means polls in step with the host, and every line within is as likely: the middle is used,
+        of drift and offset.  Whole frames that arrive at once also give a wide interval, but there the line below is
+        right.
         """
-        nothing = ClockSync(np.empty(0, dtype=np.int64), np.empty(0), None)
+        incomparable = ClockSync(np.empty(0, dtype=np.int64), np.empty(0), None)
         if self.n < 2:
-            return nothing
+            return incomparable
         span = self.last[0] - self.first[0]
         if span <= 0 or abs((self.last[1] - self.first[1]) / span - 1) > max(BELIEVABLE, 0.5 / span):
-            return nothing
+            return incomparable
         bin_s = max(1.0, span / MOST_POINTS)
-        # After a pause of the computer the seconds are the host's: all that was sent meanwhile comes in one of them.
+        # After a pause of the computer the seconds are the host's: all that was sent meanwhile arrives in one of them.
         by_host = self.longest_pause_s > PAUSE_S
 
-        def bins(points: Points) -> NDArray[np.int64]:
-            clock, begun = (points.host, self.first[1]) if by_host else (points.device, self.first[0])
-            return np.floor((clock - begun) / bin_s).astype(np.int64)
+        def number_bins(points: Points) -> NDArray[np.int64]:
+            clock, begin = (points.host, self.first[1]) if by_host else (points.device, self.first[0])
+            return np.floor((clock - begin) / bin_s).astype(np.int64)
 
-        chosen = _Cheapest()
+        minima = _BinMinimum()
         for points in self._shelf:
-            chosen.take(points, bins(points), points.delay)
-        least = chosen.by_number()
+            minima.take(points, number_bins(points), points.delay)
+        least = minima.by_number()
         if len(least.device) < FEWEST_POINTS or span < FEWEST_POINTS:
             return ClockSync(least.sample, least.delay, None)
         robust = theil_sen(least.device, least.delay)
         # The middle of the least delays is above the line by far less than this; only a wrong stamp is below it so far.
         lowest = float(np.median(least.delay - robust * least.device)) - TOO_EARLY_S
 
-        def true(points: Points) -> NDArray[np.bool_]:
+        def is_plausible(points: Points) -> NDArray[np.bool_]:
             return np.asarray(points.delay - robust * points.device >= lowest)
 
-        kept = rows(least, true(least))
+        points_kept = rows(least, is_plausible(least))
         hull = LowerHull()
         for points in self._shelf:
-            here = true(points)
-            hull.take(points.device[here], points.delay[here])
-        slope = hull.slope()
-        if abs(slope) > BELIEVABLE:  # pauses of the computer have left no line to go by
+            plausible = is_plausible(points)
+            hull.take(points.device[plausible], points.delay[plausible])
+        slope = hull.fit_slope()
+        if abs(slope) > BELIEVABLE:  # no line fits because of pauses of the computer
             return ClockSync(least.sample, least.delay, None)
         ppm = -1e6 * slope / (1 + slope)
         lowest_above = min(
-            float(np.min((points.delay - slope * points.device)[true(points)], initial=np.inf))
+            float(np.min((points.delay - slope * points.device)[is_plausible(points)], initial=np.inf))
             for points in self._shelf
         )
 
-        def open_s(points: Points) -> NDArray[np.float64]:
-            """Return how much each read leaves open: what it lies above the line, and how long it was to the next."""
+        def uncertainty_s(points: Points) -> NDArray[np.float64]:
+            """Return the uncertainty of each read: its height above the line, and the time to the next one."""
             above = points.delay - slope * points.device
-            return np.where(true(points), (points.following - points.device) + above - lowest_above, np.nan)
+            return np.where(is_plausible(points), (points.following - points.device) + above - lowest_above, np.nan)
 
-        chosen = _Cheapest()
+        minima = _BinMinimum()
         for points in self._shelf:
-            chosen.take(points, bins(points), open_s(points))
-        sharpest = chosen.by_bin()
-        sharpest = rows(sharpest, np.isfinite(open_s(sharpest)))
+            minima.take(points, number_bins(points), uncertainty_s(points))
+        sharpest = minima.by_bin()
+        sharpest = rows(sharpest, np.isfinite(uncertainty_s(sharpest)))
         if len(sharpest.device) < 2:
-            return ClockSync(kept.sample, kept.delay, ppm)
+            return ClockSync(points_kept.sample, points_kept.delay, ppm)
         below = sharpest.delay - (sharpest.following - sharpest.device)
-        read_latency, (low, high) = _slopes(kept.device, kept.delay, sharpest.following, below)
+        read_latency, (low, high) = _bound_slopes(points_kept.device, points_kept.delay, sharpest.following, below)
         if by_bytes:
-            kept = sharpest
-        gap, offset_error = kept.following - kept.device, open_s(kept) + read_latency
+            points_kept = sharpest
+        gap, offset_error = points_kept.following - points_kept.device, uncertainty_s(points_kept) + read_latency
         if by_bytes:
             offset_error -= 0.5 * gap
             if 0.5e6 * (high - low) > LIKELY_PPM:
                 slope = 0.5 * (low + high)
                 ppm = -1e6 * slope / (1 + slope)
         error = 1e6 * max(high - slope, slope - low, 0.0)
-        return ClockSync(kept.sample, kept.delay - (0.5 * gap if by_bytes else 0.0), ppm, error, offset_error)
+        return ClockSync(
+            points_kept.sample, points_kept.delay - (0.5 * gap if by_bytes else 0.0), ppm, error, offset_error
+        )
 
 
-class _Cheapest:
-    """Of each bin the point of the least cost, the first of equal ones; points come in order."""
+class _BinMinimum:
+    """The point of least cost in each bin, the first of equal ones; points come in order."""
 
     def __init__(self) -> None:
         self._best: dict[int, tuple[float, int, Points]] = {}  # best point of each bin: cost, number, point
         self._n = 0
 
     def take(self, points: Points, bins: NDArray[np.int64], cost: NDArray[np.float64]) -> None:
-        """Take the next points; a cost of NaN is larger than any."""
+        """Add the next points; a cost of NaN is larger than any other."""
         order = np.lexsort((cost, bins))
-        for at in order[np.concatenate(([True], np.diff(bins[order]) > 0))].tolist():
-            known = self._best.get(int(bins[at]))
-            if known is None or cost[at] < known[0] or (np.isnan(known[0]) and not np.isnan(cost[at])):
-                own = rows(points, np.array([at]))  # a copy: a slice would keep all of the points in memory
-                self._best[int(bins[at])] = float(cost[at]), self._n + at, own
+        for index in order[np.concatenate(([True], np.diff(bins[order]) > 0))].tolist():
+            best = self._best.get(int(bins[index]))
+            if best is None or cost[index] < best[0] or (np.isnan(best[0]) and not np.isnan(cost[index])):
+                point = rows(points, np.array([index]))  # a copy: a slice would keep all of the points in memory
+                self._best[int(bins[index])] = float(cost[index]), self._n + index, point
         self._n += len(bins)
 
     def by_bin(self) -> Points:
-        """Return the points in order of their bins."""
         return joined([self._best[number][2] for number in sorted(self._best)])
 
     def by_number(self) -> Points:
-        """Return the points in the order in which they came."""
+        """Return the points in order of arrival."""
         return joined([point for _, _, point in sorted(self._best.values(), key=itemgetter(1))])
 
 
-def _slopes(
+def _bound_slopes(
     x: NDArray[np.float64], y: NDArray[np.float64], x_below: NDArray[np.float64], y_below: NDArray[np.float64]
 ) -> tuple[float, tuple[float, float]]:
-    """Return the read latency that had to be allowed, s, and the least and the largest slope of a line between points.
+    """Return the read latency that was needed, s, and the least and the largest slope of a line between points.
 
-    The line is below all (x, y), and above all (x_below, y_below) less that latency.  It is when it passes between each
+    The line is below all (x, y), and above all (x_below, y_below) less that latency.  It is if it passes between each
     pair (eliminate its height); so each pair is a bound on its slope.
     """
-    apart = x[:, np.newaxis] - x_below
+    distance = x[:, np.newaxis] - x_below
     read_latency = READ_LATENCY_S
     while True:
-        rise = (y[:, np.newaxis] - (y_below - read_latency)) / np.where(apart == 0, np.nan, apart)
-        low = float(np.max(rise[apart < 0], initial=-np.inf))
-        high = float(np.min(rise[apart > 0], initial=np.inf))
+        rise = (y[:, np.newaxis] - (y_below - read_latency)) / np.where(distance == 0, np.nan, distance)
+        low = float(np.max(rise[distance < 0], initial=-np.inf))
+        high = float(np.min(rise[distance > 0], initial=np.inf))
         if low <= high:
             return read_latency, (low, high)
         read_latency *= 2
@@ -230,7 +229,6 @@ class LowerHull:
         self._sum, self._n = 0.0, 0
 
     def take(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-        """Take the next points."""
         hull = self._hull
         for point in zip(x.tolist(), y.tolist(), strict=True):
             if hull and point[0] == hull[-1][0]:
@@ -243,7 +241,7 @@ class LowerHull:
         self._sum += float(x.sum())
         self._n += len(x)
 
-    def slope(self) -> float:
+    def fit_slope(self) -> float:
         """Return the slope of the line below all points that is highest at their mean x; not all x are equal."""
         hull, middle = self._hull, self._sum / self._n
         edge = next(i for i in range(1, len(hull)) if hull[i][0] >= middle or i == len(hull) - 1)

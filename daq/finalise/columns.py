@@ -1,4 +1,4 @@
-"""The columns of a run, gathered piece by piece: of each sample its motion, what was sent, and the exact motion."""
+"""The columns of a run, collected piece by piece: the motion of each sample, its data as sent, and the exact motion."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from daq.finalise.connections import TICK_NS
 from daq.finalise.integrity import CheckedCounts
-from daq.finalise.timeline import Samples, TruthRows, parts_of, sample_keys
+from daq.finalise.timeline import Samples, TruthRows, sample_keys, split_parts
 from daq.runfile import belt_counter
 from daq.runfile.belt_counter import BeltCount
 from daq.runfile.recording import Raw, Truth
@@ -23,7 +23,7 @@ class RunColumns:
     rig: Its calibration.
     idents: The identifications that it was sent under.
     truth: The exact motion as sent.
-    spill: Where the columns are put aside.
+    spill: Storage of the columns.
     first_ns: Host's stamp of the first sample.
     """
 
@@ -45,14 +45,12 @@ class RunColumns:
         self._part, self._shift_s = -1, 0.0
 
     def has(self, name: str) -> bool:
-        """Return whether the board sends such a column."""
         return name in self._columns
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self._columns[name].whole()
 
     def take(self, samples: Samples, checked: CheckedCounts, position: NDArray[np.float64]) -> None:
-        """Take the next samples."""
         if not len(samples):
             return
         if not self._samples:
@@ -83,14 +81,13 @@ class RunColumns:
             self._take_truth(samples)
         self._samples += len(samples)
 
-    def raw(self) -> Raw:
-        """Return the samples as sent."""
+    def build_raw(self) -> Raw:
         names = ("sample", "count_up", "count_down", "device_time", "levels", "flags", "illegal")
         optional = [name for name in ("belt_count", "edge_time") if self.has(name)]
         return Raw(**{name: self[name] for name in (*names, *optional)})
 
-    def belt(self, rate_hz: float) -> tuple[NDArray[np.int64], NDArray[np.float64]] | tuple[None, None]:
-        """Return the belt's count and speed; None where the board sends none, or its metres per count are unknown."""
+    def compute_belt(self, rate_hz: float) -> tuple[NDArray[np.int64], NDArray[np.float64]] | tuple[None, None]:
+        """Return the belt's count and speed; None if the board sends none, or its metres per count are unknown."""
         pitch = self._rig.belt_metres_per_count
         if pitch is None or not self.has("belt"):
             return None, None
@@ -100,7 +97,7 @@ class RunColumns:
             speed.append(piece)
         return count, speed.whole()
 
-    def truth(self, scene: str) -> Truth | None:
+    def build_truth(self, scene: str) -> Truth | None:
         """Return the exact motion at the received samples, its time on the run's axis; None if none was sent."""
         if not self._truth_keys:
             return None
@@ -114,26 +111,26 @@ class RunColumns:
     def _take_truth(self, samples: Samples) -> None:
         key = sample_keys(samples.part, samples.index)
         least, most = int(key.min()), int(key.max())
-        near = [k for k, (low, high) in enumerate(self._truth_keys) if low <= most and high >= least]
-        sent = [self._truth[k] for k in near]
-        keys = np.concatenate([np.empty(0, dtype=np.int64), *(rows.key for rows in sent)])
-        rows = np.concatenate([np.empty((0, 4)), *(rows.rows for rows in sent)])
-        _, at, row = np.intersect1d(key, keys, return_indices=True)
+        overlapping = [k for k, (low, high) in enumerate(self._truth_keys) if low <= most and high >= least]
+        sent_rows = [self._truth[k] for k in overlapping]
+        keys = np.concatenate([np.empty(0, dtype=np.int64), *(rows.key for rows in sent_rows)])
+        rows = np.concatenate([np.empty((0, 4)), *(rows.rows for rows in sent_rows)])
+        _, samples_found, row = np.intersect1d(key, keys, return_indices=True)
         shift = np.zeros(len(samples))
-        for part, here in parts_of(samples):
+        for part, span in split_parts(samples):
             if part != self._part:
-                source = 0 if samples.source is None else int(samples.source[here.start])
-                device_s = samples.ticks[here.start] * int(self._ticks[source]) / 1e9
-                self._part, self._shift_s = part, float(samples.time[here.start] - device_s)
-            shift[here] = self._shift_s
+                source = 0 if samples.source is None else int(samples.source[span.start])
+                device_s = samples.ticks[span.start] * int(self._ticks[source]) / 1e9
+                self._part, self._shift_s = part, float(samples.time[span.start] - device_s)
+            shift[span] = self._shift_s
         time, x, v, force = rows[row].T
-        self._append("truth_time", time + shift[at])
+        self._append("truth_time", time + shift[samples_found])
         self._append("truth_x", x)
         self._append("truth_v", v)
         self._append("truth_F", force)
 
 
 def _edge_us(edge: NDArray[np.uint16], tick_ns: NDArray[np.int64]) -> NDArray[np.uint16]:
-    """Return the time since the last edge in us; "none" keeps its value on the wire."""
+    """Return the time since the last edge in us; `NO_EDGE` keeps its value on the wire."""
     us = edge.astype(np.int64) * tick_ns // 1000
     return np.where(edge == frames.NO_EDGE, frames.NO_EDGE, us).astype(np.uint16)

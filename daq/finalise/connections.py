@@ -1,10 +1,10 @@
 """The connections of a journal, and the identifications that their samples were sent under.
 
-A new connection begins where the port was reopened.  A board that restarts, or another one behind the same port, may
-count with another decoder, other counters or another clock: each segment is read as the identification before it says.
+A new connection begins where the port was reopened.  A board that restarts, or another one on the same port, may count
+with another decoder, other counters or another clock: each segment is read by the identification before it.
 Counts of decoders that count one, or four, of the same edges are brought to the finest of them: the calibration belongs
-to the first identification, and is divided by as much.  How counts of a decoder without such a ratio compare is not
-known; they stay as they are, and a warning says so.
+to the first identification, and is divided by as much.  How counts of a decoder without such a ratio compare is
+unknown; they are not changed, and there is a warning.
 """
 
 import math
@@ -26,76 +26,75 @@ from daq.wire.quadrature import EDGES_PER_COUNT
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
-# Two calibrations contradict each other that differ by more standard errors.  With half, 13 % of sound pairs do; double
-# passes a change that is certain.
+# Standard errors by which two calibrations differ if they contradict each other: 0.3 % of sound pairs do.
 ERRORS_APART = 3.0
 COUNTER_BITS, TICK_NS = 16, 1000  # those of the firmware, for an implausible identification
 
 
-def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Stream]]:
+def decode_connections(recorded: journal.Journal, spill: Spill) -> list[Shelf[decode.Stream]]:
     """Return the decoded stream of each connection, in pieces: a new one begins where the port was reopened.
 
-    Raises InputError: the journal is in a protocol that this version does not know.
+    Raises InputError if this version does not know the journal's protocol.
     """
-    backend = protocols.load(taken.header["protocol"], str(taken.path))
+    backend = protocols.load(recorded.header["protocol"], str(recorded.path))
     shelves = []
-    for reads in _reads(taken.records):
+    for reads in _split_reads(recorded.records):
         shelf: Shelf[decode.Stream] = Shelf(spill)
-        for stream in backend.pieces(reads, taken.header):
-            shelf.append(cut_at_leaps(believed(stream), float(taken.header["rate_hz"])))
+        for stream in backend.decode_pieces(reads, recorded.header):
+            shelf.append(cut_at_leaps(replace_implausible(stream), float(recorded.header["rate_hz"])))
         shelves.append(shelf)
     return shelves
 
 
 def cut_at_leaps(stream: decode.Stream, rate_hz: float) -> decode.Stream:
-    """Return a stream whose frames are cut where the board's clock leaps within one: each keeps one pace.
+    """Return a stream with frames cut where the board's clock leaps within one, so that each keeps one pace.
 
-    A leap is a sample that does not follow the one before after a period of the nominal rate ``rate_hz``, Hz.  Leaps
-    between frames are judged by `daq.wire.counters.FrameOrder`.
+    A leap is a sample that does not follow the previous one after a period of the nominal rate ``rate_hz``, Hz.  Leaps
+    between frames are found by `daq.wire.counters.FrameOrder`.
     """
     samples = len(stream.dt)
-    period = np.concatenate(
+    periods = np.concatenate(
         [np.empty(0)]
         + [
             np.full(int(stream.n[first:end].sum()), 1e9 / (rate_hz * (1000 if ident is None else ident.tick_ns)))
-            for first, end, ident in stream.sent_as()
+            for first, end, ident in stream.split_by_ident()
         ]
     )
-    leaps = np.asarray(~counters.fits(1, stream.dt / period))
+    leaps = np.asarray(~counters.agree_on_gap(1, stream.dt / periods))
     leaps[stream.first] = False
     if not leaps.any():
         return stream
     first = np.flatnonzero(leaps | np.isin(np.arange(samples), stream.first))
     frame = np.searchsorted(stream.first, first, side="right") - 1  # the old frame that holds each new one
-    within = first - stream.first[frame]
+    sample_in_frame = first - stream.first[frame]
     elapsed = np.cumsum(stream.dt, dtype=np.int64)
     dt = stream.dt.copy()
     dt[first] = 0
     last = np.diff(frame, append=len(stream.n)) > 0  # whether a new frame ends with the bytes of its old one
-    place = np.concatenate((np.flatnonzero(within == 0), [len(first)]))  # where each old frame begins
+    new_frame = np.concatenate((np.flatnonzero(sample_in_frame == 0), [len(first)]))  # where each old frame begins
     return replace(
         stream,
         first=first,
         n=np.diff(first, append=samples),
-        seq=stream.seq[frame] + within & 0xFFFF,
+        seq=stream.seq[frame] + sample_in_frame & 0xFFFF,
         ticks=stream.ticks[frame] + elapsed[first] - elapsed[stream.first[frame]] & 0xFFFFFFFF,
         illegal=stream.illegal[frame],
         stamp_ns=stream.stamp_ns[frame],
         length=np.where(last, stream.length[frame], 0),
         time_error=None if stream.time_error is None else stream.time_error[frame],
         dt=dt,
-        idents=place[stream.idents],
-        crc_frame=place[stream.crc_frame],
-        truth_frame=place[stream.truth_frame],
-        part_frame=place[stream.part_frame],
-        configs=tuple((int(place[at]), text) for at, text in stream.configs),
-        notices=tuple((int(place[at]), text) for at, text in stream.notices),
+        idents=new_frame[stream.idents],
+        crc_frame=new_frame[stream.crc_frame],
+        truth_frame=new_frame[stream.truth_frame],
+        part_frame=new_frame[stream.part_frame],
+        configs=tuple((int(new_frame[at]), text) for at, text in stream.configs),
+        notices=tuple((int(new_frame[at]), text) for at, text in stream.notices),
     )
 
 
 @dataclass(frozen=True)
-class _Reads:
-    """The reads of one connection: stamp and bytes, out of the journal whenever they are asked for."""
+class _ConnectionReads:
+    """The reads of one connection, stamp and bytes, read from the journal at each iteration."""
 
     records: journal.Records
     first: int
@@ -107,47 +106,47 @@ class _Reads:
         return ((record.stamp_ns, record.data) for record in self.records.at(received))
 
 
-def _reads(records: journal.Records) -> list[_Reads]:
+def _split_reads(records: journal.Records) -> list[_ConnectionReads]:
     cuts = [number for number, kind in enumerate(records.kinds) if kind == journal.REOPENED]
-    return [_Reads(records, first, last) for first, last in pairwise([0, *cuts, len(records)])]
+    return [_ConnectionReads(records, first, last) for first, last in pairwise([0, *cuts, len(records)])]
 
 
 def first_ident(streams: Iterable[decode.Stream]) -> wire.Ident | None:
-    """Return the board's first identification, as `believed`."""
-    return next((ident for stream in streams if (ident := believed(stream).ident) is not None), None)
+    """Return the board's first identification, after `replace_implausible`."""
+    return next((ident for stream in streams if (ident := replace_implausible(stream).ident) is not None), None)
 
 
-def believed(stream: decode.Stream) -> decode.Stream:
-    """Return a stream in which an identification that cannot be true has the firmware's own counters and tick.
+def replace_implausible(stream: decode.Stream) -> decode.Stream:
+    """Return a stream in which an impossible identification has the firmware's own counters and tick.
 
-    A recorder refuses such a board; a journal that holds one is read all the same.
+    A recorder rejects such a board; a journal that contains one is read nevertheless.
     """
     if not any(ident.implausible for ident in (stream.ident, *stream.identified) if ident is not None):
         return stream
-    ident = None if stream.ident is None else _believed(stream.ident)
-    return replace(stream, ident=ident, identified=tuple(map(_believed, stream.identified)))
+    ident = None if stream.ident is None else _replace_ident(stream.ident)
+    return replace(stream, ident=ident, identified=tuple(map(_replace_ident, stream.identified)))
 
 
-def _believed(ident: wire.Ident) -> wire.Ident:
+def _replace_ident(ident: wire.Ident) -> wire.Ident:
     return replace(ident, counter_bits=COUNTER_BITS, tick_ns=TICK_NS) if ident.implausible else ident
 
 
 @dataclass(frozen=True)
 class CountUnits:
-    """What counts are under each of k identifications."""
+    """The units of counts under each of k identifications."""
 
     bits: NDArray[np.int64]  # (k,) width of the counters
     scale: NDArray[np.int64]  # (k,) counts of the run in one count of the board
     edges: NDArray[np.int64]  # (k,) edges in one count of the board
-    # (k,) whether counts can be held against the levels sent with them; whether illegal transitions are counted
+    # (k,) whether counts can be compared with the levels sent with them; whether illegal transitions are counted
     phase: NDArray[np.bool_]
     illegal: NDArray[np.bool_]
 
 
-def units(idents: Sequence[wire.Ident | None], rig: Rig) -> CountUnits:
-    """Return what counts are under each identification, in a run of this calibration (`common`)."""
+def find_units(idents: Sequence[wire.Ident | None], rig: Rig) -> CountUnits:
+    """Return the units of counts under each identification, in a run of this calibration (`unify_calibration`)."""
     decoders = [rig.decoder if ident is None else ident.decoder for ident in idents]
-    has = [wire.Capability(0) if ident is None else ident.capabilities for ident in idents]
+    capabilities_of = [wire.Capability(0) if ident is None else ident.capabilities for ident in idents]
     finest = EDGES_PER_COUNT.get(rig.decoder, 1)
     edges = np.array([EDGES_PER_COUNT.get(decoder, 1) for decoder in decoders], dtype=np.int64)
     return CountUnits(
@@ -157,22 +156,22 @@ def units(idents: Sequence[wire.Ident | None], rig: Rig) -> CountUnits:
         phase=np.array(
             [
                 each == "x4" and wire.Capability.LEVELS in capabilities
-                for each, capabilities in zip(decoders, has, strict=True)
+                for each, capabilities in zip(decoders, capabilities_of, strict=True)
             ],
             dtype=np.bool_,
         ),
-        illegal=np.array([wire.Capability.ILLEGAL in each for each in has], dtype=np.bool_),
+        illegal=np.array([wire.Capability.ILLEGAL in each for each in capabilities_of], dtype=np.bool_),
     )
 
 
-def common(rig: Rig, idents: Sequence[wire.Ident | None]) -> Rig:
+def unify_calibration(rig: Rig, idents: Sequence[wire.Ident | None]) -> Rig:
     """Return the calibration of a run: that of its first identification, in counts of the finest decoder."""
-    known = [ident for ident in idents if ident is not None]
-    if not known:
+    reported = [ident for ident in idents if ident is not None]
+    if not reported:
         return rig
-    finest = min(known, key=lambda ident: EDGES_PER_COUNT.get(ident.decoder, 1))
-    ratio = EDGES_PER_COUNT.get(known[0].decoder, 1) // EDGES_PER_COUNT.get(finest.decoder, 1)
-    rig = replace(rig, counter_bits=known[0].counter_bits, decoder=known[0].decoder)
+    finest = min(reported, key=lambda ident: EDGES_PER_COUNT.get(ident.decoder, 1))
+    ratio = EDGES_PER_COUNT.get(reported[0].decoder, 1) // EDGES_PER_COUNT.get(finest.decoder, 1)
+    rig = replace(rig, counter_bits=reported[0].counter_bits, decoder=reported[0].decoder)
     if ratio == 1:
         return rig
     pitch, turn = rig.metres_per_count, rig.counts_per_revolution
@@ -184,19 +183,19 @@ def common(rig: Rig, idents: Sequence[wire.Ident | None]) -> Rig:
     )
 
 
-def contradictions(idents: Sequence[wire.Ident | None], configs: Sequence[str], rig: Rig) -> list[str]:
+def find_contradictions(idents: Sequence[wire.Ident | None], configs: Sequence[str], rig: Rig) -> list[str]:
     """Return sentences for identifications and calibrations of one run that contradict each other.
 
     ``configs`` are the calibrations that the boards sent, in order; ``rig`` is the run's own.
     """
     sentences = []
-    known = [ident for ident in idents if ident is not None]
-    if len(known) > 1:
-        changes = "; then ".join(words(ident) for ident in known)
+    reported = [ident for ident in idents if ident is not None]
+    if len(reported) > 1:
+        changes = "; then ".join(describe_ident(ident) for ident in reported)
         sentences.append(
             f"the board identified itself anew, as another: {changes}; each segment is read as it was sent"
         )
-    decoders = list(dict.fromkeys(ident.decoder for ident in known))
+    decoders = list(dict.fromkeys(ident.decoder for ident in reported))
     unrelated = [decoder for decoder in decoders if decoder not in EDGES_PER_COUNT]
     if len(decoders) > 1 and unrelated:
         sentences.append(
@@ -209,18 +208,18 @@ def contradictions(idents: Sequence[wire.Ident | None], configs: Sequence[str], 
             f"metres per count are those of {decoders[0]}, divided accordingly"
         )
     pitches = [pitch for config in dict.fromkeys(configs) if (pitch := _pitch(config)) is not None]
-    other = next((each for each in pitches if _contradict(each, pitches[0])), None)
-    if other is not None:
+    differing = next((each for each in pitches if _contradict(each, pitches[0])), None)
+    if differing is not None:
         sentences.append(
-            f"the board sent another calibration, {other.value:g} m per count where it was {pitches[0].value:g}: "
+            f"the board sent another calibration, {differing.value:g} m per count where it was {pitches[0].value:g}: "
             "positions are made with the first of them, or with the one given"
         )
     return sentences
 
 
-def _contradict(one: Measured, other: Measured) -> bool:
+def _contradict(first: Measured, second: Measured) -> bool:
     """Return whether two measurements of one quantity differ by more than their errors explain."""
-    return abs(one.value - other.value) > ERRORS_APART * math.hypot(one.sd, other.sd)
+    return abs(first.value - second.value) > ERRORS_APART * math.hypot(first.sd, second.sd)
 
 
 def _pitch(config: str) -> Measured | None:
@@ -230,25 +229,24 @@ def _pitch(config: str) -> Measured | None:
         return None
 
 
-def words(ident: wire.Ident) -> str:
-    """Return an identification in words."""
+def describe_ident(ident: wire.Ident) -> str:
     version = ".".join(map(str, ident.firmware))
     clock = f"{ident.counter_bits} bits, tick {ident.tick_ns} ns"
     return f"{ident.name or 'a board'}, firmware {version}, decoder {ident.decoder}, {clock}"
 
 
-def stored(
+def build_sent_as(
     idents: Sequence[wire.Ident | None], rig: Rig, segment: Sequence[int], source: Sequence[int]
 ) -> SentAs | None:
-    """Return for the run file from which segment on which identification holds; None where there is only one."""
+    """Return the identifications for the run file, each with its first segment; None if there is only one."""
     if len(source) < 2:
         return None
-    per_ident = units(idents, rig)
-    which = np.array(source, dtype=np.int64)
-    text = ["no identification" if ident is None else words(ident) for ident in idents]
+    per_ident = find_units(idents, rig)
+    ident_number = np.array(source, dtype=np.int64)
+    texts = ["no identification" if ident is None else describe_ident(ident) for ident in idents]
     return SentAs(
         segment=np.array(segment, dtype=np.uint32),
-        counter_bits=per_ident.bits[which].astype(np.uint8),
-        counts=per_ident.scale[which].astype(np.uint8),
-        ident=tuple(text[each] for each in source),
+        counter_bits=per_ident.bits[ident_number].astype(np.uint8),
+        counts=per_ident.scale[ident_number].astype(np.uint8),
+        ident=tuple(texts[each] for each in source),
     )

@@ -1,8 +1,8 @@
-"""Counts unwrapped, segments cut, and every sample held against what came with it.
+"""Counts unwrapped, segments cut, and every sample checked against the data sent with it.
 
 A new segment begins where the port came back, where the board restarted or its sequence numbers jumped, and after a gap
-across which the counters (the belt's, too) may have rolled over unseen.  In each the count starts at the counters' own
-difference: nothing is carried over, nothing is filled in.
+across which the counters (the belt's, too) may have rolled over unnoticed.  In each the count starts at the difference
+of the counters: nothing is carried over or filled in.
 """
 
 from collections.abc import Iterable, Sequence
@@ -13,20 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.finalise import connections
-from daq.finalise.timeline import PartReason, Samples, joined
+from daq.finalise.timeline import PartReason, Samples, join
 from daq.protocols import link_budget
 from daq.runfile.rig import Rig
 from daq.wire import counters, frames
 from daq.wire.quadrature import EDGES_PER_COUNT
 
-# A segment begins with a part (`daq.finalise.timeline`), or where the counters may have rolled over unseen.
+# A segment begins with a part (`daq.finalise.timeline`), or where the counters may have rolled over unnoticed.
 SegmentReason = PartReason | Literal["invalid"]
-PEAK_OVER_S = 1e-3  # over less, one count more or less would look like a fast motion
+PEAK_OVER_S = 1e-3  # over a shorter time, one count more or less would look like a fast motion
 
 
 @dataclass(frozen=True)
 class CheckedCounts:
-    """The counts of n samples in s segments, and what is wrong with them."""
+    """The counts of n samples in s segments, and their faults."""
 
     count: NDArray[np.int64]  # (n,) unwrapped net count
     segment: NDArray[np.uint16] | NDArray[np.uint32]  # (n,) from 0
@@ -34,22 +34,22 @@ class CheckedCounts:
     lost: NDArray[np.int64]  # (n,) samples missing right before each one
     illegal: int  # illegal transitions the board counted during this run
     peak_count_rate: float  # fastest counting over `PEAK_OVER_S` (over a sample where that is longer), counts/s
-    reasons: tuple[SegmentReason, ...]  # what began each segment; of the first one it means nothing
+    reasons: tuple[SegmentReason, ...]  # what began each segment; irrelevant for the first one
     starts: NDArray[np.int64]  # (s,) first sample of each segment
-    gap_s: NDArray[np.float64]  # (s,) how long after the sample before it each segment begins; 0 for the first one
-    leap_s: NDArray[np.float64]  # (s,) by how much the board's clock leapt there, s; 0 where it did not
+    gap_s: NDArray[np.float64]  # (s,) from the last sample before each segment; 0 for the first one
+    leap_s: NDArray[np.float64]  # (s,) leap of the board's clock there, s; 0 where it did not
     # (p,) samples before which the board paused without a gap in its sequence, and for how long
     paused: NDArray[np.int64]
     paused_s: NDArray[np.float64]
-    source: NDArray[np.int64]  # (s,) under which identification each segment was sent
+    source: NDArray[np.int64]  # (s,) number of the identification that each segment was sent under
 
 
 def check(
     samples: Samples, ident: frames.Ident | None, rig: Rig, rate_hz: float, *, starts_at_phase: bool = True
 ) -> CheckedCounts:
-    """Unwrap the counts of a whole run, cut it into segments, and flag what does not agree (`CountCheck`).
+    """Unwrap the counts of a whole run, cut it into segments, and flag contradictions (`CountCheck`).
 
-    Raises ValueError: there is no sample.
+    Raises ValueError if there is no sample.
     """
     if len(samples) == 0:
         raise ValueError("nothing to check: there is no sample")
@@ -60,11 +60,11 @@ def check(
 
 
 class CountCheck:
-    """Unwrap the counts, cut the run into segments, and flag what does not agree: piece by piece, of whole frames.
+    """Unwrap the counts, cut the run into segments, and flag contradictions: piece by piece, of whole frames.
 
     idents, rig, rate_hz: The identifications that the run was sent under, its calibration, and its nominal rate.
-    starts_at_phase: The board's rule: an x4 counter starts at the phase of its levels.  Another sketch's may start
-        anywhere; then the offset that most samples of a segment have is taken as its own.
+    starts_at_phase: Whether an x4 counter starts at the phase of its levels, as the firmware's does.  Another sketch's
+        may start anywhere; then the offset of most samples of a segment is used.
     peak_count_rate: Of the whole run, once it has been surveyed (`CheckedCounts`).
     """
 
@@ -73,178 +73,179 @@ class CountCheck:
     ) -> None:
         self.peak_count_rate = 0.0
         self._idents, self._rig, self._rate_hz = idents, rig, rate_hz
-        self._units = connections.units(idents, rig)
+        self._units = connections.find_units(idents, rig)
         self._starts_at_phase = starts_at_phase
         self._safe_s = float("inf")
         self._wide = False  # whether segment numbers take 32 bits
         self._offsets: NDArray[np.uint8] | None = None  # offset of each segment
         self._last: Samples | None = None
-        self._taken = self._count = self._segments = self._risen = 0
+        self._n_taken = self._count = self._segments = self._illegal_rise = 0
 
     def survey(self, pieces: Iterable[Samples]) -> None:
-        """Look at the whole run: how long a gap the counters' speed allows, and where its counters started."""
+        """Find how long a gap the counters' speed allows, and where the counters started, in the whole run."""
         units, edges = self._units, EDGES_PER_COUNT.get(self._rig.decoder, 1)
         stride = max(1, round(PEAK_OVER_S * self._rate_hz))
         peak, belt_peak = _PeakRate(stride), _PeakRate(stride)
-        self._begin()
+        self._rewind()
         has_belt = False
-        most = 1  # segments that there can be
+        n_segments = 1  # segments that there can be
         for samples in pieces:
-            follows = self._follow(samples)
-            window, broken = follows.window, follows.gap | follows.fresh
-            bits, scale = (_each(values, window)[1:] for values in (units.bits, units.scale))
-            ups, downs = (counters.increments(column, bits) for column in (window.up, window.down))
+            continuity = self._follow(samples)
+            window, broken = continuity.window, continuity.gap | continuity.fresh
+            bits, scale = (_expand(values, window)[1:] for values in (units.bits, units.scale))
+            ups, downs = (counters.diff_unsigned(column, bits) for column in (window.up, window.down))
             peak.take(window.time, np.maximum(ups, downs) * scale, broken)
-            most += int(np.count_nonzero(broken))
+            n_segments += int(np.count_nonzero(broken))
             if window.belt is not None:
                 has_belt = True
-                belt_peak.take(window.time, np.abs(counters.moves(window.belt, bits)), broken)
-        self._wide = most > 1 << 16
-        self.peak_count_rate = peak.found()
+                belt_peak.take(window.time, np.abs(counters.diff_signed(window.belt, bits)), broken)
+        self._wide = n_segments > 1 << 16
+        self.peak_count_rate = peak.find()
         self._safe_s = float("inf")
-        for ident, bits_, own in zip(self._idents, units.bits.tolist(), units.edges.tolist(), strict=True):
+        for ident, bits_, edges_per_count in zip(self._idents, units.bits.tolist(), units.edges.tolist(), strict=True):
             rate_hz = link_budget.peak_edge_rate_hz(ident, self._rig, self.peak_count_rate * edges)
-            self._safe_s = min(self._safe_s, counters.longest_gap_s(rate_hz, own, bits_))
+            self._safe_s = min(self._safe_s, counters.longest_gap_s(rate_hz, edges_per_count, bits_))
             if has_belt:
-                self._safe_s = min(self._safe_s, counters.longest_gap_s(2 * belt_peak.found(), 1, bits_ - 1))
-        self._begin()
+                self._safe_s = min(self._safe_s, counters.longest_gap_s(2 * belt_peak.find(), 1, bits_ - 1))
+        self._rewind()
         if units.phase.any() and not self._starts_at_phase:
-            seen = np.zeros(0, dtype=np.int64)  # how often each segment is off by 0, 1, 2, 3
+            offset_counts = np.zeros(0, dtype=np.int64)  # how often each segment is off by 0, 1, 2, 3
             for samples in pieces:
                 segments = self.take(samples).segment
-                wrong = counters.phase_error(samples.up, samples.down, samples.status)
-                here = np.bincount(segments.astype(np.int64) << 2 | wrong)
-                seen = np.pad(seen, (0, max(0, len(here) - len(seen))))
-                seen[: len(here)] += here
-            self._offsets = np.pad(seen, (0, -len(seen) % 4)).reshape(-1, 4).argmax(axis=1).astype(np.uint8)
-            self._begin()
+                offsets = counters.phase_error(samples.up, samples.down, samples.status)
+                piece_counts = np.bincount(segments.astype(np.int64) << 2 | offsets)
+                offset_counts = np.pad(offset_counts, (0, max(0, len(piece_counts) - len(offset_counts))))
+                offset_counts[: len(piece_counts)] += piece_counts
+            self._offsets = (
+                np.pad(offset_counts, (0, -len(offset_counts) % 4)).reshape(-1, 4).argmax(axis=1).astype(np.uint8)
+            )
+            self._rewind()
 
     def take(self, samples: Samples) -> CheckedCounts:
-        """Check the next samples; of segments, the first samples are counted from the start of the run."""
-        own = slice(1 if self._last is not None else 0, None)
-        segments, count_before, risen = self._segments, self._count, self._risen
-        follows = self._follow(samples)
-        window, fresh, lost, interval, gap = follows[:5]
-        bits, scale = _each(self._units.bits, window), _each(self._units.scale, window)
+        """Check the next samples; the first samples of segments are counted from the start of the run."""
+        new = slice(1 if self._last is not None else 0, None)
+        segments, count_before, illegal_before = self._segments, self._count, self._illegal_rise
+        continuity = self._follow(samples)
+        window, fresh, lost, interval, gap = continuity[:5]
+        bits, scale = _expand(self._units.bits, window), _expand(self._units.scale, window)
         invalid = gap & (interval > self._safe_s) & ~fresh
         begins = fresh | invalid
         n = len(window)
         if n == 0:
-            return _nothing_checked(self.peak_count_rate)
-        first = counters.signed(window.up.astype(np.int64) - window.down, bits) * scale
-        if own.start:
+            return _check_nothing(self.peak_count_rate)
+        first = counters.wrap_signed(window.up.astype(np.int64) - window.down, bits) * scale
+        if new.start:
             begins[0], first[0] = True, count_before
-        ups, downs = (counters.increments(column, bits[1:]) for column in (window.up, window.down))
+        ups, downs = (counters.diff_unsigned(column, bits[1:]) for column in (window.up, window.down))
         count = counters.running_sum(begins, (ups - downs) * scale[1:], first)
         segment = segments + np.cumsum(begins) - 1
         flags = (window.status & ~np.uint8(frames.LEVELS)).astype(np.uint16)
         flags[lost > 0] |= counters.FLAG_GAP
         if window.time_error is not None:
             flags[window.time_error != 0] |= counters.FLAG_TIME
-        both = counters.check_both_moved(window.up, window.down)
-        flags[both & ~begins] |= counters.FLAG_BOTH
+        both_moved = counters.check_both_moved(window.up, window.down)
+        flags[both_moved & ~begins] |= counters.FLAG_BOTH
         if self._units.phase.any():
-            wrong = counters.phase_error(window.up, window.down, window.status)
+            phase_errors = counters.phase_error(window.up, window.down, window.status)
             if self._offsets is not None:
-                wrong -= self._offsets[segment]
-            flags[(wrong & 3 != 0) & _each(self._units.phase, window)] |= counters.FLAG_PHASE
+                phase_errors -= self._offsets[segment]
+            flags[(phase_errors & 3 != 0) & _expand(self._units.phase, window)] |= counters.FLAG_PHASE
         rise = np.zeros(n, dtype=np.int64)
         if self._units.illegal.any():
-            fresh = follows.begins == _ANEW
-            rise[1:] = counters.increments(window.illegal, 16)
-            rise[fresh | ~_each(self._units.illegal, window)] = 0  # counted before this start: not this run's
-            # The count stands for its whole frame, so every sample of the frame is suspect.
+            restarts = continuity.begins == _RESTART
+            rise[1:] = counters.diff_unsigned(window.illegal, 16)
+            rise[restarts | ~_expand(self._units.illegal, window)] = 0  # counted before this start: not this run's
+            # The count is for the whole frame, so every sample of the frame is suspect.
             flags[np.isin(window.frame, window.frame[rise > 0])] |= counters.FLAG_ILLEGAL
-            # What was missed stays missing, and an even number of misses hides from the phase.
-            total = np.cumsum(rise) + risen
-            begun = np.maximum.accumulate(np.where(fresh, np.arange(n), 0))
-            total -= np.where(np.logical_or.accumulate(fresh), total[begun], 0)
+            # Missed counts stay missing, and an even number of them does not change the phase.
+            total = np.cumsum(rise) + illegal_before
+            last_restart = np.maximum.accumulate(np.where(restarts, np.arange(n), 0))
+            total -= np.where(np.logical_or.accumulate(restarts), total[last_restart], 0)
             flags[total > 0] |= counters.FLAG_COUNT_UNCERTAIN
-            self._risen = int(total[-1])
-        starts = np.flatnonzero(begins[own])
+            self._illegal_rise = int(total[-1])
+        starts = np.flatnonzero(begins[new])
         self._count, self._segments = int(count[-1]), int(segment[-1])
         reasons: tuple[SegmentReason, ...] = tuple(
-            "invalid" if invalid[own][s] else samples.begun_by[samples.part[s]] for s in starts
+            "invalid" if invalid[new][s] else samples.begun_by[samples.part[s]] for s in starts
         )
-        self._taken += len(samples)
+        self._n_taken += len(samples)
         tick_s = self._ticks_s(window)
         leap_s = np.diff(window.ticks, prepend=window.ticks[:1]) * tick_s - interval
-        leap_s[follows.begins != _LEAP] = 0.0
-        paused = np.flatnonzero(follows.begins[own] == _PAUSE)
+        leap_s[continuity.begins != _LEAP] = 0.0
+        paused = np.flatnonzero(continuity.begins[new] == _PAUSE)
         return CheckedCounts(
-            count=count[own],
-            segment=segment[own].astype(np.uint32) if self._wide else segment[own].astype(np.uint16),
-            flags=flags[own],
-            lost=lost[own],
+            count=count[new],
+            segment=segment[new].astype(np.uint32) if self._wide else segment[new].astype(np.uint16),
+            flags=flags[new],
+            lost=lost[new],
             illegal=int(rise.sum()),
             peak_count_rate=self.peak_count_rate,
             reasons=reasons,
-            starts=starts + self._taken - len(samples),
-            gap_s=interval[own][starts],
-            leap_s=leap_s[own][starts],
-            paused=paused + self._taken - len(samples),
-            paused_s=interval[own][paused],
-            source=_source(samples)[starts],
+            starts=starts + self._n_taken - len(samples),
+            gap_s=interval[new][starts],
+            leap_s=leap_s[new][starts],
+            paused=paused + self._n_taken - len(samples),
+            paused_s=interval[new][paused],
+            source=_ident_of_samples(samples)[starts],
         )
 
     def _ticks_s(self, window: Samples) -> NDArray[np.float64]:
-        """Return the tick of the clock that each sample was stamped by, s, (k,)."""
+        """Return the tick of the clock that stamped each sample, s, (k,)."""
         ticks = np.array([1000 if ident is None else ident.tick_ns for ident in self._idents])
-        return np.asarray(_each(ticks, window) / 1e9)
+        return np.asarray(_expand(ticks, window) / 1e9)
 
-    def _begin(self) -> None:
-        """Begin with the first sample of the run."""
+    def _rewind(self) -> None:
         self._last = None
-        self._taken = self._count = self._segments = self._risen = 0
+        self._n_taken = self._count = self._segments = self._illegal_rise = 0
 
-    def _follow(self, samples: Samples) -> "_Follows":
-        """Return the next samples with the last one before them, and of each of these how it follows."""
-        window = samples if self._last is None else joined([self._last, samples])
-        begins = np.full(len(window), _NOTHING)
-        begins[:1] = _NOTHING if self._last is not None else _ANEW
-        for at in (np.flatnonzero(np.diff(window.part)) + 1).tolist():
-            begun = samples.begun_by[window.part[at - 1] + 1 : window.part[at] + 1]
-            # A part of which no sample was kept may have begun otherwise.
-            begins[at] = max(_BEGINS.get(each, _ANEW) for each in begun)
-        fresh, anew = begins >= _LEAP, begins == _ANEW
-        # A start numbers from 0, so what is missing there was lost, too.
-        lost = np.where(anew, window.index, np.diff(window.index, prepend=-1) - 1)
+    def _follow(self, samples: Samples) -> "_Continuity":
+        """Return the next samples with the last one before them, and how each of them continues the previous one."""
+        window = samples if self._last is None else join([self._last, samples])
+        begins = np.full(len(window), _NO_START)
+        begins[:1] = _NO_START if self._last is not None else _RESTART
+        for sample in (np.flatnonzero(np.diff(window.part)) + 1).tolist():
+            reasons = samples.begun_by[window.part[sample - 1] + 1 : window.part[sample] + 1]
+            # A part without a kept sample may have begun in another way.
+            begins[sample] = max(_STARTS.get(each, _RESTART) for each in reasons)
+        fresh, restarts = begins >= _LEAP, begins == _RESTART
+        # Numbers start at 0, so samples missing there were lost, too.
+        lost = np.where(restarts, window.index, np.diff(window.index, prepend=-1) - 1)
         interval = np.diff(window.time, prepend=window.time[:1])
         if self._last is not None:
             lost[0] = 0
         if len(window):
             self._last = window.take(np.arange(len(window)) == len(window) - 1)
-        # By its number, or by a time that no jitter explains: above 30 kHz jitter alone is more than half a period.
+        # By its number, or by a time that is not jitter: above 30 kHz jitter alone is more than half a period.
         gap = (lost > 0) | (interval > max(1.5 / self._rate_hz, PEAK_OVER_S))
-        return _Follows(window, fresh, lost, interval, gap, begins)
+        return _Continuity(window, fresh, lost, interval, gap, begins)
 
 
-# What begins with a sample: nothing, or a part: the board has paused, its clock has leapt, or all is new.
-_NOTHING, _PAUSE, _LEAP, _ANEW = range(4)
-_BEGINS = {"paused": _PAUSE, "clock": _LEAP}
+# What begins with a sample: nothing, or a part because the board paused, its clock leapt, or it restarted.
+_NO_START, _PAUSE, _LEAP, _RESTART = range(4)
+_STARTS = {"paused": _PAUSE, "clock": _LEAP}
 
 
-class _Follows(NamedTuple):
-    """Samples, k of them, with the last one before them, and of each how it follows, (k,)."""
+class _Continuity(NamedTuple):
+    """Samples, k of them, with the last one before them, and how each continues the previous one, (k,)."""
 
-    window: Samples  # the samples
-    fresh: NDArray[np.bool_]  # a segment begins with it: it begins a part, and the board has not only paused
-    lost: NDArray[np.int64]  # how many are missing before it
-    interval: NDArray[np.float64]  # how long after the one before it comes, s
+    window: Samples
+    fresh: NDArray[np.bool_]  # whether a part begins with it, unless the board only paused
+    lost: NDArray[np.int64]  # samples missing before it
+    interval: NDArray[np.float64]  # since the previous one, s
     gap: NDArray[np.bool_]  # whether that is a gap
     begins: NDArray[np.int64]  # what begins with it: `_NOTHING`, or a part
 
 
-def _source(samples: Samples) -> NDArray[np.int64]:
+def _ident_of_samples(samples: Samples) -> NDArray[np.int64]:
     return np.zeros(len(samples), dtype=np.int64) if samples.source is None else samples.source
 
 
-def _each(values: NDArray[Any], samples: Samples) -> NDArray[Any]:
-    """Return of each sample the value of its identification."""
-    return np.asarray(values[_source(samples)])
+def _expand(values: NDArray[Any], samples: Samples) -> NDArray[Any]:
+    """Return for each sample the value of its identification."""
+    return np.asarray(values[_ident_of_samples(samples)])
 
 
-def _nothing_checked(peak_count_rate: float) -> CheckedCounts:
+def _check_nothing(peak_count_rate: float) -> CheckedCounts:
     none = np.zeros(0, dtype=np.int64)
     flags = none.astype(np.uint16)
     seconds = none.astype(np.float64)
@@ -252,9 +253,9 @@ def _nothing_checked(peak_count_rate: float) -> CheckedCounts:
 
 
 class _PeakRate:
-    """The fastest counting (counts/s) over ``stride`` samples in a row that no gap breaks; 0 for one sample.
+    """The fastest counting (counts/s) over ``stride`` samples in a row without a gap; 0 for one sample.
 
-    Where gaps leave no stretch as long, the longest that there are must do: half of it, a quarter ...
+    Where gaps leave no stretch as long, the longest available is used: half of it, a quarter ...
     """
 
     def __init__(self, stride: int) -> None:
@@ -266,9 +267,9 @@ class _PeakRate:
         self._broken = np.empty(0, dtype=np.bool_)
 
     def take(self, time: NDArray[np.float64], moved: NDArray[np.int64], broken: NDArray[np.bool_]) -> None:
-        """Take the next samples, (k,), and the moves between them, (k - 1,).
+        """Add the next samples, (k,), and the moves between them, (k - 1,).
 
-        The first one of them is the last one of the samples before.
+        The first one of them is the last one of the previous samples.
         """
         if len(self._time):
             time, broken = np.concatenate((self._time, time[1:])), np.concatenate((self._broken, broken[1:]))
@@ -276,14 +277,18 @@ class _PeakRate:
         total = np.concatenate(([0], np.cumsum(moved)))[: len(time)]
         breaks = np.cumsum(broken)
         for stride in self._strides:
-            whole = breaks[stride:] == breaks[:-stride]
-            if whole.any():
+            unbroken = breaks[stride:] == breaks[:-stride]
+            if unbroken.any():
                 rate = (total[stride:] - total[:-stride]) / (time[stride:] - time[:-stride])
-                self._peak[stride] = max(self._peak.get(stride, 0.0), float(rate[whole].max()))
+                self._peak[stride] = max(self._peak.get(stride, 0.0), float(rate[unbroken].max()))
             if stride in self._peak:
                 break
-        kept = self._strides[0]
-        self._time, self._moved, self._broken = time[-kept:], moved[max(0, len(moved) - kept + 1) :], broken[-kept:]
+        n_kept = self._strides[0]
+        self._time, self._moved, self._broken = (
+            time[-n_kept:],
+            moved[max(0, len(moved) - n_kept + 1) :],
+            broken[-n_kept:],
+        )
 
-    def found(self) -> float:
+    def find(self) -> float:
         return self._peak[max(self._peak)] if self._peak else 0.0

@@ -1,4 +1,4 @@
-"""What a recording is worth: the numbers behind ``daq record``'s answer, and the warnings that follow from them."""
+"""The quality of a recording: the numbers in ``daq record``'s answer, and the warnings that follow from them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,12 +19,12 @@ from daq.wire.decode import Stream
 from daq.wire.quadrature import EDGES_PER_COUNT
 
 NOT_IN_JSON = ("travel", "unit", "port_lost")
-LEAST_HELD = 0.9  # share of the samples asked for: with fewer, or with more than the rest lost, it is another run
-# A drift of fewer standard errors than CLEAR is not shown by the run.  How large it can be is then said, unless that is
-# more than TELLING_PPM: crystals keep 100 ppm, ceramic resonators 5000.
+LEAST_HELD = 0.9  # share of the requested samples: with fewer, or more than the rest lost, a run is incomplete
+# A drift of fewer standard errors than CLEAR is not significant.  Its bound is then reported, unless that is more than
+# TELLING_PPM: crystals keep 100 ppm, ceramic resonators 5000.
 CLEAR, TELLING_PPM = 2.0, 1000.0
-WHY = {"clock": "the clock leapt"}  # reasons why a segment begins, where one word does not say it
-LONG_GAP_S = 0.5  # a gap that a warning places in time
+REASONS = {"clock": "the clock leapt"}  # texts for the reasons of a segment that are not their own text
+LONG_GAP_S = 0.5  # length from which a warning gives the time of a gap
 
 
 @dataclass(frozen=True, repr=False)
@@ -107,7 +107,7 @@ class RecordingQuality:
 
     @property
     def short(self) -> bool:
-        """Whether it holds too little of the duration asked for, and nobody stopped it with Ctrl-C."""
+        """Whether too little of the requested duration was recorded, unless it was stopped with Ctrl-C."""
         if self.asked_s is None or self.ended in (journal.STOPPED, ""):
             return False
         return self.samples < LEAST_HELD * self.asked_s * self.rate_hz
@@ -119,20 +119,20 @@ class RecordingQuality:
 
     def __repr__(self) -> str:
         lost = f"{self.lost} samples lost" if self.lost else "no sample lost"
-        said = "".join(f"\n warning: {text}" for text in self.warnings)
+        warnings = "".join(f"\n warning: {text}" for text in self.warnings)
         name = "" if self.file is None else f" {self.file.name}"
         head = f"{self.samples} samples, {self.duration_s:.4g} s at {self.rate_hz:g} Hz, {lost}"
-        return f"<RecordingQuality{name}: {head}{said}>"
+        return f"<RecordingQuality{name}: {head}{warnings}>"
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON document of ``daq record`` and ``daq recover``."""
-        kept = {name: value for name, value in vars(self).items() if name not in NOT_IN_JSON}
-        return kept | {"warnings": list(self.warnings)}
+        document = {name: value for name, value in vars(self).items() if name not in NOT_IN_JSON}
+        return document | {"warnings": list(self.warnings)}
 
 
 @dataclass
 class DataTotals:
-    """What is counted in the samples of a run, piece by piece; see `RecordingQuality` where nothing is said."""
+    """Totals over the samples of a run, added piece by piece; fields without a comment are as of `RecordingQuality`."""
 
     samples: int = 0
     lost: int = 0
@@ -143,13 +143,13 @@ class DataTotals:
     phase_errors: int = 0
     both_moved: int = 0
     retimed: int = 0
-    overruns: int = 0  # samples at which the board missed its own pace
+    overruns: int = 0  # samples that the board took late
     reasons: list[str] = field(default_factory=list)  # what began each segment
-    jumped_s: list[float] = field(default_factory=list)  # when sequence numbers jumped
+    jumped_s: list[float] = field(default_factory=list)  # times at which sequence numbers jumped
     leapt: list[tuple[float, float]] = field(default_factory=list)  # when the board's clock leapt, and by how much, s
     # when the board paused without a gap in its sequence, and for how long, s
     paused: list[tuple[float, float]] = field(default_factory=list)
-    # from which segment on the samples were sent under which identification
+    # segments with a new identification, and its number
     segment: list[int] = field(default_factory=list)
     source: list[int] = field(default_factory=list)
     travel: tuple[float, float] = (np.inf, -np.inf)
@@ -158,7 +158,7 @@ class DataTotals:
     last_s: float = 0.0  # time of the last sample
 
     def take(self, piece: Piece, checked: CheckedCounts, position: NDArray[np.float64]) -> None:
-        """Take the next samples, and their positions."""
+        """Add the next samples, and their positions."""
         samples, lost = piece.samples, checked.lost
         if not len(samples):
             return
@@ -173,10 +173,10 @@ class DataTotals:
         self.both_moved += int(np.count_nonzero(checked.flags & counters.FLAG_BOTH))
         self.retimed += int(np.count_nonzero(checked.flags & counters.FLAG_TIME))
         self.overruns += int(np.count_nonzero(samples.status & frames.OVERRUN))
-        begun = samples.time[checked.starts - self.samples].tolist()
-        self.jumped_s += [at for at, why in zip(begun, checked.reasons, strict=True) if why == "jumped"]
-        leaps = zip(begun, checked.leap_s.tolist(), checked.reasons, strict=True)
-        self.leapt += [(at, leap_s) for at, leap_s, why in leaps if why == "clock"]
+        start_s = samples.time[checked.starts - self.samples].tolist()
+        self.jumped_s += [time_s for time_s, reason in zip(start_s, checked.reasons, strict=True) if reason == "jumped"]
+        leaps = zip(start_s, checked.leap_s.tolist(), checked.reasons, strict=True)
+        self.leapt += [(time_s, leap_s) for time_s, leap_s, reason in leaps if reason == "clock"]
         pauses = samples.time[checked.paused - self.samples].tolist()
         self.paused += list(zip(pauses, checked.paused_s.tolist(), strict=True))
         for number, source in enumerate(checked.source.tolist(), start=len(self.reasons)):
@@ -190,10 +190,10 @@ class DataTotals:
         self.samples += len(samples)
 
 
-def from_run(
+def assess_run(
     recorded: journal.Journal, totals: DataTotals, peak_count_rate: float, streams: Sequence[Stream], run: Recording
 ) -> RecordingQuality:
-    """Return the findings of a run, its warnings about the data not yet among them (`warnings`)."""
+    """Return the findings of a run, without the warnings about the data (`find_warnings`)."""
     first, last = totals.places or (0, 0)
     return RecordingQuality(
         samples=totals.samples,
@@ -223,7 +223,7 @@ def from_run(
     )
 
 
-def warnings(
+def find_warnings(
     quality: RecordingQuality,
     recorded: journal.Journal,
     totals: DataTotals,
@@ -231,22 +231,22 @@ def warnings(
     streams: Sequence[Stream],
     rig: Rig,
 ) -> list[str]:
-    """Return one sentence for each thing that is wrong with the data, with its number."""
-    lines = [*_port_outages(recorded.records), *_data_warnings(quality, totals, repeated, rig, streams)]
-    lines += _incomplete(quality, totals)
+    """Return one sentence for each fault of the data, with its number."""
+    sentences = [*_find_outages(recorded.records), *_find_data_warnings(quality, totals, repeated, rig, streams)]
+    sentences += _explain_shortfall(quality, totals)
     if recorded.lost_tail:
-        lines.append(f"the last {recorded.lost_tail} bytes of the journal were cut short: its last record")
+        sentences.append(f"the last {recorded.lost_tail} bytes of the journal were cut short: its last record")
     if recorded.damaged:
-        kept = f"it is kept: {recorded.path.name}"
-        lines.append(f"{recorded.damaged} bytes of the journal are in damaged records; {kept}")
-    return lines
+        note = f"it is kept: {recorded.path.name}"
+        sentences.append(f"{recorded.damaged} bytes of the journal are in damaged records; {note}")
+    return sentences
 
 
-def _incomplete(quality: RecordingQuality, totals: DataTotals) -> list[str]:
-    """Return sentences for a run that is not what was asked for, and for its longest gap."""
-    lines = []
+def _explain_shortfall(quality: RecordingQuality, totals: DataTotals) -> list[str]:
+    """Return sentences for a run that is shorter than requested, and for its longest gap."""
+    sentences = []
     if quality.short and quality.asked_s is not None:
-        why = {
+        causes = {
             journal.COMPLETE: "samples are missing",
             journal.PORT_LOST: "the port was lost",
             journal.BOARD_STOPPED: "the board stopped",
@@ -254,81 +254,85 @@ def _incomplete(quality: RecordingQuality, totals: DataTotals) -> list[str]:
             journal.SOURCE_ENDED: "the source ended",
             journal.SOURCE_SILENT: "the source gave no more samples",
         }
-        held_s = quality.samples / quality.rate_hz
-        because = why.get(quality.ended, f"ended by {quality.ended}")
-        lines.append(f"the run holds {held_s:.3g} s of samples of the {quality.asked_s:.3g} s asked for: {because}")
+        samples_s = quality.samples / quality.rate_hz
+        cause = causes.get(quality.ended, f"ended by {quality.ended}")
+        sentences.append(
+            f"the run holds {samples_s:.3g} s of samples of the {quality.asked_s:.3g} s asked for: {cause}"
+        )
     if quality.sparse:
-        lines.append(f"{quality.lost / (quality.samples + quality.lost):.0%} of the samples are lost")
+        sentences.append(f"{quality.lost / (quality.samples + quality.lost):.0%} of the samples are lost")
     gap_s = totals.longest_gap / quality.rate_hz
     if gap_s > LONG_GAP_S:
-        lines.append(
+        sentences.append(
             f"the longest gap begins {totals.longest_after_s:.3f} s after the first sample and lasts {gap_s:.3g} s"
         )
-    return lines
+    return sentences
 
 
-def _port_outages(records: journal.Records) -> list[str]:
-    """Return one sentence for all times the port was lost and reopened, and one if it was lost for good at last."""
-    first = heard = None
+def _find_outages(records: journal.Records) -> list[str]:
+    """Return one sentence for all times the port was lost and reopened, and one if it was not reopened at last."""
+    first = last_read = None
     lost = ""
-    away: list[tuple[int, int, str]] = []  # how long, since when, and why
-    for_good = []
+    outages: list[tuple[int, int, str]] = []  # how long, since when, and why
+    final = []
     # Of the reads, which are nearly the whole journal, the first one and the last ones before something else.
-    begun, after = records.kinds.find(journal.RECEIVED), records.kinds[1:] + bytes([journal.END])
-    pairs = enumerate(zip(records.kinds, after, strict=True))
-    for record in records.at(at for at, (kind, then) in pairs if at == begun or {kind, then} != {journal.RECEIVED}):
+    first_read, next_kinds = records.kinds.find(journal.RECEIVED), records.kinds[1:] + bytes([journal.END])
+    pairs = enumerate(zip(records.kinds, next_kinds, strict=True))
+    for record in records.at(
+        number for number, (kind, then) in pairs if number == first_read or {kind, then} != {journal.RECEIVED}
+    ):
         if record.kind == journal.RECEIVED:
             if first is None:
                 first = record.stamp_ns
-            heard = record.stamp_ns
+            last_read = record.stamp_ns
         elif record.kind == journal.LOST:
             lost = record.data.decode(errors="replace")
-        elif heard is None or first is None:
+        elif last_read is None or first is None:
             continue
         elif record.kind == journal.REOPENED:
-            away.append((record.stamp_ns - heard, heard - first, lost))
+            outages.append((record.stamp_ns - last_read, last_read - first, lost))
             lost = ""
         elif record.kind == journal.END and b"port lost" in record.data:
-            for_good.append(
-                f"the port was lost ({lost}) {(heard - first) / 1e9:.3g} s after the start and was not reopened"
+            final.append(
+                f"the port was lost ({lost}) {(last_read - first) / 1e9:.3g} s after the start and was not reopened"
             )
         elif record.kind == journal.END and journal.end_reason(record) == journal.SOURCE_FAILED:
-            for_good.append(f"the source failed: {lost}")
-    return [*_reopened(away), *for_good]
+            final.append(f"the source failed: {lost}")
+    return [*_describe_outages(outages), *final]
 
 
-def _reopened(away: Sequence[tuple[int, int, str]]) -> list[str]:
+def _describe_outages(outages: Sequence[tuple[int, int, str]]) -> list[str]:
     """Return one sentence for all outages: how long each was, ns, when it began after the start, ns, and why."""
-    if not away:
+    if not outages:
         return []
-    longest_ns, begun_ns, why = max(away, key=itemgetter(0))
-    if len(away) == 1:
-        return [f"the port was lost ({why}) and reopened: {longest_ns / 1e6:.0f} ms are missing"]
-    total_s = sum(each for each, _, _ in away) / 1e9
-    longest = f"the longest time {longest_ns / 1e6:.0f} ms, {begun_ns / 1e9:.3g} s after the start ({why})"
-    return [f"the port was lost and reopened {len(away)} times: {total_s:.3g} s are missing in all, {longest}"]
+    longest_ns, start_ns, reason = max(outages, key=itemgetter(0))
+    if len(outages) == 1:
+        return [f"the port was lost ({reason}) and reopened: {longest_ns / 1e6:.0f} ms are missing"]
+    total_s = sum(outage_ns for outage_ns, _, _ in outages) / 1e9
+    longest = f"the longest time {longest_ns / 1e6:.0f} ms, {start_ns / 1e9:.3g} s after the start ({reason})"
+    return [f"the port was lost and reopened {len(outages)} times: {total_s:.3g} s are missing in all, {longest}"]
 
 
-def _times(found_s: Sequence[float]) -> str:
-    """Return the first few of some times, in words."""
-    at = [f"{time_s:.3f} s" for time_s in found_s[:5]]
-    return ", ".join(at) + (f" and {len(found_s) - 5} times more" if len(found_s) > 5 else "")
+def _list_times(times_s: Sequence[float]) -> str:
+    """Return the first few of some times as text."""
+    shown = [f"{time_s:.3f} s" for time_s in times_s[:5]]
+    return ", ".join(shown) + (f" and {len(times_s) - 5} times more" if len(times_s) > 5 else "")
 
 
-def _amounts(by: str, leaps: Sequence[tuple[float, float]]) -> str:
-    """Return the first few of some times and amounts, s, in words."""
-    at = [f"{by} {amount:.3g} s at {time_s:.3f} s" for time_s, amount in leaps[:5]]
-    return ", ".join(at) + (f" and {len(leaps) - 5} times more" if len(leaps) > 5 else "")
+def _list_amounts(preposition: str, leaps: Sequence[tuple[float, float]]) -> str:
+    """Return the first few of some times and amounts, s, as text."""
+    shown = [f"{preposition} {amount:.3g} s at {time_s:.3f} s" for time_s, amount in leaps[:5]]
+    return ", ".join(shown) + (f" and {len(leaps) - 5} times more" if len(leaps) > 5 else "")
 
 
-def _data_warnings(
+def _find_data_warnings(
     quality: RecordingQuality, totals: DataTotals, repeated: int, rig: Rig, streams: Sequence[Stream]
 ) -> list[str]:
     """Return one sentence for each kind of damage in the data, with its number."""
     edges = EDGES_PER_COUNT.get(rig.decoder, 1)
     unknown = sum(stream.unknown for stream in streams)
-    reasons = "; ".join(sorted({WHY.get(why, why) for why in totals.reasons[1:]}))
-    lines = [
+    reasons = "; ".join(sorted({REASONS.get(why, why) for why in totals.reasons[1:]}))
+    sentences = [
         (quality.lost, f"{quality.lost} samples were lost in {totals.gaps} places"),
         (quality.crc_errors, f"{quality.crc_errors} damaged frames were thrown away"),
         (unknown, f"{unknown} frames were of an unknown kind or length"),
@@ -351,30 +355,30 @@ def _data_warnings(
         ),
         (
             len(totals.jumped_s),
-            f"the board's sequence numbers jumped against its clock, {_times(totals.jumped_s)} after the first "
+            f"the board's sequence numbers jumped against its clock, {_list_times(totals.jumped_s)} after the first "
             "sample: it was reset, or sent wrong numbers; each time a new segment begins",
         ),
         (
             len(totals.leapt),
-            f"the board's clock leapt, {_amounts('by', totals.leapt)}, against its sequence numbers and this machine's "
-            "clock; each time a new segment begins, timed by the sequence",
+            f"the board's clock leapt, {_list_amounts('by', totals.leapt)}, against its sequence numbers and this "
+            "machine's clock; each time a new segment begins, timed by the sequence",
         ),
         (
             len(totals.paused),
-            f"the board paused, {_amounts('for', totals.paused)}, and its sequence numbers do not show it",
+            f"the board paused, {_list_amounts('for', totals.paused)}, and its sequence numbers do not show it",
         ),
     ]
-    lines += [(1, f"the board stopped: {text}") for stream in streams for _, text in stream.notices]
+    sentences += [(1, f"the board stopped: {text}") for stream in streams for _, text in stream.notices]
     half = 2 ** (rig.counter_bits - 1)
-    moved = round(quality.peak_edge_rate_hz / edges / quality.rate_hz)
-    lines.append(
+    steps = round(quality.peak_edge_rate_hz / edges / quality.rate_hz)
+    sentences.append(
         (
-            moved > half,
-            f"the counters moved by {moved} of {2 * half} within one sample: they may have rolled over unnoticed, and "
+            steps > half,
+            f"the counters moved by {steps} of {2 * half} within one sample: they may have rolled over unnoticed, and "
             "positions are then wrong; record at a higher --rate",
         )
     )
     if rig.decoder in ("jk", "jk-latched"):
-        lines.append((1, f"a {rig.decoder} counter adds a line ({edges} edges) at each dither: expect drift"))
-        lines.append((quality.both_moved, f"both counters moved within one sample, {quality.both_moved} times"))
-    return [text for number, text in lines if number]
+        sentences.append((1, f"a {rig.decoder} counter adds a line ({edges} edges) at each dither: expect drift"))
+        sentences.append((quality.both_moved, f"both counters moved within one sample, {quality.both_moved} times"))
+    return [text for count, text in sentences if count]

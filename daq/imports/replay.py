@@ -94,7 +94,7 @@ def findings(run: Recording) -> dict[str, int]:
     if run.raw is not None:
         within = np.diff(run.segment) == 0
         counts["lost"] = lost_samples(run.raw.sample, run.segment)
-        counts["illegal"] = int(counters.increments(run.raw.illegal, 16)[within].sum())
+        counts["illegal"] = int(counters.diff_unsigned(run.raw.illegal, 16)[within].sum())
         counts["phase_errors"] = int(np.count_nonzero(run.raw.flags & counters.FLAG_PHASE))
     return counts | {"crc_errors": run.event_kind.count("crc")}
 

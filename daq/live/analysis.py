@@ -1,4 +1,4 @@
-"""What the live view says of a record while its samples come: motion, sticks and slips, belt, k/m, friction, cycles."""
+"""The live analysis of a record while its samples arrive: motion, sticks and slips, belt, k/m, friction, cycles."""
 
 import math
 from collections import deque
@@ -8,31 +8,31 @@ from typing import Any
 import numpy as np
 
 from daq.live.friction import QuickFriction
-from daq.live.motion import SHORTEST_PARABOLA, LiveFilter, LiveMotion, noise_density
+from daq.live.motion import SHORTEST_PARABOLA, LiveFilter, LiveMotion, estimate_noise_density
 from daq.live.overview import Overview
-from daq.live.sticks import FEWEST_RECENT, NOISE, SLIP_SHARE, Slip, Spread, StickSlip, usual_speed
+from daq.live.sticks import FEWEST_RECENT, NOISE, SLIP_SHARE, Slip, Spread, StickSlip, find_usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
 from stickslip.compute.arrays import Array, joined, rows
 
-FEWEST_CYCLES = 4  # cycles that a fit takes: `fitting.selection.evidence`
-FEW_CYCLES = 8  # cycles so few that every one must agree: `fitting.selection.screening`
-# Time of the record between estimates: half takes 1 % of a core more, double shows a new belt speed as much later.
+FEWEST_CYCLES = 4  # cycles that a fit needs: `fitting.selection.evidence`
+FEW_CYCLES = 8  # cycles up to which every one must agree: `fitting.selection.screening`
+# Time of the record between estimates, which take 1 % of a core.
 ESTIMATE_EVERY_S = 2.0
-MEMORY_S = 20.0  # span of motion from which the belt's speed is read before a stick has been seen
-MOST_RECENT = 20_000  # readings of these
-BELT_SPAN_S = 1.0  # span of the counts of the belt's own encoder: 7.7 um counts then read to 8 um/s
-FEWEST_SLIPS = 2  # from which the window of the motion is chosen
-USUAL_CYCLES = 9  # the last ones, whose medians the window suits: half follow two odd ones, twice as many lag behind
-MOST_BREAK_AWAYS = 4096  # remembered; of a longer record the last ones
+MEMORY_S = 20.0  # span of motion from which the belt's speed is estimated before the first stick
+MOST_RECENT = 20_000  # readings in this span
+BELT_SPAN_S = 1.0  # span of the counts of the belt's encoder: 7.7 um counts then give the speed to 8 um/s
+FEWEST_SLIPS = 2  # slips from which the window of the motion is chosen
+USUAL_CYCLES = 9  # the last ones, for whose medians the window is chosen, so that four odd ones do not change it
+MOST_BREAK_AWAYS = 4096  # stored: the last ones of a longer record
 
 
 @dataclass(frozen=True)
 class BeltSpeed:
-    """The belt's speed, m/s or counts/s; NaN while it is not known.
+    """The belt's speed, m/s or counts/s; NaN if unknown.
 
     ``source``: "encoder" (its own), "sticks" (mean velocity of the mass in the last ones), "motion" (the velocity that
-    occurs most often), "calibration", or "".
+        occurs most often), "calibration", or "".
     """
 
     value: float = math.nan
@@ -41,22 +41,22 @@ class BeltSpeed:
 
 @dataclass(frozen=True)
 class ForceBalance:
-    """What turns motion into friction: F/m = a + k_over_m (x - x0) + c_over_m v."""
+    """The force balance that converts motion into friction: F/m = a + k_over_m (x - x0) + c_over_m v."""
 
     k_over_m: float  # s^-2, m or counts, 1/s
     x0: float
     c_over_m: float
-    mass: float  # kg; NaN where neither mass nor stiffness is known: then friction is per unit mass
-    level_known: bool  # whether x0 is known; where it is not, friction is shown up to a constant
+    mass: float  # kg; NaN if neither mass nor stiffness is known: then friction is per unit mass
+    level_known: bool  # whether x0 is known; otherwise friction is shown up to a constant
 
 
 class LiveAnalysis:
-    """Take samples as they come, and say what is known so far.
+    """Analyse samples as they arrive.
 
     rate_hz: Nominal rate of the samples.
     window: Samples of a parabola to begin with.
-    rig, unit: Calibration, and "m" or "count" of the positions; they may be set while samples come.
-    belt: Of the belt, now.
+    rig, unit: Calibration, and "m" or "count" of the positions; they may be set while samples arrive.
+    belt: Current speed of the belt.
     overview: Rows of the whole record as `feed` returns them, thinned.
     break_aways: Time, s, and position of the last `MOST_BREAK_AWAYS` ones, and time of the landing after each.
     """
@@ -69,65 +69,65 @@ class LiveAnalysis:
         self.break_aways: deque[tuple[float, float, float]] = deque(maxlen=MOST_BREAK_AWAYS)
         self._sticks = StickSlip()
         self._friction = QuickFriction()
-        self._of = {name: Spread() for name in ("stick_s", "slip_s", "drop", "break_away")}
+        self._spreads = {name: Spread() for name in ("stick_s", "slip_s", "drop", "break_away")}
         self._recent: deque[LiveMotion] = deque()
         self._belt_track: deque[tuple[float, float]] = deque()
-        self._estimated, self._new = -math.inf, 0
+        self._estimated_s, self._new = -math.inf, 0
         self._waiting: deque[NewSamples] = deque()  # until the belt's speed is known
         self._rate_hz = rate_hz
         self._density = 0.0
         self._cycles: deque[tuple[float, float, float]] = deque(maxlen=USUAL_CYCLES)  # duration, drop, stick before
-        self._began = False
+        self._has_begun = False
         self._gap = False
-        self._piece, self._told = 0, -math.inf
+        self._piece, self._returned_s = 0, -math.inf
 
     def feed(self, new: NewSamples) -> Array:
-        """Take samples; return the motion at the times that a window now surrounds, as `columns` does."""
+        """Return the motion at the times that a window now surrounds, as `motion_columns` does."""
         motion = self.filter.feed(new)
-        if not self._began:
+        if not self._has_begun:
             self._waiting.append(new)
         if new.belt is not None and new.time.size:
-            self._belt_moved(new)
+            self._track_belt(new)
         if not motion.time.size:
-            return columns(motion)
+            return motion_columns(motion)
         self._recent.append(motion)
         while motion.time[-1] - self._recent[0].time[-1] > MEMORY_S:
             self._recent.popleft()
         while self._waiting and motion.time[-1] - self._waiting[0].time[-1] > MEMORY_S:
             self._waiting.popleft()
         self._new += motion.time.size
-        if motion.time[-1] - self._estimated >= ESTIMATE_EVERY_S or (
+        if motion.time[-1] - self._estimated_s >= ESTIMATE_EVERY_S or (
             math.isnan(self.belt.value) and self._new >= FEWEST_RECENT
         ):
-            self._estimated, self._new = float(motion.time[-1]), 0
+            self._estimated_s, self._new = float(motion.time[-1]), 0
             self._estimate()
-        if not self._began and math.isfinite(self.belt.value):
-            motion = self._begin()
-        elif self._began:
+        if not self._has_begun and math.isfinite(self.belt.value):
+            motion = self._find_first_sticks()
+        elif self._has_begun:
             self._follow(motion)
-        # With a longer window, motion that has been returned is made once more.
-        motion = rows(motion, motion.time > self._told)
-        made = columns(motion, self._piece)
+        # With a longer window, motion that has been returned is computed again.
+        motion = rows(motion, motion.time > self._returned_s)
+        rows_made = motion_columns(motion, self._piece)
         if motion.time.size:
             self._gap = not math.isfinite(motion.v[-1])
-            self._told, self._piece = float(motion.time[-1]), int(made[4, -1])
-        self.overview.take(made)
-        return made
+            self._returned_s, self._piece = float(motion.time[-1]), int(rows_made[4, -1])
+        self.overview.add(rows_made)
+        return rows_made
 
-    def _begin(self) -> LiveMotion:
-        """Look for sticks and slips from the first sample on that is remembered, now that the belt's speed is known.
+    def _find_first_sticks(self) -> LiveMotion:
+        """Find sticks and slips from the first stored sample on, now that the belt's speed is known.
 
-        Returned is their motion, made anew with a window that suits.
+        Returned is their motion, computed again with a suitable window.
         """
-        self._began = True
-        window = self.filter.quiet_window(joined(list(self._recent)), self._density, SLIP_SHARE / NOISE)
+        self._has_begun = True
+        window = self.filter.find_quiet_window(joined(list(self._recent)), self._density, SLIP_SHARE / NOISE)
         self.filter = LiveFilter(self._rate_hz, window)
-        anew = joined([self.filter.feed(piece) for piece in self._waiting])
+        motion = joined([self.filter.feed(piece) for piece in self._waiting])
         self._waiting.clear()
-        self._follow(anew)
-        return anew
+        self._follow(motion)
+        return motion
 
-    def _belt_moved(self, new: NewSamples) -> None:
+    def _track_belt(self, new: NewSamples) -> None:
         if new.belt is None or new.fresh.any():
             self._belt_track.clear()
             return
@@ -136,47 +136,47 @@ class LiveAnalysis:
             self._belt_track.popleft()
 
     def _estimate(self) -> None:
-        time, x = (np.concatenate([getattr(part, name) for part in self._recent]) for name in ("time", "x"))
+        time, x = (np.concatenate([getattr(motion, name) for motion in self._recent]) for name in ("time", "x"))
         step = max(1, time.size // MOST_RECENT)
         time, x = time[::step], x[::step]
-        few = time.size < FEWEST_RECENT and time[-1] - time[0] < ESTIMATE_EVERY_S
-        if few or time.size < 2 * SHORTEST_PARABOLA:
+        too_few = time.size < FEWEST_RECENT and time[-1] - time[0] < ESTIMATE_EVERY_S
+        if too_few or time.size < 2 * SHORTEST_PARABOLA:
             return
-        self._density = noise_density(time, x)
-        self.belt = self._belt_speed(usual_speed(time, x, self.filter.window // step))
+        self._density = estimate_noise_density(time, x)
+        self.belt = self._estimate_belt_speed(find_usual_speed(time, x, self.filter.window // step))
 
-    def _belt_speed(self, usual: float) -> BeltSpeed:
+    def _estimate_belt_speed(self, frequent_speed: float) -> BeltSpeed:
         if len(self._belt_track) > 1:
             (t0, x0), (t1, x1) = self._belt_track[0], self._belt_track[-1]
             if t1 > t0 and x1 != x0:
                 return BeltSpeed((x1 - x0) / (t1 - t0), "encoder")
         sticks = self._sticks.belt_speed
-        if math.isfinite(sticks) and not abs(usual - sticks) > SLIP_SHARE * abs(sticks):
+        if math.isfinite(sticks) and not abs(frequent_speed - sticks) > SLIP_SHARE * abs(sticks):
             return BeltSpeed(sticks, "sticks")
-        if math.isfinite(usual):
-            return BeltSpeed(usual, "motion")
+        if math.isfinite(frequent_speed):
+            return BeltSpeed(frequent_speed, "motion")
         if math.isfinite(self._calibrated):
             return BeltSpeed(self._calibrated, "calibration")
         return self.belt
 
     def _follow(self, motion: LiveMotion) -> None:
-        errors = self.filter.errors(self._density)
+        errors = self.filter.estimate_errors(self._density)
         for slip in self._sticks.feed(motion, self.belt.value, self.filter.window, errors):
-            self._slipped(slip)
+            self._add_slip(slip)
 
-    def _slipped(self, slip: Slip) -> None:
+    def _add_slip(self, slip: Slip) -> None:
         forward = math.copysign(1.0, self.belt.value)
         if slip.stick_s > 0:
-            self._of["stick_s"].take(slip.stick_s)
-        self._of["slip_s"].take(slip.slip_s)
-        self._of["drop"].take(slip.drop)
-        self._of["break_away"].take(forward * slip.break_away_x)
+            self._spreads["stick_s"].add(slip.stick_s)
+        self._spreads["slip_s"].add(slip.slip_s)
+        self._spreads["drop"].add(slip.drop)
+        self._spreads["break_away"].add(forward * slip.break_away_x)
         self.break_aways.append((slip.break_away, slip.break_away_x, slip.landing))
-        self._friction.take(slip, self.belt.value, self.filter.half_s)
+        self._friction.add(slip, self.belt.value, self.filter.half_s)
         if slip.stick_s > 0:
             self._cycles.append((slip.slip_s, slip.drop, slip.stick_s))
         if len(self._cycles) >= FEWEST_SLIPS:
-            self.filter.suit_slips(self._density, *np.median(self._cycles, axis=0).tolist())
+            self.filter.fit_window_to_slips(self._density, *np.median(self._cycles, axis=0).tolist())
 
     @property
     def cycles(self) -> int:
@@ -186,11 +186,11 @@ class LiveAnalysis:
     @property
     def slips(self) -> int:
         """Slips between two sticks."""
-        return self._of["slip_s"].n
+        return self._spreads["slip_s"].n
 
     @property
     def state(self) -> str:
-        """What the mass does: "stick", "slip", "gap", or "moving" where the belt's speed is not known."""
+        """The state of the mass: "stick", "slip", "gap", or "moving" if the belt's speed is unknown."""
         if self._gap:
             return "gap"
         return self._sticks.state or "moving"
@@ -200,75 +200,77 @@ class LiveAnalysis:
         """The belt's speed of the calibration, in the unit of the positions; NaN without one."""
         return self.rig.belt_speed.value if self.rig.belt_speed is not None and self.unit == "m" else math.nan
 
-    def balance(self) -> ForceBalance:
-        """Return what turns the motion into friction, with what the calibration and the slips tell."""
-        found, _ = self._friction.k_over_m()
+    def estimate_balance(self) -> ForceBalance:
+        """Return the force balance by the calibration and the slips."""
+        fitted, _ = self._friction.estimate_k_over_m()
         rig = self.rig
         if self.unit != "m":
-            return ForceBalance(found, 0.0, 0.0, math.nan, False)
-        mass, stiffness = (math.nan if of is None else of.value for of in (rig.mass, rig.stiffness))
-        known = stiffness / mass
-        k_over_m = known if math.isfinite(known) else found
+            return ForceBalance(fitted, 0.0, 0.0, math.nan, False)
+        mass, stiffness = (math.nan if quantity is None else quantity.value for quantity in (rig.mass, rig.stiffness))
+        calibrated = stiffness / mass
+        k_over_m = calibrated if math.isfinite(calibrated) else fitted
         mass = mass if math.isfinite(mass) else stiffness / k_over_m
         c_over_m = rig.damping.value / mass if rig.damping is not None and math.isfinite(mass) else 0.0
         x0 = 0.0 if rig.x0 is None else rig.x0.value
         return ForceBalance(k_over_m, x0, c_over_m, mass, rig.datum is not None or rig.x0 is not None)
 
-    def summary(self) -> dict[str, Any]:
-        """Return what is known so far as a JSON document."""
-        balance = self.balance()
-        k_over_m, error = self._friction.k_over_m()
+    def summarise(self) -> dict[str, Any]:
+        """Return the results so far as a JSON document."""
+        balance = self.estimate_balance()
+        k_over_m, error = self._friction.estimate_k_over_m()
         return {
             "cycles": self.cycles,
             "enough": self.cycles >= FEWEST_CYCLES,
-            "advice": advice(self.cycles),
+            "advice": advise(self.cycles),
             "belt": {
-                "value": number(self.belt.value),
+                "value": round_for_json(self.belt.value),
                 "source": self.belt.source,
-                "calibrated": number(self._calibrated),
+                "calibrated": round_for_json(self._calibrated),
             },
-            "k_over_m": {"value": number(k_over_m), "stderr": number(error)},
-            "balance": {name: number(value) for name, value in vars(balance).items()},
-            "statistics": self._statistics(balance),
-            "friction": self._friction_curve(balance),
-            "half_s": number(self.filter.half_s),
+            "k_over_m": {"value": round_for_json(k_over_m), "stderr": round_for_json(error)},
+            "balance": {name: round_for_json(value) for name, value in vars(balance).items()},
+            "statistics": self._summarise_spreads(balance),
+            "friction": self._build_curve(balance),
+            "half_s": round_for_json(self.filter.half_s),
         }
 
-    def _statistics(self, balance: ForceBalance) -> dict[str, dict[str, float | int | None]]:
+    def _summarise_spreads(self, balance: ForceBalance) -> dict[str, dict[str, float | int | None]]:
         offset = {"break_away": math.copysign(1.0, self.belt.value) * balance.x0}
         statistics: dict[str, dict[str, float | int | None]] = {}
-        for name, of in self._of.items():
-            less = offset.get(name, 0.0)
-            values = {"last": of.last, "mean": of.mean, "min": of.low, "max": of.high}
-            statistics[name] = {key: number(value - less) if of.n else None for key, value in values.items()}
-            statistics[name] |= {"n": of.n, "sd": number(of.sd)}
+        for name, spread in self._spreads.items():
+            shift = offset.get(name, 0.0)
+            values = {"last": spread.last, "mean": spread.mean, "min": spread.low, "max": spread.high}
+            statistics[name] = {
+                key: round_for_json(value - shift) if spread.n else None for key, value in values.items()
+            }
+            statistics[name] |= {"n": spread.n, "sd": round_for_json(spread.sd)}
         return statistics
 
-    def _friction_curve(self, balance: ForceBalance) -> dict[str, Any] | None:
-        curve = self._friction.curve(balance.k_over_m, balance.x0, balance.c_over_m, self.belt.value)
+    def _build_curve(self, balance: ForceBalance) -> dict[str, Any] | None:
+        curve = self._friction.estimate_curve(balance.k_over_m, balance.x0, balance.c_over_m, self.belt.value)
         if curve is None:
             return None
         mass = balance.mass if math.isfinite(balance.mass) else 1.0
         forward = math.copysign(1.0, self.belt.value)
-        break_away = self._of["break_away"]
+        break_away = self._spreads["break_away"]
         load = balance.k_over_m * (forward * break_away.mean - balance.x0) + balance.c_over_m * self.belt.value
         return {
-            "w": [number(-forward * speed) for speed in curve.speed.tolist()],
-            "F": [number(mass * value) for value in curve.friction.tolist()],
-            "sd": [number(mass * value) for value in curve.sd.tolist()],
+            "w": [round_for_json(-forward * speed) for speed in curve.speed.tolist()],
+            "F": [round_for_json(mass * value) for value in curve.friction.tolist()],
+            "sd": [round_for_json(mass * value) for value in curve.sd.tolist()],
             "slips": curve.slips,
-            "break_away": number(mass * load),
-            "break_away_sd": number(mass * balance.k_over_m * break_away.sd),
+            "break_away": round_for_json(mass * load),
+            "break_away_sd": round_for_json(mass * balance.k_over_m * break_away.sd),
         }
 
 
-def columns(motion: LiveMotion, piece: int = 0) -> Array:
+def motion_columns(motion: LiveMotion, piece: int = 0) -> Array:
     """Return time, x, v, a, and the number of the piece without holes, counted from ``piece`` on, (5, k)."""
     return np.array([motion.time, motion.x, motion.v, motion.a, piece + np.cumsum(motion.fresh)])
 
 
-def advice(cycles: int) -> str:
-    """Return in words whether so many cycles are enough for a verdict, and what more of them bring."""
+def advise(cycles: int) -> str:
+    """Return as text whether so many cycles are enough for a verdict, and the effect of more of them."""
     if cycles < FEWEST_CYCLES:
         return f"a verdict needs {FEWEST_CYCLES} whole cycles at least"
     more = f"{4 * cycles} cycles would halve the standard errors"
@@ -277,6 +279,6 @@ def advice(cycles: int) -> str:
     return f"enough for a verdict; {more}"
 
 
-def number(value: float) -> float | None:
-    """Return a number of seven digits for JSON; None where it is not known."""
+def round_for_json(value: float) -> float | None:
+    """Return a number of seven digits for JSON; None if it is unknown."""
     return float(f"{value:.7g}") if math.isfinite(value) else None

@@ -1,6 +1,6 @@
-"""The files of the page: our own, and uPlot's, which an installed package (`uplot-python`) carries.
+"""The files of the page: our own, and uPlot's, which are in an installed package (`uplot-python`).
 
-That package is found but not imported: its own modules need IPython.
+That package is located but not imported: its modules need IPython.
 """
 
 from functools import cache
@@ -22,7 +22,7 @@ KINDS = {
 
 
 def check_installed() -> None:
-    """Raise InputError when a package of the live view is missing."""
+    """Raise InputError if a package of the live view is missing."""
     missing = [name for name in ("starlette", "uvicorn", "uplot") if find_spec(name) is None]
     if missing:
         what = f"the live view needs packages that are not installed: {', '.join(missing)}"
@@ -30,15 +30,15 @@ def check_installed() -> None:
 
 
 @cache
-def content(name: str) -> bytes:
-    """Return a file of the page, one of `KINDS`, without the indentation and the lines of comment: a fifth of it."""
+def read_content(name: str) -> bytes:
+    """Return a file of the page, one of `KINDS`, without indentation and comment lines: a fifth smaller."""
     file = PAGE / name
-    text = (file if file.exists() else _uplot() / name).read_text(encoding="utf-8")
+    text = (file if file.exists() else _find_uplot() / name).read_text(encoding="utf-8")
     lines = (line.strip() for line in text.splitlines())
     return "\n".join(line for line in lines if line and not line.startswith("//")).encode()
 
 
-def _uplot() -> Path:
+def _find_uplot() -> Path:
     spec = find_spec("uplot")
     if spec is None or not spec.submodule_search_locations:
         raise FileNotFoundError("uplot-python is not installed")

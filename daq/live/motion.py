@@ -1,6 +1,6 @@
-"""Velocity and acceleration while a recording runs: a parabola is fitted to a short window about each reading.
+"""Velocity and acceleration while a recording runs: a parabola is fitted to a short window around each reading.
 
-Its slope and curvature are velocity and acceleration at the middle of the window, so that they come half a window late.
+Its slope and curvature are velocity and acceleration at the middle of the window, so they arrive half a window late.
 `process smooth` estimates the velocity of the finished run, with corners at break-aways and landings, which these
 parabolas round.
 """
@@ -14,20 +14,17 @@ import numpy as np
 from daq.live.tail import NewSamples
 from stickslip.compute.arrays import HOLE, Array, Mask, joined
 
-# Length of the window before a slip has been seen.  Half leaves so much noise in the velocity of a camera that no
-# stick is seen, double rounds the landings of a cycle of 0.5 s over a tenth of it.
+# Length of the window before the first slip: long enough for the noise of a camera, short enough for cycles of 0.5 s.
 WINDOW_S = 0.02
-SHORTEST_PARABOLA = 5  # samples of a parabola
-LONGEST_PARABOLA = 401  # samples of a parabola: twice as many take twice the time of a look at the journal
-# Longest window, as a share of a slip and of a stick: a longer one hardly lies within one, and short sticks are then
-# missed.  Half leaves more noise in the acceleration; with double, missed sticks make the slips, and so the window,
-# longer and longer.
+SHORTEST_PARABOLA = 5  # samples
+LONGEST_PARABOLA = 401  # samples, to limit the time of a look at the journal
+# Longest window, as a share of a slip and of a stick: a longer one misses short sticks, which makes the slips, and so
+# the window, longer and longer.
 MOST_SHARE = 0.25
-# Noise of the velocity, at most this share of the mean speed of slips.  In a noisy, slow record half makes slips a
-# tenth longer, and with double a twentieth of them is missed.
+# Noise of the velocity, at most this share of the mean speed of slips, so that slips of a noisy, slow record are found.
 QUIET_SHARE = 0.05
-MOST_TRIED = 5000  # samples, the last ones, of which a window is tried that is longer than the noise
-CHANGED = 1.25  # a better window takes the place of one that differs by so much; a smaller step gives the same to 5 %
+MOST_TRIED = 5000  # the last samples, on which a longer window is tried
+CHANGED = 1.25  # factor by which a better window must differ to be used
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,7 @@ class LiveMotion:
     x: Array  # the reading itself
     v: Array  # of the parabola; NaN where its window has a gap
     a: Array
-    fresh: Mask  # true where nothing connects with the time before: at the first one of a segment, and after a hole
+    fresh: Mask  # true where the previous time is not connected: at the start of a segment, and after a hole
 
 
 @dataclass(frozen=True)
@@ -51,25 +48,24 @@ class MotionErrors:
 
 
 class LiveFilter:
-    """Fit parabolas to samples as they come.
+    """Fit parabolas to samples as they arrive.
 
     rate_hz: Nominal rate of the samples.
-    window: Samples of a parabola, odd; by default those of `WINDOW_S`.
-    window: Samples of the next parabolas.
+    window: Samples of the next parabolas, odd; initially those of `WINDOW_S` by default.
     """
 
     def __init__(self, rate_hz: float, window: int | None = None) -> None:
-        self.window = window or samples_of(WINDOW_S, rate_hz)
+        self.window = window or count_samples(WINDOW_S, rate_hz)
         self._rate_hz = rate_hz
-        self._begin()
+        self._restart()
 
-    def _begin(self) -> None:
+    def _restart(self) -> None:
         self._time, self._x = np.empty(0), np.empty(0)
         self._next = -1  # place of the next middle of a window; -1: the first one of a segment
 
     @property
     def half_s(self) -> float:
-        """Half of the window, s: so late the motion is, and so much it rounds a corner to either side."""
+        """Half of the window, s: the delay of the motion, and the rounding of a corner to either side."""
         return (self.window - 1) / 2 / self._rate_hz
 
     def feed(self, new: NewSamples) -> LiveMotion:
@@ -78,42 +74,42 @@ class LiveFilter:
         parts = []
         for start, stop in pairwise(cuts):
             if start < new.time.size and new.fresh[start]:
-                self._begin()
+                self._restart()
             self._time = np.concatenate((self._time, new.time[start:stop]))
             self._x = np.concatenate((self._x, new.position[start:stop]))
-            parts.append(self._made())
+            parts.append(self._compute_motion())
         return joined(parts)
 
-    def _made(self) -> LiveMotion:
-        """Return the motion at the middles that can be had now."""
+    def _compute_motion(self) -> LiveMotion:
+        """Return the motion at the middles that are complete now."""
         half = self.window // 2
         begins = self._next < 0
         first = half if begins else self._next
         stop = self._time.size - half
         if stop <= first:
-            nothing = np.empty(0)
-            return LiveMotion(nothing, nothing, nothing, nothing, np.empty(0, np.bool_))
+            empty = np.empty(0)
+            return LiveMotion(empty, empty, empty, empty, np.empty(0, np.bool_))
         # A window that has grown reaches beyond the first sample of its segment at first.
         low = max(first, half)
         span = slice(low - half, stop + half)
         v, a = np.full((2, stop - first), math.nan)
         if stop > low:
             longest = 1.5 * self.window / self._rate_hz
-            v[low - first :], a[low - first :] = parabolas(self._time[span], self._x[span], self.window, longest)
+            v[low - first :], a[low - first :] = fit_parabolas(self._time[span], self._x[span], self.window, longest)
         fresh = np.diff(self._time[first:stop], prepend=self._time[max(0, first - 1)]) > HOLE / self._rate_hz
         fresh[0] |= begins
         motion = LiveMotion(self._time[first:stop], self._x[first:stop], v, a, fresh)
-        kept = max(0, stop - LONGEST_PARABOLA // 2)
-        self._time, self._x, self._next = self._time[kept:], self._x[kept:], stop - kept
+        n_dropped = max(0, stop - LONGEST_PARABOLA // 2)
+        self._time, self._x, self._next = self._time[n_dropped:], self._x[n_dropped:], stop - n_dropped
         return motion
 
-    def errors(self, density: float) -> MotionErrors:
+    def estimate_errors(self, density: float) -> MotionErrors:
         """Return the errors of the motion from readings whose noise has a density, m^2 s: variance over their rate."""
         window_s = self.window / self._rate_hz
         variances = density * self._rate_hz, 12 * density / window_s**3, 720 * density / window_s**5
         return MotionErrors(*map(math.sqrt, variances))
 
-    def suit_slips(self, density: float, slip_s: float, drop: float, stick_s: float) -> None:
+    def fit_window_to_slips(self, density: float, slip_s: float, drop: float, stick_s: float) -> None:
         """Choose the window for slips of a duration, s, and a drop, m, between sticks, in readings of a noise density.
 
         A parabola over 2h of a sine of amplitude A = drop/2 and angular frequency w = pi/slip_s has an acceleration
@@ -122,11 +118,11 @@ class LiveFilter:
         """
         curvature = drop / 2 * (math.pi / slip_s) ** 4 / 14
         half_s = (1.25 * 22.5 * density / curvature**2) ** (1 / 9)
-        # So short that noise looks like slips it must not be, whatever is taken for slips.
+        # It must not be so short that noise looks like slips, however slips are defined.
         least_s = (12 * density * (slip_s / (QUIET_SHARE * drop)) ** 2) ** (1 / 3)
         self._choose(max(min(2 * half_s, MOST_SHARE * min(slip_s, stick_s)), least_s))
 
-    def quiet_window(self, motion: LiveMotion, density: float, share: float) -> int:
+    def find_quiet_window(self, motion: LiveMotion, density: float, share: float) -> int:
         """Return the window, as short as now or longer, in which noise makes at most a share of the rms acceleration.
 
         The one of now where none does: then there is no acceleration but that of the noise.
@@ -134,23 +130,23 @@ class LiveFilter:
         time, x = motion.time[-MOST_TRIED:], motion.x[-MOST_TRIED:]
         trial = LiveFilter(self._rate_hz, self.window)
         while trial.window <= min(LONGEST_PARABOLA, time.size // 4):
-            a = parabolas(time, x, trial.window, math.inf)[1]
-            if trial.errors(density).a <= share * float(np.sqrt(np.mean(a * a))):
+            a = fit_parabolas(time, x, trial.window, math.inf)[1]
+            if trial.estimate_errors(density).a <= share * float(np.sqrt(np.mean(a * a))):
                 return trial.window
             trial.window = round(1.5 * trial.window) | 1
         return self.window
 
     def _choose(self, window_s: float) -> None:
-        wanted = samples_of(window_s, self._rate_hz)
-        if not self.window / CHANGED <= wanted <= self.window * CHANGED:
-            self.window = wanted
+        wanted_samples = count_samples(window_s, self._rate_hz)
+        if not self.window / CHANGED <= wanted_samples <= self.window * CHANGED:
+            self.window = wanted_samples
 
 
-def noise_density(time: Array, x: Array) -> float:
+def estimate_noise_density(time: Array, x: Array) -> float:
     """Return the density of the noise of readings, m^2 s: variance over rate; ``time`` and ``x``, (n,), evenly spaced.
 
-    The variance is that of third differences, of which slips are few.  Where most readings repeat the one before they
-    are counts: one is wrong by a twelfth of its square, anew as often as it changes.
+    The variance is that of third differences, of which slips are few.  If most readings repeat the previous one they
+    are counts: the variance of one is a twelfth of its square, independent at each change.
     """
     steps = np.diff(x)
     span = float(time[-1]) - float(time[0])
@@ -162,18 +158,16 @@ def noise_density(time: Array, x: Array) -> float:
     return sd * sd / 20 * span / float(time.size)
 
 
-def samples_of(window_s: float, rate_hz: float) -> int:
+def count_samples(window_s: float, rate_hz: float) -> int:
     """Return an odd number of samples that last about ``window_s``, from `SHORTEST_PARABOLA` to `LONGEST_PARABOLA`."""
     return min(max(SHORTEST_PARABOLA, round(window_s * rate_hz) | 1), LONGEST_PARABOLA)
 
 
-def parabolas(time: Array, position: Array, window: int, longest: float) -> Array:
-    """Return velocity and acceleration by least-squares parabolas over every ``window`` samples.
+def fit_parabolas(time: Array, position: Array, window: int, longest: float) -> Array:
+    """Return velocity and acceleration, (2, n - window + 1), at the middle sample of each window of a parabola.
 
-    time, position: (n,) s, and m or counts; the times need not be even.
-    window: Samples of each parabola, odd.
-    longest: A window that lasts longer, s, has a gap: its motion is NaN.
-    Returns: (2, n - window + 1) At the middle sample of each window.
+    ``time`` and ``position``, (n,), are in s, and m or counts; the times need not be even.  ``window`` is odd; a window
+    longer than ``longest``, s, has a gap, and its motion is NaN.
     """
     middle = window // 2
     t = np.lib.stride_tricks.sliding_window_view(time, window)
@@ -192,6 +186,6 @@ def parabolas(time: Array, position: Array, window: int, longest: float) -> Arra
     determinant = s11 * s22 - s12 * s12
     c1, c2 = (r1 * s22 - r2 * s12) / determinant, (r2 * s11 - r1 * s12) / determinant
     # At the middle u = 0: the slope is c1, the curvature 2 c2.
-    found = np.array([c1 / scale, 2 * c2 / scale**2])
-    found[:, t[:, -1] - t[:, 0] > longest] = math.nan
-    return found
+    derivatives = np.array([c1 / scale, 2 * c2 / scale**2])
+    derivatives[:, t[:, -1] - t[:, 0] > longest] = math.nan
+    return derivatives

@@ -1,6 +1,6 @@
-"""What the pages of a view are sent: events with numbers, and any stretch of the record when they ask for it.
+"""The data sent to the pages of a view: numbered events, and any stretch of the record on request.
 
-An event is one JSON document.  Members of it, each left out where there is nothing to say:
+An event is one JSON document with these members, each only if there is something new:
 
 ::
 
@@ -8,12 +8,12 @@ An event is one JSON document.  Members of it, each left out where there is noth
                         also x between two samples that nothing connects
     counts              totals so far: samples, lost, crc_errors, illegal, phase_errors, segments
     unit, state         "m" or "count"; "stick", "slip", "moving" or "gap"
-    trouble             what is wrong now, in words; "" when it is over
-    summary             `daq.live.analysis.LiveAnalysis.summary`
+    trouble             the current fault as text; "" when it is over
+    summary             `daq.live.analysis.LiveAnalysis.summarise`
     break_aways         those since the last event: time, position, time of the landing after it
     marker              a person's: {"t", "text"}
     progress            share of a finished run that has been read
-    ended               how the recording ended, in words: the last event
+    ended               how the recording ended, as text: the last event
 """
 
 import asyncio
@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from daq.finalise import claim
-from daq.live.analysis import LiveAnalysis, columns, number
+from daq.live.analysis import LiveAnalysis, motion_columns, round_for_json
 from daq.live.finished import RunSamples
 from daq.live.motion import LONGEST_PARABOLA, LiveFilter, LiveMotion
 from daq.live.tail import JournalTail, JournalTotals
@@ -41,22 +41,22 @@ from daq.runfile import journal
 from stickslip.compute.arrays import Array, joined, rows
 from stickslip.errors import InputError
 
-# From one look at the journal to the next: the page draws what came in two halves, 20 frames/s.  A look takes 2 to 3 ms
-# of CPU time, nearly the same for 50 samples as for 100: half of it takes almost twice the share of a core.
+# From one look at the journal to the next: the page draws the data of one in two halves, at 20 frames/s.  A look takes
+# 2 to 3 ms of CPU time.
 LOOK_EVERY_S = 0.099
 SUMMARY_EVERY_S = 1.0
-MOST_PER_S = 1000  # points sent per second of recording: of faster runs every second, third ... sample
-HISTORY_S = 120.0  # what a page that connects late, or again, is sent of a running recording
+MOST_PER_S = 1000  # points sent per second of recording: every second, third ... sample of faster runs
+HISTORY_S = 120.0  # span of a running recording that is sent to a page that connects late
 GONE_AFTER_S = 3.0  # a journal that does not grow for so long may have lost its recorder
-LOSS_SHOWN_S = 10.0  # for so long a loss of samples is called out
+LOSS_SHOWN_S = 10.0  # for so long a loss of samples is reported
 LONGEST_MARKER = 200  # characters
 MOST_ROWS = 30_000  # rows of a stretch that is sent sample by sample: six for each pixel of a wide screen
-ON_EDGE = 1e-3  # samples: times closer to an edge than that are at it, but for rounding
-MOST_PLACES = 1024  # in the journal from which its samples can be read again: 2 kB each
+ON_EDGE = 1e-3  # samples: times closer to an edge are at it, apart from rounding
+MOST_PLACES = 1024  # positions in the journal from which samples can be read again, 2 kB each
 PART_BYTES = 1 << 16  # part of the journal read again at once
 PORTION = 1 << 8  # samples of a finished run that are analysed at once
-SERVED_EVERY_S = 0.02  # pages, while a finished run is read
-LEARNED_FROM = 1 << 17  # samples of a finished run from which the window of its motion is chosen
+SERVED_EVERY_S = 0.02  # interval of serving pages while a finished run is read
+LEARNED_FROM = 1 << 17  # first samples of a finished run, from which the window of its motion is chosen
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,16 @@ class PageEvent:
 
 
 class NotPossibleError(Exception):
-    """What a page asks for cannot be done, in words."""
+    """A request of a page cannot be fulfilled; the message says why."""
 
 
 class Publisher(ABC):
-    """The events of a view, and whoever waits for the next one.
+    """The events of a view, and how to wait for the next one.
 
     path: The journal, or the run file.
     rate_hz: Nominal rate of the samples.
-    ended: How the view has ended, "" while it goes on.
-    failure: What has ended it.
+    ended: How the view has ended, "" until then.
+    failure: The error that ended it.
     """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
@@ -90,64 +90,67 @@ class Publisher(ABC):
         self._number = 0
         self._came = asyncio.Event()
         self._now = 0.0
-        self._told = 0  # break-aways
+        self._n_sent = 0  # break-aways
 
     @abstractmethod
     async def follow(self) -> None:
-        """Publish events until the view has ended; an error ends it, and is kept in `failure`."""
+        """Publish events until the view has ended; an error ends it, and is stored in `failure`."""
 
     @abstractmethod
-    def facts(self) -> dict[str, Any]:
-        """Return what a page is sent first."""
+    def describe_run(self) -> dict[str, Any]:
+        """Return the data that a page receives first."""
 
     @abstractmethod
-    def _stretch(self, begin: float, end: float) -> LiveMotion | None:
-        """Return the motion from time ``begin`` to ``end``, s, or somewhat more; None where there is none."""
+    def _load_stretch(self, begin: float, end: float) -> LiveMotion | None:
+        """Return the motion from time ``begin`` to ``end``, s, or somewhat more; None if there is none."""
 
     def mark(self, text: str) -> None:
-        """Store a marker of this moment; NotPossibleError where there is no recording."""
+        """Store a marker at the current time; NotPossibleError if there is no recording."""
         raise NotPossibleError("there is no recording; use daq note --mark")
 
     def stop(self) -> None:
-        """Ask the recorder to end the recording and keep its data; NotPossibleError where there is no recording."""
+        """Ask the recorder to end the recording and keep its data; NotPossibleError if there is no recording."""
         raise NotPossibleError("there is no recording to stop")
 
     def stretch(self, begin: float, end: float) -> str:
         """Return the JSON of a stretch of the record: columns t, x, v, a, and whether they are all samples, ``exact``.
 
-        A sample on an edge is one of them.  A stretch of more than `MOST_ROWS` samples is thinned to its extremes.
+        A sample on an edge is included.  A stretch of more than `MOST_ROWS` samples is thinned to its extremes.
         """
-        motion = self._stretch(begin, end) if (end - begin) * self.rate_hz <= MOST_ROWS else None
-        found = columns(motion) if motion is not None else self.analysis.overview.rows()
-        own = (found[0] >= begin - ON_EDGE / self.rate_hz) & (found[0] <= end + ON_EDGE / self.rate_hz)
-        return json.dumps({"exact": motion is not None})[:-1] + _members(_texts(found[:, own])) + "}"
+        motion = self._load_stretch(begin, end) if (end - begin) * self.rate_hz <= MOST_ROWS else None
+        rows = motion_columns(motion) if motion is not None else self.analysis.overview.collect_rows()
+        inside = (rows[0] >= begin - ON_EDGE / self.rate_hz) & (rows[0] <= end + ON_EDGE / self.rate_hz)
+        return json.dumps({"exact": motion is not None})[:-1] + _join_members(_format_columns(rows[:, inside])) + "}"
 
     async def events(self, after: int) -> AsyncIterator[PageEvent]:
         """Yield the events after a number, those of the past first, until the view has ended."""
         while True:
-            came = self._came
+            arrived = self._came
             for event in [event for event in self._events if event.number > after]:
                 after = event.number
                 yield event
             if self.ended:
                 return
-            await came.wait()
+            await arrived.wait()
 
-    def _summary(self) -> dict[str, Any]:
+    def _new_members(self) -> dict[str, Any]:
         """Return the members ``summary`` and ``break_aways``."""
-        every = list(self.analysis.break_aways)
-        new = every[max(0, len(every) - (self.analysis.slips - self._told)) :]
-        self._told = self.analysis.slips
-        return {"summary": self.analysis.summary(), "break_aways": _rows(new)}
+        break_aways = list(self.analysis.break_aways)
+        new = break_aways[max(0, len(break_aways) - (self.analysis.slips - self._n_sent)) :]
+        self._n_sent = self.analysis.slips
+        return {"summary": self.analysis.summarise(), "break_aways": _round_break_aways(new)}
 
-    def _known(self) -> dict[str, Any]:
+    def _all_members(self) -> dict[str, Any]:
         """Return the same members for a page that connects: all break-aways."""
-        return {"summary": self.analysis.summary(), "break_aways": _rows(list(self.analysis.break_aways))}
+        return {
+            "summary": self.analysis.summarise(),
+            "break_aways": _round_break_aways(list(self.analysis.break_aways)),
+        }
 
     def _send(self, data: dict[str, Any], texts: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Keep an event for the pages; ``texts`` are members that are JSON already, by name."""
+        """Store an event for the pages; ``texts`` are members that are already JSON, by name."""
         self._number += 1
-        self._events.append(PageEvent(self._number, self._now, json.dumps(data)[:-1] + _members(texts) + "}"))
+        self._events.append(PageEvent(self._number, self._now, json.dumps(data)[:-1] + _join_members(texts) + "}"))
         while self._events[0].time < self._now - HISTORY_S:
             self._events.popleft()
         self._came.set()
@@ -159,10 +162,7 @@ class Publisher(ABC):
 
 
 class LiveRun(Publisher):
-    """A recording while it runs.
-
-    path: The journal.
-    """
+    """A recording while it runs; ``path`` is its journal."""
 
     def __init__(self, path: Path) -> None:
         self.tail = JournalTail(path)
@@ -177,7 +177,6 @@ class LiveRun(Publisher):
         self._spacing_s = 1.0
 
     async def follow(self) -> None:
-        """Look at the journal until the recording has ended."""
         due = time.monotonic()
         while not self.ended:
             try:
@@ -190,25 +189,25 @@ class LiveRun(Publisher):
             await asyncio.sleep(due - now)
 
     def look(self) -> None:
-        """Take what is new in the journal and make an event of it."""
+        """Read the new data in the journal and publish them as an event."""
         try:
-            new = self.tail.poll()
+            pieces = self.tail.poll()
         except FileNotFoundError:
-            self._end(self._gone())
+            self._end(self._explain_missing())
             return
         except InputError as error:
             self._end(f"the journal {error.what}")
             return
         self.analysis.rig, self.analysis.unit = self.tail.rig, self.tail.unit
-        motions = [self.analysis.feed(part) for part in new]
-        if new:
-            self._last_new, self._now = time.monotonic(), float(new[-1].time[-1])
+        motions = [self.analysis.feed(part) for part in pieces]
+        if pieces:
+            self._last_new, self._now = time.monotonic(), float(pieces[-1].time[-1])
             self._remember()
         summary: dict[str, Any] = {}
         if self._last_new - self._summed >= SUMMARY_EVERY_S or self.tail.ended:
             self._summed = self._last_new
-            summary = self._summary()
-        trouble = self._wrong()
+            summary = self._new_members()
+        trouble = self._find_trouble()
         if motions or summary or trouble != self._trouble:
             self._trouble = trouble
             self._publish(np.concatenate(motions, axis=1) if motions else None, summary)
@@ -219,25 +218,24 @@ class LiveRun(Publisher):
             self._end(f"the recording process is gone: daq recover {self.tail.path.name}")
 
     def mark(self, text: str) -> None:
-        """Store a marker of this moment beside the journal; the finaliser makes an event of it."""
+        """Store a marker of the current time next to the journal; the finaliser makes it an event."""
         if self.ended:
             raise NotPossibleError("the recording has ended; use daq note --mark")
-        words = " ".join(text.split())[:LONGEST_MARKER] or "marker"
+        label = " ".join(text.split())[:LONGEST_MARKER] or "marker"
         handle = os.open(journal.markers_path(self.tail.path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:
-            os.write(handle, f"{time.monotonic_ns()} {words}\n".encode())
+            os.write(handle, f"{time.monotonic_ns()} {label}\n".encode())
         finally:
             os.close(handle)
-        self._send({"marker": {"t": self._now, "text": words}})
+        self._send({"marker": {"t": self._now, "text": label}})
 
     def stop(self) -> None:
-        """Put the file beside the journal that asks its recorder to stop."""
+        """Create the file next to the journal that asks its recorder to stop."""
         if self.ended:
             raise NotPossibleError("the recording has ended")
         journal.stop_path(self.tail.path).touch()
 
-    def facts(self) -> dict[str, Any]:
-        """Return what a page is sent first: what is recorded, and what is known so far."""
+    def describe_run(self) -> dict[str, Any]:
         header = self.tail.header
         samples = header["samples"]
         return {
@@ -248,29 +246,29 @@ class LiveRun(Publisher):
             "every": self._stride,
             "finished": False,
             "trouble": self._trouble,
-            **self._known(),
+            **self._all_members(),
         }
 
-    def _stretch(self, begin: float, end: float) -> LiveMotion | None:
+    def _load_stretch(self, begin: float, end: float) -> LiveMotion | None:
         window = self.analysis.filter.window
         margin = window / self.rate_hz
         places = self._places
-        at = bisect_right([place for place, _ in places], begin - margin) - 1
-        tail = places[at][1].fork()
-        filtered = LiveFilter(self.rate_hz, window)
-        found: list[LiveMotion] = []
+        index = bisect_right([place for place, _ in places], begin - margin) - 1
+        tail = places[index][1].fork()
+        motion_filter = LiveFilter(self.rate_hz, window)
+        motions: list[LiveMotion] = []
         while True:
-            before = tail.bytes_read
+            bytes_before = tail.bytes_read
             try:
-                new = tail.poll(PART_BYTES)
+                pieces = tail.poll(PART_BYTES)
             except (OSError, InputError):
                 return None
-            found += [filtered.feed(part) for part in new]
-            if tail.bytes_read == before or (new and new[-1].time[-1] > end + margin):
-                return joined(found) if found else None
+            motions += [motion_filter.feed(part) for part in pieces]
+            if tail.bytes_read == bytes_before or (pieces and pieces[-1].time[-1] > end + margin):
+                return joined(motions) if motions else None
 
     def _remember(self) -> None:
-        """Remember this place of the journal, from which its samples can be read again."""
+        """Store the current position in the journal, from which its samples can be read again."""
         if self._now - self._places[-1][0] < self._spacing_s:
             return
         self._places.append((self._now, self.tail.fork()))
@@ -278,8 +276,8 @@ class LiveRun(Publisher):
             self._places = self._places[::2]
             self._spacing_s *= 2
 
-    def _wrong(self) -> str:
-        """Return what is wrong with the recording now, in words."""
+    def _find_trouble(self) -> str:
+        """Return the current fault as text; "" without one."""
         lost = self.tail.counts.lost
         if lost > self._losses[-1][1]:
             self._losses.append((self._now, lost))
@@ -287,21 +285,21 @@ class LiveRun(Publisher):
             self._losses.popleft()
         if self.tail.port_lost:
             return f"the port was lost ({self.tail.port_lost}): the recorder waits for it"
-        silent = time.monotonic() - self._last_new
-        if silent > GONE_AFTER_S:
-            return f"no sample for {silent:.0f} s"
+        silent_s = time.monotonic() - self._last_new
+        if silent_s > GONE_AFTER_S:
+            return f"no sample for {silent_s:.0f} s"
         if lost > self._losses[0][1] and self._losses[-1][0] > self._now - LOSS_SHOWN_S:
             return f"the board loses samples: {lost - self._losses[0][1]} in the last {LOSS_SHOWN_S:g} s"
         return ""
 
-    def _gone(self) -> str:
-        """Return what has become of a recording whose journal has no name any more."""
+    def _explain_missing(self) -> str:
+        """Return what happened to a recording whose journal is gone."""
         run = self.path.with_suffix("")
         try:
-            finished = run.stat().st_mtime_ns >= self.tail.header["wall_ns"]
+            is_finished = run.stat().st_mtime_ns >= self.tail.header["wall_ns"]
         except OSError:
-            finished = False
-        if finished:
+            is_finished = False
+        if is_finished:
             return "the recording has ended"
         return (
             f"{self.path.name} has been moved or removed; the terminal of daq record says where the recording goes on"
@@ -310,20 +308,17 @@ class LiveRun(Publisher):
     def _publish(self, motion: Array | None, summary: dict[str, Any]) -> None:
         texts: dict[str, str] = {}
         if motion is not None:
-            kept = motion[:, self._skip :: self._stride]
+            shown = motion[:, self._skip :: self._stride]
             self._skip = (self._skip - motion.shape[1]) % self._stride
-            kept = kept[:, kept[0] > self._now - HISTORY_S]  # of a viewer that catches up
-            texts = _texts(np.concatenate((self._before, kept), axis=1), self._before.shape[1])
-            self._before = kept[:, -1:] if kept.size else self._before
+            shown = shown[:, shown[0] > self._now - HISTORY_S]  # of a viewer that catches up
+            texts = _format_columns(np.concatenate((self._before, shown), axis=1), self._before.shape[1])
+            self._before = shown[:, -1:] if shown.size else self._before
         data = {"counts": vars(self.tail.counts), "unit": self.tail.unit, "state": self.analysis.state}
         self._send({**data, "trouble": self._trouble, **summary}, texts)
 
 
 class FinishedRun(Publisher):
-    """A run file in the same view.
-
-    path: The run file.
-    """
+    """A run file in the same view."""
 
     def __init__(self, path: Path) -> None:
         self.samples = RunSamples(path)
@@ -343,15 +338,15 @@ class FinishedRun(Publisher):
             self._end(f"the run cannot be read ({error})")
             return
         self._progress = 1.0
-        self._tell()
+        self._send_progress()
         await asyncio.Event().wait()
 
     async def _read(self, analysis: LiveAnalysis, most: int | None = None) -> None:
-        """Analyse the samples, or so many of the first ones, and tell of it now and then."""
+        """Analyse the samples, or so many of the first ones, and send the progress at intervals."""
         analysis.rig, analysis.unit = self.samples.header.rig, self.samples.header.unit
         updated = served = time.monotonic()
-        for piece in self.samples.pieces():
-            # In portions, as a recording comes: what is estimated on the way is used for the next one.
+        for piece in self.samples.read_pieces():
+            # In portions, as in a recording: estimates from one are used for the next one.
             for first in range(0, piece.time.size, PORTION):
                 analysis.feed(rows(piece, slice(first, first + PORTION)))
                 if time.monotonic() - served > SERVED_EVERY_S:
@@ -362,20 +357,19 @@ class FinishedRun(Publisher):
             if time.monotonic() - updated > SUMMARY_EVERY_S:
                 updated = time.monotonic()
                 self._progress = self.samples.counts.samples / self.samples.times.size if most is None else 0.0
-                self._tell()
+                self._send_progress()
 
-    def _tell(self) -> None:
+    def _send_progress(self) -> None:
         counts = vars(self.samples.counts)
-        self._send({"counts": counts, "unit": self.analysis.unit, "progress": self._progress, **self._summary()})
+        self._send({"counts": counts, "unit": self.analysis.unit, "progress": self._progress, **self._new_members()})
 
-    def facts(self) -> dict[str, Any]:
-        """Return what a page is sent first: what was recorded, and what is known so far."""
+    def describe_run(self) -> dict[str, Any]:
         run, times = self.samples.header, self.samples.times
         return {
             "title": run.title,
             "file": self.path.name,
             "rate": self.rate_hz,
-            "duration": number(float(times[-1] - times[0])),
+            "duration": round_for_json(float(times[-1] - times[0])),
             "every": 1,
             "finished": True,
             "first": float(times[0]),
@@ -383,31 +377,33 @@ class FinishedRun(Publisher):
             "started": run.started,
             "unit": run.unit,
             "counted": run.raw is not None,
-            "markers": [{"t": float(times[at]), "text": words} for at, words in self._markers()],
-            **self._known(),
+            "markers": [{"t": float(times[sample]), "text": label} for sample, label in self._find_markers()],
+            **self._all_members(),
         }
 
-    def _markers(self) -> list[tuple[int, str]]:
+    def _find_markers(self) -> list[tuple[int, str]]:
         run = self.samples.header
         events = zip(run.event_sample.tolist(), run.event_kind, run.event_note, strict=True)
-        return [(at, words) for at, kind, words in events if kind == "marker" and at < self.samples.times.size]
+        return [
+            (sample, label) for sample, kind, label in events if kind == "marker" and sample < self.samples.times.size
+        ]
 
-    def _stretch(self, begin: float, end: float) -> LiveMotion | None:
+    def _load_stretch(self, begin: float, end: float) -> LiveMotion | None:
         try:
-            found = self.samples.between(begin, end, LONGEST_PARABOLA, MOST_ROWS)
+            samples = self.samples.load_between(begin, end, LONGEST_PARABOLA, MOST_ROWS)
         except (OSError, InputError):  # the file has been moved meanwhile
             return None
-        return LiveFilter(self.rate_hz, self.analysis.filter.window).feed(found)
+        return LiveFilter(self.rate_hz, self.analysis.filter.window).feed(samples)
 
 
-def _rows(break_aways: list[tuple[float, float, float]]) -> list[list[float | None]]:
-    return [[round(time, 6), number(x), round(landing, 6)] for time, x, landing in break_aways]
+def _round_break_aways(break_aways: list[tuple[float, float, float]]) -> list[list[float | None]]:
+    return [[round(time, 6), round_for_json(x), round(landing, 6)] for time, x, landing in break_aways]
 
 
-def _texts(rows: Array, known: int = 0) -> dict[str, str]:
+def _format_columns(rows: Array, n_sent: int = 0) -> dict[str, str]:
     """Return rows t, x, v, a, piece as JSON lists by name, with a row without a position between two pieces.
 
-    The first ``known`` rows have been sent before.
+    The first ``n_sent`` rows have been sent before.
     """
     breaks = np.flatnonzero(np.diff(rows[4]) != 0) + 1
     if breaks.size:
@@ -415,13 +411,15 @@ def _texts(rows: Array, known: int = 0) -> dict[str, str]:
         between[0] = (rows[0, breaks - 1] + rows[0, breaks]) / 2
         rows = np.insert(rows, breaks, between, axis=1)
     forms = {"t": "%.6f", "x": "%.7g", "v": "%.5g", "a": "%.5g"}
-    return {name: _column(values[known:], form) for (name, form), values in zip(forms.items(), rows, strict=False)}
+    return {
+        name: _format_column(values[n_sent:], form) for (name, form), values in zip(forms.items(), rows, strict=False)
+    }
 
 
-def _column(values: Array, form: str) -> str:
+def _format_column(values: Array, form: str) -> str:
     return "[" + ",".join([form % value if math.isfinite(value) else "null" for value in values.tolist()]) + "]"
 
 
-def _members(texts: Mapping[str, str]) -> str:
-    """Return what follows the other members of a JSON object: names and texts that are JSON already."""
+def _join_members(texts: Mapping[str, str]) -> str:
+    """Return the rest of a JSON object, from the comma on: names and texts that are already JSON."""
     return "".join(f', "{name}": {text}' for name, text in texts.items())

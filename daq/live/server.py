@@ -1,4 +1,4 @@
-"""The server of the live view: one page and what it asks for, on the loopback interface alone.
+"""The server of the live view: one page and its data, on the loopback interface only.
 
 It runs in a process of its own and only reads the journal or the run file, so that nothing here can slow a recording.
 Every path begins with a random token, and a request that names another host or comes from another site is refused: a
@@ -6,7 +6,7 @@ page of another site can neither read the data, nor set a marker, nor stop a rec
 
 ::
 
-    GET  /TOKEN/            the page, and its files beside it
+    GET  /TOKEN/            the page, and its files
     GET  /TOKEN/events      server-sent events (`daq.live.publisher`)
     GET  /TOKEN/stretch     ?from=S&to=S: a stretch of the record, JSON
     POST /TOKEN/marker      text/plain: a marker of this moment
@@ -34,7 +34,7 @@ from daq.live import assets
 from daq.live.publisher import LONGEST_MARKER, FinishedRun, LiveRun, NotPossibleError, Publisher
 
 LOOPBACK = "127.0.0.1"
-FAREWELL_S = 1.0  # the server goes on for so long after the end: pages fetch the last events
+FAREWELL_S = 1.0  # the server runs for so long after the end, so that pages get the last events
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -43,7 +43,7 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-# What a browser shows at an address that is not a view's; it says nothing of what there is.
+# The page at an address that is not a view's; it reveals nothing.
 NO_VIEW = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>no live view here</title><h1>There is no live view at this address</h1>
 <p>The address of a view changes each time one is started. Use the one that <code>daq watch</code> or
@@ -51,25 +51,24 @@ NO_VIEW = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="vi
 """
 
 
-def application(run: Publisher, token: str, host: str, finished: Callable[[], None]) -> Starlette:
-    """Return the web application.
+def create_application(run: Publisher, token: str, host: str, on_end: Callable[[], None]) -> Starlette:
+    """Return the web application of a recording or run.
 
-    run: The recording, or the run.
-    token: What every path begins with.
-    host: ``address:port`` of the server: other Host headers are refused.
-    finished: Called `FAREWELL_S` after the end of the recording.
+    token: First part of every path.
+    host: ``address:port`` of the server: other Host headers are rejected.
+    on_end: Called `FAREWELL_S` after the end of the recording.
     """
 
     async def page(request: Request) -> Response:
         name = request.path_params.get("name", "index.html")
         if name not in assets.KINDS:
             return PlainTextResponse("not found", 404)
-        return Response(assets.content(name), media_type=assets.KINDS[name])
+        return Response(assets.read_content(name), media_type=assets.KINDS[name])
 
     async def data(request: Request) -> Response:
-        last = request.headers.get("last-event-id", "")
-        after = int(last) if last.isascii() and last.isdecimal() else 0
-        return StreamingResponse(_stream(run, after), media_type="text/event-stream")
+        last_id = request.headers.get("last-event-id", "")
+        first_number = int(last_id) if last_id.isascii() and last_id.isdecimal() else 0
+        return StreamingResponse(_stream_events(run, first_number), media_type="text/event-stream")
 
     async def stretch(request: Request) -> Response:
         try:
@@ -82,10 +81,10 @@ def application(run: Publisher, token: str, host: str, finished: Callable[[], No
         return Response(text, media_type="application/json")
 
     async def marker(request: Request) -> Response:
-        return await _done(request, run.mark, "the marker could not be stored")
+        return await _answer_post(request, run.mark, "the marker could not be stored")
 
     async def stop(request: Request) -> Response:
-        # A browser names the page's site with every POST; what does not may be no page at all.
+        # A browser sends the page's site with every POST; a request without it may not come from a page.
         if "origin" not in request.headers:
             return PlainTextResponse("only the page itself may stop a recording", 403)
 
@@ -94,14 +93,14 @@ def application(run: Publisher, token: str, host: str, finished: Callable[[], No
                 raise NotPossibleError("say stop")
             run.stop()
 
-        return await _done(request, stop_it, "the recording cannot be stopped from here")
+        return await _answer_post(request, stop_it, "the recording cannot be stopped from here")
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         async def follow() -> None:
             await run.follow()
             await asyncio.sleep(FAREWELL_S)
-            finished()
+            on_end()
 
         task = asyncio.create_task(follow())
         yield
@@ -121,8 +120,8 @@ def application(run: Publisher, token: str, host: str, finished: Callable[[], No
     )
 
 
-async def _done(request: Request, do: Callable[[str], None], failed: str) -> Response:
-    """Do what a POST of plain text asks for, and say whether it is done."""
+async def _answer_post(request: Request, action: Callable[[str], None], failure: str) -> Response:
+    """Call an action with the plain text of a POST, and report whether it succeeded."""
     if request.headers.get("content-type", "").split(";")[0] != "text/plain":
         return PlainTextResponse("send text/plain", 415)
     body = b""
@@ -131,23 +130,23 @@ async def _done(request: Request, do: Callable[[str], None], failed: str) -> Res
         if len(body) > 4 * LONGEST_MARKER:
             return PlainTextResponse("the text is too long", 413)
     try:
-        do(body.decode(errors="replace"))
+        action(body.decode(errors="replace"))
     except NotPossibleError as error:
         return PlainTextResponse(str(error), 409)
     except OSError as error:
-        return PlainTextResponse(f"{failed}: {error.strerror}", 507)
+        return PlainTextResponse(f"{failure}: {error.strerror}", 507)
     return PlainTextResponse("stored")
 
 
-async def _stream(run: Publisher, after: int) -> AsyncIterator[str]:
-    """Yield what a page is sent: the facts of the run, then its events, each with its number."""
-    yield f"retry: 500\nevent: facts\ndata: {json.dumps(run.facts())}\n\n"
+async def _stream_events(run: Publisher, after: int) -> AsyncIterator[str]:
+    """Yield the data for a page: the facts of the run, then its events, each with its number."""
+    yield f"retry: 500\nevent: facts\ndata: {json.dumps(run.describe_run())}\n\n"
     async for event in run.events(after):
         yield f"id: {event.number}\ndata: {event.data}\n\n"
 
 
 class Guard:
-    """Refuse requests for another host, from another site or without the token; add the headers of every answer."""
+    """Reject requests for another host, from another site or without the token; add the headers of every answer."""
 
     def __init__(self, app: ASGIApp, host: str, token: str) -> None:
         self._app = app
@@ -155,7 +154,6 @@ class Guard:
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -183,24 +181,23 @@ class Guard:
 def serve(path: Path, show: Callable[[str], None]) -> str:
     """Serve the view of a journal until its recording ends, or of a run file; until SIGINT comes.
 
-    path: The journal (``.part``), or the run file.
-    show: Called with the page's URL when the server accepts connections.
-    Returns: How the recording ended; "" after SIGINT.
-    Raises InputError: the file is missing, or no journal or run.
+    ``path`` is the journal (``.part``), or the run file; ``show`` is called with the page's URL when the server accepts
+    connections.  Returned is how the recording ended; "" after SIGINT.  Raises InputError if the file is missing, or
+    not a journal or run.
     """
     import uvicorn
 
     run = LiveRun(path) if path.suffix == ".part" else FinishedRun(path)
     token = secrets.token_urlsafe(18)
-    with socket.create_server((LOOPBACK, 0)) as listening:
-        host = f"{LOOPBACK}:{listening.getsockname()[1]}"
+    with socket.create_server((LOOPBACK, 0)) as listener:
+        host = f"{LOOPBACK}:{listener.getsockname()[1]}"
         server: uvicorn.Server
 
-        def finished() -> None:
+        def stop_server() -> None:
             server.should_exit = True
 
         config = uvicorn.Config(
-            application(run, token, host, finished),
+            create_application(run, token, host, stop_server),
             log_level="critical",
             access_log=False,
             timeout_graceful_shutdown=1,
@@ -209,7 +206,7 @@ def serve(path: Path, show: Callable[[str], None]) -> str:
         server = uvicorn.Server(config)
         show(f"http://{host}/{token}/")
         with contextlib.suppress(KeyboardInterrupt):
-            server.run(sockets=[listening])
+            server.run(sockets=[listener])
     if run.failure is not None:
         raise run.failure
     return run.ended

@@ -1,7 +1,7 @@
-"""Follow a journal that is being written: the samples that came since the last look, decoded as the finaliser does.
+"""Follow a journal that is being written: the samples since the last look, decoded as by the finaliser.
 
-A chunk of bytes is decoded together with the last lines before it, so that its first samples have neighbours.  Of
-each chunk only the samples after the last one known are handed on; counts and times continue from there.
+A chunk of bytes is decoded together with the last lines before it, so that its first samples have neighbours.  Only the
+samples of a chunk after the last known one are passed on; counts and times continue from there.
 """
 
 import os
@@ -15,7 +15,7 @@ import numpy as np
 from daq import protocols
 from daq.finalise import connections, timeline
 from daq.finalise.integrity import CheckedCounts, check
-from daq.finalise.run import calibration
+from daq.finalise.run import read_calibration
 from daq.protocols import blocks
 from daq.runfile import journal, journal_header, journal_records
 from daq.runfile.journal import Record
@@ -25,8 +25,7 @@ from daq.wire import counters, decode, frames
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
-# Lines decoded again with the next chunk.  A text line needs neighbours on both sides for its time to be judged; half
-# leaves few where several are damaged in a row, double costs 0.1 ms more a chunk.
+# Lines decoded again with the next chunk: a text line needs neighbours on both sides for its time to be judged.
 OVERLAP_LINES = 6
 MOST_OVERLAP = 1 << 14  # bytes that are kept of a stream without lines, such as noise at a wrong baud rate
 MOST_BYTES = 1 << 18  # part of a journal read at once, 0.2 s of CPU time: a viewer that starts late catches up in steps
@@ -38,15 +37,15 @@ class NewSamples:
 
     time: Array  # (k,) s since the first sample of the recording, and m (counts without a calibration)
     position: Array
-    # (k,) true for the first sample of a segment: nothing connects it with the one before
+    # (k,) true for the first sample of a segment, which is not connected with the previous one
     fresh: np.typing.NDArray[np.bool_]
-    # (k,) m, of the belt's own encoder, from the first sample of each segment; None without one
+    # (k,) m, of the belt's encoder, from the first sample of each segment; None without one
     belt: Array | None = None
 
 
 @dataclass
 class JournalTotals:
-    """What was counted so far; ``crc_errors`` are damaged frames or lines."""
+    """The totals so far; ``crc_errors`` are damaged frames or lines."""
 
     samples: int = 0
     lost: int = 0
@@ -57,9 +56,7 @@ class JournalTotals:
 
 
 @dataclass(frozen=True)
-class _Last:
-    """The last sample known."""
-
+class _LastSample:
     ticks: int
     time: float
     count: int
@@ -68,15 +65,15 @@ class _Last:
 
 
 class JournalTail:
-    """The samples of a journal, as they come.
+    """The samples of a journal, as they arrive.
 
     path: The journal; it is only read.
     header: How the recording was started.
     rig: Its calibration, once the board has sent it.
     counts: Totals so far.
-    ended: How the recording ended, "" while it goes on (`daq.runfile.journal`).
-    port_lost: Why the port was lost, "" while it is there.
-    Raises InputError: the file is missing, or no journal.
+    ended: How the recording ended, "" until then (`daq.runfile.journal`).
+    port_lost: Why the port was lost, "" while it is connected.
+    Raises InputError if the file is missing, or not a journal.
     """
 
     def __init__(self, path: Path) -> None:
@@ -89,11 +86,11 @@ class JournalTail:
         self._of_blocks = self.header["protocol"] == blocks.NAME
         self._backend = protocols.load("frames" if self._of_blocks else self.header["protocol"], str(path))
         self._rate_hz = float(self.header["rate_hz"])
-        self._at = len(journal.MAGIC)
+        self._position = len(journal.MAGIC)
         self._reads: list[tuple[int, bytes]] = []
         self._configuration: list[Record] = []
         self._ident: frames.Ident | None = None
-        self._last: _Last | None = None
+        self._last: _LastSample | None = None
         self._first_stamp: int | None = None
         self._begun_s = 0.0  # time of the first sample of blocks
         self._trailing_damage = 0
@@ -106,58 +103,57 @@ class JournalTail:
 
     @property
     def bytes_read(self) -> int:
-        """Bytes of the journal that have been looked at."""
-        return self._at
+        return self._position
 
     def fork(self) -> "JournalTail":
-        """Return another tail that goes on from where this one is."""
-        made = copy(self)
-        made.counts = replace(self.counts)
-        return made
+        """Return another tail that continues at the position of this one."""
+        copied = copy(self)
+        copied.counts = replace(self.counts)
+        return copied
 
-    def poll(self, most: int = MOST_BYTES) -> list[NewSamples]:
-        """Return what came since the last call, in order, of at most so many bytes; an empty list when nothing did.
+    def poll(self, most_bytes: int = MOST_BYTES) -> list[NewSamples]:
+        """Return the samples since the last call, in order, from at most so many bytes; an empty list without any.
 
-        Raises FileNotFoundError: the journal is gone: its run file is in place, or its folder was removed.
-        Raises InputError: another journal has its name.
+        Raises FileNotFoundError if the journal is gone: its run file is in place, or its folder was removed; InputError
+        if another journal has its name.
         """
         with self.path.open("rb") as file:
-            if file.seek(0, os.SEEK_END) < self._at:
+            if file.seek(0, os.SEEK_END) < self._position:
                 what = "is shorter than before: it is another recording's"
                 raise InputError(what, str(self.path), "open the view of that recording")
-            file.seek(self._at)
-            content = journal.Content(journal.MAGIC + file.read(most))
-        made: list[NewSamples] = []
-        new: list[tuple[int, bytes]] = []
+            file.seek(self._position)
+            content = journal.Content(journal.MAGIC + file.read(most_bytes))
+        samples: list[NewSamples] = []
+        reads: list[tuple[int, bytes]] = []
         end = len(journal.MAGIC)
-        for place in journal_records.scan(content):
-            record = place.record
-            end = place.at + record.size
+        for located in journal_records.scan(content):
+            record = located.record
+            end = located.at + record.size
             if record.kind == journal.RECEIVED:
-                new.append((record.stamp_ns, record.data))
+                reads.append((record.stamp_ns, record.data))
             elif record.kind == journal.LOST:
                 self.port_lost = record.data.decode(errors="replace") or "without a reason"
             elif record.kind == journal.REOPENED:
-                made += self._decoded(new)
-                new, self._reads, self._last, self._trailing_damage = [], [], None, 0
+                samples += self._decode(reads)
+                reads, self._reads, self._last, self._trailing_damage = [], [], None, 0
                 self.port_lost = ""
             elif record.kind == journal.CONFIGURATION:
                 self._configuration.append(record)
             elif record.kind == journal.END:
                 self.ended = journal.end_reason(record)
-        self._at += end - len(journal.MAGIC)
-        return made + self._decoded(new)
+        self._position += end - len(journal.MAGIC)
+        return samples + self._decode(reads)
 
-    def _decoded(self, new: list[tuple[int, bytes]]) -> list[NewSamples]:
-        if not new:
+    def _decode(self, reads: list[tuple[int, bytes]]) -> list[NewSamples]:
+        if not reads:
             return []
         if self._of_blocks:
-            return self._unpacked(new)
-        self._reads = [*self._reads, *new]  # a fork may have the other one
+            return self._unpack_blocks(reads)
+        self._reads = [*self._reads, *reads]  # a fork may have the other one
         stream = self._backend.decode(self._reads, self.header)
         self._ident = connections.first_ident([stream]) or self._ident
         self._calibrate(stream)
-        self._reads = _last_lines(self._reads, self._backend.DELIMITER)
+        self._reads = _keep_last_lines(self._reads, self._backend.DELIMITER)
         if not len(stream.n):
             return []
         tick_ns = self._ident.tick_ns if self._ident else 1000
@@ -165,121 +161,123 @@ class JournalTail:
         checked = check(
             samples, self._ident, self.rig, self._rate_hz, starts_at_phase=self.header["protocol"] == "frames"
         )
-        known = self._known(samples)
-        later = slice(known + 1, None)
-        self._count(stream, samples, checked, known)
-        if known == len(samples) - 1:
+        last_known = self._find_last(samples)
+        new = slice(last_known + 1, None)
+        self._count(stream, samples, checked, last_known)
+        if last_known == len(samples) - 1:
             return []
-        count, fresh = self._unwrapped(samples)
-        belt = self._belt(samples, fresh)
+        count, fresh = self._unwrap_counts(samples)
+        belt = self._unwrap_belt(samples, fresh)
         time = samples.time.copy()
-        if known >= 0 and self._last is not None:
-            same = samples.part == samples.part[known]
-            count[same] += self._last.count - count[known]
-            belt[same] += self._last.belt - belt[known]
-            time += self._last.time - time[known]
+        if last_known >= 0 and self._last is not None:
+            same = samples.part == samples.part[last_known]
+            count[same] += self._last.count - count[last_known]
+            belt[same] += self._last.belt - belt[last_known]
+            time += self._last.time - time[last_known]
         else:
             if self._first_stamp is None:
                 self._first_stamp = int(samples.stamp_ns[0])
             time += (int(samples.stamp_ns[0]) - self._first_stamp) / 1e9
         ticks, index = (int(column[-1]) for column in (samples.ticks, samples.index))
-        self._last = _Last(ticks, float(time[-1]), int(count[-1]), index, int(belt[-1]))
+        self._last = _LastSample(ticks, float(time[-1]), int(count[-1]), index, int(belt[-1]))
         pitch = self.rig.belt_metres_per_count
-        track = None if samples.belt is None or pitch is None else pitch.value * belt[later].astype(np.float64)
-        return [NewSamples(time[later], positions(count[later], self.rig), fresh[later], track)]
+        belt_position = None if samples.belt is None or pitch is None else pitch.value * belt[new].astype(np.float64)
+        return [NewSamples(time[new], positions(count[new], self.rig), fresh[new], belt_position)]
 
-    def _belt(self, samples: timeline.Samples, fresh: np.typing.NDArray[np.bool_]) -> np.typing.NDArray[np.int64]:
-        """Return the belt's count without roll-over, (n,), from 0 in each part; 0 without an encoder of its own."""
+    def _unwrap_belt(
+        self, samples: timeline.Samples, fresh: np.typing.NDArray[np.bool_]
+    ) -> np.typing.NDArray[np.int64]:
+        """Return the belt's count without roll-over, (n,), from 0 in each part; 0 if the belt has no encoder."""
         if samples.belt is None:
             return np.zeros(len(samples), np.int64)
-        moved = np.concatenate(([0], counters.moves(samples.belt, self.rig.counter_bits)))
+        moved = np.concatenate(([0], counters.diff_signed(samples.belt, self.rig.counter_bits)))
         return counters.running_sum(fresh, moved[1:], np.zeros(len(samples), np.int64))
 
-    def _unpacked(self, new: list[tuple[int, bytes]]) -> list[NewSamples]:
-        """Return the samples of blocks that a program hands over."""
+    def _unpack_blocks(self, reads: list[tuple[int, bytes]]) -> list[NewSamples]:
         if self._configuration and not self._calibrated:
-            _, self.rig, _ = calibration(self._configuration, [], None)
+            _, self.rig, _ = read_calibration(self._configuration, [], None)
             self._calibrated = True
-        made = []
-        for _, data in new:
-            content = blocks.unpacked(data, self.header["columns"])
+        pieces = []
+        for _, data in reads:
+            content = blocks.unpack(data, self.header["columns"])
             if content is None:
                 self.counts.crc_errors += 1
                 continue
             time, values = content
             begins = self._last is None
             if self._last is None:
-                self._begun_s, self._last = float(time[0]), _Last(0, float(time[0]), 0, 0)
+                self._begun_s, self._last = float(time[0]), _LastSample(0, float(time[0]), 0, 0)
             steps = np.rint(np.diff(time, prepend=self._last.time) * self._rate_hz)
             self.counts.lost += int(np.sum(np.maximum(steps[begins:], 1) - 1))
             self.counts.samples += len(time)
             self.counts.segments = 1
-            self._last = _Last(0, float(time[-1]), 0, 0)
+            self._last = _LastSample(0, float(time[-1]), 0, 0)
             position = positions(values.astype(np.int64), self.rig) if values.dtype.kind == "i" else values
             fresh = np.zeros(len(time), np.bool_)
             fresh[0] = begins
-            made.append(NewSamples(time - self._begun_s, position.astype(np.float64), fresh))
-        return made
+            pieces.append(NewSamples(time - self._begun_s, position.astype(np.float64), fresh))
+        return pieces
 
-    def _unwrapped(self, samples: timeline.Samples) -> tuple[np.typing.NDArray[np.int64], np.typing.NDArray[np.bool_]]:
+    def _unwrap_counts(
+        self, samples: timeline.Samples
+    ) -> tuple[np.typing.NDArray[np.int64], np.typing.NDArray[np.bool_]]:
         """Return the unwrapped counts, (n,), and which samples begin a part.
 
-        The finaliser also begins a segment after a gap in which the counters may have rolled over, which it judges by
-        the fastest motion of the whole run.
+        The finaliser also begins a segment after a gap in which the counters may have rolled over, which depends on the
+        fastest motion of the whole run.
         """
         count = np.empty(len(samples), np.int64)
         fresh = np.zeros(len(samples), np.bool_)
-        for _, here in timeline.parts_of(samples):
-            count[here] = counters.net_count(samples.up[here], samples.down[here], self.rig.counter_bits)
-            fresh[here.start] = True
+        for _, span in timeline.split_parts(samples):
+            count[span] = counters.net_count(samples.up[span], samples.down[span], self.rig.counter_bits)
+            fresh[span.start] = True
         return count, fresh
 
-    def _known(self, samples: timeline.Samples) -> int:
-        """Return the place of the last known sample, -1 where it is not there: it is found by its device time."""
+    def _find_last(self, samples: timeline.Samples) -> int:
+        """Return the index of the last known sample by its device time, -1 if it is not there."""
         if self._last is None:
             return -1
         after = (samples.ticks - self._last.ticks + (1 << 31) & 0xFFFFFFFF) - (1 << 31)
-        found = np.flatnonzero(after == 0)
-        if not found.size:  # another time was interpolated for it
-            found = np.flatnonzero((after < 0) & (samples.part == 0))
-        return int(found[-1]) if found.size else -1
+        matches = np.flatnonzero(after == 0)
+        if not matches.size:  # another time was interpolated for it
+            matches = np.flatnonzero((after < 0) & (samples.part == 0))
+        return int(matches[-1]) if matches.size else -1
 
-    def _count(self, stream: decode.Stream, samples: timeline.Samples, checked: CheckedCounts, known: int) -> None:
-        """Add what is new in a chunk to the totals."""
-        new = slice(known + 1, None)
-        damaged = int(np.count_nonzero(stream.crc_frame > (samples.frame[known] if known >= 0 else -1)))
+    def _count(self, stream: decode.Stream, samples: timeline.Samples, checked: CheckedCounts, last_known: int) -> None:
+        new = slice(last_known + 1, None)
+        damaged = int(np.count_nonzero(stream.crc_frame > (samples.frame[last_known] if last_known >= 0 else -1)))
         self.counts.crc_errors += max(0, damaged - self._trailing_damage)
         self._trailing_damage = int(np.count_nonzero(stream.crc_frame >= len(stream.n)))
         starts = np.flatnonzero(np.diff(samples.part, prepend=-1))
         lost = checked.lost.copy()
-        if known < 0 and self._last is not None:
+        if last_known < 0 and self._last is not None:
             lost[0] = (samples.index[0] - self._last.index & 0xFFFF) - 1
         rise = np.zeros(len(samples), np.int64)
         if self._ident is not None and frames.Capability.ILLEGAL in self._ident.capabilities:
-            rise[1:] = counters.increments(samples.illegal, 16)
+            rise[1:] = counters.diff_unsigned(samples.illegal, 16)
             rise[starts] = 0
-        self.counts.samples += len(samples) - known - 1
-        self.counts.segments += int(np.count_nonzero(starts > known))
+        self.counts.samples += len(samples) - last_known - 1
+        self.counts.segments += int(np.count_nonzero(starts > last_known))
         self.counts.lost += int(lost[new].sum())
         self.counts.illegal += int(rise[new].sum())
         self.counts.phase_errors += int(np.count_nonzero(checked.flags[new] & counters.FLAG_PHASE))
 
     def _calibrate(self, stream: decode.Stream) -> None:
-        """Read the calibration once: what was given at the start, else what the board sent."""
+        """Read the calibration once: the one given at the start, otherwise the board's."""
         if not self._calibrated and (self._configuration or stream.configs):
-            _, self.rig, _ = calibration(self._configuration, [stream], self._ident)
+            _, self.rig, _ = read_calibration(self._configuration, [stream], self._ident)
             self._calibrated = True
         elif not self._calibrated and self._ident is not None:
             self.rig = replace(self.rig, decoder=self._ident.decoder, counter_bits=self._ident.counter_bits)
 
 
-def _last_lines(reads: list[tuple[int, bytes]], delimiter: bytes) -> list[tuple[int, bytes]]:
-    """Return the reads from the last whole lines on: what is decoded again with the next chunk."""
+def _keep_last_lines(reads: list[tuple[int, bytes]], delimiter: bytes) -> list[tuple[int, bytes]]:
+    """Return the reads from the last complete lines on, to be decoded again with the next chunk."""
     content = b"".join(data for _, data in reads)
-    at = len(content)
+    begin_of_line = len(content)
     for _ in range(OVERLAP_LINES + 1):
-        at = content.rfind(delimiter, 0, at)
-        if at < 0:
+        begin_of_line = content.rfind(delimiter, 0, begin_of_line)
+        if begin_of_line < 0:
             break
-    begin = at + len(delimiter) if at >= 0 else max(0, len(content) - MOST_OVERLAP)
+    begin = begin_of_line + len(delimiter) if begin_of_line >= 0 else max(0, len(content) - MOST_OVERLAP)
     return reads if begin == 0 else [(reads[-1][0], content[begin:])]

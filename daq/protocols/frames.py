@@ -10,7 +10,7 @@ from daq.protocols import session as sessions
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session, Tally
 from daq.wire import frames
-from daq.wire.counters import fits, is_late, signed
+from daq.wire.counters import agree_on_gap, is_late, wrap_signed
 from stickslip.errors import DeviceError, InputError, check_known
 from stickslip.text import printable, storable
 
@@ -31,22 +31,18 @@ def check(request: RecordRequest) -> None:
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
-    """Decode the reads of one connection."""
     from daq.wire import decode
 
     return decode.decode(reads, header.get("decoder"))
 
 
-def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
-    """Decode them piece by piece."""
+def decode_pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
     from daq.wire import decode
 
-    return decode.pieces(reads, sessions.PIECE_BYTES, header.get("decoder"))
+    return decode.decode_pieces(reads, sessions.PIECE_BYTES, header.get("decoder"))
 
 
 class Frames(Session):
-    """A session in the protocol of the project's firmware."""
-
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
         super().__init__(port, url, request)
         self._settings: tuple[str, ...] = ()
@@ -55,28 +51,28 @@ class Frames(Session):
         self._counts_illegal = False
 
     def identify(self) -> Identity:
-        """Stop a running stream and ask for the identification.
+        """Stop a running stream and request the identification.
 
-        Raises DeviceError: no answer, or none in this protocol; or the board does not have the decoder.
+        Raises DeviceError if there is no answer in this protocol, or the board does not have the decoder.
         """
         self.send("", "X")  # the empty line ends an incomplete command of a program that crashed
-        strange = self.drain()
-        identity = self._ask(strange)
+        earlier = self.drain()
+        identity = self._ask(earlier)
         if self.request.decoder in (None, identity.ident.decoder):
             return identity
         self.send(f"M {self.request.decoder}")  # its counters start again
         return self._ask(b"")
 
     def plan(self, identity: Identity) -> Plan:
-        """Return the requested rate (1000 Hz) in frames as long as the rate allows."""
+        """Return the requested rate (default 1000 Hz) in frames as long as the rate allows."""
         rate_hz = float(self.request.rate_hz or RATE_HZ)
-        block = link_budget.block_size(identity.ident, rate_hz)
-        return Plan(rate_hz, block, link_budget.bytes_per_s(identity.ident, rate_hz, block))
+        block = link_budget.choose_block_size(identity.ident, rate_hz)
+        return Plan(rate_hz, block, link_budget.compute_load(identity.ident, rate_hz, block))
 
     def prepare(self, plan: Plan) -> Identity:
         """Set rate and samples per frame; the next identification confirms them.
 
-        Raises DeviceError: the board refuses; the message contains its reason.
+        Raises DeviceError with the board's reason if it refuses.
         """
         self._settings = f"R {round(plan.rate_hz)}", f"B {plan.block}"
         self.send(*self._settings)
@@ -93,13 +89,13 @@ class Frames(Session):
         return identity
 
     def start(self) -> None:
-        """Start the samples: sequence number 0."""
+        """Start the samples at sequence number 0."""
         self.send("S")
 
     def restart(self) -> None:
         """Configure and start a board that has just reset, without waiting for answers.
 
-        Its identification, asked for once more, says what the samples behind it are sent as.
+        Its identification, requested once more, declares the format of the samples after it.
         """
         decoder = [] if self.request.decoder is None else [f"M {self.request.decoder}"]
         self.send(*decoder, *self._settings, "I", "S")
@@ -109,16 +105,15 @@ class Frames(Session):
         self.send("X")
 
     def tally(self) -> "FrameTally":
-        """Return a new tally."""
         return FrameTally(self._ticks_per_sample, counts_illegal=self._counts_illegal, tick_ns=self._tick_ns)
 
-    def _ask(self, strange: bytes) -> Identity:
-        """Send `I` until an identification comes, and its CONFIG when it announces one."""
+    def _ask(self, earlier: bytes) -> Identity:
+        """Send `I` until an identification arrives, and its CONFIG if it announces one."""
         reader = frames.FrameReader()
         until = time.monotonic() + sessions.ANSWER_S
         ask = 0.0
         ident: frames.Ident | None = None
-        heard = len(strange)
+        bytes_heard = len(earlier)
         while time.monotonic() < until:
             if ident is None and time.monotonic() >= ask:
                 self.send("I")
@@ -126,7 +121,7 @@ class Frames(Session):
             data = self.read()
             if not data:
                 continue
-            heard += len(data)
+            bytes_heard += len(data)
             self.received.append((time.monotonic_ns(), data))
             for frame in reader.feed(data):
                 if isinstance(frame, frames.Notice):
@@ -137,43 +132,44 @@ class Frames(Session):
                         do = "correct its firmware (docs/reference/wire.md), or check the cable"
                         raise DeviceError(what, self.url, do)
                     ident = frame
-                    self._begin_with(ident)
+                    self._drop_before(ident)
                 if isinstance(frame, frames.Config) and ident is not None:
-                    return self._settled(ident, frame.toml)
+                    return self._await_silence(ident, frame.toml)
             if ident is not None and frames.Capability.CONFIG not in ident.capabilities:
-                return self._settled(ident, None)
+                return self._await_silence(ident, None)
         if ident is not None:
             raise DeviceError("the board announces a CONFIG and does not send it", self.url, "reset it and try again")
-        if heard:
-            what = f"no identification within {sessions.ANSWER_S:g} s, but {heard} bytes of something else"
+        if bytes_heard:
+            what = f"no identification within {sessions.ANSWER_S:g} s, but {bytes_heard} bytes of something else"
             do = "check the baud rate, and that the board runs stickslip firmware; others need --protocol qsb or text"
             raise DeviceError(what, self.url, do)
         do = "check the port ('daq ports'), the cable, and that the board runs stickslip firmware"
         raise DeviceError(f"no reply within {sessions.ANSWER_S:g} s", self.url, do)
 
-    def _begin_with(self, ident: frames.Ident) -> None:
-        """Drop what came before an identification: the noise of a board that had to find our baud rate."""
-        came = b"".join(data for _, data in self.received)
-        start = came.rfind(frames.encode_ident(ident))
+    def _drop_before(self, ident: frames.Ident) -> None:
+        """Drop the bytes before an identification: noise from a board that was finding the baud rate."""
+        received = b"".join(data for _, data in self.received)
+        start = received.rfind(frames.encode_ident(ident))
         if start > 0:
-            self.received[:] = [(self.received[-1][0], came[start:])]
+            self.received[:] = [(self.received[-1][0], received[start:])]
 
-    def _settled(self, ident: frames.Ident, config: str | None) -> Identity:
-        # A slow board may answer each `I` that was sent while it booted: let those answers come before the samples.
-        rest = self.drain()
-        if rest:
-            self.received.append((time.monotonic_ns(), rest))
-        named = replace(ident, name=printable(ident.name))
-        return Identity(named, None if config is None else storable(config))
+    def _await_silence(self, ident: frames.Ident, config: str | None) -> Identity:
+        # A slow board may answer each `I` that was sent while it booted: those answers must precede the samples.
+        late_answers = self.drain()
+        if late_answers:
+            self.received.append((time.monotonic_ns(), late_answers))
+        escaped = replace(ident, name=printable(ident.name))
+        return Identity(escaped, None if config is None else storable(config))
 
 
 session = Frames
 
 
 class FrameTally(Tally):
-    """How far a stream of frames has come; see `daq.protocols.session.Tally`.
+    """How far a stream of frames has advanced; see `daq.protocols.session.Tally`.
 
-    A sequence number that jumps, against the device time, adds nothing: the board was reset, or something is wrong.
+    A sequence number that jumps, compared with the device time, adds nothing: the board was reset, or something is
+    wrong.
     """
 
     def __init__(
@@ -188,19 +184,19 @@ class FrameTally(Tally):
         self._newest: tuple[int, int, int] | None = None  # sequence number, device time, samples
 
     def feed(self, data: bytes, at_s: float | None = None) -> None:
-        """Take bytes as they came; their sequence numbers tell more than when they came."""
-        for payload in self._frames.payloads(data):
+        """Count the frames that the bytes complete, by their sequence numbers; ``at_s`` is not used."""
+        for payload in self._frames.read_payloads(data):
             if payload[0] == frames.SAMPLES and len(payload) > frames.SAMPLES_HEADER:
-                self._step(payload[3] | payload[4] << 8, int.from_bytes(payload[5:9], "little"), payload[2])
+                self._take_frame(payload[3] | payload[4] << 8, int.from_bytes(payload[5:9], "little"), payload[2])
                 if self.illegal is not None and self._newest is not None:
                     self._count_illegal(int.from_bytes(payload[9:11], "little"))
             elif payload[0] == frames.IDENT:
-                self._identified(payload)
+                self._take_ident(payload)
             elif payload[0] == frames.NOTICE:
                 self.notice = printable(payload[2:].decode(errors="replace"))
 
-    def _identified(self, payload: bytes) -> None:
-        """Take an identification: behind the first sample, that of a board that has restarted."""
+    def _take_ident(self, payload: bytes) -> None:
+        """Take an identification: after the first sample, the board has restarted."""
         self.resets += self._newest is not None
         self._newest = self._illegal_before = None
         ident = frames.decode_payload(payload, belt=False, edge=False)
@@ -209,33 +205,32 @@ class FrameTally(Tally):
             self.illegal = (self.illegal or 0) if frames.Capability.ILLEGAL in ident.capabilities else None
 
     def begin_again(self, reached: int) -> None:
-        """Begin with sequence number 0 again, ``reached`` periods after the start."""
+        """Restart at sequence number 0, ``reached`` periods after the start."""
         self._frames = frames.FrameReader()
         self._newest = self._illegal_before = None
         super().begin_again(reached)
 
     def _count_illegal(self, count: int) -> None:
-        """Take the board's own count, 16 bits wide, of a frame that may be late."""
+        """Add the rise of the board's own count, 16 bits wide, of a frame that may be late."""
         rise = count - self._illegal_before & 0xFFFF if self._illegal_before is not None else 0
         if rise < 1 << 15:
             self.illegal = (self.illegal or 0) + rise
             self._illegal_before = count
 
-    def _step(self, seq: int, ticks: int, n: int) -> None:
-        """Take a frame: its sequence number, device time and samples."""
+    def _take_frame(self, seq: int, ticks: int, n: int) -> None:
         missing = 0
         if self._newest is None:
             missing = seq
         else:
-            last, then, length = self._newest
+            last, last_ticks, length = self._newest
             missing = seq - last - length & 0xFFFF
             if missing:
-                periods = signed(ticks - then, 32) / self._ticks_per_sample
+                periods = wrap_signed(ticks - last_ticks, 32) / self._ticks_per_sample
                 if periods <= 0 and is_late(last - seq & 0xFFFF, -periods, length):
                     return
                 step = missing + length
                 step += 65536 * round((periods - step) / 65536)
-                missing = step - length if step > length and fits(step, periods) else 0
+                missing = step - length if step > length and agree_on_gap(step, periods) else 0
         self.reached += missing + n
         self.received += n
         self._newest = seq, ticks, n

@@ -1,13 +1,13 @@
-"""Samples that come as lines of text, without frames, sequence numbers or a checksum: what guards them, and a stream.
+"""Samples in lines of text, without frames, sequence numbers or a checksum: how damage is detected, and a stream.
 
-Guards: a line must match its whole pattern, so that most damage (a byte that is no digit, a byte too few or too many)
-is seen.  A flipped digit is still a digit; `daq.protocols.neighbours` finds it by the lines around it.  What cannot be
-seen is a wrong last digit, and damaged lines side by side.  Of lines damaged at random, 0.8 % pass in a QSB's records,
-2 % in text lines, and less than 1 of 256 in text lines with a column xor.
+A line must match its whole pattern, so that most damage (a byte that is not a digit, a byte too few or too many) is
+detected.  A flipped digit is still a digit; `daq.protocols.neighbours` finds it by the lines around it.  A wrong last
+digit, and damaged lines next to each other, cannot be detected.  Of lines damaged at random, 0.8 % pass in a QSB's
+records, 2 % in text lines, and less than 1 of 256 in text lines with a column xor.
 
-Lost lines show in the time: a step of n periods is n - 1 lines lost.  A sequence number is made from the time, one
-period a number, and a net count is split into what went up and what went down, so that everything behind this module is
-the same as for frames.
+Lost lines show in the time: a step of n periods is n - 1 lines lost.  A sequence number is made from the time, one per
+period, and a net count is split into its rises and falls, so that everything after this module is the same as for
+frames.
 """
 
 import math
@@ -21,73 +21,69 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.protocols.judge import Between, Judge, Lines
+from daq.protocols.judge import GapNotes, LineJudge, Lines
 from daq.protocols.neighbours import LOOK_AHEAD, time_ahead
 from daq.protocols.session import Tally
 from daq.wire import frames
 from daq.wire.arrival import LeastDelay
-from daq.wire.counters import LATE_FRAMES, signed
+from daq.wire.counters import LATE_FRAMES, wrap_signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
 from stickslip.compute import arrays
 
-BLOCK_BYTES = 1 << 16  # size of reads that are parsed at once; half costs 10 % more CPU time, double 5 % less
-# Lines that are read together.  Half costs a tenth more CPU time in short reads where every tenth line is damaged, and
-# gains nothing elsewhere; double costs 1.2 us a line more in reads of 10 lines.
+BLOCK_BYTES = 1 << 16  # reads that are parsed at once: fewer cost 10 % more CPU time
+# Lines from which they are read together: reads of 10 lines gain, and those with every tenth line damaged do not lose.
 FEWEST_ALIKE = 8
 
 
-class Other(IntFlag):
-    """What a line is that holds no sample."""
+class NoSample(IntFlag):
+    """Kinds of lines without a sample."""
 
     REMARK = 0
     DAMAGED = 1
-    START = 2  # the board reports its start; with `DAMAGED` after a line that its reset cut short
+    START = 2  # the board reports its start; with `DAMAGED` if a line before it was cut short by the reset
 
 
-# What a sample's line holds, as far as the protocol has it: ticks, up, down, status, illegal, each modulo its width.  A
-# net count stands for up.
+# The values in a sample's line, as far as the protocol has them: ticks, up, down, status, illegal, each modulo its
+# width.  A net count replaces up.
 Row = tuple[int, ...]
 
 
 class Parser(Protocol):
-    """What reads the lines of one stream: any line with `read`, and together those that are alike."""
+    """Parses the lines of one stream: any line with `read`, and similar ones together."""
 
     @property
     def alike(self) -> re.Pattern[bytes] | None:
         """Pattern of any number of whole lines, delimiters included; None: no lines are read together.
 
-        `read` must read each of these lines as a sample unless a value is out of its range, and remain as it is.
+        `read` must parse each of these lines as a sample unless a value is out of its range, and keep its state.
         """
 
-    def read(self, line: bytes) -> Row | Other:
-        """Return what a line holds."""
+    def read(self, line: bytes) -> Row | NoSample: ...
 
     def read_alike(self, lines: bytes) -> NDArray[np.int64]:
         """Return the values in n lines that match ``alike``, (n, k), up to the first line with one out of range."""
 
-    def missed(self) -> None:
-        """Note that the lines which come are not alike; the pattern may be chosen anew by the next one."""
+    def count_miss(self) -> None:
+        """Count a search that found no similar lines; the next one may choose another pattern."""
 
 
 class LineBatch(NamedTuple):
-    """What some bytes hold: n samples in m lines."""
+    """The n samples in some bytes, which have m lines."""
 
-    rows: NDArray[np.int64]  # (n, k) their values: `Row`
-    line: NDArray[np.int64]  # (n,) which of the lines each is from
-    others: list[tuple[int, Other]]  # damage and starts: behind how many of the samples each is
+    rows: NDArray[np.int64]  # (n, k) values: `Row`
+    line: NDArray[np.int64]  # (n,) the line of each
+    others: list[tuple[int, NoSample]]  # damage and starts, each with the number of samples before it
     lines: int  # m
 
 
 class LineReader:
-    """Read samples from a stream of lines; never raises on garbage, back in step at the next delimiter.
+    """Read samples from a stream of lines; never raises on garbage, synchronised again at the next delimiter.
 
-    delimiter, longest: What ends a line, and bytes beyond which a line is damaged.
-    parser: Reads the lines.
-    trusts_first: A first line that has lost its beginning is seen as damaged by its form.  It is no error then; where
-        it could not be seen, the first line is no sample either.
-    delimiter: What ends a line.
-    example: The last line that was damaged; the first one of a stream may only be cut.
+    delimiter, longest: The end of a line, and bytes beyond which a line is damaged.
+    trusts_first: Whether a first line that has lost its beginning is recognised by its form.  It is not an error then;
+        otherwise the first line is not used as a sample.
+    example: The last damaged line; the first one of a stream may only be cut.
     """
 
     def __init__(self, delimiter: bytes, longest: int, parser: Parser, *, trusts_first: bool) -> None:
@@ -102,71 +98,71 @@ class LineReader:
 
     @property
     def discarded_bytes(self) -> int:
-        """Bytes of all damaged lines, delimiters not included."""
+        """Bytes of all damaged lines, without delimiters."""
         return self._damaged_bytes + self._splitter.dropped_bytes
 
     def feed(self, data: bytes) -> LineBatch:
-        """Take bytes as they came; return what the lines hold that they complete."""
-        block = self._splitter.whole(data)
+        """Return the samples in the lines that the bytes complete."""
+        block = self._splitter.cut_lines(data)
         lines = block.count(self.delimiter)
         values, numbers = array("q"), array("q")
-        others: list[tuple[int, Other]] = []
-        at = line = 0
+        others: list[tuple[int, NoSample]] = []
+        position = line = 0
         while line < lines:
-            few = lines - line  # lines to be read one by one
+            n_single = lines - line  # lines to be read one by one
             if self._first and not self._trusts_first:
-                few = 1
-            elif few >= FEWEST_ALIKE:
-                rows, at, few = self._alike(block, at)
+                n_single = 1
+            elif n_single >= FEWEST_ALIKE:
+                rows, position, n_single = self._read_alike(block, position)
                 self._first = self._first and not len(rows)
                 if len(rows) == lines:
                     return LineBatch(rows, np.arange(lines), others, lines)
                 values.frombytes(rows.tobytes())
                 numbers.frombytes(np.arange(line, line + len(rows)).tobytes())
                 line += len(rows)
-                few = min(few, lines - line)
-            end = at
-            for _ in range(few):
+                n_single = min(n_single, lines - line)
+            end = position
+            for _ in range(n_single):
                 end = block.index(self.delimiter, end) + 1
-            for text in block[at:end].split(self.delimiter)[:few]:
-                item = self._parser.read(text) if len(text) <= self._longest else Other.DAMAGED
+            for text in block[position:end].split(self.delimiter)[:n_single]:
+                item = self._parser.read(text) if len(text) <= self._longest else NoSample.DAMAGED
                 if isinstance(item, tuple):
                     if self._trusts_first or not self._first:
                         values.extend(item)
                         numbers.append(line)
                 elif item:
-                    if Other.DAMAGED in item:
+                    if NoSample.DAMAGED in item:
                         self.example = text
                         self._damaged_bytes += len(text)
-                    others.append((len(numbers), item & ~Other.DAMAGED if self._first else item))
+                    others.append((len(numbers), item & ~NoSample.DAMAGED if self._first else item))
                 self._first = False
                 line += 1
-            at = end
+            position = end
         rows = np.array(values).reshape(len(numbers), -1) if numbers else np.empty((0, 1), dtype=np.int64)
         return LineBatch(rows, np.array(numbers), others, lines)
 
-    def _alike(self, block: bytes, at: int) -> tuple[NDArray[np.int64], int, int]:
-        """Return the values in the lines from a place in a block on that are alike, (n, k), and where these end.
+    def _read_alike(self, block: bytes, begin: int) -> tuple[NDArray[np.int64], int, int]:
+        """Return the values in the similar lines from a position in a block on, (n, k), and where these lines end.
 
-        The last value is how many lines from there on are to be read one by one before others are searched for.
+        The last value is how many lines from there on are to be read one by one before similar ones are searched for.
         """
-        none = np.empty((0, 1), dtype=np.int64)
-        found = None if self._parser.alike is None else self._parser.alike.match(block, at)
-        lines = 0 if found is None else block.count(self.delimiter, at, found.end())
-        if found is None or lines < FEWEST_ALIKE:
-            self._parser.missed()
-            return none, at, FEWEST_ALIKE if self._parser.alike is None else lines + 1
-        rows = self._parser.read_alike(found[0])
-        end = found.end()
+        no_rows = np.empty((0, 1), dtype=np.int64)
+        match = None if self._parser.alike is None else self._parser.alike.match(block, begin)
+        lines = 0 if match is None else block.count(self.delimiter, begin, match.end())
+        if match is None or lines < FEWEST_ALIKE:
+            self._parser.count_miss()
+            return no_rows, begin, FEWEST_ALIKE if self._parser.alike is None else lines + 1
+        rows = self._parser.read_alike(match[0])
+        end = match.end()
         if len(rows) < lines:
-            end = at
+            end = begin
             for _ in range(len(rows)):
                 end = block.index(self.delimiter, end) + 1
         return rows, end, 1
 
 
 class LineTally(Tally):
-    """How far a stream of lines has come, by their times; see `daq.protocols.session.Tally`."""
+    """How far a stream of lines has advanced, by their times; see `daq.protocols.session.Tally`."""
 
     def __init__(self, make_reader: Callable[[], LineReader], period_ticks: float, tick_ns: int = 1000) -> None:
         super().__init__()
@@ -182,30 +178,28 @@ class LineTally(Tally):
         self._odd = 0  # lines in a row whose times do not follow the last good one
 
     def feed(self, data: bytes, at_s: float | None = None) -> None:
-        """Take bytes as they came."""
         self._at_s = at_s
         batch = self._reader.feed(data)
-        ticks, at = batch.rows[:, 0].tolist(), 0
-        for behind, other in batch.others:
-            if Other.START in other:
-                self._advance(ticks[at:behind])
-                at = behind
+        ticks, first = batch.rows[:, 0].tolist(), 0
+        for samples_before, remark in batch.others:
+            if NoSample.START in remark:
+                self._advance(ticks[first:samples_before])
+                first = samples_before
                 self.resets += self._last is not None
                 self._last = None
-                self._least.begin()
-        self._advance(ticks[at:])
+                self._least.reset()
+        self._advance(ticks[first:])
 
     def begin_again(self, reached: int) -> None:
-        """Begin anew, ``reached`` periods after the start."""
         self._reader = self._make_reader()
         self._last, self._odd = None, 0
-        self._least.begin()
+        self._least.reset()
         super().begin_again(reached)
 
     def _advance(self, lines: list[int]) -> None:
-        """Take the times of lines."""
+        """Count lines by their times."""
         self.received += len(lines)
-        last, usual, periods = self._last, 0, 0
+        last, usual_step, periods = self._last, 0, 0
         for ticks in lines:
             if last is None:
                 self.reached += 1
@@ -213,21 +207,21 @@ class LineTally(Tally):
                 continue
             step = ticks - last & 0xFFFFFFFF
             if 0 < step <= self._most:
-                if step != usual:
-                    usual, periods = step, round(step / self._period) or 1
+                if step != usual_step:
+                    usual_step, periods = step, round(step / self._period) or 1
                 self.reached += periods
                 self._device += step
                 last, self._odd = ticks, 0
                 continue
             self._odd += 1
-            if self._odd > LOOK_AHEAD:  # not one damaged line: there is a gap, or the board has started anew
+            if self._odd > LOOK_AHEAD:  # not one damaged line: there is a gap, or the board has restarted
                 self._odd = 0
-                ahead = signed(step, 32)
+                ahead = wrap_signed(step, 32)
                 self._device += ahead
-                if ahead < 0 or self._leapt(ahead):
+                if ahead < 0 or self._has_leapt(ahead):
                     self.resets += 1
-                    self._least.begin()
-                else:  # a time that stands still is no start
+                    self._least.reset()
+                else:  # a constant time is not a restart
                     self.reached += round(ahead / self._period)
                 last = ticks
         self._last = last
@@ -235,13 +229,13 @@ class LineTally(Tally):
             device_s = self._device * self._tick_s
             self._least.note([device_s], [self._at_s - device_s])
 
-    def _leapt(self, ahead: int) -> bool:
-        """Return whether a time that is now so many ticks ahead of the last good one has leapt (`LeastDelay`)."""
+    def _has_leapt(self, ahead: int) -> bool:
+        """Return whether a time that many ticks ahead of the last good one has leapt (`LeastDelay`)."""
         device_s = self._device * self._tick_s
-        return self._at_s is not None and self._least.leapt(device_s, self._at_s - device_s, ahead * self._tick_s)
+        return self._at_s is not None and self._least.has_leapt(device_s, self._at_s - device_s, ahead * self._tick_s)
 
 
-def pieces(
+def decode_pieces(
     reads: Iterable[tuple[int, bytes]],
     make_reader: Callable[[], LineReader],
     ident: frames.Ident,
@@ -253,106 +247,101 @@ def pieces(
 ) -> Iterator[Stream]:
     """Decode the reads of one connection into frames of one sample each, piece by piece; at least one piece.
 
-    Lines that cannot be true are counted as damaged.  The pieces make together what a single one is; a start or damage
-    behind a piece's last frame belongs to the first frame of the next one.
+    Lines that cannot be true are counted as damaged.  The pieces together equal a single one; a start or damage after a
+    piece's last frame belongs to the first frame of the next one.
 
-    reads: Host's monotonic stamp in ns at the end of each read, and the bytes it gave.  With more than one piece, it
-        must give the same whenever it is asked.
-    make_reader, ident, period_ticks: Makes a reader of this protocol's lines; what is known of the board; the nominal
-        sample interval.
-    net: There is but one counter, a signed net count.
-    most_bytes: A piece is made of about so many; infinite: one piece.
-    resolution: Ticks by which its clock may advance at once, if its times are multiples of that; 0: its times are
-        exact.
+    ``reads`` are the host's monotonic stamp at the end of each read, ns, and its bytes; unless there is only one piece,
+    they are iterated over repeatedly and must be the same each time.  ``net``: there is only one counter, a signed net
+    count.  ``most_bytes`` is the approximate size of a piece; infinite: one piece.  ``resolution`` is the ticks by
+    which the clock may advance at once, if its times are multiples of that; 0: its times are exact.
     """
-    source = _taken(reads, make_reader(), most_bytes)
-    begun = next(source)
-    again: Iterator[_Taken] = chain([begun], source)
+    source = _read_pieces(reads, make_reader(), most_bytes)
+    first_piece = next(source)
+    pieces: Iterator[_LinePiece] = chain([first_piece], source)
     if resolution:
         most = math.inf
-        if not begun.last:
+        if not first_piece.last:
             delimiter = make_reader().delimiter
             most = sum(data.count(delimiter) for _, data in reads)
-        if _is_finer(again, resolution, most):
+        if _is_finer(pieces, resolution, most):
             resolution = 0
-        again = iter([begun]) if begun.last else _taken(reads, make_reader(), most_bytes)
-    judge = Judge(ident.counter_bits, period_ticks, resolution, ident.tick_ns, net=net)
-    waiting = 0  # bytes discarded since the last piece
-    for taken in again:
-        lines = judge.feed(taken.lines, taken.last)
-        waiting += taken.discarded_bytes
-        if len(lines) or taken.last:
-            yield _stream(lines, ident, taken.damaged + judge.damaged if taken.last else 0, waiting)
-            waiting = 0
+        pieces = iter([first_piece]) if first_piece.last else _read_pieces(reads, make_reader(), most_bytes)
+    judge = LineJudge(ident.counter_bits, period_ticks, resolution, ident.tick_ns, net=net)
+    discarded = 0  # bytes discarded since the last piece
+    for piece in pieces:
+        lines = judge.feed(piece.lines, piece.last)
+        discarded += piece.discarded_bytes
+        if len(lines) or piece.last:
+            yield _build_stream(lines, ident, piece.damaged + judge.damaged if piece.last else 0, discarded)
+            discarded = 0
 
 
-class _Taken(NamedTuple):
-    """What some reads hold."""
-
+class _LinePiece(NamedTuple):
     lines: Lines  # the lines with samples
-    damaged: int  # damaged lines behind the last of these
-    discarded_bytes: int  # see `LineReader`; of these reads
+    damaged: int  # damaged lines after the last of these
+    discarded_bytes: int  # of these reads; see `LineReader`
     last: bool  # no more reads follow
 
 
-def _taken(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_bytes: float) -> Iterator[_Taken]:
-    """Yield what the reads hold, in pieces."""
-    between = Between()
+def _read_pieces(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_bytes: float) -> Iterator[_LinePiece]:
+    notes = GapNotes()
     parts: list[Lines] = []
-    ends: list[tuple[int, int]] = []  # of each read since the last block: its stamp, and how many lines it ended
+    ends: list[tuple[int, int]] = []  # of each read since the last block: its stamp, and how many lines end in it
     block = bytearray()
-    taken = discarded = 0
-    ahead = 0  # 1 where an endless line has been cut that no read has ended yet
+    bytes_taken = discarded = 0
+    cut_lines = 0  # 1 while an endless line is cut that no read has ended yet
 
-    def parsed() -> Lines:
-        nonlocal ahead
+    def parse_block() -> Lines:
+        nonlocal cut_lines
         batch = reader.feed(bytes(block))
         stamps = np.repeat(*np.array(ends, dtype=np.int64).reshape(-1, 2).T)
         n = len(batch.line)
         fresh, damaged = np.zeros(n + 1, dtype=np.bool_), np.zeros(n + 1, dtype=np.int64)
-        for behind, other in batch.others:
-            fresh[behind] |= Other.START in other
-            damaged[behind] += Other.DAMAGED in other
+        for samples_before, remark in batch.others:
+            fresh[samples_before] |= NoSample.START in remark
+            damaged[samples_before] += NoSample.DAMAGED in remark
         columns = np.zeros((5, n), dtype=np.int64)
         columns[: batch.rows.shape[1]] = batch.rows.T
-        line = batch.line + ahead
-        ahead += batch.lines - len(stamps)
+        line_numbers = batch.line + cut_lines
+        cut_lines += batch.lines - len(stamps)
         block.clear()
         ends.clear()
         ticks, up, down, status, illegal = columns
-        fresh, damaged = between.before(fresh, damaged)
-        return Lines(ticks, ticks, up, down, status, illegal, stamps[line], fresh, damaged, np.zeros_like(ticks))
+        fresh, damaged = notes.carry_over(fresh, damaged)
+        return Lines(
+            ticks, ticks, up, down, status, illegal, stamps[line_numbers], fresh, damaged, np.zeros_like(ticks)
+        )
 
     for stamp, read in reads:
-        for at in range(0, len(read), BLOCK_BYTES):
-            data = read[at : at + BLOCK_BYTES]
+        for begin in range(0, len(read), BLOCK_BYTES):
+            data = read[begin : begin + BLOCK_BYTES]
             ends.append((stamp, data.count(reader.delimiter)))
             block += data
             if len(block) < min(BLOCK_BYTES, most_bytes):
                 continue
-            taken += len(block)
-            parts.append(parsed())
-            if taken >= most_bytes:
-                yield _Taken(arrays.joined(parts), between.damaged, reader.discarded_bytes - discarded, last=False)
-                taken, discarded = 0, reader.discarded_bytes
+            bytes_taken += len(block)
+            parts.append(parse_block())
+            if bytes_taken >= most_bytes:
+                yield _LinePiece(arrays.joined(parts), notes.damaged, reader.discarded_bytes - discarded, last=False)
+                bytes_taken, discarded = 0, reader.discarded_bytes
                 parts.clear()
-    parts.append(parsed())
-    yield _Taken(arrays.joined(parts), between.damaged, reader.discarded_bytes - discarded, last=True)
+    parts.append(parse_block())
+    yield _LinePiece(arrays.joined(parts), notes.damaged, reader.discarded_bytes - discarded, last=True)
 
 
-def _is_finer(pieces: Iterable[_Taken], resolution: int, most: float) -> bool:
-    """Return whether more than a tenth of the times, at most so many, are no multiples of a resolution."""
+def _is_finer(pieces: Iterable[_LinePiece], resolution: int, most: float) -> bool:
+    """Return whether more than a tenth of the times, at most so many, are not multiples of a resolution."""
     finer = lines = 0
-    for taken in pieces:
-        finer += int(np.count_nonzero(taken.lines.ticks % resolution))
-        lines += len(taken.lines)
+    for piece in pieces:
+        finer += int(np.count_nonzero(piece.lines.ticks % resolution))
+        lines += len(piece.lines)
         if finer > 0.1 * most:
             return True
     return finer > 0.1 * lines
 
 
-def _stream(lines: Lines, ident: frames.Ident, damaged: int, discarded_bytes: int) -> Stream:
-    """Return lines as frames; ``damaged`` lines stand behind the last of them."""
+def _build_stream(lines: Lines, ident: frames.Ident, damaged: int, discarded_bytes: int) -> Stream:
+    """Return lines as frames; ``damaged`` lines follow the last of them."""
     n = len(lines)
     wide = ident.counter_bits > 16
     crc_frame = np.repeat(np.arange(n + 1), np.append(lines.damaged, damaged))

@@ -1,4 +1,4 @@
-"""What a board and its line can carry, checked before a recording starts: refuse or warn, with the number.
+"""The load that a board and its line can carry, checked before a recording starts.
 
 Line: 8N1, so 10 bits a byte.  A frame of n samples is 15 + 7 n bytes on the line, 2 n more for each optional column.
 """
@@ -11,19 +11,19 @@ from daq.wire.quadrature import EDGES_PER_COUNT
 from stickslip.errors import InputError
 
 BITS_PER_BYTE = 10
-TIGHT = 0.95  # load of the line or the decoder, over what it can carry: beyond this it warns
-SLIP_OVER_BELT = 4.0  # a slipping mass is at its fastest at most so many belt speeds fast (3.6 on the thesis's rig)
-LONGEST_BLOCK_S = 0.05  # a frame is not held back for longer, so that a live view stays live
+TIGHT = 0.95  # load of the line or the decoder, relative to its limit, from which there is a warning
+SLIP_OVER_BELT = 4.0  # top speed of a slipping mass over the belt's, at most (3.6 on the thesis's rig)
+LONGEST_BLOCK_S = 0.05  # longest delay of a sample in its frame, so that a live view stays live
 
 
-def block_size(ident: frames.Ident, rate_hz: float) -> int:
-    """Return how many samples to put into a frame: blocks wherever they do not delay, single frames below 40 Hz."""
+def choose_block_size(ident: frames.Ident, rate_hz: float) -> int:
+    """Return how many samples to put into a frame: blocks unless they cause a delay, single frames below 40 Hz."""
     if frames.Capability.BLOCKS not in ident.capabilities:
         return 1
     return max(1, min(8, int(rate_hz * LONGEST_BLOCK_S)))
 
 
-def bytes_per_s(ident: frames.Ident, rate_hz: float, block: int) -> float:
+def compute_load(ident: frames.Ident, rate_hz: float, block: int) -> float:
     """Return the load on the line, bytes/s."""
     optional = (frames.Capability.BELT in ident.capabilities) + (frames.Capability.EDGE_TIME in ident.capabilities)
     payload = frames.SAMPLES_HEADER + block * (7 + 2 * optional) + 2
@@ -31,12 +31,10 @@ def bytes_per_s(ident: frames.Ident, rate_hz: float, block: int) -> float:
 
 
 def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[str]:
-    """Check a recording against the board, its decoder and its line.
+    """Return warnings about a recording that this board, its decoder and its line can just carry.
 
-    plan: Its rate, samples per frame and load on the line.
-    baud: Bits per second of the line; None where it has no such limit (USB, a socket, the simulated rig).
-    Returns: Warnings.
-    Raises InputError: when it cannot work: names the number and what would.
+    ``baud`` is bits per second of the line; None if it has no such limit (USB, a socket, the simulated rig).  Raises
+    InputError, with a possible value, if the recording cannot work.
     """
     rate_hz = plan.rate_hz
     if rate_hz > ident.max_rate_hz:
@@ -63,16 +61,17 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
 
 
 def belt_edge_rate_hz(rig: Rig) -> float:
-    """Return the edges per second at the belt's own speed, which the mass has in every stick; 0 when not known."""
+    """Return the edges per second at the belt's speed, which the mass has in every stick; 0 if unknown."""
     if rig.belt_speed is None or rig.metres_per_count is None:
         return 0.0
     return abs(rig.belt_speed.value / rig.metres_per_count.value) * EDGES_PER_COUNT.get(rig.decoder, 1)
 
 
 def peak_edge_rate_hz(ident: frames.Ident | None, rig: Rig, seen_hz: float) -> float:
-    """Return a bound on the edge rate that a gap may have hidden: infinite when nothing bounds it.
+    """Return a bound on the edge rate that a gap may have hidden: infinite if nothing bounds it.
 
-    Twice the fastest seen or `SLIP_OVER_BELT` belt speeds, whichever is more, and at most what the decoder follows.
+    Twice the fastest observed rate or `SLIP_OVER_BELT` belt speeds, whichever is more, and at most what the decoder
+    follows.
     """
     declared = ident.max_edge_rate_hz if ident is not None and ident.max_edge_rate_hz else float("inf")
     motion = max(2 * seen_hz, SLIP_OVER_BELT * belt_edge_rate_hz(rig))
@@ -94,7 +93,7 @@ def _check_roll_over(ident: frames.Ident, rig: Rig, rate_hz: float) -> None:
 
 
 def _check_edges(ident: frames.Ident, rig: Rig) -> list[str]:
-    """Warn when a slip would outrun the decoder; refuse nothing, since the speed is known only after the run."""
+    """Return a warning if a slip would exceed the decoder; no error, since the speed is known only after the run."""
     peak = SLIP_OVER_BELT * belt_edge_rate_hz(rig)
     if peak <= ident.max_edge_rate_hz or ident.max_edge_rate_hz == 0:
         return []

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from daq.protocols import lines
 from daq.protocols import session as sessions
-from daq.protocols.lines import LineReader, LineTally, Other, Row
+from daq.protocols.lines import LineReader, LineTally, NoSample, Row
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
@@ -56,7 +56,6 @@ _FIELDS = np.dtype([("register", "u1"), ("count", ">u4"), ("ticks", ">u4")])
 
 
 def check(request: RecordRequest) -> None:
-    """Refuse what a QSB cannot do."""
     if request.rate_hz is not None and request.rate_hz > TICK_HZ:
         what = f"{request.rate_hz} Hz is more than a QSB can: its tick of 1/512 s allows at most {TICK_HZ} Hz"
         raise InputError(what, "--rate", f"give --rate {TICK_HZ} or less, or use a board with our firmware")
@@ -67,8 +66,8 @@ def check(request: RecordRequest) -> None:
         raise InputError("records of a QSB have fixed columns", "--columns", "leave it out: it is for text")
 
 
-def ident(decoder: str | None, interval: int = 1) -> frames.Ident:
-    """Return what is known of every QSB."""
+def make_ident(decoder: str | None, interval: int = 1) -> frames.Ident:
+    """Return the identification common to every QSB."""
     return frames.Ident(
         firmware=(0, 0, 0),
         decoder=decoder or "x4",
@@ -83,74 +82,71 @@ def ident(decoder: str | None, interval: int = 1) -> frames.Ident:
 
 
 class RecordParser:
-    """Parse records; see `daq.protocols.lines.Parser`."""
+    """See `daq.protocols.lines.Parser`."""
 
     alike = _SAMPLES
 
-    def read(self, line: bytes) -> Row | Other:
+    def read(self, line: bytes) -> Row | NoSample:
         """Return the values in a record; spaces in it are ignored."""
         record = line.translate(None, _SPACE)
         if _SAMPLE.fullmatch(record):
             return int(record[11:], 16), int(record[3:11], 16)
         if _BANNER.fullmatch(record):
-            return Other.START
+            return NoSample.START
         if _RECORD.fullmatch(record) or _ERROR.fullmatch(record):
-            return Other.REMARK
-        return Other.DAMAGED | Other.START if _BANNER.search(record) else Other.DAMAGED
+            return NoSample.REMARK
+        return NoSample.DAMAGED | NoSample.START if _BANNER.search(record) else NoSample.DAMAGED
 
     def read_alike(self, lines: bytes) -> NDArray[np.int64]:
         """Return the values in n records of samples, (n, 2)."""
         sent = np.frombuffer(unhexlify(lines.translate(None, _SPACE + b"s!")), _FIELDS)
         return np.column_stack((sent["ticks"], sent["count"])).astype(np.int64)
 
-    def missed(self) -> None:
+    def count_miss(self) -> None:
         """Do nothing: all samples of a QSB are alike."""
 
 
-def reader() -> LineReader:
-    """Return a reader of records."""
+def make_reader() -> LineReader:
     return LineReader(DELIMITER, LONGEST_RECORD, RecordParser(), trusts_first=True)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
-    """Decode the reads of one connection."""
-    return next(_pieces(reads, header, math.inf))
+    return next(_decode_pieces(reads, header, math.inf))
 
 
-def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
-    """Decode them piece by piece."""
-    return _pieces(reads, header, sessions.PIECE_BYTES)
+def decode_pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
+    return _decode_pieces(reads, header, sessions.PIECE_BYTES)
 
 
-def _pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float) -> "Iterator[Stream]":
-    known, period_ticks = ident(header.get("decoder")), TICK_HZ / float(header["rate_hz"])
-    return lines.pieces(reads, reader, known, period_ticks, net=True, most_bytes=most_bytes)
+def _decode_pieces(
+    reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float
+) -> "Iterator[Stream]":
+    ident, period_ticks = make_ident(header.get("decoder")), TICK_HZ / float(header["rate_hz"])
+    return lines.decode_pieces(reads, make_reader, ident, period_ticks, net=True, most_bytes=most_bytes)
 
 
 class Qsb(Session):
-    """A session with a QSB."""
-
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
         super().__init__(port, url, request)
         self._interval = 1
         self._settings: tuple[str, ...] = ()
 
     def identify(self) -> Identity:
-        """Stop a running stream and ask for the identity.
+        """Stop a running stream and request the identity.
 
-        Raises DeviceError: no answer, or not that of a QSB.
+        Raises DeviceError if there is no answer, or not that of a QSB.
         """
         self.send("", "W160", "R0E")
-        heard = len(self.drain())
+        bytes_heard = len(self.drain())
         until = time.monotonic() + sessions.ANSWER_S
         while time.monotonic() < until:
             self.send("R14")
-            reply, count = self._reply(b"r14", sessions.ASK_AGAIN_S)
-            heard += count
+            reply, count = self._await_reply(b"r14", sessions.ASK_AGAIN_S)
+            bytes_heard += count
             if reply is not None:
-                return Identity(ident(self.request.decoder))
-        if heard:
-            what = f"no identity within {sessions.ANSWER_S:g} s, but {heard} bytes of something else"
+                return Identity(make_ident(self.request.decoder))
+        if bytes_heard:
+            what = f"no identity within {sessions.ANSWER_S:g} s, but {bytes_heard} bytes of something else"
             raise DeviceError(what, self.url, "check that it is a QSB, and --baud (230400 for a QSB)")
         do = "check the port ('daq ports'), the cable, and that it is a QSB"
         raise DeviceError(f"no reply within {sessions.ANSWER_S:g} s", self.url, do)
@@ -167,52 +163,45 @@ class Qsb(Session):
         return Plan(rate_hz, 1, rate_hz * RECORD_BYTES, tuple(notes))
 
     def prepare(self, plan: Plan) -> Identity:
-        """Set reply format, decoder, interval and time; each is acknowledged.
-
-        Raises DeviceError: it did not acknowledge a setting.
-        """
+        """Set reply format, decoder, interval and time; DeviceError if it does not acknowledge a setting."""
         mode = MODES[self.request.decoder or "x4"]
         # Older devices may lack register 0B; they send every sample anyway.
         self._settings = ("W155", f"W03{mode}", "W0B0", f"W0C{self._interval:X}", "W0D1")
         for command in self._settings:
             self.send(command)
-            reply, _ = self._reply(b"w" + command[1:3].lower().encode(), REPLY_S)
+            reply, _ = self._await_reply(b"w" + command[1:3].lower().encode(), REPLY_S)
             if reply is None and not command.startswith("W0B"):
                 raise DeviceError(f"the QSB does not acknowledge {command}", self.url, "plug it in again")
-        return Identity(ident(self.request.decoder))
+        return Identity(make_ident(self.request.decoder))
 
     def start(self) -> None:
-        """Start the stream of counts."""
         self.send("S0E")
 
     def restart(self) -> None:
-        """Configure and start a QSB that has just reset."""
         self.send(*self._settings, "S0E")
 
     def stop(self) -> None:
-        """Stop the stream."""
         self.send("W160", "R0E")
 
     def tally(self) -> LineTally:
-        """Return a new tally."""
-        return LineTally(reader, self._interval, TICK_NS)
+        return LineTally(make_reader, self._interval, TICK_NS)
 
-    def _reply(self, begins: bytes, within_s: float) -> tuple[bytes | None, int]:
+    def _await_reply(self, beginning: bytes, within_s: float) -> tuple[bytes | None, int]:
         """Return the record that answers a command, None for an error or no answer; and the number of bytes read."""
         splitter = Splitter(b"!", LONGEST_RECORD)
         until = time.monotonic() + within_s
-        heard = 0
+        bytes_heard = 0
         while time.monotonic() < until:
             data = self.read()
-            heard += len(data)
+            bytes_heard += len(data)
             for line in splitter.feed(data):
                 record = line.translate(None, _SPACE)
                 if _RECORD.fullmatch(record):
-                    if record[:3].lower() == begins:
-                        return record, heard
+                    if record[:3].lower() == beginning:
+                        return record, bytes_heard
                 elif _ERROR.fullmatch(record):
-                    return None, heard
-        return None, heard
+                    return None, bytes_heard
+        return None, bytes_heard
 
 
 session = Qsb

@@ -1,4 +1,4 @@
-"""What to record: the one value that carries a person's request from the flags to the board."""
+"""The user's request for a recording, from the flags to the board."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,5 +27,5 @@ class RecordRequest:
 
     @property
     def part(self) -> Path:
-        """Where the journal is kept while the recording runs."""
+        """Path of the journal while the recording runs."""
         return self.output.with_name(self.output.name + ".part")

@@ -28,13 +28,11 @@ if TYPE_CHECKING:
     from daq.wire.decode import Stream
 
 ANSWER_S = 5.0  # an Arduino resets when its port is opened and boots for up to 2 s
-ASK_AGAIN_S = 0.5  # between two requests for identification; a board that boots answers each of those it received
-# A line without a byte for so long is idle.  USB chips deliver in batches of at most 16 ms: half would still cover one,
-# double only makes each drain 50 ms longer.
+ASK_AGAIN_S = 0.5  # between two requests for identification; a booting board answers each that it received
+# A line without a byte for so long is idle: USB chips deliver in batches of at most 16 ms.
 QUIET_S = 0.05
-DRAIN_S = 2.0  # a board that streams all the time is drained no longer than this
-# Bytes of a journal that are decoded at once when a run file is made.  Half saves 10 MB and costs 5 % more CPU time in
-# the finaliser; double needs 15 MB more.
+DRAIN_S = 2.0  # a board that streams continuously is drained no longer than this
+# Bytes of a journal that are decoded at once when a run file is made: twice as many take 15 MB more.
 PIECE_BYTES = 1 << 19
 MOST_AT_ONCE = 4096  # bytes of a read from a port that does not report how many are waiting
 
@@ -44,16 +42,14 @@ class Port(Protocol):
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that a read would return at once."""
+        """Bytes that a read would return immediately."""
 
     def read(self, size: int = 1, /) -> bytes:
-        """Return up to ``size`` bytes, as many as come before the time-out."""
+        """Return up to ``size`` bytes, as many as arrive before the time-out."""
 
-    def write(self, data: bytes, /) -> int | None:
-        """Send."""
+    def write(self, data: bytes, /) -> int | None: ...
 
-    def close(self) -> None:
-        """Close the port."""
+    def close(self) -> None: ...
 
     def __enter__(self) -> "Port": ...
 
@@ -66,32 +62,31 @@ class Port(Protocol):
 class Identity:
     """Identification sent by the board, or implied by its protocol; and the calibration, if the board has one."""
 
-    ident: frames.Ident  # the identification
+    ident: frames.Ident
     config: str | None = None  # the calibration, TOML
-    # (str, float) where positions are measured numbers: what they are, "length", "force" or "" of a unit that nobody
-    # stated, and a count in SI
+    # if positions are measured numbers: the quantity, "length", "force" or "" (unknown unit), and a count in SI
     measured: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How a recording will go."""
+    """The settings of a recording."""
 
     rate_hz: float  # the rate that the board will sample at
     block: int  # samples per frame
     bytes_per_s: float  # load on the line
     notes: tuple[str, ...] = ()  # remarks for the user, such as a rate that differs slightly from the requested one
-    comes_already: bool = False  # the load was measured on the line, so the line carries it
+    comes_already: bool = False  # whether the load was measured on the line, so that the line can carry it
 
 
 class Tally(ABC):
-    """How far a stream has come, in sample periods from its start: lost samples count, gaps of a lost port too.
+    """How far a stream has advanced, in sample periods from its start, lost samples and gaps of a lost port included.
 
     reached: Sample periods.
-    received: Samples among them that came, and all periods while the port was lost.
-    illegal: Illegal transitions as the board counts them; None where it does not.
-    resets: Restarts of the board seen after the first sample.
-    notice: The board's message when it stopped on its own.
+    received: Samples among them that arrived, and all periods while the port was lost.
+    illegal: Illegal transitions as the board counts them; None if it does not.
+    resets: Restarts of the board after the first sample.
+    notice: The board's message when it stopped by itself.
     """
 
     def __init__(self) -> None:
@@ -102,16 +97,16 @@ class Tally(ABC):
 
     @abstractmethod
     def feed(self, data: bytes, at_s: float | None = None) -> None:
-        """Take bytes as they came, and the host's monotonic clock when they had; None: it is not known."""
+        """Count the samples in bytes; ``at_s`` is the host's monotonic clock when they arrived, None if unknown."""
 
     def begin_again(self, reached: int) -> None:
-        """Start again with a stream that starts ``reached`` periods after the first one."""
+        """Continue with a stream that starts ``reached`` periods after the first one."""
         lost = self.reached - self.received
         self.reached = max(self.reached, reached)
         self.received = self.reached - lost
 
-    def words(self, elapsed_s: float) -> str:
-        """Return the rate at which samples come, and those lost and illegal, in words."""
+    def describe(self, elapsed_s: float) -> str:
+        """Return the rate at which samples arrive, and those lost and illegal, as text."""
         rate = self.received / elapsed_s if elapsed_s > 0 else 0.0
         illegal = "" if self.illegal is None else f", {self.illegal} illegal"
         return f"{rate:.4g} Hz, {max(self.reached - self.received, 0)} lost{illegal}"
@@ -123,8 +118,6 @@ class Session(ABC):
     received: Bytes received before the start, from the last identification on, with the host's monotonic time stamp in
         ns. They are the first in the journal.
 
-    Notes
-    -----
     The port may raise SerialException or OSError at any time: the session's owner handles both.
     """
 
@@ -136,15 +129,15 @@ class Session(ABC):
 
     @abstractmethod
     def identify(self) -> Identity:
-        """Identify the board; DeviceError when there is no answer, or none in this protocol."""
+        """Identify the board; DeviceError if there is no answer, or none in this protocol."""
 
     @abstractmethod
     def plan(self, identity: Identity) -> Plan:
-        """Return how the recording will go; InputError when it cannot."""
+        """Return the settings of the recording; InputError if it is impossible."""
 
     @abstractmethod
     def prepare(self, plan: Plan) -> Identity:
-        """Set the board up; DeviceError when it refuses."""
+        """Set the board up; DeviceError if it refuses."""
 
     @abstractmethod
     def start(self) -> None:
@@ -159,8 +152,7 @@ class Session(ABC):
         """Stop the samples; the rest of the stream may still come."""
 
     @abstractmethod
-    def tally(self) -> Tally:
-        """Return a new tally of what this session will read."""
+    def tally(self) -> Tally: ...
 
     def read(self) -> bytes:
         """Wait for bytes, for the port's time-out at most, and return all that are there."""
@@ -175,7 +167,7 @@ class Session(ABC):
         return data
 
     def close(self) -> None:
-        """Close the port; a port that is already gone raises nothing."""
+        """Close the port; no error if it is gone."""
         try:
             self.port.close()
         except OSError:
@@ -183,22 +175,22 @@ class Session(ABC):
 
     def drain(self) -> bytes:
         """Read until the line is idle, and return the bytes."""
-        parts = []
-        until = time.monotonic() + DRAIN_S
-        quiet = time.monotonic() + QUIET_S
+        received = []
+        deadline = time.monotonic() + DRAIN_S
+        idle_at = time.monotonic() + QUIET_S
         while True:
-            now = time.monotonic()  # before looking: whatever came during a pause of the computer is read first
+            now = time.monotonic()  # first, so that bytes from a pause of the computer are read
             waiting = self.port.in_waiting
             if waiting:
-                parts.append(self.port.read(waiting))
-                quiet = time.monotonic() + QUIET_S
-            elif now >= quiet:
+                received.append(self.port.read(waiting))
+                idle_at = time.monotonic() + QUIET_S
+            elif now >= idle_at:
                 break
             else:
                 time.sleep(QUIET_S / 10)
-            if now >= until:
+            if now >= deadline:
                 break
-        return b"".join(parts)
+        return b"".join(received)
 
     def send(self, *commands: str) -> None:
         """Send command lines."""
@@ -206,13 +198,13 @@ class Session(ABC):
 
 
 class Backend(Protocol):
-    """Functions that a protocol's module provides."""
+    """The functions that a protocol's module provides."""
 
     BAUD: int
     DELIMITER: bytes  # what ends a frame or a line of the board
 
     def check(self, request: RecordRequest) -> None:
-        """Raise InputError for a request that this protocol can never carry out; nothing has been touched then."""
+        """Raise InputError for a request that this protocol can never carry out; the port is not open yet."""
 
     def session(self, port: Port, url: str, request: RecordRequest) -> Session:
         """Return a session on an open port: the protocol's own class of sessions."""
@@ -220,5 +212,5 @@ class Backend(Protocol):
     def decode(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
         """Decode the reads of one connection out of a journal with this header."""
 
-    def pieces(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
-        """Decode them piece by piece, at least one; ``reads`` gives the same whenever it is asked."""
+    def decode_pieces(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
+        """Decode them piece by piece, at least one; ``reads`` is iterated over repeatedly and must yield the same."""

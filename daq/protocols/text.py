@@ -2,7 +2,7 @@ r"""Lines of numbers, one per sample, as any sketch prints them; the user declar
 
 ``--columns t_us,up,down``: names in the order of the line, separated by commas; the line itself may use commas,
 semicolons, tabs or spaces.  A sign, a decimal point in a time, and ``\r\n`` are understood; a line that begins with
-``#`` is a comment, brackets about a line are passed over.  Exactly one time, and a net count, both counters, or a
+``#`` is a comment, brackets around a line are ignored.  Exactly one time, and a net count, both counters, or a
 measured number:
 
 ==================  ===================================================================================================
@@ -26,8 +26,8 @@ pos_mm.  Other labels are ignored.  The unit of t and time is that of the declar
 
 A sketch may state its columns itself, in a comment that it repeats: ``# columns seq,t_us,count,xor``.
 
-A measured number counts its last decimal, so that all behind this module is the same as for counts: ``x_mm:2`` has two.
-The decimals that are not declared are those of the first lines.
+A measured number is a count of its last decimal, so that everything after this module is the same as for counts:
+``x_mm:2`` has two decimals.  Decimals that are not declared are those of the first lines.
 
 The rate is the sketch's own: it is measured before the recording starts.  Nothing is sent to the board.
 """
@@ -43,7 +43,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.protocols import lines
 from daq.protocols import session as sessions
-from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, columns, lacking, with_decimals
+from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, explain_labels, parse_columns, with_decimals
 from daq.protocols.line_parser import LineParser
 from daq.protocols.lines import LineReader, LineTally
 from daq.protocols.request import RecordRequest
@@ -58,20 +58,20 @@ BAUD = 115_200
 DELIMITER = b"\n"
 TICK_NS = 1000
 MILLISECOND = 1000  # ticks
-LISTEN_S = 1.0  # span of good lines, by their own times, before the rate is believed
+LISTEN_S = 1.0  # span of good lines, by their own times, before their rate is used
 FEWEST_LINES = 20
-SLOWEST = 0.05  # clock that is slower than this share of the host's has another unit, most often by 1000
+SLOWEST = 0.05  # a clock slower than this share of the host's has another unit, most often by 1000
 RATE_WITHIN = 0.1  # deviation from the requested rate, relative
 
 
 def check(request: RecordRequest) -> None:
-    """Refuse columns that cannot be read, and an unknown decoder."""
-    columns(request.columns)
+    """Refuse columns that cannot be parsed, and an unknown decoder."""
+    parse_columns(request.columns)
     if request.decoder is not None:
         check_known(request.decoder, frames.DECODERS, "decoder", "--decoder")
 
 
-def ident(form: Columns, decoder: str | None) -> frames.Ident:
+def make_ident(form: Columns, decoder: str | None) -> frames.Ident:
     """Return the identification that follows from the declared columns."""
     return frames.Ident(
         firmware=(0, 0, 0),
@@ -86,32 +86,32 @@ def ident(form: Columns, decoder: str | None) -> frames.Ident:
     )
 
 
-def reader(form: Columns) -> LineReader:
-    """Return a reader of lines.  The first line is not used: digits missing at its beginning could not be detected."""
+def make_reader(form: Columns) -> LineReader:
+    """Return a reader of lines that skips the first one: digits missing at its beginning could not be detected."""
     return LineReader(DELIMITER, LONGEST_LINE, LineParser(form), trusts_first=False)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
-    """Decode the reads of one connection."""
-    return next(_pieces(list(reads), header, math.inf))
+    return next(_decode_pieces(list(reads), header, math.inf))
 
 
-def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
-    """Decode them piece by piece."""
-    return _pieces(reads, header, sessions.PIECE_BYTES)
+def decode_pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
+    return _decode_pieces(reads, header, sessions.PIECE_BYTES)
 
 
-def _pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float) -> "Iterator[Stream]":
+def _decode_pieces(
+    reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float
+) -> "Iterator[Stream]":
     declared = header["columns"]
     if declared is None:
         vote = ColumnVote()
         any(vote.feed(data) for _, data in reads)  # up to the line that decides
         declared = vote.columns
-    form = columns(declared)
-    return lines.pieces(
+    form = parse_columns(declared)
+    return lines.decode_pieces(
         reads,
-        partial(reader, form),
-        ident(form, header.get("decoder")),
+        partial(make_reader, form),
+        make_ident(form, header.get("decoder")),
         1e9 / (TICK_NS * float(header["rate_hz"])),
         net=form.net,
         most_bytes=most_bytes,
@@ -124,7 +124,7 @@ class Text(Session):
 
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
         super().__init__(port, url, request)
-        self._form = columns(request.columns)
+        self._form = parse_columns(request.columns)
         self._rate_hz = 0.0
         self._line_bytes = 0.0
         self._coarse = self._even = False
@@ -132,66 +132,65 @@ class Text(Session):
     def identify(self) -> Identity:
         """Read lines until their rate is known; and their columns, if they are labelled and none are declared.
 
-        Raises DeviceError: nothing is received, or no line with the declared columns.
+        Raises DeviceError if nothing is received, or no line with the declared columns.
         """
-        listener = reader(self._form)
-        vote, kept = ColumnVote(), b""
+        listener = make_reader(self._form)
+        vote, received_bytes = ColumnVote(), b""
         times: list[int] = []
-        heard, bad, began = 0, 0, 0.0
-        until = time.monotonic() + sessions.ANSWER_S
-        while time.monotonic() < until:
+        bytes_heard, n_damaged, first_s = 0, 0, 0.0
+        deadline = time.monotonic() + sessions.ANSWER_S
+        while time.monotonic() < deadline:
             data = self.read()
-            heard += len(data)
-            kept += data
+            bytes_heard += len(data)
+            received_bytes += data
             if self.request.columns is None:
                 if vote.feed(data):
                     self.request = replace(self.request, columns=vote.columns)
-                    self._form = columns(vote.columns)
-                    listener, data, times, bad = reader(self._form), kept, [], 0
+                    self._form = parse_columns(vote.columns)
+                    listener, data, times, n_damaged = make_reader(self._form), received_bytes, [], 0
             batch = listener.feed(data)
             if len(batch.rows) and not times:
-                began = time.monotonic()
+                first_s = time.monotonic()
             times += batch.rows[:, 0].tolist()
-            bad += len(batch.others)
+            n_damaged += len(batch.others)
             steps = [later - earlier & 0xFFFFFFFF for earlier, later in pairwise(times)]
-            advance = sum(sorted(steps)[: len(steps) * 9 // 10])  # whatever single lines say
+            advance = sum(sorted(steps)[: len(steps) * 9 // 10])  # robust against single lines
             if len(times) > FEWEST_LINES and advance >= LISTEN_S * 1e9 / TICK_NS:
                 break
         if len(times) <= FEWEST_LINES:
-            raise DeviceError(*self._silent(heard, len(times), bad, listener.example))
+            raise DeviceError(*self._explain_silence(bytes_heard, len(times), n_damaged, listener.example))
         if self.request.columns is not None and self._form.measured is not None:
-            self._form = with_decimals(self.request.columns, kept)
+            self._form = with_decimals(self.request.columns, received_bytes)
             self.request = replace(self.request, columns=self._form.declared)
         typical = median(steps)
         if not any(steps):
             raise DeviceError("the time in the lines does not change", self.url, "print micros() with each sample")
         if typical >= 1 << 31:
-            what = f"the time in the lines runs backwards, by {(1 << 32) - typical:.0f} us from line to line"
-            raise DeviceError(what, self.url, "check which of --columns is the time; print micros() with each sample")
-        took, advanced = time.monotonic() - began, sum(steps) * TICK_NS / 1e9
+            problem = f"the time in the lines runs backwards, by {(1 << 32) - typical:.0f} us from line to line"
+            raise DeviceError(
+                problem, self.url, "check which of --columns is the time; print micros() with each sample"
+            )
+        took, advanced = time.monotonic() - first_s, sum(steps) * TICK_NS / 1e9
         if took > 0.5 * sessions.ANSWER_S and advanced < SLOWEST * took:
-            what = f"the time in the lines advances by {1e3 * advanced:.3g} ms in {took:.3g} s"
-            raise DeviceError(what, self.url, "give its unit by the column, as in --columns t_ms,count")
+            problem = f"the time in the lines advances by {1e3 * advanced:.3g} ms in {took:.3g} s"
+            raise DeviceError(problem, self.url, "give its unit by the column, as in --columns t_ms,count")
         self._coarse = all(ticks % MILLISECOND == 0 for ticks in times)
         self._even = typical > 0 and all(step > 0 and step % typical == 0 for step in steps)  # a line may be missing
-        least, most = 0.5 * typical, 1.5 * typical
-        if self._coarse and not self._even:  # its steps differ by a millisecond: their mean is the interval
-            least, most = 0.0, max(most, typical + 2 * MILLISECOND)
-        usual = [step for step in steps if least <= step <= most]
+        shortest, longest = 0.5 * typical, 1.5 * typical
+        if self._coarse and not self._even:  # its steps differ by a millisecond, so their mean is the interval
+            shortest, longest = 0.0, max(longest, typical + 2 * MILLISECOND)
+        usual = [step for step in steps if shortest <= step <= longest]
         if not any(usual):
             raise DeviceError("the time in most lines does not change", self.url, "print micros() with each sample")
         self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
-        self._line_bytes = heard / max(1, len(times) + bad)
+        self._line_bytes = bytes_heard / max(1, len(times) + n_damaged)
         return self._identity()
 
     def _identity(self) -> Identity:
-        return Identity(ident(self._form, self.request.decoder), measured=self._form.measured)
+        return Identity(make_ident(self._form, self.request.decoder), measured=self._form.measured)
 
     def plan(self, identity: Identity) -> Plan:
-        """Return the sketch's own rate.
-
-        Raises InputError: it is not the requested one.
-        """
+        """Return the sketch's own rate; InputError if it is not the requested one."""
         rate_hz, requested = self._rate_hz, self.request.rate_hz
         if requested is not None:
             if abs(rate_hz / requested - 1) > RATE_WITHIN:
@@ -219,12 +218,11 @@ class Text(Session):
         return Plan(rate_hz, 1, rate_hz * self._line_bytes, tuple(notes), comes_already=True)
 
     def prepare(self, plan: Plan) -> Identity:
-        """Do nothing: a sketch takes no settings."""
         self._rate_hz = plan.rate_hz
         return self._identity()
 
     def start(self) -> None:
-        """Discard the bytes received since then: the sketch prints all the time."""
+        """Discard the bytes received since then: the sketch prints continuously."""
         waiting = self.port.in_waiting
         if waiting:
             self.port.read(waiting)
@@ -241,25 +239,24 @@ class Text(Session):
         return self.port.read(waiting) if waiting else b""
 
     def tally(self) -> LineTally:
-        """Return a new tally."""
-        return LineTally(partial(reader, self._form), 1e9 / (TICK_NS * self._rate_hz))
+        return LineTally(partial(make_reader, self._form), 1e9 / (TICK_NS * self._rate_hz))
 
-    def _silent(self, heard: int, good: int, bad: int, example: bytes) -> tuple[str, str, str]:
-        if heard == 0:
+    def _explain_silence(self, bytes_heard: int, good: int, bad: int, example: bytes) -> tuple[str, str, str]:
+        if bytes_heard == 0:
             do = "check the port ('daq ports'), the cable, and that the sketch prints without a command"
             return f"nothing came within {sessions.ANSWER_S:g} s", self.url, do
         if bad > good:
-            if (labels := lacking(example)) is not None:
+            if (labels := explain_labels(example)) is not None:
                 return labels[0], self.url, labels[1]
-            seen = example.rstrip(b"\r")[:60].decode("ascii", "backslashreplace")
+            example_text = example.rstrip(b"\r")[:60].decode("ascii", "backslashreplace")
             if self.request.columns is None:
-                form = "t_us,x_mm" if "." in seen else "t_us,up,down"
+                form = "t_us,x_mm" if "." in example_text else "t_us,up,down"
                 do = f"declare the columns, as in --columns {form}, or print labels, as in t=1,pos=2; check --baud"
-                return f"the lines have no labels, and no columns are declared; one is {seen!r}", self.url, do
-            what = f"the lines are not of the columns {self.request.columns}; one is {seen!r}"
-            return what, self.url, "declare the actual columns by --columns, and check --baud"
-        what = f"only {good} lines came within {sessions.ANSWER_S:g} s"
-        return what, self.url, f"let the sketch print at least {FEWEST_LINES // 5 + 1} lines a second"
+                return f"the lines have no labels, and no columns are declared; one is {example_text!r}", self.url, do
+            problem = f"the lines are not of the columns {self.request.columns}; one is {example_text!r}"
+            return problem, self.url, "declare the actual columns by --columns, and check --baud"
+        problem = f"only {good} lines came within {sessions.ANSWER_S:g} s"
+        return problem, self.url, f"let the sketch print at least {FEWEST_LINES // 5 + 1} lines a second"
 
 
 session = Text

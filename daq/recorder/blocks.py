@@ -149,7 +149,7 @@ def _take(
         while block is not None:
             stamp = time.monotonic_ns()
             with lock:
-                for data in blocks.packed(block.time, block.values):
+                for data in blocks.pack(block.time, block.values):
                     writer.append(journal.RECEIVED, stamp, data)
                 if writer.tick() and writer.is_asked_to_stop():
                     taking.stop.set()

@@ -99,7 +99,7 @@ def check_output(request: RecordRequest) -> None:
 def journal_exists(part: Path) -> InputError:
     """Return the error of a journal that is there already: another recorder's, or one that was left."""
     if claim.is_locked(part):
-        what, do = claim.in_use(part)
+        what, do = claim.explain_lock(part)
         return InputError(what, str(part), f"give another -o, or {do}", python="give another output, or wait for it")
     return InputError(
         "an earlier recording was not finished: its journal still exists",
@@ -171,10 +171,10 @@ def record(
 
             def show(reached: int) -> None:
                 progress(min(reached, samples) / plan.rate_hz)
-                status(reader.tally.words(time.monotonic() - began))
+                status(reader.tally.describe(time.monotonic() - began))
 
             _take(reader, writer, place, show, stop)
-            logger.info("ended: %s; %s", reader.ended, reader.tally.words(time.monotonic() - began))
+            logger.info("ended: %s; %s", reader.ended, reader.tally.describe(time.monotonic() - began))
             if reader.failure is not None:
                 if not reader.heard:
                     writer.remove()  # it is empty, and would block the next recording

@@ -60,7 +60,7 @@ class BeltCount:
             first, bits = np.concatenate(([self._last[1]], first)), np.concatenate((bits[:1], bits))
         if len(whole) == 0:
             return whole
-        count = counters.running_sum(begins, counters.moves(whole, bits[1:]), first)
+        count = counters.running_sum(begins, counters.diff_signed(whole, bits[1:]), first)
         own = count[0 if self._last is None else 1 :]
         self._last = int(whole[-1]), int(count[-1])
         return own

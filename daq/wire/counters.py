@@ -6,7 +6,7 @@ longer gap the counts are unknown: a new segment begins there, marked invalid.
 
 The sequence number (16 bit) is unwrapped with the help of the device time (32 bit, 71.6 min at 1 us): a gap may be
 longer than 65,536 samples and still gets its true length.  The two must agree on it: where they do not, the board has
-been reset, or one of them is wrong, and nothing is known of what lies between.
+been reset, or one of them is wrong, and the samples between are unknown.
 
 The host's checks are in the high byte of a sample's flags; the low byte is the status as sent (`daq.wire.frames`).
 """
@@ -19,17 +19,15 @@ from numpy.typing import NDArray
 
 from daq.wire.quadrature import PHASE
 
-Whole = TypeVar("Whole", int, NDArray[np.int64])
+Integer = TypeVar("Integer", int, NDArray[np.int64])
 
-# A frame up to so many frames back is a repeat or came late; further back, the board has restarted.  A line repeats or
-# delays only a few: half would take some of them for restarts, double more restarts for repeats.  Not swept.
+# Up to so many frames back, a frame is a repeat or late, of which there are few; further back, the board has restarted.
 LATE_FRAMES = 8
 # How far, in sample periods, sequence number and device time may disagree on the length of a gap: 2 and 5 % of it, at
-# most 200.  Half of the 200 would break gaps of minutes whose rate is known to 1e-4; double trusts twice as many of the
-# resets after which the clock happens to have moved on (200 of 32,768 jumps).  Not swept.
+# most 200, so that 200 of 32,768 resets pass for a gap because the clock happens to have advanced.
 GAP_DOUBT, GAP_DOUBT_SHARE, GAP_DOUBT_MOST = 2.0, 0.05, 200.0
 
-FEWEST_TO_PACE = 16  # frames that follow each other from which the true sample period is taken
+FEWEST_TO_PACE = 16  # consecutive frames from which the true sample period is estimated
 
 # The host's checks, one bit each.
 FLAG_ILLEGAL = 0x0100  # the illegal count rose within this sample's frame
@@ -37,31 +35,31 @@ FLAG_PHASE = 0x0200  # (up - down) mod 4 is not the phase of the levels sent wit
 FLAG_BOTH = 0x0400  # up and down both changed since the previous sample
 FLAG_GAP = 0x0800  # samples are missing directly before this one
 FLAG_TIME = 0x2000  # the time as sent was not true and has been interpolated (lines without a checksum)
-FLAG_COUNT_UNCERTAIN = 0x1000  # illegal transitions came before this sample: its count may be off by two for each
+FLAG_COUNT_UNCERTAIN = 0x1000  # illegal transitions before this sample: its count may be off by two for each
 
 
-def increments(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> NDArray[np.int64]:
+def diff_unsigned(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the increments between neighbouring readings, (n,), of an up-counter, (n - 1,), each 0 to 2^bits - 1.
 
-    ``bits`` may be given for each increment, (n - 1,).
+    ``bits`` may be one for each increment, (n - 1,).
     """
-    whole = values.astype(np.int64)
-    return np.asarray(whole[1:] - whole[:-1] & (1 << bits) - 1, dtype=np.int64)
+    readings = values.astype(np.int64)
+    return np.asarray(readings[1:] - readings[:-1] & (1 << bits) - 1, dtype=np.int64)
 
 
-def signed(value: Whole, bits: int | NDArray[np.int64]) -> Whole:
+def wrap_signed(value: Integer, bits: int | NDArray[np.int64]) -> Integer:
     """Return ``value`` modulo 2^bits as the number nearest to zero: -2^(bits-1) to 2^(bits-1) - 1."""
     half: Any = 1 << (bits - 1)
-    wrapped: Whole = (value + half & (1 << bits) - 1) - half
+    wrapped: Integer = (value + half & (1 << bits) - 1) - half
     return wrapped
 
 
-def moves(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> NDArray[np.int64]:
+def diff_signed(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the signed increments between neighbouring readings, (n,), of an up-and-down counter, (n - 1,).
 
-    Of the two directions the shorter one is taken: each is -2^(bits-1) to 2^(bits-1) - 1.
+    Each is the shorter of the two ways: -2^(bits-1) to 2^(bits-1) - 1.
     """
-    return signed(increments(values, bits), bits)
+    return wrap_signed(diff_unsigned(values, bits), bits)
 
 
 def unwrap(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
@@ -69,7 +67,7 @@ def unwrap(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
     out = np.empty(len(values), dtype=np.int64)
     if len(values):
         out[0] = int(values[0])
-        np.cumsum(increments(values, bits), out=out[1:])
+        np.cumsum(diff_unsigned(values, bits), out=out[1:])
         out[1:] += out[0]
     return out
 
@@ -77,14 +75,14 @@ def unwrap(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
 def net_count(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], bits: int) -> NDArray[np.int64]:
     """Return the unwrapped net count up - down of one segment, (n,).
 
-    The first value is the signed difference, which is correct when the counters have moved by less than half
-    their range since power-up, net; it is off by a multiple of 2^bits otherwise.
+    The first value is the signed difference, which is correct if the counters have moved by less than half their range
+    since power-up, net; otherwise it is off by a multiple of 2^bits.
     """
     if len(up) == 0:
         return np.empty(0, dtype=np.int64)
-    start = signed(int(up[0]) - int(down[0]), bits)
+    first_net = wrap_signed(int(up[0]) - int(down[0]), bits)
     net = unwrap(up, bits) - unwrap(down, bits)
-    return np.asarray(net - net[0] + start, dtype=np.int64)
+    return np.asarray(net - net[0] + first_net, dtype=np.int64)
 
 
 def longest_gap_s(max_edge_rate_hz: float, edges_per_count: int, bits: int) -> float:
@@ -96,14 +94,12 @@ def longest_gap_s(max_edge_rate_hz: float, edges_per_count: int, bits: int) -> f
 
 @dataclass(frozen=True)
 class Order:
-    """Order and place of the f frames of one stream, in order of arrival."""
-
     keep: NDArray[np.bool_]  # (f,) false for a repeated or late frame, which is not used
-    # (f,) the stream begins anew with this frame: sequence and device time do not continue together
+    # (f,) the stream restarts at this frame: sequence and device time do not continue together
     restart: NDArray[np.bool_]
-    jump: NDArray[np.bool_]  # (f,) of these, where nothing announced it: the board has not identified itself
-    # (f,) the sequence goes on, and the device time moves on by more or less than that: the clock has leapt, or the
-    # board has paused.  Number and time are continued all the same.
+    jump: NDArray[np.bool_]  # (f,) restarts that the board did not announce by an identification
+    # (f,) the sequence continues, and the device time advances by more or less than that: the clock has leapt, or the
+    # board has paused.  Number and time are continued nevertheless.
     leap: NDArray[np.bool_]
     # (f,) sequence number and device time of the frame's first sample without roll-over: as sent at the first frame
     # after each restart (a jump: from sequence number 0), and continued from there.  0 where ``keep`` is False.
@@ -117,7 +113,7 @@ class FrameOrder:
     The frames come in pieces: all of them are surveyed first, then placed in the same order.  Device time determines
     how often the sequence number rolled over between two frames, so a gap may have any length below 2^31 ticks
     (35.8 min at 1 us).  A frame that steps back in time, and in sequence by as many samples, by `LATE_FRAMES` at most,
-    is a repeat or came late.  Any other step back, of either, and a gap on whose length the two do not agree (`fits`),
+    is a repeat or late.  Any other step back, of either, and a gap on whose length the two disagree (`agree_on_gap`),
     is a jump; where the sequence shows no gap, it is a leap of the time alone.
 
     ticks_per_sample: Nominal sample interval.
@@ -127,10 +123,9 @@ class FrameOrder:
         self._nominal = ticks_per_sample
         self._pace = _Pace()
         self._period, self._doubt = ticks_per_sample, 0.0
-        self.begin()
+        self.rewind()
 
-    def begin(self) -> None:
-        """Begin to place the frames, once more from the first one."""
+    def rewind(self) -> None:
         self._surveyed = False
         self._repeats = _Repeats(self._nominal)
         self._last: tuple[int, int, int, int, int] | None = None  # kept: seq, ticks, n, and its place: index, ticks
@@ -138,68 +133,67 @@ class FrameOrder:
     def survey(
         self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
     ) -> None:
-        """Take the next frames, to learn the true sample period from all.
+        """Learn the true sample period from the next frames.
 
-        seq, ticks: (f,) As sent: modulo 2^16 and 2^32.
-        n: (f,) Samples in each frame.
-        restarts: (r,) Frames before which the board is known to have restarted: it identified itself.
+        ``seq`` and ``ticks``, (f,), are as sent: modulo 2^16 and 2^32; ``n``, (f,), is the samples in each frame.
+        Before the frames ``restarts``, (r,), the board identified itself.
         """
         self._surveyed = True
         keep, _, _ = self._repeats.find(seq, ticks, n, restarts)
-        step, forward, before = self._steps(seq[keep], ticks[keep], n[keep])
-        self._pace.take(step, forward, before)
+        step, forward, previous_n = self._find_steps(seq[keep], ticks[keep], n[keep])
+        self._pace.add(step, forward, previous_n)
         if keep.any():
             self._last = (int(seq[keep][-1]), int(ticks[keep][-1]), int(n[keep][-1]), 0, 0)
 
     def place(
         self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
     ) -> Order:
-        """Place the next frames, given as to `survey`."""
+        """Place the next frames; arguments as of `survey`."""
         if self._surveyed:
-            self._period, self._doubt = self._pace.found(self._nominal)
-            self.begin()
-        keep, restart, known = self._repeats.find(seq, ticks, n, restarts)
+            self._period, self._doubt = self._pace.estimate(self._nominal)
+            self.rewind()
+        keep, restart, announced = self._repeats.find(seq, ticks, n, restarts)
         kept = np.flatnonzero(keep)
-        step, forward, before = self._steps(seq[kept], ticks[kept], n[kept])
+        step, forward, previous_n = self._find_steps(seq[kept], ticks[kept], n[kept])
         period = self._period
         step += 65536 * np.round((forward / period - step) / 65536).astype(np.int64)
-        begun = 0 if self._last else 1  # the first frame of all follows none
-        again, agrees = restart[kept[begun:]], fits(step, forward / period, self._doubt)
-        again = again | (step < before) | ((step != before) & ~agrees)
-        restart[kept[begun:]] = again
+        first = 0 if self._last else 1  # the first frame of all follows none
+        restarts_here, agrees = restart[kept[first:]], agree_on_gap(step, forward / period, self._doubt)
+        restarts_here = restarts_here | (step < previous_n) | ((step != previous_n) & ~agrees)
+        restart[kept[first:]] = restarts_here
         leap = np.zeros(len(seq), dtype=np.bool_)
-        leap[kept[begun:]] = ~again & ~agrees
-        restart[kept[:begun]] = False
-        jump = restart & ~known
+        leap[kept[first:]] = ~restarts_here & ~agrees
+        restart[kept[:first]] = False
+        jump = restart & ~announced
         index = np.zeros(len(seq), dtype=np.int64)
-        placed = np.zeros(len(seq), dtype=np.int64)
+        total_ticks = np.zeros(len(seq), dtype=np.int64)
         if len(kept):
             first_index, first_ticks = np.where(jump, 0, seq)[kept], ticks[kept]
             if self._last:
                 first_index = np.concatenate(([self._last[3]], first_index))
                 first_ticks = np.concatenate(([self._last[4]], first_ticks))
-            starts = np.concatenate(([True], again))
-            index[kept] = running_sum(starts, step, first_index)[1 - begun :]
-            placed[kept] = running_sum(starts, forward, first_ticks)[1 - begun :]
-            at = int(kept[-1])
-            self._last = (int(seq[at]), int(ticks[at]), int(n[at]), int(index[at]), int(placed[at]))
-        return Order(keep, restart, jump, leap, index, placed)
+            starts = np.concatenate(([True], restarts_here))
+            index[kept] = running_sum(starts, step, first_index)[1 - first :]
+            total_ticks[kept] = running_sum(starts, forward, first_ticks)[1 - first :]
+            last = int(kept[-1])
+            self._last = (int(seq[last]), int(ticks[last]), int(n[last]), int(index[last]), int(total_ticks[last]))
+        return Order(keep, restart, jump, leap, index, total_ticks)
 
-    def _steps(
+    def _find_steps(
         self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Return the steps to each kept frame from the one before, in sequence and time, and the length of that one."""
+        """Return the steps to each kept frame from the previous one, in sequence and time, and its length."""
         if self._last:
             seq, ticks, n = (
-                np.concatenate(([last], own)) for last, own in zip(self._last, (seq, ticks, n), strict=False)
+                np.concatenate(([last], piece)) for last, piece in zip(self._last, (seq, ticks, n), strict=False)
             )
         return np.diff(seq) & 0xFFFF, np.diff(ticks) & 0xFFFFFFFF, n[:-1]
 
 
-def fits(
+def agree_on_gap(
     step: NDArray[np.int64] | int, periods: NDArray[np.float64] | float, doubt: float = 0.0
 ) -> NDArray[np.bool_] | np.bool_:
-    """Return whether a step of the sequence number and one of the device time, in sample periods, tell of one gap.
+    """Return whether a step of the sequence number and one of the device time, in sample periods, mean the same gap.
 
     ``doubt`` is how far off its grid the board takes samples, in periods.
     """
@@ -207,7 +201,7 @@ def fits(
 
 
 def is_late(back_in_seq: int, back: float, n: int) -> bool:
-    """Return whether a frame that is back in sequence, and in time (sample periods), is a repeat or came late.
+    """Return whether a frame that is back in sequence, and in time (sample periods), is a repeat or late.
 
     ``n`` is the samples in the newest frame.
     """
@@ -215,7 +209,7 @@ def is_late(back_in_seq: int, back: float, n: int) -> bool:
 
 
 class _Pace:
-    """The ticks of a sample period between frames that follow each other, and how far off that frames are.
+    """The ticks of a sample period between consecutive frames, and how far frames deviate from it.
 
     Frames of one length and distance in time are counted together: a board has few such distances.
     """
@@ -225,9 +219,9 @@ class _Pace:
         self._forward = np.empty(0, dtype=np.int64)
         self._count = np.empty(0, dtype=np.int64)
 
-    def take(self, step: NDArray[np.int64], forward: NDArray[np.int64], before: NDArray[np.int64]) -> None:
-        """Take steps between frames in sequence and in time, and the samples in the first of each two, all (f,)."""
-        follows = step == before
+    def add(self, step: NDArray[np.int64], forward: NDArray[np.int64], previous_n: NDArray[np.int64]) -> None:
+        """Add steps between frames in sequence and in time, and the samples in the first of each two, all (f,)."""
+        follows = step == previous_n
         step, forward = (
             np.concatenate((old, new[follows])) for old, new in ((self._step, step), (self._forward, forward))
         )
@@ -236,30 +230,30 @@ class _Pace:
         self._forward, self._step = distinct >> 16, distinct & 0xFFFF
         self._count = np.bincount(which, count, len(distinct)).astype(np.int64)
 
-    def found(self, nominal: float) -> tuple[float, float]:
+    def estimate(self, nominal: float) -> tuple[float, float]:
         """Return the period, and twice the deviation from it that 99 % of the frames keep to.
 
-        ``nominal``, ticks, is returned where few frames follow each other.
+        ``nominal``, ticks, is returned if few frames are consecutive.
         """
         if self._count.sum() < FEWEST_TO_PACE:
             return nominal, 0.0
-        period = _quantile(self._forward / self._step, self._count, 0.5)
+        period = _weighted_quantile(self._forward / self._step, self._count, 0.5)
         if not 0.5 * nominal < period < 2 * nominal:
             return nominal, 0.0
-        return period, 2 * _quantile(np.abs(self._forward / period - self._step), self._count, 0.99)
+        return period, 2 * _weighted_quantile(np.abs(self._forward / period - self._step), self._count, 0.99)
 
 
-def _quantile(values: NDArray[np.float64], count: NDArray[np.int64], share: float) -> float:
+def _weighted_quantile(values: NDArray[np.float64], count: NDArray[np.int64], share: float) -> float:
     """Return the quantile of values that occur so many times each, interpolated as by `np.quantile`."""
     order = np.argsort(values)
     values, ends = values[order], np.cumsum(count[order])
-    place = (int(ends[-1]) - 1) * share
-    low, high = values[np.searchsorted(ends, [int(place), min(int(place) + 1, int(ends[-1]) - 1)], side="right")]
-    return float(np.quantile([low, high], place - int(place)))
+    rank = (int(ends[-1]) - 1) * share
+    low, high = values[np.searchsorted(ends, [int(rank), min(int(rank) + 1, int(ends[-1]) - 1)], side="right")]
+    return float(np.quantile([low, high], rank - int(rank)))
 
 
 class _Repeats:
-    """Which frames are repeats or came late, and which begin the stream anew, of frames that come in pieces."""
+    """Finds repeated and late frames, and the frames at which the stream restarts, among frames that come in pieces."""
 
     def __init__(self, ticks_per_sample: float) -> None:
         self._ticks_per_sample = ticks_per_sample
@@ -269,21 +263,21 @@ class _Repeats:
     def find(
         self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which frames to keep, where a new stream begins, and where the board has announced that, (f,) each."""
+        """Return which frames to keep, where the stream restarts, and where the board announced that, (f,) each."""
         keep = np.ones(len(seq), dtype=np.bool_)
-        known = np.zeros(len(seq), dtype=np.bool_)
-        known[restarts[restarts < len(seq)]] = True
-        known[: int(self._announced)] = True
+        announced = np.zeros(len(seq), dtype=np.bool_)
+        announced[restarts[restarts < len(seq)]] = True
+        announced[: int(self._announced)] = True
         self._announced = bool((restarts >= len(seq)).any()) or (self._announced and not len(seq))
-        restart = known.copy()
+        restart = announced.copy()
         if len(seq) == 0:
-            return keep, restart, known
+            return keep, restart, announced
         first = 0 if self._newest else 1
         newest = self._newest or (int(seq[0]), int(ticks[0]), int(n[0]))
         forward = np.diff(ticks[first:], prepend=newest[1]) & 0xFFFFFFFF
         if np.all((forward > 0) & (forward < 1 << 31)):
             self._newest = int(seq[-1]), int(ticks[-1]), int(n[-1])
-            return keep, restart, known
+            return keep, restart, announced
         for frame in range(first, len(seq)):
             sent = int(seq[frame]), int(ticks[frame]), int(n[frame])
             ahead = (sent[1] - newest[1]) & 0xFFFFFFFF
@@ -295,7 +289,7 @@ class _Repeats:
                 restart[frame] = True
             newest = sent
         self._newest = newest
-        return keep, restart, known
+        return keep, restart, announced
 
 
 def running_sum(starts: NDArray[np.bool_], steps: NDArray[np.int64], first: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -311,7 +305,7 @@ def running_sum(starts: NDArray[np.bool_], steps: NDArray[np.int64], first: NDAr
 def phase_error(
     up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], levels: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Return the difference, modulo 4, of x4 counts from the phase of the levels sent with them, (n,), 0 to 3."""
+    """Return the difference, modulo 4, between x4 counts and the phase of the levels sent with them, (n,), 0 to 3."""
     return np.asarray(((up - down) - PHASE[levels & 3]) & 3).astype(np.uint8)
 
 

@@ -1,7 +1,7 @@
-"""The reads of one connection, decoded into arrays of samples: what stands behind every run file.
+"""The reads of one connection, decoded into arrays of samples: the first step to every run file.
 
-Lines of one length are checked and read as one array; `daq.wire.frames.FrameReader` does the same line by line, which
-the tests hold this against.  Where the reads ended makes no difference but for the stamps.
+Lines of one length are checked and read as one array; `daq.wire.frames.FrameReader` does the same line by line, and the
+tests compare the two.  Where a read ended changes nothing but the stamps.
 """
 
 import math
@@ -20,7 +20,7 @@ from daq.wire.splitter import Splitter
 from stickslip.text import printable, storable
 
 
-def _nothing() -> NDArray[np.int64]:
+def _empty() -> NDArray[np.int64]:
     return np.empty(0, dtype=np.int64)
 
 
@@ -33,41 +33,41 @@ class Stream:
     seq: NDArray[np.int64]
     ticks: NDArray[np.int64]
     illegal: NDArray[np.int64]
-    stamp_ns: NDArray[np.int64]  # (f,) Host's monotonic clock when the frame had come in full
+    stamp_ns: NDArray[np.int64]  # (f,) host's monotonic clock when the frame was complete
     dt: NDArray[np.uint16]  # (n,) the columns as sent; belt and edge are None when the board does not send them
     up: NDArray[np.uint16] | NDArray[np.uint32]
     down: NDArray[np.uint16] | NDArray[np.uint32]
     status: NDArray[np.uint8]
     ident: wire.Ident | None  # the board's identification when it began to sample: the last one before the first frame
-    idents: NDArray[np.int64]  # (i,) before which frame each identification came
-    crc_frame: NDArray[np.int64]  # (c,) before which frame each damaged line came
+    idents: NDArray[np.int64]  # (i,) the frame after each identification
+    crc_frame: NDArray[np.int64]  # (c,) the frame after each damaged line
     crc_errors: int  # see `daq.wire.frames.FrameReader`
     discarded_bytes: int
     length: NDArray[np.int64]  # (f,) each frame's bytes on the line; 0 where that is not known
     belt: NDArray[np.uint16] | None = None
     edge: NDArray[np.uint16] | None = None
     # each of these identifications: the frames from there on were sent under it, those before the first one under
-    # ``ident``.  Empty where nothing but ``ident`` is known.
+    # ``ident``; empty if only ``ident`` is known
     identified: tuple[wire.Ident, ...] = ()
-    # before which frame, and its text: what a file cannot hold, and of a notice what does not show, is escaped
+    # before which frame, and its text, with characters escaped that a file cannot store or a terminal cannot show
     configs: tuple[tuple[int, str], ...] = ()
     notices: tuple[tuple[int, str], ...] = ()
     unknown: int = 0
-    # (f,) the time as sent less ``ticks``: not 0 where it was not true and has been interpolated.  None: as sent.
+    # (f,) the time as sent less ``ticks``: not 0 where it was wrong and has been interpolated; None: as sent
     time_error: NDArray[np.int64] | None = None
-    # (m,) sequence number as sent of each row of truth, and the frame it came before
-    truth_seq: NDArray[np.int64] = field(default_factory=_nothing)
-    truth_frame: NDArray[np.int64] = field(default_factory=_nothing)
-    truth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))  # (m, 4) Time, x, v, F
-    # (p,) reads that ended inside a frame: when, which frame, and how many of its bytes were there
-    part_stamp_ns: NDArray[np.int64] = field(default_factory=_nothing)
-    part_frame: NDArray[np.int64] = field(default_factory=_nothing)
-    part_bytes: NDArray[np.int64] = field(default_factory=_nothing)
+    # (m,) sequence number as sent of each row of truth, and the frame after it
+    truth_seq: NDArray[np.int64] = field(default_factory=_empty)
+    truth_frame: NDArray[np.int64] = field(default_factory=_empty)
+    truth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))  # (m, 4) time, x, v, F
+    # (p,) reads that ended inside a frame: stamp, frame, and how many of its bytes had arrived
+    part_stamp_ns: NDArray[np.int64] = field(default_factory=_empty)
+    part_frame: NDArray[np.int64] = field(default_factory=_empty)
+    part_bytes: NDArray[np.int64] = field(default_factory=_empty)
 
-    def sent_as(self) -> list[tuple[int, int, wire.Ident | None]]:
+    def split_by_ident(self) -> list[tuple[int, int, wire.Ident | None]]:
         """Return the stretches of frames sent under one identification: first frame, end, identification; at least one.
 
-        The number of samples in a frame, which a board is told, makes no other identification.
+        Identifications that differ only in the samples of a frame, a setting, are one.
         """
         frames = len(self.n)
         spans = [(0, self.ident)]
@@ -82,14 +82,14 @@ class Stream:
         return [(first, end, ident) for (first, ident), end in zip(spans, ends, strict=True)]
 
 
-def _same_board(one: wire.Ident | None, other: wire.Ident) -> bool:
-    return one is not None and replace(one, block_size=other.block_size) == other
+def _same_board(before: wire.Ident | None, ident: wire.Ident) -> bool:
+    return before is not None and replace(before, block_size=ident.block_size) == ident
 
 
 # SAMPLES frames by bytes of payload and declared samples: their lines (k,) and payloads (k, size).
 Groups = dict[tuple[int, int], tuple[NDArray[np.int64], NDArray[np.uint8]]]
-FEWEST_TOGETHER = 192  # payloads of one length whose CRC is computed together: half costs 1.4 times as much there
-_READ_AT_ONCE = 1 << 20  # bytes of a read that are cut into lines at once: twice as many take 20 MB more
+FEWEST_TOGETHER = 192  # payloads of one length from which their CRCs are computed together: faster from about here
+_READ_AT_ONCE = 1 << 20  # bytes of a read that are cut into lines at once, which takes 20 MB
 _CRC_OF_BYTE = np.array([crc_hqx(bytes((byte,)), 0) for byte in range(256)], dtype=np.uint16)
 _HEAD = np.dtype([("kind", "u1"), ("version", "u1"), ("n", "u1"), ("seq", "<u2"), ("time", "<u4"), ("illegal", "<u2")])
 
@@ -98,123 +98,125 @@ _HEAD = np.dtype([("kind", "u1"), ("version", "u1"), ("n", "u1"), ("seq", "<u2")
 class _Lines:
     """Lines that were read together, k of them, their CRCs checked."""
 
-    bodies: list[bytes]  # payload and CRC of every line; a line is known by its place here
+    bodies: list[bytes]  # payload and CRC of every line; lines are numbered by their index here
     sent_bytes: NDArray[np.int64]  # (k,) bytes of each on the line, and of its payload, 0 for a damaged line
     size: NDArray[np.int64]
     samples: Groups  # frames with samples (`Groups`), and the other frames with their lines
     others: list[tuple[int, wire.Frame]]
     ends: list[tuple[int, int]]  # of each read: its stamp, and how many lines it ended
-    parts: list[tuple[int, int, int]]  # reads that ended inside a line: stamp, line, how many of its bytes were there
+    parts: list[tuple[int, int, int]]  # reads that ended inside a line: stamp, line, its bytes so far
     dropped_bytes: int  # of endless lines
 
 
 def decode(reads: Iterable[tuple[int, bytes]], decoder: str | None = None) -> Stream:
     """Decode the reads of one connection at once.
 
-    reads: Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
-    decoder: The decoder that the recorder asked for, also of a board that had restarted.
+    ``reads`` are the host's monotonic stamp at the end of each read, ns, and its bytes; ``decoder`` is the one that the
+    recorder requested, also of a board that had restarted.
     """
-    return next(pieces(reads, math.inf, decoder))
+    return next(decode_pieces(reads, math.inf, decoder))
 
 
-def pieces(reads: Iterable[tuple[int, bytes]], most_bytes: float, decoder: str | None = None) -> Iterator[Stream]:
+def decode_pieces(
+    reads: Iterable[tuple[int, bytes]], most_bytes: float, decoder: str | None = None
+) -> Iterator[Stream]:
     """Decode the reads of one connection piece by piece, each of about so many bytes; at least one piece.
 
-    Together they are what `decode` gives at once.  A read that ends inside a frame stands in the piece of that frame;
-    an identification behind a piece's last frame belongs to the first of the next one.
+    Together they are what `decode` returns at once.  A read that ends inside a frame belongs to the piece of that
+    frame; an identification after a piece's last frame to the first frame of the next piece.
 
-    reads, decoder: As of `decode`; with more than one piece, the reads must be the same whenever they are asked for.
+    If there is more than one piece, ``reads`` is iterated over twice and must yield the same.
     """
-    source = _lines(reads, most_bytes)
-    begun = next(source)
+    source = _read_lines(reads, most_bytes)
+    first_lines = next(source)
     governing = _Governing()
-    governing.take(begun)
-    more = False
+    governing.take(first_lines)
+    read_on = False
     if governing.decided:
-        source = chain([begun], source)
+        source = chain([first_lines], source)
     else:
         for lines in source:
-            more = True
+            read_on = True
             governing.take(lines)
             if governing.decided:
                 break
-        source = _lines(reads, most_bytes) if more else iter([begun])
+        source = _read_lines(reads, most_bytes) if read_on else iter([first_lines])
     first = True
-    identified = _Identified(governing, decoder)
+    tracker = _IdentTracker(governing, decoder)
     for lines in source:
-        yield _stream(lines, *identified.take(lines), first)
+        yield _build_stream(lines, *tracker.take(lines), first)
         first = first and not lines.bodies
 
 
-def _lines(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterator[_Lines]:
+def _read_lines(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterator[_Lines]:
     """Yield the lines of one connection, in pieces; at least one, which may be empty."""
     splitter = Splitter(wire.DELIMITER, wire.LONGEST_LINE)
     bodies: list[bytes] = []
     length = array("q")
     ends: list[tuple[int, int]] = []
     parts: list[tuple[int, int, int]] = []
-    dropped = taken = 0
+    dropped = bytes_taken = 0
 
-    def made() -> _Lines:
-        size, samples, rest = _groups(bodies)
+    def pack() -> _Lines:
+        size, samples, rest = _group_lines(bodies)
         others = [(line, frame) for line in rest if (frame := wire.decode_payload(bodies[line][:-2], False, False))]
         return _Lines(bodies, np.array(length), size, samples, others, ends, parts, splitter.dropped_bytes - dropped)
 
     for stamp, read in reads:
-        for at in range(0, len(read), _READ_AT_ONCE):
-            data = read[at : at + _READ_AT_ONCE]
+        for begin in range(0, len(read), _READ_AT_ONCE):
+            data = read[begin : begin + _READ_AT_ONCE]
             lines = list(filter(None, splitter.feed(data)))
             bodies += wire.unstuff(lines)
             length.extend(map(len, lines))
             ends.append((stamp, len(lines)))
-            if splitter.pending_bytes and at + len(data) == len(read):
+            if splitter.pending_bytes and begin + len(data) == len(read):
                 parts.append((stamp, len(bodies), splitter.pending_bytes))
-            taken += len(data)
-            if taken >= most_bytes:
-                carried = [(when, 0, count) for when, line, count in parts if line == len(bodies)]
+            bytes_taken += len(data)
+            if bytes_taken >= most_bytes:
+                carried = [(stamp_ns, 0, count) for stamp_ns, line, count in parts if line == len(bodies)]
                 parts = [part for part in parts if part[1] < len(bodies)]
-                yield made()
-                dropped, taken = splitter.dropped_bytes, 0
+                yield pack()
+                dropped, bytes_taken = splitter.dropped_bytes, 0
                 bodies, length, ends, parts = [], array("q"), [], carried
-    yield made()
+    yield pack()
 
 
-def _stream(
+def _build_stream(
     lines: _Lines, ident: wire.Ident | None, identified: list[tuple[int, wire.Ident]], first_piece: bool
 ) -> Stream:
-    """Return what some lines of a connection hold.
+    """Return the stream of some lines of a connection.
 
-    ``ident`` is what the board had identified itself as before them, ``identified`` are the lines among them in which
-    it did so, and what the frames behind each were sent as.
+    ``ident`` is the board's identification before them; ``identified`` are the lines among them with an identification,
+    and what the frames after each were sent as.
     """
     size, others = lines.size, lines.others
-    ours = _sample_frames(lines.samples, ident, identified)
-    layouts = list(dict.fromkeys(row for _, _, _, row in ours)) or [_row(ident)]
+    sample_frames = _sample_frames(lines.samples, ident, identified)
+    layouts = list(dict.fromkeys(row for _, _, _, row in sample_frames)) or [_sample_layout(ident)]
     row = max(layouts, key=lambda layout: len(layout.names or ()))
     if len(layouts) > 1:
-        row = _row_of(set().union(*(layout.names or () for layout in layouts)))
+        row = _make_layout(set().union(*(layout.names or () for layout in layouts)))
     count = np.zeros(len(size), dtype=np.int64)  # samples in each line
-    for where, each, _, _ in ours:
-        count[where] = each
+    for line_numbers, n_samples, _, _ in sample_frames:
+        count[line_numbers] = n_samples
     before = np.concatenate(([0], np.cumsum(count > 0)))  # sample frames before each line
     frame_line = np.flatnonzero(count)
     n = count[frame_line]
     first = np.cumsum(n) - n
     rows = np.zeros(int(n.sum()), dtype=row) if len(layouts) > 1 else np.empty(int(n.sum()), dtype=row)
     heads = np.empty(len(n), dtype=_HEAD)
-    for where, each, together, layout in ours:
-        sent = together.view(np.dtype([("head", _HEAD), ("rows", layout, (each,))]))[:, 0]
-        heads[before[where]] = sent["head"]
-        place = (first[before[where], np.newaxis] + np.arange(each)).ravel()
+    for line_numbers, n_samples, payloads, layout in sample_frames:
+        sent = payloads.view(np.dtype([("head", _HEAD), ("rows", layout, (n_samples,))]))[:, 0]
+        heads[before[line_numbers]] = sent["head"]
+        row_numbers = (first[before[line_numbers], np.newaxis] + np.arange(n_samples)).ravel()
         if layout == row:
-            rows[place] = sent["rows"].ravel()
+            rows[row_numbers] = sent["rows"].ravel()
         else:
             for name in layout.names or ():
-                rows[name][place] = sent["rows"].ravel()[name]
-    known = np.zeros(len(size), dtype=np.bool_)
-    known[frame_line] = True
-    known[[line for line, _ in others]] = True
-    unknown = size[~known & (size > 0)]
+                rows[name][row_numbers] = sent["rows"].ravel()[name]
+    is_known = np.zeros(len(size), dtype=np.bool_)
+    is_known[frame_line] = True
+    is_known[[line for line, _ in others]] = True
+    unknown = size[~is_known & (size > 0)]
     damaged = np.flatnonzero(size == 0)
     if first_piece:
         damaged = damaged[damaged > 0]  # the first line's beginning may be missing
@@ -237,7 +239,7 @@ def _stream(
         **columns,
         ident=ident,
         idents=before[np.array([line for line, _ in identified], dtype=np.int64)],
-        identified=tuple(each for _, each in identified),
+        identified=tuple(each_ident for _, each_ident in identified),
         configs=tuple(
             (int(before[line]), storable(frame.toml)) for line, frame in others if isinstance(frame, wire.Config)
         ),
@@ -258,30 +260,27 @@ def _stream(
     )
 
 
-def _groups(bodies: list[bytes]) -> tuple[NDArray[np.int64], Groups, list[int]]:
-    """Check every line's CRC.
-
-    Returns: Bytes of each payload, 0 for a damaged line; lines of SAMPLES frames and their payloads; the other lines.
-    """
+def _group_lines(bodies: list[bytes]) -> tuple[NDArray[np.int64], Groups, list[int]]:
+    """Check every line's CRC; return bytes of each payload, 0 if damaged, the SAMPLES frames, and the other lines."""
     length = np.fromiter(map(len, bodies), np.int64, len(bodies))
     size = np.zeros(len(bodies), dtype=np.int64)
     samples: Groups = {}
     others: list[int] = []
-    for each in np.unique(length[length >= wire.SHORTEST_BODY]).tolist():
-        lines = np.flatnonzero(length == each)
-        rows = np.frombuffer(b"".join([bodies[line] for line in lines.tolist()]), np.uint8).reshape(-1, each)
-        good = _crc(rows[:, :-2]) == rows[:, -2] | rows[:, -1].astype(np.uint16) << 8
-        size[lines[good]] = each - 2
+    for body_bytes in np.unique(length[length >= wire.SHORTEST_BODY]).tolist():
+        lines = np.flatnonzero(length == body_bytes)
+        rows = np.frombuffer(b"".join([bodies[line] for line in lines.tolist()]), np.uint8).reshape(-1, body_bytes)
+        good = _compute_crc(rows[:, :-2]) == rows[:, -2] | rows[:, -1].astype(np.uint16) << 8
+        size[lines[good]] = body_bytes - 2
         sample = good & (rows[:, 0] == wire.SAMPLES) & (rows[:, 1] == wire.VERSION)
-        sample &= each - 2 >= wire.SAMPLES_HEADER
+        sample &= body_bytes - 2 >= wire.SAMPLES_HEADER
         others += lines[good & ~sample].tolist()
         for n in np.unique(rows[sample, 2]).tolist():
-            chosen = np.flatnonzero(sample & (rows[:, 2] == n))
-            samples[each - 2, n] = lines[chosen], rows[chosen, :-2]
+            same_n = np.flatnonzero(sample & (rows[:, 2] == n))
+            samples[body_bytes - 2, n] = lines[same_n], rows[same_n, :-2]
     return size, samples, sorted(others)
 
 
-def _crc(payloads: NDArray[np.uint8]) -> NDArray[np.uint16]:
+def _compute_crc(payloads: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Return the CRC of payloads of one length, (n, bytes), as `binascii.crc_hqx` computes it: (n,)."""
     if len(payloads) < FEWEST_TOGETHER:
         return np.array([crc_hqx(payload, wire.CRC_SEED) for payload in map(bytes, payloads)], dtype=np.uint16)
@@ -294,46 +293,41 @@ def _crc(payloads: NDArray[np.uint8]) -> NDArray[np.uint16]:
 def _sample_frames(
     groups: Groups, ident: wire.Ident | None, identified: list[tuple[int, wire.Ident]]
 ) -> list[tuple[NDArray[np.int64], int, NDArray[np.uint8], np.dtype[np.void]]]:
-    """Return the frames with samples in the layout they were sent in: lines, (k,), samples in each, payloads, layout.
-
-    Given are the board's identification before these lines, and the lines behind which others hold.
-    """
-    layouts = [_row(ident), *(_row(each) for _, each in identified)]
+    """Return the frames with samples grouped by layout: lines, (k,), samples in each, payloads, layout."""
+    layouts = [_sample_layout(ident), *(_sample_layout(later) for _, later in identified)]
     distinct = list(dict.fromkeys(layouts))
     number = np.array([distinct.index(layout) for layout in layouts])
     lines = np.array([line for line, _ in identified], dtype=np.int64)
-    found = []
-    for (size, each), (where, together) in groups.items():
-        own = number[np.searchsorted(lines, where)]
+    frames = []
+    for (size, n_samples), (line_numbers, payloads) in groups.items():
+        layout_number = number[np.searchsorted(lines, line_numbers)]
         for k, row in enumerate(distinct):
-            here = own == k
-            if _fits(size, each, row) and here.any():
-                found.append((where[here], each, together[here], row))
-    return found
+            matches = layout_number == k
+            if _fits_layout(size, n_samples, row) and matches.any():
+                frames.append((line_numbers[matches], n_samples, payloads[matches], row))
+    return frames
 
 
-def _row(ident: wire.Ident | None) -> np.dtype[np.void]:
-    """Return the layout of one sample from a board that identified itself so."""
+def _sample_layout(ident: wire.Ident | None) -> np.dtype[np.void]:
     has = wire.Capability(0) if ident is None else ident.capabilities
-    return _row_of(["belt"] * (wire.Capability.BELT in has) + ["edge"] * (wire.Capability.EDGE_TIME in has))
+    return _make_layout(["belt"] * (wire.Capability.BELT in has) + ["edge"] * (wire.Capability.EDGE_TIME in has))
 
 
-def _row_of(optional: Iterable[str]) -> np.dtype[np.void]:
-    """Return the layout of one sample that holds these columns beside those that each one has."""
+def _make_layout(optional: Iterable[str]) -> np.dtype[np.void]:
+    """Return the layout of one sample with these columns in addition to those that each one has."""
     chosen = set(optional)
     names = ["dt", "up", "down", "status", *(name for name in ("belt", "edge") if name in chosen)]
     return np.dtype([(name, "u1" if name == "status" else "<u2") for name in names])
 
 
-def _fits(size: int, n: int, row: np.dtype[np.void]) -> bool:
-    """Return whether a payload is as long as the n samples it declares."""
+def _fits_layout(size: int, n: int, row: np.dtype[np.void]) -> bool:
     return n > 0 and size == wire.SAMPLES_HEADER + n * row.itemsize
 
 
 class _Governing:
-    """The last identification before the first sample frame: the decoder may have been set in between.
+    """Finds the last identification before the first sample frame: the decoder may have been set in between.
 
-    ident: The identification, as far as the lines have been looked at.
+    ident: The last one in the lines so far.
     number: How many identifications there are up to that one.
     decided: No later line can change it.
     """
@@ -345,12 +339,11 @@ class _Governing:
         self._seen: set[tuple[int, int]] = set()  # bytes and samples of frames in the pieces before
 
     def take(self, lines: _Lines) -> None:
-        """Look at the next lines."""
         for line, frame in lines.others:
             if not isinstance(frame, wire.Ident):
                 continue
-            here = {key for key, (where, _) in lines.samples.items() if where[0] < line}
-            if self._any_fits(self._seen | here):
+            before_ident = {key for key, (line_numbers, _) in lines.samples.items() if line_numbers[0] < line}
+            if self._any_fits(self._seen | before_ident):
                 break
             self.ident = frame
             self.number += 1
@@ -358,38 +351,38 @@ class _Governing:
         self.decided = self._any_fits(self._seen)
 
     def _any_fits(self, seen: set[tuple[int, int]]) -> bool:
-        return self.ident is not None and any(_fits(*key, _row(self.ident)) for key in seen)
+        return self.ident is not None and any(_fits_layout(*key, _sample_layout(self.ident)) for key in seen)
 
 
-class _Identified:
-    """What the lines of a connection were sent as: the governing identification, and each one behind it from there on.
+class _IdentTracker:
+    """The identification in force: the governing one, then each later one from its line on.
 
-    A board that has restarted greets with an identification, then the recorder asks for the decoder of this run.  It
-    asks for an identification again; where there is none (recorders before did not), the decoder asked for holds.
+    A board that has restarted sends an identification, then the recorder sets the decoder of this run.  It requests an
+    identification again; if there is none (older recorders did not request it), the requested decoder applies.
     """
 
     def __init__(self, governing: _Governing, decoder: str | None) -> None:
-        self._now = governing.ident
-        self._governed = governing.number  # identifications to come that the governing one stands for
+        self._ident = governing.ident
+        self._to_skip = governing.number  # identifications to come that the governing one replaces
         self._decoder = decoder
         self._sampled = True  # since the last identification
 
     def take(self, lines: _Lines) -> tuple[wire.Ident | None, list[tuple[int, wire.Ident]]]:
-        """Return what holds before the next lines, and what holds behind those with an identification."""
-        began, found = self._now, []
-        sampled = np.sort(np.concatenate([_nothing(), *(where for where, _ in lines.samples.values())]))
+        """Return the identification before the next lines, and the one in force after each line that has one."""
+        ident_before, changes = self._ident, []
+        sampled = np.sort(np.concatenate([_empty(), *(line_numbers for line_numbers, _ in lines.samples.values())]))
         last = -1
         for line, frame in lines.others:
             if not isinstance(frame, wire.Ident):
                 continue
             self._sampled |= bool(np.searchsorted(sampled, last) < np.searchsorted(sampled, line))
-            if self._governed and self._now is not None:
-                self._governed -= 1
+            if self._to_skip and self._ident is not None:
+                self._to_skip -= 1
             elif self._decoder is not None and self._sampled:
-                self._now = replace(frame, decoder=self._decoder)
+                self._ident = replace(frame, decoder=self._decoder)
             else:
-                self._now = frame
-            found.append((line, self._now))
+                self._ident = frame
+            changes.append((line, self._ident))
             self._sampled, last = False, line
         self._sampled |= bool(np.searchsorted(sampled, last) < len(sampled))
-        return began, [(line, ident) for line, ident in found if ident is not None]
+        return ident_before, [(line, ident) for line, ident in changes if ident is not None]

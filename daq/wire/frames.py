@@ -1,4 +1,4 @@
-"""The wire: what a board and the recorder say to each other, byte for byte; frames <-> values, no I/O.
+"""The wire format between a board and the recorder, byte for byte; frames <-> values, no I/O.
 
 Rule: a frame on the line is ``COBS(payload + CRC) + 0x00``.  The CRC is CRC-16/CCITT-FALSE over the payload, sent low
 byte first; every integer and float is little endian; the payload starts with a kind (one ASCII letter) and a format
@@ -35,11 +35,11 @@ IDENT, SAMPLES, CONFIG, TRUTH, NOTICE = b"ISCTX"  # the kinds, as byte values
 # Status bits of one sample.
 A_HIGH, B_HIGH, OVERRUN = 1, 2, 4
 LEVELS = A_HIGH | B_HIGH
-NO_EDGE = 0xFFFF  # "edge" of a sample whose last edge is 65,535 ticks back or longer, or never came
+NO_EDGE = 0xFFFF  # "edge" of a sample without an edge in the last 65,535 ticks
 
 
 class Capability(IntFlag):
-    """What a board's frames carry; declared once in the identification frame."""
+    """The content of a board's frames; declared once in the identification frame."""
 
     BLOCKS = 1  # more than one sample per frame
     LEVELS = 2  # the status bits A and B are real
@@ -54,19 +54,19 @@ class Capability(IntFlag):
 class Ident:
     """The board's identification: sent at power-up and in answer to ``I``."""
 
-    firmware: tuple[int, int, int]  # Major, minor, patch
+    firmware: tuple[int, int, int]  # major, minor, patch
     decoder: str  # one of `DECODERS`
     capabilities: Capability
     counter_bits: int  # width of the counters, the belt's too
     tick_ns: int  # unit of the device time, ns; at most `LONGEST_TICK_NS`
-    block_size: int  # samples per SAMPLES frame as now set
+    block_size: int  # samples per SAMPLES frame as currently set
     max_rate_hz: int  # fastest sampling, and fastest edges the decoder follows without error
     max_edge_rate_hz: int
     name: str
 
     @property
     def implausible(self) -> str:
-        """What of the identification cannot be true, in words; "" when all of it can."""
+        """What cannot be true of the identification, as text; "" if all of it can."""
         if not 2 <= self.counter_bits <= WIDEST_COUNTER:
             return f"its counters have {self.counter_bits} bits"
         if not 1 <= self.tick_ns <= LONGEST_TICK_NS:
@@ -79,7 +79,7 @@ class Ident:
 class SampleBlock(NamedTuple):
     """One SAMPLES frame of n samples, n = 1 to 255; the sequences all have length n.
 
-    A tuple and no dataclass: a stream makes thousands a second, and a tuple is made in a quarter of the time.
+    A named tuple rather than a dataclass: a stream makes thousands a second, and a tuple takes a quarter of the time.
     """
 
     seq: int  # sequence number of the first sample, modulo 2^16; advances over samples that were lost, too
@@ -97,14 +97,14 @@ class SampleBlock(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """What a careful lab has measured of this rig, as the TOML text of `daq.runfile.rig`."""
+    """The lab's calibration of this rig, as the TOML text of `daq.runfile.rig`."""
 
     toml: str
 
 
 @dataclass(frozen=True, slots=True)
 class TruthFrame:
-    """Exact motion at sample times; only a simulated rig sends it, if its scene requests it.
+    """Exact motion at sample times, sent only by a simulated rig whose scene requests it.
 
     ``rows`` holds (time s, x m, v m/s, F N) of the samples seq, seq + 1, ...: F is the friction force on the mass.
     """
@@ -141,7 +141,7 @@ def enframe(payload: bytes) -> bytes:
 
 
 def unstuff(lines: list[bytes]) -> list[bytes]:
-    """Return payload and CRC, unchecked, of the bytes between delimiters; nothing where COBS does not hold."""
+    """Return payload and CRC, unchecked, of the bytes between delimiters; b"" where COBS is invalid."""
     if max(map(len, lines), default=0) <= LONGEST_LINE:
         try:
             return list(map(cobs.decode, lines))
@@ -159,11 +159,11 @@ def _unstuff_line(line: bytes) -> bytes:
 
 
 def deframe(line: bytes) -> bytes | None:
-    """Return the payload of the bytes between two delimiters, or None when COBS or the CRC does not hold."""
-    return _checked(_unstuff_line(line))
+    """Return the payload of the bytes between two delimiters, or None if COBS or the CRC is invalid."""
+    return _check_crc(_unstuff_line(line))
 
 
-def _checked(body: bytes) -> bytes | None:
+def _check_crc(body: bytes) -> bytes | None:
     payload = body[:-2]
     if len(body) < SHORTEST_BODY or crc_hqx(payload, CRC_SEED) != body[-2] | body[-1] << 8:
         return None
@@ -208,12 +208,10 @@ def encode_samples(block: SampleBlock) -> bytes:
 
 
 def encode_config(toml: str) -> bytes:
-    """Return a CONFIG frame."""
     return _encode_text(CONFIG, toml)
 
 
 def encode_notice(text: str) -> bytes:
-    """Return a NOTICE frame."""
     return _encode_text(NOTICE, text)
 
 
@@ -234,9 +232,9 @@ def encode_truth(truth: TruthFrame) -> bytes:
 
 
 def decode_payload(payload: bytes, belt: bool, edge: bool) -> Frame | None:
-    """Return the frame of a checked payload, or None when its kind, version or length is not ours.
+    """Return the frame of a checked payload, or None if its kind, version or length is unknown.
 
-    ``belt`` and ``edge`` say what the last identification declared each sample to carry.
+    ``belt`` and ``edge`` are whether the last identification declared these columns.
     """
     kind, version = payload[0], payload[1]
     if version != VERSION:
@@ -279,7 +277,7 @@ def _decode_ident(payload: bytes) -> Ident | None:
 def _decode_samples(payload: bytes, belt: bool, edge: bool) -> SampleBlock | None:
     if len(payload) < SAMPLES_HEADER or payload[2] == 0:
         return None
-    layout, size = _layout(belt, edge, payload[2])
+    layout, size = _make_struct(belt, edge, payload[2])
     if len(payload) != layout.size:
         return None
     flat = layout.unpack(payload)
@@ -290,8 +288,8 @@ def _decode_samples(payload: bytes, belt: bool, edge: bool) -> SampleBlock | Non
 
 
 @cache
-def _layout(belt: bool, edge: bool, n: int) -> tuple[struct.Struct, int]:
-    """Return the struct of a whole SAMPLES payload, and how many numbers a sample is."""
+def _make_struct(belt: bool, edge: bool, n: int) -> tuple[struct.Struct, int]:
+    """Return the struct of a whole SAMPLES payload, and how many numbers make one sample."""
     row = sample_format(belt, edge)
     return struct.Struct(_SAMPLES.format + row * n), len(row)
 
@@ -306,11 +304,11 @@ def _decode_truth(payload: bytes) -> TruthFrame | None:
 
 
 class FrameReader:
-    """Read frames from a byte stream; never raises on garbage, back in step at the next 0x00.
+    """Read frames from a byte stream; never raises on garbage, synchronised again at the next 0x00.
 
-    crc_errors: Lines that did not hold: COBS or CRC broken.  A broken first line is not counted: listening may start
-        anywhere inside a frame.
-    unknown: Frames whose CRC holds but whose kind, version or length is not ours (a newer board, another layout).
+    crc_errors: Lines with invalid COBS or CRC.  An invalid first line is not counted: listening may start anywhere
+        inside a frame.
+    unknown: Frames with a valid CRC whose kind, version or length is unknown (a newer board, another layout).
     """
 
     def __init__(self) -> None:
@@ -328,9 +326,9 @@ class FrameReader:
         return self._discarded_bytes + self._splitter.dropped_bytes
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes as they came and return the frames they complete, in order."""
+        """Return the frames that the bytes complete, in order."""
         frames: list[Frame] = []
-        for payload in self.payloads(data):
+        for payload in self.read_payloads(data):
             frame = decode_payload(payload, self._belt, self._edge)
             if frame is None:
                 self.unknown += 1
@@ -342,10 +340,10 @@ class FrameReader:
             frames.append(frame)
         return frames
 
-    def payloads(self, data: bytes) -> list[bytes]:
-        """Take bytes as they came and return the payloads they complete whose CRC holds, in order."""
+    def read_payloads(self, data: bytes) -> list[bytes]:
+        """Return the payloads with a valid CRC that the bytes complete, in order."""
         lines = [line for line in self._splitter.feed(data) if line]
-        checked = [_checked(body) for body in unstuff(lines)]
+        checked = [_check_crc(body) for body in unstuff(lines)]
         payloads = [payload for payload in checked if payload is not None]
         if len(payloads) < len(checked):
             damaged = [len(line) for line, payload in zip(lines, checked, strict=True) if payload is None]

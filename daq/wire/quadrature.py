@@ -37,7 +37,7 @@ jk-latched  second reading: a J-K flip-flop with J = A, K = not A, clocked by B'
             starts as 1 (up).  Between two rises of B it does not notice a reversal.
 
 The technique: every rule is first applied to all samples at once, in bytes, where one instruction serves 16 to 64 of
-them; only then are the few places picked out at which something happened.  A table looked up per edge costs 15 times
+them; only then are the few samples with a change selected.  A table looked up per edge costs 15 times
 as much, and a loop over the edges a thousand times.
 """
 
@@ -46,38 +46,38 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-PIECE = 1 << 15  # samples decoded at a time: what is made of them stays in the processor's cache
+PIECE = 1 << 15  # samples decoded at a time, so that intermediate arrays stay in the processor's cache
 DECODERS = ("x4", "x1", "jk", "jk-latched")
 EDGES_PER_COUNT = {"x4": 1, "x1": 4, "jk": 4, "jk-latched": 4}  # x4 counts in one count of each decoder
 GRAY = np.array([0, 1, 3, 2], dtype=np.uint8)  # levels of n mod 4 = 0, 1, 2, 3
 PHASE = np.array([0, 1, 3, 2], dtype=np.uint8)  # n mod 4 of levels 0, 1, 2, 3: GRAY is its own inverse
 
-# A change as one number, 4 * levels before + levels after, and what it does.
+# Changes, as 4 * levels before + levels after, that count up and down.
 _UP = {"x1": 4 * 0 + 1, "jk": 4 * 0 + 1}  # A rises, B low
 _DOWN = {"x1": 4 * 1 + 0, "jk": 4 * 2 + 3}  # A falls, B low; A rises, B high
 _A_RISES = (4 * 0 + 1, 4 * 2 + 3)
-_Q_UP, _Q_DOWN = 4 * 1 + 3, 4 * 0 + 2  # B rises with A high, with A low: what the flip-flop takes
+_Q_UP, _Q_DOWN = 4 * 1 + 3, 4 * 0 + 2  # B rises with A high, with A low: the flip-flop's inputs
 
 
 @dataclass(frozen=True)
 class Steps:
-    """The changes found in one chunk of levels, e of them."""
+    """The e changes in a chunk of levels."""
 
-    index: NDArray[np.intp]  # (e,) where in the chunk the new levels first stand
+    index: NDArray[np.intp]  # (e,) first sample in the chunk with the new levels
     step: NDArray[np.int8]  # (e,) +1 counted up, -1 counted down, 0 not counted by this decoder
     illegal: NDArray[np.bool_]  # (e,) both channels changed at once
 
 
 class Decoder:
-    """One decoder at work on a stream of levels that comes in chunks; the state is carried across them.
+    """One decoder of a stream of levels that comes in chunks; the state is carried across them.
 
     kind: One of `DECODERS`.
-    levels: Levels before the first sample; without it the first sample only sets the state and is never an edge.
-    up, down, illegal, edges: Totals so far; ``edges`` counts every change of the levels, whatever this decoder makes of
-        it.
-    levels: Levels of the last sample seen.
+    levels: Levels of the last sample, initially those before the first one; None: the first sample only sets the state
+        and is never an edge.
+    up, down, illegal, edges: Totals so far; ``edges`` counts every change of the levels, whether or not this decoder
+        counts it.
     latched_up: The flip-flop's Q (jk-latched only).
-    Raises ValueError: for an unknown kind, or levels outside 0 to 3.
+    Raises ValueError for an unknown kind, or levels outside 0 to 3.
     """
 
     def __init__(self, kind: str, levels: int | None = None) -> None:
@@ -95,27 +95,27 @@ class Decoder:
 
     def feed(self, levels: ArrayLike) -> Steps:
         """Decode a chunk of levels, one per sample or one per edge, and add to the totals."""
-        chunk = _checked(levels)
+        chunk = _check_levels(levels)
         index, step, illegal = [], [], []
         for first in range(0, len(chunk), PIECE):
-            code = self._changes(chunk[first : first + PIECE])
-            where = np.flatnonzero(_has_changed(code))
-            counted, double = self._decode(code[where])
-            index.append(where + first)
-            step.append(counted)
-            illegal.append(double)
+            code = self._encode_changes(chunk[first : first + PIECE])
+            changed = np.flatnonzero(_has_changed(code))
+            signs, both = self._decode(code[changed])
+            index.append(changed + first)
+            step.append(signs)
+            illegal.append(both)
         if not index:
             return Steps(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.int8), np.empty(0, dtype=np.bool_))
         return Steps(np.concatenate(index), np.concatenate(step), np.concatenate(illegal))
 
     def count(self, levels: ArrayLike) -> None:
-        """Decode a chunk and add to the totals without saying where the edges are, up to twice as fast as `feed`."""
-        chunk = _checked(levels)
+        """Decode a chunk and add to the totals without locating the edges, up to twice as fast as `feed`."""
+        chunk = _check_levels(levels)
         for first in range(0, len(chunk), PIECE):
-            code = self._changes(chunk[first : first + PIECE])
+            code = self._encode_changes(chunk[first : first + PIECE])
             self._decode(code[np.flatnonzero(_has_changed(code))] if self.kind == "jk-latched" else code)
 
-    def _changes(self, chunk: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _encode_changes(self, chunk: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return 4 * levels before + levels at each sample, and keep the last one for the next chunk."""
         code = np.empty(len(chunk), dtype=np.uint8)
         code[0] = chunk[0] if self.levels is None else self.levels
@@ -126,16 +126,16 @@ class Decoder:
         return code
 
     def _decode(self, code: NDArray[np.uint8]) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
-        """Return what each change does, +1, -1 or 0, and whether it is illegal; add to the totals.
+        """Return the step of each change, +1, -1 or 0, and whether it is illegal; add to the totals.
 
-        Codes of samples at which nothing changed may stand between the changes; they do nothing.
+        Codes of samples without a change may be among them; they have no effect.
         """
-        moved = _phase_moves(code)
+        moved = _diff_phase(code)
         illegal = moved == 2
         if self.kind == "x4":
             up, down = moved == 1, moved == 3
         elif self.kind == "jk-latched":
-            up, down = self._latched(code)
+            up, down = self._gate_rises(code)
         else:
             up, down = code == _UP[self.kind], code == _DOWN[self.kind]
         self.up += int(np.count_nonzero(up))
@@ -144,17 +144,17 @@ class Decoder:
         self.edges += int(np.count_nonzero(moved))
         return up.view(np.int8) - down.view(np.int8), illegal
 
-    def _latched(self, code: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return where jk-latched counts up and down: at A's rises, by Q as B's last rise before them left it."""
+    def _gate_rises(self, code: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return where jk-latched counts up and down: at rises of A, by Q, which B's last rise before them set."""
         rises = (code == _A_RISES[0]) | (code == _A_RISES[1])
         clocks = (code == _Q_UP).view(np.int8) - (code == _Q_DOWN).view(np.int8)  # what Q becomes, as +1 or -1
-        q = _last_not_zero(clocks, 1 if self.latched_up else -1, rises)
+        q = _fill_zeros(clocks, 1 if self.latched_up else -1, rises)
         if len(q):
             self.latched_up = bool(q[-1] > 0)
         return rises & (q > 0), rises & (q < 0)
 
 
-def _checked(levels: ArrayLike) -> NDArray[np.uint8]:
+def _check_levels(levels: ArrayLike) -> NDArray[np.uint8]:
     chunk = np.asarray(levels, dtype=np.uint8)
     if len(chunk) and chunk.max() > 3:
         raise ValueError(f"levels of {chunk.max()} at sample {int(chunk.argmax())}; need A + 2 B, 0 to 3")
@@ -165,7 +165,7 @@ def _has_changed(code: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray(code >> 2 != code & 3)
 
 
-def _phase_moves(code: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _diff_phase(code: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return how far the Gray phase moves, modulo 4: 1 up, 3 down, 2 illegal.  Levels l have phase l ^ (l >> 1)."""
     phase = code >> 1
     phase &= 0b0101  # each of the two levels shifted by one, nothing from one into the other
@@ -175,23 +175,23 @@ def _phase_moves(code: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return moved
 
 
-def _last_not_zero(values: NDArray[np.int8], before: int, wanted: NDArray[np.bool_]) -> NDArray[np.int8]:
+def _fill_zeros(values: NDArray[np.int8], initial: int, wanted: NDArray[np.bool_]) -> NDArray[np.int8]:
     """Return the last value that is not zero up to each place that is ``wanted``, and up to the last place.
 
-    ``before`` stands ahead of the first.  Elsewhere the answer may be 0.
+    ``initial`` precedes the first value.  Elsewhere the result may be 0.
     """
     filled = values.copy()
     if len(filled) == 0:
         return filled
-    filled[0] = filled[0] or before
-    for back in (1, 2, 4, 8, 16):  # looks back 31 places: in steady motion B has risen 3 edges before A
-        filled[back:] += filled[:-back] * (filled[back:] == 0)
-    left = np.flatnonzero(wanted & (filled == 0))
-    if len(left) or filled[-1] == 0:
-        left = np.append(left, len(filled) - 1)
-        known = np.flatnonzero(values)
-        at = np.searchsorted(known, left, side="right") - 1
-        filled[left] = np.where(at >= 0, values[known[at]] if len(known) else before, before)
+    filled[0] = filled[0] or initial
+    for shift in (1, 2, 4, 8, 16):  # looks back 31 places: in steady motion B has risen 3 edges before A
+        filled[shift:] += filled[:-shift] * (filled[shift:] == 0)
+    unfilled = np.flatnonzero(wanted & (filled == 0))
+    if len(unfilled) or filled[-1] == 0:
+        unfilled = np.append(unfilled, len(filled) - 1)
+        nonzero = np.flatnonzero(values)
+        index = np.searchsorted(nonzero, unfilled, side="right") - 1
+        filled[unfilled] = np.where(index >= 0, values[nonzero[index]] if len(nonzero) else initial, initial)
     return filled
 
 

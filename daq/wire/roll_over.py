@@ -1,4 +1,4 @@
-"""Counters that roll over or restart: found where a record shows it beyond doubt, and undone exactly.
+"""Counters that roll over or restart: detected where a record shows it beyond doubt, and undone exactly.
 
 A counter of 16 bits jumps by 2^16 when it rolls over; others are set to zero at a limit, or by an index pulse once a
 revolution.  The jumps have one size but for an ordinary step, and begin and end at the limits of the readings.  A torn
@@ -15,7 +15,7 @@ BITS = range(8, 33)
 # Times the longest ordinary step: how far a jump may be from its usual size or from a limit.  The fastest motion may
 # fall on a jump, and its neighbours be slower.
 SLACK = 2.0
-PIECE = 1 << 18  # readings looked at together; each takes 50 bytes
+PIECE = 1 << 18  # readings examined together; each takes 50 bytes
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class RollOver:
 
 
 def find_roll_over(count: NDArray[np.int64]) -> RollOver | None:
-    """Return how integer readings roll over; None where they do not."""
+    """Return the range of a counter from its readings; None if it does not roll over."""
     step = np.diff(count)
     size = np.abs(step)
     if step.size < 3 or not size.any():
@@ -43,10 +43,10 @@ def find_roll_over(count: NDArray[np.int64]) -> RollOver | None:
     reach = SLACK * ordinary + 1
     if 2 * jumps.size > step.size or largest / 2 <= reach or np.ptp(size[jumps]) > 2 * reach:
         return None
-    # Neighbours of a jump tell how far the counter would have moved.
-    near = 0.5 * (step[np.maximum(jumps - 1, 0)] + step[np.minimum(jumps + 1, step.size - 1)])
-    near = np.where(np.abs(near) > ordinary, 0.0, near)
-    sizes = np.sign(step[jumps]) * (step[jumps] - near)
+    # The neighbours of a jump show how far the counter would have moved.
+    motion = 0.5 * (step[np.maximum(jumps - 1, 0)] + step[np.minimum(jumps + 1, step.size - 1)])
+    motion = np.where(np.abs(motion) > ordinary, 0.0, motion)
+    sizes = np.sign(step[jumps]) * (step[jumps] - motion)
 
     def roughness(counts: float) -> float:
         return float(np.sum(np.abs(sizes - counts))) + 1.0
@@ -69,21 +69,20 @@ def find_roll_over(count: NDArray[np.int64]) -> RollOver | None:
 
 
 def unroll(count: NDArray[np.int64], roll_over: RollOver) -> NDArray[np.int64]:
-    """Return readings without their jumps."""
     turns = np.rint(np.diff(count) / roll_over.counts).astype(np.int64)
     jumps = roll_over.counts * np.concatenate(([0], np.cumsum(turns)))
     return np.asarray(count - jumps, np.int64)
 
 
 def survey_roll_over(count: NDArray[np.int64], segment: NDArray[np.unsignedinteger]) -> RollOver | None:
-    """Return how the readings of a long run roll over within its segments: the most frequent jump."""
-    seen: dict[int, int] = {}
+    """Return the most frequent roll-over within the segments of a long run."""
+    times: dict[int, int] = {}
     for begin in range(0, count.size, PIECE):
-        here = slice(begin, begin + PIECE + 1)
-        ends = np.flatnonzero(np.diff(np.asarray(segment[here]).astype(np.int64))) + 1
-        for part in np.split(np.asarray(count[here]), ends):
-            roll_over = find_roll_over(part)
+        piece = slice(begin, begin + PIECE + 1)
+        ends = np.flatnonzero(np.diff(np.asarray(segment[piece]).astype(np.int64))) + 1
+        for readings in np.split(np.asarray(count[piece]), ends):
+            roll_over = find_roll_over(readings)
             if roll_over is not None:
-                seen[roll_over.counts] = seen.get(roll_over.counts, 0) + roll_over.times
-    usual = max(seen, key=seen.__getitem__, default=None)
-    return None if usual is None else RollOver(usual, seen[usual])
+                times[roll_over.counts] = times.get(roll_over.counts, 0) + roll_over.times
+    counts = max(times, key=times.__getitem__, default=None)
+    return None if counts is None else RollOver(counts, times[counts])

@@ -1,11 +1,11 @@
-"""A byte stream cut into lines at its delimiter, however the bytes arrive: the one splitter behind every protocol."""
+"""A byte stream cut into lines at its delimiter, however the bytes arrive, for every protocol."""
 
 
 class Splitter:
-    """Cut a byte stream into lines; a line longer than any the protocol has is held in no memory.
+    """Cut a byte stream into lines, in bounded memory.
 
-    Such a line is returned as soon as it is too long, with what has come of it; the caller sees its length and counts
-    it as damage.  The rest of it, up to its delimiter, is dropped.
+    A line longer than any of the protocol is returned as soon as it is too long, with what has arrived of it; the
+    caller sees its length and counts it as damaged.  The rest of it, up to its delimiter, is dropped.
 
     delimiter: One byte; it ends a line and is not part of it.
     longest: Bytes of the longest line.
@@ -21,11 +21,10 @@ class Splitter:
 
     @property
     def pending_bytes(self) -> int:
-        """Bytes of the line that has begun and not ended."""
         return len(self._tail)
 
-    def whole(self, data: bytes) -> bytes:
-        """Take bytes as they came and return the lines they complete, in order, each with its delimiter.
+    def cut_lines(self, data: bytes) -> bytes:
+        """Return the lines that the bytes complete, in order, each with its delimiter.
 
         A line that is too long has one, too, where it is cut.
         """
@@ -46,7 +45,7 @@ class Splitter:
         return block
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes as they came and return the lines they complete, in order, empty ones too."""
-        lines = self.whole(data).split(self._delimiter)
+        """Return the lines that the bytes complete, in order, empty ones too, without delimiters."""
+        lines = self.cut_lines(data).split(self._delimiter)
         lines.pop()
         return lines

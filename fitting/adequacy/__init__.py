@@ -1,1 +1,1 @@
-"""Whether a law describes a record at all: goodness of fit against the record's own noise."""
+"""Whether a law describes a record at all: goodness of fit against the noise of the record."""

@@ -44,8 +44,6 @@ class Assessment:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A law's goodness of fit, of all runs and of each; its fit made linear, with all cycles and the usual ones."""
-
     fit: FittedLaw
     linearised: LinearisedFit | None
     usual: LinearisedFit | None
@@ -160,12 +158,10 @@ def describing(
 
 
 def _first(fits: Sequence[Fit], law: int | str) -> list[Fit]:
-    """Return the fits with that of one law before all others."""
     return sorted(fits, key=lambda fit: fit.law != law)
 
 
 def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
-    """Return the smallest departure that each run would show, % of the friction at rest."""
     if chosen.usual is None:
         return (None,) * len(motions)
     return smallest_visible(chosen.fit, chosen.usual, chosen.slips)
@@ -177,14 +173,14 @@ def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
 
 
 def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
-    """Return the mass that turns the curve into newtons, kg; None when neither mass nor stiffness is known."""
+    """Return the mass that converts the curve to newtons, kg; None where neither mass nor stiffness is known."""
     if motion.mass is not None:
         return motion.mass.value
     return motion.stiffness.value / curve.k_over_m.value if motion.stiffness is not None else None
 
 
 def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> MeasuredCurve:
-    """Return the curve in newtons where the mass is known; k/m without its interval where it does not hold."""
+    """Return the curve in newtons where the mass is known; k/m without its interval where it is not trusted."""
     curve = replace(curve, k_over_m=replace(curve.k_over_m, trusted=trusted))
     return curve if mass is None else in_newtons(curve, mass)
 
@@ -211,10 +207,7 @@ def _judged_without_faults(
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
 ) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:
-    """Return the fit of the cycles that are judged, without those that a fault of the record has spoilt; their slips.
-
-    ``path`` is asked for where a cycle fits badly; ``fit`` is that whose cycles they are.
-    """
+    """Return the fit without the cycles that a fault of the record spoilt, and the slips; makes ``path`` if needed."""
     spoilt = windows.spoilt(linear.residual)
     landings = np.array([cycle.landing for cycle in fit.cycles])
     faults = left_out(path() if spoilt.any() else None, linear, landings, spoilt, windows.run)

@@ -1,6 +1,6 @@
-"""Goodness of fit in absolute terms: whether noise alone could have left the residuals of a law.
+"""Goodness of fit in absolute terms: whether noise alone could have produced the residuals of a law.
 
-Null distribution: the fitted motion is read again and again with the record's own noise (`fitting.adequacy.noise`), all
+Null distribution: the fitted motion is measured repeatedly with the record's noise (`fitting.adequacy.noise`), all
 unknowns are fitted again, linearly, and the statistics of the slips (`fitting.adequacy.statistics`) are taken of what
 is left.  The other two statistics are of whole cycles, sticks included: the largest mean square over the usual one, and
 the rms of all.  Rounding makes patterns that repeat from cycle to cycle; the repetitions have them too.  A statistic
@@ -39,8 +39,6 @@ ROUNDING = 1e-9  # difference over a statistic's mean: numbers that differ by le
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """How the residuals of a fit compare with noise."""
-
     noise_m: float  # standard deviation of one position, from the record, m
     misfit: float  # rms of the residuals of the judged cycles over ``noise_m``
     lag1: float  # as in `fitting.adequacy.statistics.SlipStatistics`; 0 where no slip can be judged
@@ -53,23 +51,20 @@ class GoodnessOfFit:
 
     @property
     def judged(self) -> bool:
-        """Whether anything could be judged."""
         return self.p_value is not None
 
     @property
     def adequate(self) -> bool:
-        """Whether noise may have made the residuals, as far as that could be judged."""
         return self.p_value is not None and self.p_value >= REJECTED
 
     @property
     def rejected(self) -> bool:
-        """Whether noise has not made the residuals."""
         return self.p_value is not None and self.p_value < REJECTED
 
 
 @dataclass(frozen=True, eq=False)
 class RunSlips:
-    """What is judged of one run: its noise, its slips, and their statistics of the record and of repetitions."""
+    """Noise and slips of a run, and their statistics in the record and in the repetitions."""
 
     noise: PositionNoise
     noise_m: float  # standard deviation of one position, m
@@ -84,19 +79,14 @@ class RunSlips:
 
     @cached_property
     def null(self) -> SlipStatistics:
-        """Statistics of the repetitions; without lag 1."""
         return self.bins.combine(self.null_sums, self.null_squares)
 
     @property
     def judged(self) -> bool:
-        """Whether there are slips enough."""
         return self.bins.slips >= FEWEST_SLIPS
 
     def limits(self, p: float) -> tuple[float, float, float]:
-        """Return at what `repeat`, from its least value, at what `smooth` and at what rms (m) noise is rejected.
-
-        Infinite for a statistic that is not judged.
-        """
+        """Return the values of `repeat`, `smooth` and rms (m) that reject noise; inf for a statistic not judged."""
         found = (self.null.repeat - least(self.bins), self.null.smooth, self.null_cycles.rms)
         repeat, smooth, rms = (limit(p / TESTS, null) for null in found)
         return repeat, smooth, NOISE_KNOWN * rms
@@ -110,18 +100,11 @@ def judge(
     left_out: Mask,
     windows: ShootingWindows | None = None,
 ) -> tuple[RunSlips, ...]:
-    """Return the statistics of each run's slips beside those of their null distribution.
+    """Return the statistics of each run's slips with their null distribution.
 
-    residual: (N,) What is judged, m: what a law leaves, or a curve.
-    refit: Residuals (N, B) to what a linear fit of all unknowns leaves of them
-        (`fitting.estimation.linearised.LinearisedFit.refit`).
-    fit: Whose cycles are judged, of all runs together.
-    motions: Of each run.
-    left_out: (cycles,) Which cycles are not judged (`fitting.adequacy.struck`).  A slip that the belt's joint has
-        struck pulls at the parameters that it shares with the others, which then leave smooth residuals under the true
-        law (p = 1e-15 with 6 slips): ``residual`` is that of a fit without them
-        (`fitting.estimation.linearised.LinearisedFit.without`).
-    windows: Of the same cycles, where the residuals are not those of the fit's own.
+    ``residual`` (N,), m, is that of a fit without the cycles ``left_out``, as ``refit`` is: a slip that the belt's
+    joint has struck pulls at the parameters it shares with the others, which then have smooth residuals under the true
+    law (p = 1e-15 with 6 slips). ``windows`` replace the fit's where the residuals are of others.
     """
     windows = fit.windows if windows is None else windows
     owner = np.repeat(windows.table[:, 5], windows.table[:, 3])
@@ -172,7 +155,6 @@ def judge(
 
 
 def goodness_of_fit(slips: Sequence[RunSlips]) -> tuple[GoodnessOfFit, tuple[GoodnessOfFit, ...]]:
-    """Return the goodness of fit of all runs together, and of each."""
     each = [
         GoodnessOfFit(
             noise_m=own.noise_m,
@@ -199,10 +181,6 @@ def goodness_of_fit(slips: Sequence[RunSlips]) -> tuple[GoodnessOfFit, tuple[Goo
 
 
 def probability(slips: RunSlips) -> float | None:
-    """Return the probability of the statistics by noise alone, corrected for how many there are.
-
-    None where none of them is judged.
-    """
     if not slips.judged:
         return None
     begin, cycles, null = least(slips.bins), slips.cycles, slips.null_cycles
@@ -217,33 +195,30 @@ def probability(slips: RunSlips) -> float | None:
 
 
 def _corrected(found: Sequence[float | None], tests: int) -> float | None:
-    """Return the least of the probabilities, corrected for as many tests; None where there is none."""
+    """Return the least probability, corrected for the number of tests; None without one."""
     judged = [p for p in found if p is not None]
     return min(1.0, tests * min(judged)) if judged else None
 
 
 def least(bins: SlipBins) -> float:
-    """Return the least value that `repeat` can have: its gamma distribution begins there."""
+    """Return the least possible `repeat`, where its gamma distribution begins."""
     return -1 / max(bins.slips - 1, 1)
 
 
 def tail(value: float, null: Array) -> float | None:
-    """Return the probability of a value or a larger one under a gamma distribution with the moments of ``null``.
-
-    None where the repetitions do not differ.
-    """
+    """Return the p-value under a gamma distribution with the moments of ``null``; None where the repetitions agree."""
     moments = _moments(null)
     return None if moments is None else gamma_tail(value, *moments)
 
 
 def limit(p: float, null: Array) -> float:
-    """Return the value that is exceeded with probability p under that distribution; inf where there is none."""
+    """Return the value exceeded with probability p under that distribution; inf without one."""
     moments = _moments(null)
     return math.inf if moments is None else gamma_upper_quantile(p, *moments)
 
 
 def _moments(null: Array) -> tuple[float, float] | None:
-    """Return mean and standard deviation of a statistic of the repetitions; None where it does not vary."""
+    """Return mean and standard deviation of the repetitions; None where they agree."""
     mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
     # The mean of equal numbers differs from them by rounding, and so would their spread from 0.
     return (mean, spread) if mean > 0 and spread > ROUNDING * mean else None

@@ -1,4 +1,4 @@
-"""The noise of measured positions, from what a fit leaves: rounding to a pitch, white noise, jitter of sample times.
+"""The noise of measured positions, from the residual: rounding to a pitch, white noise, jitter of sample times.
 
 The noise of a position is not the printed decimal.  A counter rounds; a camera adds white noise; sample times that
 jitter move a position by velocity times the error of the time.  All three are estimated from fourth differences of the
@@ -34,26 +34,20 @@ ROUNDING = 1e-9  # distance over the range of the readings: nearer ones are the 
 
 @dataclass(frozen=True)
 class PositionNoise:
-    """Noise of one measured position."""
-
     pitch: float  # m, step to which readings are rounded; 0 for none
     white: float  # m, standard deviation of white noise before the rounding
     jitter: float  # s, standard deviation of a sample time
 
     def variance(self, velocity: Array) -> Array:
-        """Return the variance (n,) of readings at velocities (n,), m^2."""
+        """Return the variance (n,) at velocities (n,), m^2."""
         return np.asarray(self.pitch**2 / 12 + self.white**2 + (self.jitter * velocity) ** 2)
 
     def sd(self, velocity: Array) -> float:
-        """Return the standard deviation of one reading, m rms over the velocities."""
+        """Return the standard deviation of a position, m rms over the velocities."""
         return math.sqrt(float(np.mean(self.variance(velocity))))
 
     def draw(self, position: Array, velocity: Array, rng: np.random.Generator) -> Array:
-        """Return position minus reading (n,), m, of one repetition.
-
-        The grid to which readings are rounded lies anywhere, but it is one for all: what rounding makes of a motion
-        that repeats, repeats.
-        """
+        """Draw position minus reading (n,), m, rounded to one randomly placed grid: repeated motion rounds alike."""
         spread = np.sqrt(self.white**2 + (self.jitter * velocity) ** 2)
         error = spread * rng.standard_normal(position.size) if spread.any() else 0.0
         if self.pitch == 0:
@@ -65,13 +59,7 @@ class PositionNoise:
 def estimate_noise(
     windows: ShootingWindows, residual: Array, inliers: Mask, motion: MeasuredMotion, run: int = 0
 ) -> PositionNoise:
-    """Estimate the noise of a run from what a fit leaves.
-
-    windows: Of all runs together.
-    residual: (N,) m.
-    inliers: (cycles,) The cycles to use.
-    motion: Of the run.
-    """
+    """Estimate the noise of a run from the residual (N,), m, of its inlier cycles; windows are those of all runs."""
     pitch = reading_pitch(motion.measured)
     rounding = pitch**2 / 12
     interval = float(np.median(np.diff(motion.time)))
@@ -102,11 +90,7 @@ def estimate_noise(
 
 
 def reading_pitch(reading: Array) -> float:
-    """Return the pitch to which readings (n,) are rounded, m; 0 where they lie on no grid.
-
-    Counts of 7.67 um printed to 0.1 um are whole multiples of no step that is printed; their grid is found all the
-    same.
-    """
+    """Return the pitch to which readings (n,) are rounded, m, even one finer than the printed step; 0 without one."""
     values = np.unique(reading)
     gaps = np.diff(values)
     apart = gaps[gaps > ROUNDING * (values[-1] - values[0])]

@@ -1,4 +1,4 @@
-"""What the assessment of a record says: does a law describe it, and if none does, what else is known."""
+"""The assessment of a record: whether a law describes it, and what else is known if none does."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,8 +17,6 @@ NOT_JUDGED = "not judged"
 
 @dataclass(frozen=True, eq=False)
 class Adequacy:
-    """Whether the best law describes a record."""
-
     # `ADEQUATE`; `NONE_OF_SIX`: no law, but a curve without a law may; `NOT_OF_SPEED`: not even that; `NONE_FITTED`
     # where not all six laws were fitted; None where nothing could be judged (`fitting.adequacy.goodness`)
     verdict: str | None
@@ -41,26 +39,23 @@ class Adequacy:
 
     @property
     def said(self) -> str:
-        """The verdict in words, `NOT_JUDGED` where there is none."""
+        """The verdict in words, or `NOT_JUDGED`."""
         return self.verdict or NOT_JUDGED
 
     @property
     def adequate(self) -> bool:
-        """Whether a law describes the record."""
         return self.verdict == ADEQUATE
 
     @property
     def rejected(self) -> bool:
-        """Whether no law describes the record.  Neither this nor `adequate` holds where nothing could be judged."""
+        """Whether no law describes the record; neither this nor `adequate` holds where nothing could be judged."""
         return self.verdict is not None and not self.adequate
 
     @property
     def of_speed(self) -> bool:
-        """Whether the measured curve describes the record."""
         return self.curve is not None and (self.curve_goodness is None or not self.curve_goodness.rejected)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form."""
         found = self.goodness
         return {
             "verdict": self.verdict,

@@ -43,12 +43,11 @@ class CycleSquares:
 
     @property
     def worst(self) -> Array:
-        """Largest over the usual one, shape (B,)."""
         return np.asarray(np.max(self.square, axis=0) / np.maximum(np.median(self.square, axis=0), 1e-300))
 
     @property
     def rms(self) -> Array:
-        """Of all cycles, each counting as one, m, shape (B,); 0 without a cycle."""
+        """Of all cycles, equally weighted, m, shape (B,); 0 without cycles."""
         return np.asarray(np.sqrt(np.sum(self.square, axis=0) / max(self.square.shape[0], 1)))
 
 
@@ -75,7 +74,6 @@ class SlipBins:
 
     @classmethod
     def cut(cls, windows: ShootingWindows, landings: Array, inliers: Mask, run: int = 0) -> "SlipBins":
-        """Cut the slips of one run's inlier cycles; ``landings`` (cycles,), s."""
         rows, phases = [], []
         for k, stick, first, count, _, own in windows.table:
             if stick or own != run or not inliers[k]:
@@ -100,11 +98,11 @@ class SlipBins:
         return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
 
     def per_slip(self, binned: Array) -> Array:
-        """Return the sum of what stands in the bins (occupied bins, B) over each slip, shape (slips, B)."""
+        """Return the sum over the bins (occupied bins, B) of each slip, shape (slips, B)."""
         return np.asarray(np.add.reduceat(binned, self._edges, axis=0))
 
     def per_phase(self, binned: Array) -> Array:
-        """Return the sum of what stands in the bins (occupied bins, B) over each phase, shape (phases met, B)."""
+        """Return the sum over the bins (occupied bins, B) of each phase, shape (phases met, B)."""
         order, edges = self._by_phase
         return np.asarray(np.add.reduceat(binned[order], edges, axis=0))
 
@@ -115,7 +113,7 @@ class SlipBins:
 
     @cached_property
     def _by_phase(self) -> tuple[Integers, Integers]:
-        """Occupied bins in the order of their phases, and the first of each phase."""
+        """Occupied bins in order of phase, and the first of each phase."""
         order = np.argsort(self.phase, kind="stable")
         return order, np.unique(self.phase[order], return_index=True)[1]
 
@@ -125,16 +123,13 @@ class SlipBins:
         return self.per_slip(self.count[:, None]), self.per_slip(np.ones((self.slip.size, 1)))
 
     def statistics(self, residuals: Array) -> SlipStatistics:
-        """Return the statistics of residuals (N, B), m, of which there are two slips or more."""
+        """Return the statistics of residuals (N, B), m, of at least two slips."""
         products = np.zeros_like(residuals)
         products[1:] = residuals[1:] * residuals[:-1]
         return self.combine(self.sums(residuals), self.sums(residuals**2), self.sums(products))
 
     def combine(self, sums: Array, squares: Array, products: Array | None = None) -> SlipStatistics:
-        """Return the statistics from sums of residuals, of their squares and of neighbours' products in each bin.
-
-        Without products `lag1` is 0.
-        """
+        """Return the statistics from sums in each bin; without the products of neighbours `lag1` is 0."""
         number, occupied = self._residuals_and_bins
         square = np.maximum(self.per_slip(squares) / number, 1e-300)
         binned = self.per_slip(sums**2 / self.count[:, None]) / occupied

@@ -1,8 +1,8 @@
-"""Which cycles fit badly because the record has a fault there: the mass got a velocity step, as from the belt's joint.
+"""Cycles that fit badly because the mass got a velocity step there, as from the belt's joint.
 
-A cycle that leaves far more than the usual one of its run is no evidence against a law where one velocity step explains
-the excess.  In a slip that is a change of the velocity at one time; in a stick, and after the landing, friction stops
-the mass again within milliseconds, and a step of the position is left.
+A cycle with a far larger residual than its run's median is not evidence against a law where one velocity step explains
+the excess.  In a slip the step changes the velocity at one time; in a stick, and after the landing, friction stops the
+mass again within milliseconds, and a step of the position remains.
 """
 
 import numpy as np
@@ -23,14 +23,9 @@ MOST_ODD, MOST_ODD_SHARE = 1, 0.1
 
 
 def left_out(path: Path | None, linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers) -> Mask:
-    """Return which of the spoilt cycles say nothing of the law: those struck, and others where they are few.
+    """Return which spoilt cycles (cycles,) to leave out: those struck, and others where they are few.
 
-    path: Along the windows of the fit; without it no velocity step is looked for.
-    linear: Of the same fit.
-    landings: (cycles,) s.
-    spoilt: (cycles,) `ShootingWindows.spoilt` of its residuals.
-    run: (cycles,) Which run each cycle is of.
-    Returns: (cycles,)
+    Velocity steps are searched only where a ``path`` is given; ``run`` is each cycle's run, ``landings`` are in s.
     """
     if not spoilt.any():
         return spoilt
@@ -44,7 +39,7 @@ def left_out(path: Path | None, linear: LinearisedFit, landings: Array, spoilt: 
 
 
 def _struck(path: Path, linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers) -> Mask:
-    """Return the spoilt cycles of which one velocity step explains nearly all that they leave above the usual one."""
+    """Return the spoilt cycles whose excess residual one velocity step explains nearly in full."""
     columns = np.hstack([tangents(path, _impulses(path, landings, spoilt)), _position_steps(path, landings, spoilt)])
     square = cycle_squares(linear.residual[:, np.newaxis], linear.rows)[:, 0]
     found = np.zeros_like(spoilt)
@@ -57,7 +52,7 @@ def _struck(path: Path, linear: LinearisedFit, landings: Array, spoilt: Mask, ru
 
 
 def _best_gain(linear: LinearisedFit, k: int, columns: Array) -> float:
-    """Return by how much the best of the columns (n, steps) lowers a cycle's sum of squares, its own unknowns free."""
+    """Return by how much the best column (n, steps) lowers a cycle's sum of squares with its own unknowns free."""
     rows, q = linear.rows[k], linear.local.shape[1]
     prior = np.diag(np.sqrt(linear.local_precision[k] / max(linear.weights[k], 1e-300)))
     scale = np.sqrt(np.maximum(np.sum(linear.local[rows] ** 2, axis=0) + np.diag(prior) ** 2, 1e-300))
@@ -70,7 +65,7 @@ def _best_gain(linear: LinearisedFit, k: int, columns: Array) -> float:
 
 
 def _impulses(path: Path, landings: Array, spoilt: Mask) -> Array:
-    """Return accelerations (M, TIMES_TRIED) that change the velocity by about 1 m/s in one step of each spoilt slip."""
+    """Return accelerations (M, TIMES_TRIED) that change the velocity by about 1 m/s in one step of a spoilt slip."""
     found = np.zeros((path.time.size, TIMES_TRIED))
     table = path.windows.table
     for row in np.flatnonzero((table[:, 1] == 0) & spoilt[table[:, 0]]):
@@ -86,7 +81,7 @@ def _impulses(path: Path, landings: Array, spoilt: Mask) -> Array:
 
 
 def _position_steps(path: Path, landings: Array, spoilt: Mask) -> Array:
-    """Return steps of the position (N, 2 TIMES_TRIED) in each spoilt cycle's stick, and after its landing."""
+    """Return steps of the position (N, 2 TIMES_TRIED) in each spoilt cycle's stick and after its landing."""
     windows = path.windows
     found = np.zeros((windows.time.size, 2 * TIMES_TRIED))
     for k, stick, first, count, _, _ in windows.table[spoilt[windows.table[:, 0]]]:

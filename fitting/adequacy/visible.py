@@ -1,12 +1,11 @@
-"""The smallest departure of friction that a record would show in half of all repetitions.
+"""The smallest departure of friction that would be detected in half of all repetitions of a record.
 
-What is not seen is not absent: a camera track passes under laws that an encoder would reject.  Friction is thought to
-depart from the law by a wave: of the slip speed, with one or two periods over all speeds and the same amplitude at all
-of them, or of the position, with two or four periods over the travel and in proportion to the friction.  What the law's
-own parameters make up for is taken off by the linear refit.  Each wave's amplitude is raised until half of the
-repetitions of the record are rejected; the median of them is a typical size.  Departures that a law nearly makes up
-for (half a period over all speeds, say) must be several times larger to be seen, and a wave that it cannot follow at
-all shows at half of the size.
+What is not detected is not absent: a camera track passes under laws that an encoder would reject.  The departure is a
+wave in the slip speed, with one or two periods over all speeds and constant amplitude, or in the position, with two or
+four periods over the travel and in proportion to the friction.  The linear refit removes what the law's own parameters
+absorb.  Each wave's amplitude is raised until half of the repetitions are rejected; their median is a typical size.
+Departures that a law nearly absorbs (half a period over all speeds, say) must be several times larger, and a wave that
+it cannot follow at all is detected at half of the size.
 """
 
 import math
@@ -31,12 +30,9 @@ BISECTIONS = 12  # bisections: to 0.4 %
 
 
 def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
-    """Return for each run the amplitude that half of its repetitions show, % of Fs; median over the waves.
+    """Return for each run the wave amplitude that half of its repetitions detect, % of Fs; median over the waves.
 
-    linearised: Of the same fit.
-    slips: Of the same fit, with the null distribution.
-    Returns: None where no slip can be judged, where the motion cannot be followed, or where even a departure as large
-        as Fs would not show.
+    None where no slip is judged, the motion cannot be followed, or even an amplitude of Fs would not be detected.
     """
     waves = departure_waves(fit)
     if waves is None:
@@ -47,13 +43,13 @@ def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[
 
 
 def _percent(sizes: Sequence[float]) -> float | None:
-    """Return the median of amplitudes, %; None where half of the waves would not show."""
+    """Return the median amplitude, %; None where half of the waves would not be detected."""
     typical = 100 * float(np.median(sizes))
     return typical if math.isfinite(typical) else None
 
 
 def departure_waves(fit: FittedLaw) -> Array | None:
-    """Return the answer of the positions to waves of the friction as large as itself, shape (N, waves), m."""
+    """Return the response of the positions to waves as large as the friction, shape (N, waves), m."""
     path = fit.path()
     if path is None or not path.slips.any():
         return None
@@ -72,10 +68,7 @@ def departure_waves(fit: FittedLaw) -> Array | None:
 
 
 def half_seen(own: RunSlips, wave: Array, by_cycle: Array) -> float:
-    """Return the amplitude of a wave (N,), of Fs, at which half of the repetitions of a run are rejected; else inf.
-
-    ``by_cycle`` (cycles,) are its mean squares.
-    """
+    """Return the amplitude of a wave (N,), of Fs, that rejects half of a run's repetitions; inf without one."""
     if not own.judged:
         return math.inf
     draws = slice(None, None, COUNTED_EVERY)

@@ -30,13 +30,13 @@ def covariances(linear: LinearisedFit) -> tuple[Array, Array]:
 
 
 def seen_speeds(fit: SplineFit) -> Array:
-    """Return the slip speeds beyond the ramp (k,), m/s, for which the band is stated."""
+    """Return the slip speeds beyond the ramp (k,), m/s, of the band."""
     fastest = fit.spline.knots[-1]
     return np.linspace(SEEN_FROM * fastest, SEEN_TO * fastest, SPEEDS)
 
 
 def curve_columns(fit: SplineFit, s: Array) -> Array:
-    """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns, the ramp's half-width too."""
+    """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns and the ramp's half-width."""
     found = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), fit.basis.slopes))
     if Global.D in fit.places and fit.path.curve.ramp:
         h = 1e-4 * fit.spline.knots[-1]
@@ -45,12 +45,10 @@ def curve_columns(fit: SplineFit, s: Array) -> Array:
 
 
 def half_widths(columns: Array, both: tuple[Array, Array], confidence: float, widening: float) -> Array:
-    """Return half the width of the band (k,), m/s^2.
+    """Return the half-width of the band (k,), m/s^2.
 
-    columns: (k, p) Derivatives of the curve at each speed by the unknowns.
-    both: Covariances.
-    confidence: That the whole curve is inside.
-    widening: Factor for few cycles.
+    ``columns`` (k, p) are the curve's derivatives by the unknowns; ``confidence`` is that of the whole curve, and
+    ``widening`` a factor for few cycles.
     """
     rng = np.random.default_rng(SEED)
     deviation, quantile = np.zeros(columns.shape[0]), 0.0

@@ -48,7 +48,7 @@ START_MISFIT = 4.0
 
 @dataclass(frozen=True, eq=False)
 class FormulaFit(FittedLaw):
-    """A formula fitted to the runs; attributes as of `FittedLaw`, and these."""
+    """A formula fitted to the runs."""
 
     # the law as it was asked for; of parameters that no record can determine apart some are held in the fit
     asked_for: Law
@@ -58,12 +58,10 @@ class FormulaFit(FittedLaw):
 
     @property
     def law(self) -> int | str:
-        """The law's number where it stands for one of the six, else its name."""
         return self.asked_for.name if self.number is None else self.number
 
     @property
     def curve(self) -> FormulaCurve:
-        """The formula as it was fitted."""
         curve = self.at.task.curve
         if not isinstance(curve, FormulaCurve):
             raise TypeError("not the fit of a formula")
@@ -71,12 +69,11 @@ class FormulaFit(FittedLaw):
 
     @property
     def places(self) -> tuple[int, ...]:
-        """The shared unknowns of all runs beside the formula's own."""
+        """The shared unknowns of all runs, without the formula's."""
         return self.at.task.places
 
     @property
     def theta(self) -> Array:
-        """Unknowns (k,) of the formula."""
         return self.at.q[len(self.places) :]
 
     @property
@@ -86,7 +83,7 @@ class FormulaFit(FittedLaw):
 
     @property
     def law_parameters(self) -> int:
-        """As `FittedLaw`; where a constant of the formula stands for the rest position, no law pays for that."""
+        """Number of the law's own free unknowns, without a constant that replaces the rest position."""
         held = self.at.task.problem.held
         shared = sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.places)
         return shared + self.curve.size - self.level_held
@@ -97,7 +94,7 @@ class FormulaFit(FittedLaw):
         return np.array(covariances(self, self.at.problem.precision))
 
     def without_prior(self, slot: Global, run: int = 0) -> Measured | None:
-        """Return what the record alone shows of an unknown; None where its value was given, and where nothing is."""
+        """Return an unknown as constrained by the record alone; None where its value was fixed or is unconstrained."""
         place, problem = PER_RUN * run + slot, self.at.problem
         index = self.places.index(place if place in self.places else int(slot))
         if problem.lower[index] == problem.upper[index]:
@@ -122,7 +119,7 @@ def fit_formula(
     number: int | None = None,
     together: Sequence[Undetermined] = (),
 ) -> FormulaFit | None:
-    """Fit a law to the runs of the measured curve; None where its motion cannot be followed.
+    """Fit a law with a jump or its own ramp to the measured curve's runs; None where its motion cannot be followed.
 
     law: With a jump or a ramp of its own.
     host: The measured curve.
@@ -222,7 +219,7 @@ def _read(
 
 
 def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
-    """Return whether a shared unknown is a rest position that neither a calibration nor an assumption gives."""
+    """Return whether a shared unknown is a rest position without calibration and without assumption."""
     run, slot = divmod(place, PER_RUN)
     given = problem.motions[run].datum_prior is not None or problem.held[place]
     return slot == Global.DATUM and not given
@@ -233,7 +230,7 @@ def _ramp_width(host: SplineFit) -> float:
 
 
 def _has_constant(curve: FormulaCurve) -> bool:
-    """Return whether a constant can be added to the formula by its parameters: it then hides the rest position."""
+    """Return whether the parameters can add a constant to the formula, which then hides the rest position."""
     speeds = np.linspace(0.0, curve.fastest, 41)
     slopes = curve.slopes(curve.start, speeds)
     slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
@@ -243,10 +240,7 @@ def _has_constant(curve: FormulaCurve) -> bool:
 
 
 def _problem(law: Law, host: SplineFit, *, rest_free: bool) -> EstimationProblem:
-    """Return the problem of a law of that contact, with what is given of the law and the curve's rest position.
-
-    Of a law whose shape determines that, it is free, and about as well known as nothing.
-    """
+    """Return the problem of a law of that contact; a rest position that the law's shape determines is free."""
     curve = host.at.task.problem
     own = EstimationProblem.build(6 if law.ramp else 5, curve.runs, law.name)
     changed = {name: getattr(own, name).copy() for name in ("start", "prior", "precision", "lower", "upper")}

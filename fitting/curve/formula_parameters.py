@@ -1,4 +1,4 @@
-"""The parameters of a law given as a formula: those of rig and contact, and the formula's own, with their intervals."""
+"""The parameters of a law given as a formula, with their intervals: those of rig and contact, then the formula's."""
 
 import math
 from dataclasses import replace
@@ -26,10 +26,8 @@ def formula_parameters(
 ) -> dict[str, Parameter]:
     """Return the law's parameters with their intervals, those of rig and contact first.
 
-    A parameter with friction in its unit is given per unit mass, as ``NAME/m``, and as ``NAME``: in newtons with a
-    mass or a stiffness, else the same again.  What bears the name of a formula's parameter is that.
-
-    Parameters as of `fitting.estimation.derived.derived_parameters`.
+    A parameter whose unit has friction is given as ``NAME/m`` and as ``NAME``, in newtons where mass or stiffness is
+    known. A name of the formula's parameter takes precedence.
     """
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
     found = _of_rig(fit, motion, quantile, run)
@@ -45,7 +43,7 @@ def formula_parameters(
 
 
 def formula_correlations(fit: FormulaFit, motion: MeasuredMotion) -> Correlations:
-    """Return how the errors of the parameters go together: those of rig and contact, and the formula's."""
+    """Return the correlations of the parameters of rig, contact and formula."""
     shown = _each_once(fit, motion)
     columns = [place for _, place, _ in shown]
     spread = upper_bound(*(own[np.ix_(columns, columns)] for own in fit.spreads))
@@ -57,7 +55,7 @@ def formula_correlations(fit: FormulaFit, motion: MeasuredMotion) -> Correlation
 
 
 def independent_formula_parameters(fit: FormulaFit, motion: MeasuredMotion) -> IndependentParameters:
-    """Return the parameters that `formula_correlations` compares, at any unknowns of the fit."""
+    """Return the parameters that `formula_correlations` compares, at given unknowns of the fit."""
     shown, first, free = _each_once(fit, motion), len(fit.places), fit.curve.law.free
     of_rig = {row.name: row.length for row in derived.TABLE if row.name in SLOTS}
     lengths = [
@@ -73,7 +71,7 @@ def independent_formula_parameters(fit: FormulaFit, motion: MeasuredMotion) -> I
 
 
 def _each_once(fit: FormulaFit, motion: MeasuredMotion) -> list[tuple[str, int, float]]:
-    """Return the parameters of rig and contact, and the formula's: name, unknown, and sign in the record's frame."""
+    """Return name, unknown and sign in the record's frame of each parameter of rig and contact."""
     known, index = _known(fit, motion, 0), _slots(fit, 0)
     hidden = derived.hidden(known)
     shown: list[tuple[str, int, float]] = []
@@ -90,7 +88,7 @@ def _each_once(fit: FormulaFit, motion: MeasuredMotion) -> list[tuple[str, int, 
 
 
 def formula_level_error(fit: FormulaFit, run: int = 0) -> float:
-    """Return the standard error of a run's break-away level by what all cycles share: rest, curve and k/m."""
+    """Return the standard error of a run's break-away level from what all cycles share: rest, curve and k/m."""
     p, slope = fit.values, np.zeros(fit.at.q.size)
     for place in _slots(fit, run):
         slot = fit.places[place] % PER_RUN
@@ -100,18 +98,18 @@ def formula_level_error(fit: FormulaFit, run: int = 0) -> float:
 
 
 def _error(fit: FormulaFit, slope: Array) -> float:
-    """Return the standard error of what has these derivatives by the unknowns (p + k,)."""
+    """Return the standard error of a quantity with these derivatives by the unknowns (p + k,)."""
     return math.sqrt(max(float(np.einsum("i,sij,j->s", slope, fit.spreads, slope).max()), 0.0))
 
 
 def _slots(fit: FormulaFit, run: int) -> list[int]:
-    """Return where among the unknowns of the fit those of one run stand."""
+    """Return the unknowns of one run among those of the fit."""
     slots = parameters.columns(fit.places, len(fit.at.task.problem.runs))[run]
     return [place for place, slot in enumerate(slots) if slot >= 0]
 
 
 def _known(fit: FormulaFit, motion: MeasuredMotion, run: int) -> Known:
-    """Return what the fit knows of one run beside the formula's own parameters."""
+    """Return the fit's knowledge of one run without the formula's parameters."""
     places, task = _slots(fit, run), fit.at.problem
     active = [Global(fit.places[place] % PER_RUN) for place in places]
     spread = fit.spreads[:, places][:, :, places]
@@ -140,7 +138,7 @@ def _of_rig(fit: FormulaFit, motion: MeasuredMotion, quantile: float, run: int) 
 
 
 def _own(fit: FormulaFit, name: str, motion: MeasuredMotion, quantile: float) -> dict[str, Parameter]:
-    """Return a parameter of the formula, per unit mass and, where friction is in its unit, as a force too."""
+    """Return a parameter of the formula, per unit mass and, where its unit has friction, also as a force."""
     law, free = fit.asked_for, fit.curve.law.free
     value, error, by_log = fit.own_values[name], 0.0, False
     if name in free:
@@ -167,7 +165,7 @@ def _own(fit: FormulaFit, name: str, motion: MeasuredMotion, quantile: float) ->
 
 
 def _differences(fit: FormulaFit, own: dict[str, Parameter], quantile: float) -> dict[str, Parameter]:
-    """Return the differences of levels that are known where the levels are not, per unit mass."""
+    """Return, per unit mass, the differences of levels that are known where the levels are not."""
     free, values = fit.curve.law.free, fit.own_values
     levels = [name for name in free if fit.asked_for.dimensions.get(name) == (1, 0)]
     found = {}

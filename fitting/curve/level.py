@@ -1,14 +1,13 @@
 """Whether a record determines the level of its friction curve, and the level that is assumed where it does not.
 
-A motion shows K datum + friction.  Without a calibrated datum the two are separated by what is proportional to
-friction: levels that scatter between cycles or wear, a ramp's creep, a belt that slows under load.  Without any of
-these a curve and a datum that move together leave the motion as it is, to the last digit.  A search then ended
-anywhere in that valley, even at negative friction, where the noise of the levels is as large as they are and looked
-like scatter: the curve was 50 to 100 % off, in a band of 2 to 50 %.
+The motion determines K datum + friction.  Without a calibrated datum only effects proportional to friction separate the
+two: levels that scatter between cycles or wear, a ramp's creep, a belt that slows under load.  Without any of these,
+moving curve and datum together leaves the motion unchanged to the last digit; a search then ended anywhere in that
+valley, even at negative friction, and the curve was 50 to 100 % off, in a band of 2 to 50 %.
 
-So the level is then assumed, not fitted.  The spring is taken as relaxed where a record begins at rest below the middle
-of the motion, otherwise at the lowest position.  Friction is nowhere negative then.  The band and the parameters of
-forms contain that the rest position is hardly known (`REST_SD`).
+So the level is then assumed, not fitted: the spring is taken as relaxed where a record begins at rest below the middle
+of the motion, otherwise at the lowest position, so that friction is nowhere negative.  The band and the parameters of
+forms include the uncertainty of the rest position (`REST_SD`).
 """
 
 from collections.abc import Sequence
@@ -37,10 +36,7 @@ NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
 
 
 def rest_prior(run: Run, sd: float = REST_SD) -> Measured:
-    """Return what is known of the spring's rest position before a curve is fitted, m.
-
-    Without a calibration that is next to nothing, ``sd`` travels about the position explained above.
-    """
+    """Return the prior of the spring's rest position, m; without a calibration ``sd`` travels wide."""
     motion = run.motion
     if motion.datum_prior is not None:
         return motion.datum_prior
@@ -51,10 +47,10 @@ def rest_prior(run: Run, sd: float = REST_SD) -> Measured:
 
 
 def assumed_rest(fit: Fit) -> Measured | None:
-    """Return the rest position to be assumed where the levels do not scatter (`levels_scatter`).
+    """Return the rest position to assume where the levels do not scatter (`levels_scatter`).
 
-    None where a calibration determines the level: of a rest position or, where the load changes the speed at which the
-    mass sticks, of that speed.
+    None where a calibration determines the level: of a rest position, or of the sticking speed where the load changes
+    it.
     """
     yields = LAWS[fit.law].ramp or Global.COMPLIANCE in fit.active
     for motion in fit.problem.motions:
@@ -71,12 +67,10 @@ def law_scatters(fit: Fit, noise: Array) -> bool:
 
 
 def levels_scatter(solution: Solution, inlier: Mask, stretch: float, noise: Array) -> bool:
-    """Return whether the levels of the inlier cycles scatter by more than noise and misfit make them.
+    """Return whether the levels of the inlier cycles scatter by more than noise and misfit explain.
 
-    inlier: (cycles,)
-    stretch: Of the spring under friction in slip, m.  What the levels move it by must exceed the noise of a position:
-        the rounding of counts, which is not white, makes levels scatter by a fifth of that.
-    noise: (runs,) Standard deviation of one position of each run, m.
+    ``stretch`` is that of the spring under friction in slip, m; the levels must move it by more than ``noise`` (runs,),
+    m: rounding to counts, which is not white, makes levels scatter by a fifth of that.
     """
     if inlier.sum() < 2:
         return False
@@ -88,10 +82,10 @@ def levels_scatter(solution: Solution, inlier: Mask, stretch: float, noise: Arra
 
 
 def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tuple[Array, Array]:
-    """Return unknowns (13 runs,) and a curve (n,) that give the same motion with that rest position.
+    """Return unknowns (13 runs,) and a curve (n,) that give the same motion with another rest position.
 
-    Those of other runs move by as much.  On a ramp the slope of friction in stick stays, and the speed at which slip
-    begins: its width and the belt's speed follow.  A belt that slows under load is less slow under less.
+    Other runs' rest positions move equally. On a ramp the slope of friction in stick and the speed where slip begins
+    stay.
     """
     rise = u[Global.K] * (u[Global.DATUM] - rest.value)
     moved = u.copy()
@@ -105,10 +99,7 @@ def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tu
 
 
 def unseen(places: Sequence[int], path: Path) -> Array:
-    """Return by how much the unknowns at ``places`` (p,) must move with the first run's rest position to hide it.
-
-    That position itself counts as 0; the curve follows in any case (`fitting.driver.coordinates`).
-    """
+    """Return the moves of the unknowns at ``places`` (p,) that hide a move of the first run's rest position."""
     spline = path.curve.spline
     if spline is None:
         raise ValueError("this path follows a law's curve: its level is not free")

@@ -23,23 +23,13 @@ RAMP_NEARER = 0.97
 
 
 def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> MeasuredCurve | None:
-    """Measure the friction curve of a record, or of several runs of one contact together.
+    """Measure the friction curve of a record, or of several runs of one contact; None where no motion can be followed.
 
-    fits: The laws fitted to the record, best first: their windows, calibrations and starting values are used.
-    noise: (runs,) Standard deviation of one position of each run, m.
-    alpha: 1 - confidence of the band and the intervals.
-    Returns: None where the motion cannot be followed with any curve.
-
-    Notes
-    -----
-    The contact is a jump or a ramp.  The ramp goes first where a ramp law comes near the noise and no jump law does;
-    otherwise the jump, because with a ramp a wrong law can come nearer than with a jump.  The other is tried where the
-    first does not reach the noise and the laws prefer it, or where the search stalled.
-
-    Without a datum the curve is determined but for a constant, unless the levels of the cycles scatter: the band
-    contains what is not known of it (`fitting.curve.level`).
-
-    Not modelled: friction that depends on anything but relative speed and its level in each cycle.
+    ``fits``, best first, give windows, calibrations and starts; ``noise`` (runs,) is in m. Of jump and ramp, the ramp
+    goes first where a ramp law comes near the noise and no jump law does; the other is tried where the first does not
+    reach the noise and the laws prefer it, or where the search stalled. Without a datum the curve is determined but for
+    a constant, unless the levels scatter (`fitting.curve.level`). Not modelled: friction that depends on anything but
+    relative speed and its level in each cycle.
     """
     begun = clock.process_time()
     ordered, prefers_ramp = _contacts(fits, noise)
@@ -56,7 +46,7 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
 
 
 def _contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
-    """Return the nearest fit of each contact, first that to be tried first, and whether the laws prefer a ramp."""
+    """Return the best fit of each contact, first that to try first, and whether the laws prefer a ramp."""
     by_error = sorted(fits, key=lambda fit: fit.geometric_mean_rms)
     nearest = [next((fit for fit in by_error if LAWS[fit.law].ramp == ramp), None) for ramp in (0, 1)]
     jump, ramp = nearest
@@ -95,7 +85,7 @@ def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
 
 
 def furthest_exit(curve: MeasuredCurve, friction: Array) -> BandExit:
-    """Return where a friction (k,) at the curve's speeds and in its unit leaves the measured band the furthest."""
+    """Return where a friction (k,) at the curve's speeds leaves the measured band the furthest."""
     off, half = friction - curve.friction, curve.hi - curve.friction
     if not curve.level_known:
         off, half = off - off.mean(), curve.shape_half

@@ -22,10 +22,9 @@ LEAST_INFORMATION = 1e-12  # information over the largest: less is rounding
 
 
 class MeasuredTarget(NamedTuple):
-    """What a formula is compared with, in the directions of the curve's coefficients that the record shows.
+    """Target of a formula, in the directions of the curve's coefficients that the record constrains, without a prior.
 
-    Each of the distances is one of unit variance from what the record alone says, without the prior on the curve.
-    ``level_sd`` (m/s^2) is that of a constant by which the whole curve may be off, beyond what these say.
+    The distances have unit variance; ``level_sd`` (m/s^2) is that of a constant by which the whole curve may be off.
     """
 
     alone: Target
@@ -33,26 +32,22 @@ class MeasuredTarget(NamedTuple):
 
     @property
     def near(self) -> Target:
-        """The target with what is not known of the level."""
+        """The target with the uncertainty of the level."""
         return self.alone.off_by_a_constant(self.level_sd)
 
 
 def friction_target(fit: SplineFit) -> MeasuredTarget:
-    """Return the measured curve as a target, every slip speed of `GRID_SPEEDS` alike.
-
-    For what is far from the curve: the metric of the record holds near it alone, and far off there is least of it where
-    friction is next to none.
-    """
+    """Return the measured curve as a target with equal weight on `GRID_SPEEDS`, for curves far from it."""
     speeds = _speeds(fit)
     friction = fit.spline(speeds)
     return MeasuredTarget(Target.of(speeds, friction, float(np.median(friction))), _level_sd(fit))
 
 
 def measured_target(fit: SplineFit, linear: LinearisedFit) -> MeasuredTarget:
-    """Return the measured curve as a target, in the metric of the record; see `MeasuredTarget`.
+    """Return the measured curve as a target, in the metric of the record.
 
-    Where the residuals exceed the noise, the metric is as if that were larger.  The lowest coefficients are fitted
-    again beside each formula, as all else: what they do is not linear in them.
+    Where the residuals exceed the noise, the metric uses them. The lowest coefficients are fitted again with each
+    formula, since their effect is not linear.
     """
     total = linear.reduced.H
     places, n = len(fit.places), fit.basis.precision.size
@@ -95,7 +90,6 @@ def _speeds(fit: SplineFit) -> Array:
 
 
 def _level_sd(fit: SplineFit) -> float:
-    """Return the standard deviation of a constant by which the whole curve may be off, m/s^2."""
     return 0.0 if fit.rest is None else fit.fit.values.K * fit.rest.sd
 
 
@@ -103,8 +97,7 @@ def followed(curvature: Array, cross: Array) -> Array:
     """Return by how much some unknowns (p,) follow others (n,): inv(curvature) cross', shape (p, n).
 
     By a solution: an inverse left the weakest direction, 1e-8 of the strongest, to rounding, and forms that differed
-    from the curve along it then cost nothing.  An unknown that elimination left no curvature, as where the search for
-    the curve failed, does not move.
+    from the curve along it cost nothing. An unknown without curvature does not move.
     """
     found = np.zeros(cross.T.shape)
     seen = np.diag(curvature) > 0

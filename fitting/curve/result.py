@@ -1,4 +1,4 @@
-"""What a measurement of the friction curve gives: values, no computation."""
+"""Results of a measurement of the friction curve."""
 
 from dataclasses import dataclass, field
 
@@ -28,9 +28,9 @@ class FormFit:
 
 @dataclass(frozen=True)
 class BandExit:
-    """Where a law leaves the band the furthest: in half-widths of the band (below 1 it stays inside), and the speed.
+    """The largest exit from the band, in half-widths (below 1 it stays inside), and its speed.
 
-    Where the curve's level is hardly known, both are taken less their means over the speeds.
+    Where the curve's level is hardly known, both curves are taken less their means over the speeds.
     """
 
     half_widths: float
@@ -61,10 +61,10 @@ class MeasuredCurve:
 
     @property
     def level_assumed(self) -> bool:
-        """Whether the record says nothing of the level of friction (`fitting.curve.level`): only of its differences."""
+        """Whether the record constrains only differences of friction (`fitting.curve.level`)."""
         return self.spline_fit.rest is not None
 
     @property
     def level_known(self) -> bool:
-        """Whether the level is better known than to half of it."""
+        """Whether the error of the level is less than half of it."""
         return bool(np.median(self.hi - self.lo) < 2 * STATED_ERROR * np.median(self.friction))

@@ -32,8 +32,6 @@ from stickslip.units import Measured
 
 @dataclass(frozen=True, eq=False)
 class SplineFit:
-    """A spline fitted to the windows of a law's fit."""
-
     fit: Fit  # the law's, whose windows, calibrations and contact it has
     at: TaskFit  # where the driver ended
     path: Path  # along every sample, with the curve
@@ -42,12 +40,12 @@ class SplineFit:
 
     @property
     def places(self) -> tuple[int, ...]:
-        """The shared unknowns beside the curve (`fitting.model.parameters`)."""
+        """The shared unknowns, without the curve's (`fitting.model.parameters`)."""
         return self.at.task.places
 
     @property
     def basis(self) -> CurveCoordinates:
-        """How the curve's coefficients follow from the unknowns."""
+        """The coordinates of the curve's coefficients."""
         curve = self.at.task.curve
         if not isinstance(curve, FreeCurve):
             raise TypeError("a spline fit has a free curve")
@@ -55,17 +53,15 @@ class SplineFit:
 
     @property
     def task(self) -> LeastSquaresProblem:
-        """What the last pass minimised: unknowns are ``places``, then the curve's coordinates."""
+        """The problem of the last pass: unknowns are ``places``, then the curve's coordinates."""
         return self.at.problem
 
     @property
     def solution(self) -> Solution:
-        """Where it stopped."""
         return self.at.solution
 
     @property
     def spline(self) -> FrictionSpline:
-        """The curve."""
         spline = self.path.curve.spline
         if spline is None:
             raise RuntimeError("a spline fit follows a spline")
@@ -73,7 +69,6 @@ class SplineFit:
 
     @property
     def u(self) -> Array:
-        """Unknowns of all runs, (13 runs,)."""
         return self.path.u
 
     @cached_property
@@ -86,7 +81,7 @@ class SplineFit:
 
     @property
     def inlier(self) -> Mask:
-        """Which cycles (cycles,) fit about as well as the others."""
+        """Inlier cycles (cycles,)."""
         return self.at.noise.inliers
 
     def scatters(self, noise: Array) -> bool:
@@ -97,7 +92,7 @@ class SplineFit:
     def linearised(self) -> LinearisedFit:
         """Return the problem made linear at the solution; the curve's coordinates are the last unknowns.
 
-        A rest position that was assumed does not show in the motion, and is as uncertain as assumed.
+        An assumed rest position stays as uncertain as assumed.
         """
         linear = LinearisedFit.at(self.at)
         if linear is None:
@@ -112,11 +107,7 @@ class SplineFit:
 
 
 def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
-    """Fit a spline on the contact (jump or ramp) of a law's fit; None where its flow cannot be followed.
-
-    fit: The best law of that contact.
-    noise: (runs,) Standard deviation of one position of each run, m.
-    """
+    """Fit a spline on the contact (jump or ramp) of its best law; None where its motion cannot be followed."""
     rest = assumed_rest(fit)
     if rest is None:
         return _fit_spline(fit, noise, None)
@@ -129,7 +120,7 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
 
 
 def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | None:
-    """Fit a spline with the rest position that is assumed, or with that which the record shows."""
+    """Fit a spline with an assumed rest position, or with a free one."""
     beside = _beside_law(fit, rest)
     if beside is None:
         return None
@@ -143,9 +134,9 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
 
 
 def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None:
-    """Return the task of the free curve on a law's contact, and the law's own end as a start.
+    """Return the task of the free curve on a law's contact, and the law's fit as a start.
 
-    None where the law's ramp is as wide as the slips are fast, and leaves the curve no speeds.
+    None where the law's ramp is as wide as the slips are fast.
     """
     ramp = bool(LAWS[fit.law].ramp)
     problem, local = _problem(fit, rest), fit.local.copy()
@@ -180,7 +171,7 @@ def _regressed(task: Task) -> list[FitStart]:
 
 
 def _started_below(fit: Fit, local: Array) -> Array:
-    """Return the cycles' own unknowns; a start that a jump law put beyond the belt's speed is the smoothed motion's."""
+    """Return the cycles' own unknowns; a start beyond the belt's speed is replaced by the smoothed motion's."""
     if LAWS[fit.law].ramp:
         return local
     smoothed = fit.windows.starting_values(fit.problem.motions)
@@ -190,7 +181,7 @@ def _started_below(fit: Fit, local: Array) -> Array:
 
 
 def _problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
-    """Return the law's problem with what is known of the rest positions before a curve is fitted."""
+    """Return the law's problem with the prior of the rest positions."""
     problem = fit.problem
     prior, precision = problem.prior.copy(), problem.precision.copy()
     lower, upper, start = problem.lower.copy(), problem.upper.copy(), problem.start.copy()

@@ -1,1 +1,1 @@
-"""A run as the fit sees it: frame, belt, cycles, ripple."""
+"""A run in the form the fit uses: frame, belt, cycles, ripple."""

@@ -28,7 +28,7 @@ VARIATION_SHOWN = 2.0  # residual variation over what counting alone shows: less
 
 @dataclass(frozen=True)
 class BeltLine:
-    """The belt's velocity against the mass's position in stick, in the record's own signs."""
+    """The belt's velocity against the mass's position in stick, with the record's signs."""
 
     speed: Measured  # m/s, signed, at ``middle``: errors of speed and slope are then independent
     slope: Measured  # d(velocity)/d(position), 1/s; -compliance
@@ -37,16 +37,14 @@ class BeltLine:
 
     @property
     def slows_under_load(self) -> bool:
-        """Whether the belt is seen to slow under load."""
         return -self.slope.value > COMPLIANCE_SHOWN * self.slope.sd
 
     @property
     def is_unsteady(self) -> bool:
-        """Whether the belt's speed varies by more than the load explains."""
         return self.speed_variation > LEAST_VARIATION * abs(self.speed.value)
 
     def speed_without_load(self, rest: Measured) -> Measured:
-        """Return the belt's speed without load, where the spring rests (``rest``, m), with its error."""
+        """Return the belt's speed where the spring is relaxed (``rest``, m), with its error."""
         reach = rest.value - self.middle
         value = self.speed.value + self.slope.value * reach
         return Measured(value, math.hypot(self.speed.sd, math.hypot(self.slope.sd * reach, self.slope.value * rest.sd)))
@@ -55,11 +53,7 @@ class BeltLine:
 def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
     """Fit the belt's line; None where the belt was not counted or no stick is long enough.
 
-    kinematics: With a belt channel; its sticks are used.
-
-    Notes
-    -----
-    Not modelled: a belt whose compliance is not proportional to the load, or lags behind it.
+    Not modelled: a belt whose compliance is not proportional to the load, or lags it.
     """
     velocity, errors = kinematics.belt_velocity, kinematics.belt_velocity_errors
     if velocity is None or errors is None:
@@ -85,13 +79,13 @@ def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
 
 
 def _alike_in_windows(columns: Array, rest: Array, window: int) -> Array:
-    """Return the standard errors of a line whose residuals are alike over ``window`` samples; orthogonal columns."""
+    """Return a line's standard errors for residuals correlated over ``window`` samples; orthogonal columns."""
     square = float(np.sum(rest**2)) / max(rest.size / window - 2, 1)
     return np.asarray(np.sqrt(square / np.sum(columns**2, axis=0)))
 
 
 def _alike_in_sticks(columns: Array, rest: Array, parts: list[NDArray[np.int64]]) -> Array:
-    """Return the standard errors of a line whose residuals are alike within a stick; orthogonal columns."""
+    """Return a line's standard errors for residuals correlated within a stick; orthogonal columns."""
     ends = np.cumsum([part.size for part in parts])[:-1]
     pushes = np.array([np.sum(part, axis=0) for part in np.split(columns * rest[:, None], ends)])
     few = len(parts) / max(len(parts) - 1, 1)

@@ -61,7 +61,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class CycleSegmentation:
-    """A record cut into cycles."""
+    """A record divided into cycles."""
 
     cycles: tuple[Cycle, ...]  # in order of time, used or not
     plateau_fraction: float  # share of the record spent in stick, the drag of the start-up and rests left out
@@ -72,31 +72,28 @@ class CycleSegmentation:
 
     @property
     def sustained(self) -> bool:
-        """Whether the mass sticks in the long run."""
+        """Whether the sticks continue over the whole record."""
         return self.plateau_fraction >= SUSTAINED_SHARE
 
     @property
     def shows_belt(self) -> bool:
-        """Whether the mass is seen to move with the belt: in sticks, or in the drag of the start-up."""
+        """Whether the mass moves with the belt at any time: in sticks, or in the drag of the start-up."""
         return self.sustained or (self.uses_start and self.drag != (0, 0))
 
     @property
     def used(self) -> tuple[Cycle, ...]:
-        """The cycles without a flag."""
         return tuple(cycle for cycle in self.cycles if not cycle.flag)
 
     @property
     def uses_start(self) -> bool:
-        """Whether the record begins at rest and its first cycle, to which the drag belongs, is used."""
+        """Whether the record begins at rest and its first cycle, which includes the drag, is used."""
         return self.starts_at_rest and bool(self.cycles) and not self.cycles[0].flag
 
 
 def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset()) -> CycleSegmentation:
-    """Cut a record into cycles.
+    """Divide a record into cycles, none where the mass never falls below half the belt's speed.
 
-    motion: In the fit's frame.
-    excluded: Numbers of cycles to leave out; they keep their place in the list, flagged.
-    Returns: With no cycles when the mass never falls below half the belt's speed.
+    Cycles ``excluded`` by number stay in the list, flagged.
     """
     time, v, a = motion.time, motion.velocity, motion.acceleration
     n = time.size
@@ -170,18 +167,14 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
 
 
 def _sample_from(motion: MeasuredMotion, time: float) -> int:
-    """Return the first sample at a time (s) or later; one that is early by `ROUNDING` is at it.
-
-    A whole number of intervals after a sample lies another, and how its time was rounded depends on where time begins.
-    """
+    """Return the first sample at or after a time (s), less `ROUNDING`."""
     return int(np.searchsorted(motion.time, time - ROUNDING * motion.span / motion.time.size))
 
 
 def _rests(motion: MeasuredMotion, end: int) -> bool:
-    """Return whether the record begins at rest, by a line through its first positions: in the velocity noise hides it.
+    """Return whether a line through the first positions is flat to within its error, and that small against the belt.
 
-    ``end`` is the end of the first slow stretch, in samples.  The line must be flat to within its own error, and that
-    error small against the belt's speed.
+    ``end``, in samples, ends the first slow stretch.
     """
     last = min(_sample_from(motion, motion.time[0] + 0.5 * LONGEST_TURN * motion.slip_s), end)
     if last < FEWEST_AT_REST:
@@ -195,7 +188,7 @@ def _rests(motion: MeasuredMotion, end: int) -> bool:
 
 
 def _calm(motion: MeasuredMotion, onset: int, still: float) -> int:
-    """Return the first sample of the plateau that a record begins in; a start-up too short to be a slip is left out."""
+    """Return the first sample of the initial plateau, without a start-up too short to be a slip."""
     restless = np.flatnonzero(np.abs(motion.acceleration[:onset]) > still)
     if not restless.size:
         return 0
@@ -203,7 +196,7 @@ def _calm(motion: MeasuredMotion, onset: int, still: float) -> int:
 
 
 def _sticking(motion: MeasuredMotion, middle: int, last: int) -> int:
-    """Return the first sample of stick from ``middle`` on: a long overtaking goes on past the middle."""
+    """Return the first stick sample from ``middle`` on: a long overtaking may last past the middle."""
     v = motion.velocity[middle:last]
     if v.size < 4:
         return middle
@@ -214,7 +207,7 @@ def _sticking(motion: MeasuredMotion, middle: int, last: int) -> int:
 
 
 def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
-    """Tell whether the velocity peaks above the plateau after the landing, by more than smoothing would make it."""
+    """Return whether the velocity peaks above the plateau after the landing by more than smoothing explains."""
     early = _sample_from(motion, motion.time[landing] + 2 * motion.half_window)
     settled = motion.velocity[(early + end) // 2 : end]
     if settled.size < 3 or early >= end:
@@ -224,10 +217,9 @@ def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
 
 
 def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> float:
-    """Return how strongly the mass is slowed down while the belt drags it from rest to ``begin``, m/s^2.
+    """Return the deceleration of the mass while the belt drags it from rest to ``begin``, m/s^2.
 
-    On a wide ramp it creeps the more the larger the load, and slows down from the first.  0 where that is less than
-    ``still``, or as much as in a slip.
+    On a wide ramp it increases with the load from the first. 0 below ``still``, or where it is that of a slip.
     """
     first = _sample_from(motion, motion.time[landing] + max(SHORTEST_PHASE * motion.slip_s, motion.half_window))
     part = motion.acceleration[first : (first + begin) // 2]
@@ -236,18 +228,18 @@ def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> fl
 
 
 def _onsets(a: Array, begins: Sequence[int], still: float) -> list[int]:
-    """Return the last samples before ``begins`` at which the mass was not yet being slowed down, or 0."""
+    """Return the last samples before ``begins`` without deceleration, or 0."""
     steady = np.concatenate(([0], np.flatnonzero(a > -still)))
     return [int(i) for i in steady[np.searchsorted(steady, begins, side="right") - 1]]
 
 
 def _landings(a: Array, ends: Sequence[int], still: float) -> list[int]:
-    """Return the first samples from ``ends`` on at which the mass is not being sped up, or the record's length."""
+    """Return the first samples from ``ends`` on without acceleration, or the record's length."""
     steady = np.append(np.flatnonzero(a < still), a.size)
     return [int(i) for i in steady[np.searchsorted(steady, ends)]]
 
 
 def _overlap(begins: Sequence[int], ends: Sequence[int], rests: Sequence[tuple[int, int]]) -> Mask:
-    """Return whether each of some stretches shares samples with a rest; rests come one after another."""
+    """Return whether each stretch shares samples with a rest; rests are in order."""
     first, last = np.array(rests, np.int64).reshape(-1, 2).T
     return np.asarray(np.searchsorted(first, ends) > np.searchsorted(last, begins, side="right"))

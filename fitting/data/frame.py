@@ -35,7 +35,7 @@ GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a ga
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMotion:
-    """What was measured, in the fit's frame; n is the number of samples that were not left out as faults."""
+    """The measurement in the fit's frame; n is the number of samples that are not faults."""
 
     # (n,) s since `begin`; measured position (counted, m); smoothed position, velocity and acceleration (m, m/s, m/s^2)
     time: Array
@@ -75,30 +75,24 @@ class MeasuredMotion:
 
     @property
     def span(self) -> float:
-        """Length of the record, s."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def per_mass(self) -> bool:
-        """Whether neither mass nor stiffness is known: accelerations cannot be turned into forces, nor c into c/m."""
+        """Whether mass and stiffness are unknown, so that accelerations give no forces and c gives no c/m."""
         return self.mass is None and self.stiffness is None
 
     @property
     def travel(self) -> float:
-        """Largest minus smallest position, m."""
         return float(np.ptp(self.position))
 
 
 def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | float | str | None) -> MeasuredMotion:
     """Bring a smoothed record into the fit's frame.
 
-    kinematics: A Savitzky-Golay (or better) motion; accelerations of plain differences are too rough to start from.
-    rig: The calibration to use, with the caller's changes already applied.
-    belt_speed: m/s, signed, when the caller states it: it goes before the belt's own counts.  Otherwise these are used
-        where there are any ("channel": there must be), else the calibration and the sticks.  A stated speed that the
-        sticks contradict is not used (`fitting.selection.contradictions` reports it).
-    Raises InputError: for a record in counts, a belt at rest, or belt counts asked for that are not there.
-    Raises DataError: when nothing in the record moves.
+    A stated ``belt_speed`` (m/s, signed) precedes the belt's counts, which "channel" requires; without both,
+    calibration and sticks give it. Raises InputError for a record in counts, a belt at rest or missing belt counts, and
+    DataError where nothing moves.
     """
     recording = kinematics.recording
     source = recording.where
@@ -175,13 +169,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
 
 
 def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
-    """Return how long a slip usually lasts, s.
-
-    Half of all travel in slips is in slips that last as long or longer, so that short stretches of noise do not count.
-
-    time, position: (n,) s, m.
-    slips: (n,) Where the mass moves much slower than the belt.
-    """
+    """Return the usual duration of a slip, s: half of the travel in slips is in slips at least as long."""
     parts = runs(slips)
     last = time.size - 1
     if not parts:
@@ -194,16 +182,16 @@ def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
 
 
 def rounded_slip(usual: float) -> float:
-    """Return a power of two, from 0.55 to 1.1 times how long a slip usually lasts, s.
+    """Return a power of two, 0.55 to 1.1 times the usual duration of a slip, s.
 
-    A power of two scales times without rounding: a record in slow motion gives the same answer.  Slips of the six laws
+    A power of two scales times without rounding: a record in slow motion gives the same answer. Slips of the six laws
     last 1.05 to 1.3 half periods of the mass on its spring; rounded after pi/4, they give the same number.
     """
     return math.ldexp(1.0, round(math.log2(usual * math.pi / 4)))
 
 
 def _kept(kinematics: Kinematics) -> NDArray[np.bool_]:
-    """Return which samples are data: no faults of the sensor, nor those within a step of the position."""
+    """Return the samples that are data: neither faults of the sensor nor within a step of the position."""
     kept = ~kinematics.missing
     for step in kinematics.losses:
         kept[step.first : step.last] = False
@@ -211,10 +199,7 @@ def _kept(kinematics: Kinematics) -> NDArray[np.bool_]:
 
 
 def _broken(kinematics: Kinematics, usual: float, slip: float) -> NDArray[np.bool_]:
-    """Return which of the samples kept do not follow the one before.
-
-    Samples are usually ``usual`` seconds apart, slips last ``slip`` seconds.
-    """
+    """Return which kept samples do not follow the one before; ``usual`` interval and ``slip`` duration, s."""
     time, kept = kinematics.time, _kept(kinematics)
     new = (np.diff(time) > GAP_INTERVALS * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
     piece = np.r_[0, np.cumsum(new)][kept]
@@ -224,7 +209,7 @@ def _broken(kinematics: Kinematics, usual: float, slip: float) -> NDArray[np.boo
 
 
 def _channel(kinematics: Kinematics, belt_speed: Measured | str | None) -> BeltLine | None:
-    """Return what the belt's counts say, or None where they are not to be used or say too little."""
+    """Return the belt's line from its counts, or None where they are not used or too few."""
     if isinstance(belt_speed, str) and belt_speed != "channel":
         raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give channel, or a speed in m/s")
     if belt_speed == "channel" and kinematics.belt_velocity is None:
@@ -244,10 +229,9 @@ def _length_error(rig: Rig) -> float:
 
 
 def _resolution(kinematics: Kinematics) -> tuple[float, float]:
-    """Return the standard deviation of one position and the smallest step between two, m.
+    """Return the standard deviation of a position and the smallest step between two, m.
 
-    A counter errs by its rounding; what the jitter of its sample times adds is left to the residuals.  Of any other
-    sensor the noise is taken from the record: how many decimals were printed says nothing about it.
+    A counter's is its rounding; other sensors' noise is estimated from the record, not from the printed decimals.
     """
     recording = kinematics.recording
     count = recording.rig.metres_per_count
@@ -259,7 +243,7 @@ def _resolution(kinematics: Kinematics) -> tuple[float, float]:
 
 
 def speed_in_sticks(kinematics: Kinematics) -> float:
-    """Return the usual speed of the sticks, m/s, signed; NaN where fewer than `FEWEST_STICKS` show one."""
+    """Return the median speed of the sticks, m/s, signed; NaN with fewer than `FEWEST_STICKS`."""
     time, x = kinematics.time, kinematics.steady_position
     speeds = [
         (x[stick.last] - x[stick.first]) / (time[stick.last] - time[stick.first])
@@ -270,7 +254,7 @@ def speed_in_sticks(kinematics: Kinematics) -> float:
 
 
 def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, *, given: bool) -> float:
-    """Return a first belt speed, signed: what the caller gave, the plateaus', the calibration's, the fastest drag's."""
+    """Return a first belt speed, signed: as stated, or of the plateaus, the calibration or the fastest drag."""
     if believed is not None and given:
         return believed.value
     if math.isfinite(kinematics.belt_speed) and kinematics.belt_speed != 0 and (believed or not math.isfinite(seen)):
@@ -288,10 +272,10 @@ def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, 
 
 
 def _rest_position(rig: Rig, recorded: Rig) -> Measured | None:
-    """Return where the spring's rest lies in the recorded positions, m.
+    """Return the spring's rest in the recorded positions, m.
 
-    A datum was added to the readings, so that positions are measured from the rest; one known better than the recorded
-    one moves the rest by the difference.
+    A datum was added to the readings, so that positions count from the rest; a better datum moves the rest by the
+    difference.
     """
     if rig.datum is None:
         return rig.x0

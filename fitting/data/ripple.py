@@ -60,10 +60,10 @@ LEFT_OUT_OF_STICK = 1 / 6
 
 @dataclass(frozen=True)
 class Ripple:
-    """The belt's speed ripples by ``cosine`` cos(omega t) + ``sine`` sin(omega t); m/s, m/s, rad/s, t as recorded.
+    """A ripple of the belt's speed, ``cosine`` cos(omega t) + ``sine`` sin(omega t), in m/s, omega in rad/s.
 
-    ``seen_s`` is the time from the first to the last sample that shows it, s: its frequency is known the better the
-    longer that is.  inf where it is given.
+    ``seen_s`` is the time from the first to the last sample that shows it, s, which limits the resolution of its
+    frequency; inf where it is given.
     """
 
     cosine: float
@@ -77,12 +77,12 @@ class Ripple:
         return math.hypot(self.cosine, self.sine)
 
     def removed(self, motion: MeasuredMotion) -> MeasuredMotion:
-        """Return the motion with the ripple taken off its smoothed velocity and acceleration, where corners show."""
+        """Return the motion without the ripple in its smoothed velocity and acceleration, where corners show."""
         _, velocity, acceleration = self.belt_motion(motion.time)
         return replace(motion, velocity=motion.velocity - velocity, acceleration=motion.acceleration - acceleration)
 
     def belt_motion(self, time: Array) -> tuple[Array, Array, Array]:
-        """Return position (m), velocity and acceleration of the belt beside its steady run; 0 where omega is."""
+        """Return the ripple's position (m), velocity and acceleration; 0 where omega is."""
         if self.omega == 0:
             return np.zeros_like(time), np.zeros_like(time), np.zeros_like(time)
         even, odd = np.cos(self.omega * time), np.sin(self.omega * time)
@@ -91,17 +91,14 @@ class Ripple:
 
 
 def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None:
-    """Return the likeliest of the ripples that `find_ripples` returns; None without one."""
+    """Return the likeliest ripple of `find_ripples`; None without one."""
     return next(iter(find_ripples(motion, cut)), None)
 
 
 def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]:
-    """Return what ripples the sticks may show, or the start-up drag of a mass that grazes the belt; likeliest first.
+    """Return the ripples that the sticks, or the start-up drag of a grazing mass, may show; likeliest first.
 
-    Short sticks, one in each cycle, show a frequency and its sum with that of the cycles, or its difference, nearly
-    alike.
-
-    motion, cut: In the fit's frame.
+    Short sticks, one in each cycle, show a frequency and its sum or difference with that of the cycles nearly alike.
     """
     sticks = _in_stick(motion, cut)
     drag = [np.arange(*cut.drag)] if not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0] else []
@@ -121,8 +118,6 @@ def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]
 
 @dataclass(frozen=True, eq=False)
 class InStick:
-    """Samples in stick."""
-
     time: Array  # (n,) s, m, m/s
     x: Array
     v: Array
@@ -132,7 +127,7 @@ class InStick:
 
     @classmethod
     def selected(cls, motion: MeasuredMotion, sticks: list[NDArray[np.int64]]) -> "InStick":
-        """Return the samples of the sticks without those that lie off the others' line."""
+        """Return the samples of the sticks, without those off the others' line."""
         index = np.concatenate(sticks)
         x, v = motion.position[index], motion.velocity[index]
         own = np.repeat(np.arange(len(sticks)), [stick.size for stick in sticks])
@@ -144,20 +139,19 @@ class InStick:
         return cls(motion.time[index][kept], x[kept], v[kept], own[kept], columns[kept], rest[kept])
 
     def thinned(self, thin: slice) -> "InStick":
-        """Return fewer of the samples."""
         return InStick(*(getattr(self, field.name)[thin] for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
 class OwnSlopes:
-    """Lines through one point with a slope of their own in each stick."""
+    """Lines through one point with a separate slope in each stick."""
 
     lever: Array  # (n,) position from the point, m
     own: NDArray[np.int64]  # (n,) which stick a sample is in
 
     @classmethod
     def fitted(cls, stuck: InStick, motion: MeasuredMotion) -> "OwnSlopes":
-        """Return the lines whose common point, near the spring's rest position, leaves least of their velocities."""
+        """Return the lines whose common point, near the spring's rest, minimises the residual velocities."""
         middle = 0.5 * float(motion.position.max() + motion.position.min())
 
         def left(place: float) -> float:
@@ -166,17 +160,17 @@ class OwnSlopes:
         return cls(stuck.x - min(middle + _offsets(motion), key=left), stuck.own)
 
     def left(self, v: Array) -> Array:
-        """Return what the lines and a common level leave of velocities v (n,)."""
+        """Return the residual of velocities v (n,) about the lines and a common level."""
         return least_squares(self.removed(np.ones_like(v))[:, None], self.removed(v))[1]
 
     def removed(self, values: Array) -> Array:
-        """Return values (n,) less, in each stick, their own multiple of the lever."""
+        """Return values (n,) less a multiple of the lever fitted in each stick."""
         square = np.bincount(self.own, self.lever**2)
         slope = np.bincount(self.own, self.lever * values) / np.maximum(square, 1e-300)
         return np.asarray(values - self.lever * slope[self.own])
 
     def falling(self, v: Array) -> float:
-        """Return the share of the sticks in which velocities v (n,) less their common level fall with the position."""
+        """Return the share of the sticks in which velocities v (n,) fall with the position."""
         level = self.removed(np.ones_like(v))
         square = max(float(np.sum(level**2)), 1e-300)
         rest = v - float(np.sum(level * self.removed(v))) / square
@@ -184,19 +178,16 @@ class OwnSlopes:
         return float(np.mean(products[np.bincount(self.own) > 0] < 0))
 
     def thinned(self, thin: slice) -> "OwnSlopes":
-        """Return the same lines of fewer samples."""
         return OwnSlopes(self.lever[thin], self.own[thin])
 
     def moved(self, offset: float) -> "OwnSlopes":
-        """Return lines through a point that lies ``offset`` (m) further on."""
         return OwnSlopes(self.lever - offset, self.own)
 
 
 def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) -> list[Ripple]:
-    """Return the harmonics that the velocities in stick show beside their lines and that are worth the name.
+    """Return the significant harmonics of the velocities in stick, fitted together with their lines.
 
-    slopes: Lines that are also fitted instead of one for all sticks.  The point that they share is looked for anew:
-        without the harmonic it is displaced to where the lines make up for most of it.
+    The common point of ``slopes`` is searched anew: without the harmonic it moves to where the lines absorb most of it.
     """
     rest, peaks = stuck.rest, _peaks(stuck.time, stuck.rest, motion.slip_s)
     if slopes is not None:
@@ -256,7 +247,7 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
 
 
 def _offsets(motion: MeasuredMotion) -> Array:
-    """Return how far from a place the common point of lines of own slopes is looked for, m."""
+    """Return the displacements of the lines' common point to try, m."""
     return np.linspace(-1.0, 1.0, POINTS_TRIED) * motion.travel
 
 
@@ -265,11 +256,8 @@ def _gains(
 ) -> bool:
     """Return whether a harmonic explains more than the best of as many frequencies explains in noise.
 
-    Velocities are independent over a smoothing window.  A stick shorter than that gives one.
-
-    own: (n,) Which stick a sample is in, of all samples looked at.
-    before, after: Mean squares of the residuals without and with the harmonic, (m/s)^2.
-    slopes: Lines that are also fitted; one for all sticks without.
+    ``own`` (n,) is each sample's stick; ``before`` and ``after`` are mean squares without and with it, (m/s)^2.
+    Velocities are independent over a smoothing window; a shorter stick counts once.
     """
     window = max(2 * motion.half_window, SETTLING_TIME * motion.slip_s)
     samples = np.bincount(own)
@@ -289,8 +277,7 @@ def _gains(
 def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np.int64]]:
     """Return the samples of each stick, well away from corners; none where few sticks are long.
 
-    What is over before the smoothing has forgotten its corners may be the top of a sine, which a mass reaches that
-    merely grazes the belt.
+    A shorter stick may be the top of a sine, as of a mass that merely grazes the belt.
     """
     parts, long = [], 0
     for before, after in zip(cut.cycles[:-1], cut.cycles[1:], strict=True):
@@ -306,15 +293,9 @@ def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np
 
 
 def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: float, count: int) -> tuple[Array, float]:
-    """Return the strongest frequencies of what is left in stick, and how far apart two are that the transform tells.
+    """Return the strongest frequencies of the residual in stick, Hz, in descending order, and their resolution, Hz.
 
-    time: (n,) s.
-    rest: (n,) What is left, in any unit.
-    slip_s: About how long a slip lasts, s.
-    slowest: Hz.
-    count: At most so many.
-    Returns: Hz, the strongest first.
-    Returns: Hz.
+    At most ``count``, none below ``slowest``, Hz; ``slip_s`` is the usual duration of a slip, s.
     """
     grid = np.bincount(((time - time[0]) * (GRID_SAMPLES / slip_s)).astype(np.int64), weights=rest)
     size = GRID_REFINEMENT * grid.size
@@ -330,7 +311,7 @@ def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: floa
 
 
 def _peaks(time: Array, rest: Array, slip_s: float) -> list[float]:
-    """Return the strongest frequencies of what is left in stick, Hz."""
+    """Return the strongest frequencies of the residual in stick, Hz."""
     slowest = min(max(SLOWEST / slip_s, FEWEST_PERIODS / (time[-1] - time[0])), SLOWEST_OF_FEW / slip_s)
     found, _ = strongest_frequencies(time, rest, slip_s, slowest, CANDIDATES)
     return [float(hertz) for hertz in found]

@@ -21,13 +21,10 @@ ITERATIONS = 30  # towards the fixed point in `harmonic_share`: two gain a digit
 
 
 def slip_duration(time: Array, position: Array, noise: float) -> float:
-    """Return how long a slip usually lasts, s; the whole record's length where none is seen.
+    """Return the usual duration of a slip, s; the whole record's without one.
 
-    In 39 contacts of all kinds that stick, with 4 to 14 samples a slip, it is 0.87 to 1.13 times the true duration.
-    Of a mass that merely grazes the belt a slip is a swing: in 11 of them it is 0.78 to 0.97 of a natural period.
-
-    time, position: (n,) s, m; the belt runs towards +x.
-    noise: Standard deviation of one position, m.
+    In 39 contacts of all kinds that stick, with 4 to 14 samples a slip, it is 0.87 to 1.13 times the true duration; in
+    11 that merely graze the belt it is 0.78 to 0.97 of a natural period. The belt runs towards +x; ``noise`` is in m.
     """
     least = TURN_ABOVE_NOISE * math.sqrt(2) * noise
     rises = _way(position, least, 1)
@@ -48,7 +45,7 @@ def slip_duration(time: Array, position: Array, noise: float) -> float:
 def harmonic_share(ratio: float) -> float:
     """Return the belt's speed over the highest speed of a harmonic motion, at most 1.
 
-    ratio: The way of the belt, in the time in which the motion is slower than half the belt, over the motion's height.
+    ``ratio`` is the belt's travel, while the motion is slower than half the belt, over the motion's height.
     """
     share = 0.0
     for _ in range(ITERATIONS):
@@ -57,13 +54,13 @@ def harmonic_share(ratio: float) -> float:
 
 
 def _way(y: Array, least: float, way: int) -> list[tuple[int, int]]:
-    """Return first and last sample of each rise (``way`` 1) or fall (-1) between two turns deeper than ``least``."""
+    """Return first and last sample of each rise (``way`` 1) or fall (-1) between turns deeper than ``least``."""
     turns = _turns(way * y, least)
     return [(i, j) for (i, top), (j, _) in pairwise(turns) if not top]
 
 
 def _turns(y: Array, least: float) -> list[tuple[int, bool]]:
-    """Return the samples at which y turns by more than ``least``, each with whether it is a top."""
+    """Return the samples where y turns by more than ``least``, each with whether it is a top."""
     rises = np.sign(np.diff(y))
     places = np.flatnonzero(np.r_[True, rises[1:] != rises[:-1], True]).tolist()  # tops, feet and ends of equal values
     turns: list[tuple[int, bool]] = []
@@ -84,7 +81,7 @@ def _turns(y: Array, least: float) -> list[tuple[int, bool]]:
 
 
 def _middle_speed(time: Array, position: Array) -> float:
-    """Return the mean speed over the middle half of a rise's height, m/s: the belt's, where the mass sticks."""
+    """Return the mean speed over the middle half of a rise's height, m/s: the belt's in stick."""
     height = np.maximum.accumulate(position)
     ends = []
     for part in (0.25, 0.75):
@@ -96,6 +93,6 @@ def _middle_speed(time: Array, position: Array) -> float:
 
 
 def _middle_mean(values: Array) -> float:
-    """Return the mean of the middle half: of whole samples it is finer than their median."""
+    """Return the mean of the middle half, which resolves finer than the median of whole samples."""
     quarter = values.size // 4
     return float(np.mean(np.sort(values)[quarter : values.size - quarter]))

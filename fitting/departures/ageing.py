@@ -58,7 +58,7 @@ def find_other_break_away(
 
 
 def _growth(stick: Array, ratio: Array) -> Measured | None:
-    """Return the slope of the log ratio over the log of the stick time, with a standard error robust to outliers."""
+    """Return the slope of the log ratio over the log stick time, with a standard error robust to outliers."""
     good = np.isfinite(stick) & (stick > 0)
     if good.sum() < FEWEST_BREAK_AWAYS:
         return None

@@ -1,4 +1,4 @@
-"""What departures are tested on: a fit, of a law or of the free curve, made linear about its solution."""
+"""The base of the tests for departures: a fit of a law or of the free curve, made linear about its solution."""
 
 import math
 from collections.abc import Sequence
@@ -20,8 +20,6 @@ from stickslip.compute.arrays import Array, Integers
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """A fit, its path, and what departures read of it."""
-
     linear: LinearisedFit
     path: Path
     trajectory: FittedMotion
@@ -30,16 +28,14 @@ class Base:
     def of(
         cls, linear: LinearisedFit, path: Path, records: Sequence[MeasuredMotion], revolution: float | None = None
     ) -> "Base":
-        """Read a path; ``revolution`` is the travel per revolution of the encoder, m, where the calibration has it."""
+        """Read a path; ``revolution`` is the encoder's travel per revolution, m, if calibrated."""
         trajectory = FittedMotion.from_path(path, records, linear.residual, revolution)
         return cls(linear, path, trajectory)
 
     def thinned(self) -> "Base":
-        """Return the same on blocks of samples, `COARSE_SAMPLES` a slip, for scans.
+        """Return the base on blocks of samples, `COARSE_SAMPLES` a slip, or itself where these steps are too long.
 
-        A block has the mean residual and the mean derivatives of its samples, and the path is that at its middle.  Its
-        position is what leaves that residual: the mean position of a curved path is not that at its middle.
-        Where the motion cannot be followed with these longer steps, all samples are kept.
+        The residual and derivatives of a block are means; the path is at its middle.
         """
         whole = self.path.windows
         stride = max(1, round(self.trajectory.samples_per_slip / COARSE_SAMPLES))
@@ -69,7 +65,7 @@ class Base:
         return Base(linear, path, trajectory)
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
-        """Return how the positions answer to forcings, one after another, shape (N, columns of all)."""
+        """Return the response of the positions to forcings, shape (N, columns of all)."""
         widths = [next(part.shape[1] for part in forcing if part is not None) for forcing in forcings]
         stage, sample = self.path.time.size, self.trajectory.samples.size
         whole = (
@@ -86,7 +82,7 @@ class Base:
 
 
 def _side_by_side(parts: Sequence[Array | None], widths: Sequence[int], rows: int) -> Array | None:
-    """Return the parts as columns of one array, zero where there is none; None where there is none at all."""
+    """Return the parts as columns of one array, zero for None; None where all are."""
     if all(part is None for part in parts):
         return None
     whole = np.zeros((rows, sum(widths)))
@@ -100,7 +96,7 @@ def _side_by_side(parts: Sequence[Array | None], widths: Sequence[int], rows: in
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Blocks of samples of each window; its first sample comes before them, because a path begins there."""
+    """Blocks of samples of each window, after its first sample, where a path begins."""
 
     table: Integers  # (windows, 6) as in `ShootingWindows`, in blocks
     middle: Integers  # (n,) middle sample of each block
@@ -110,7 +106,7 @@ class Blocks:
 
     @classmethod
     def of(cls, windows: ShootingWindows, size: int) -> "Blocks":
-        """Divide every window into blocks of ``size``, 2 or more; what is left at its end belongs to none."""
+        """Divide every window into blocks of ``size`` >= 2; the remainder belongs to none."""
         table, middle, first, total = windows.table.copy(), [], [], 0
         ends = np.zeros(len(windows.rows), np.int64)
         for row, (cycle, _, begin, count, _, _) in enumerate(windows.table):
@@ -125,7 +121,7 @@ class Blocks:
         return cls(table, np.concatenate(middle), np.concatenate(first), rows, size)
 
     def mean(self, values: Array) -> Array:
-        """Return the mean of ``values`` (N, ...) over each block, 0 for one that counts nothing; shape (n, ...)."""
+        """Return the mean of ``values`` (N, ...) over each block, 0 if it counts nothing; shape (n, ...)."""
         out = np.zeros((self.first.size, *values.shape[1:]))
         real = self.first >= 0
         for offset in range(self.size):
@@ -134,5 +130,5 @@ class Blocks:
 
 
 def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
-    """Return the median of the cycles' errors, m: spoilt cycles do not move it."""
+    """Return the median of the cycles' errors, m, which spoilt cycles do not move."""
     return math.sqrt(float(np.median([np.mean(residual[cycle] ** 2) for cycle in rows])))

@@ -34,7 +34,7 @@ Judge = Callable[[Refit], bool]
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What departures are asked of: a record that no law describes."""
+    """The record that no law describes, with its best laws."""
 
     fits: Sequence[Fit]  # the laws, best first
     records: Sequence[MeasuredMotion]  # the runs
@@ -46,7 +46,6 @@ class Question:
     def of(
         cls, fits: Sequence[Fit], records: Sequence[MeasuredMotion], noise: float, revolution: float | None = None
     ) -> "Question":
-        """Linearise the best law."""
         return cls(fits, records, noise, revolution, base_of(fits[0], records, revolution))
 
     @property
@@ -106,10 +105,7 @@ def _described(refit: Refit, asked: Question) -> FoundDeparture:
 
 
 def confirm(at: tuple[Departure, float, Array], asked: Question, *, hurried: bool = False) -> Refit | None:
-    """Fit a departure with the best laws; return the fit that leaves least where it reaches the noise, else None.
-
-    ``at`` are the departure, its scale and its coefficients as tested; ``hurried`` as in `refit_with`.
-    """
+    """Fit a departure (with scale and coefficients as tested) with the best laws; None where none reaches the noise."""
     curves: set[int] = set()
     best: Refit | None = None
     for fit in asked.fits:
@@ -131,7 +127,7 @@ def _reached(refit: Refit | None, noise: float) -> Refit | None:
 
 
 def base_of(fit: Fit, records: Sequence[MeasuredMotion], revolution: float | None = None) -> Base | None:
-    """Linearise the fit of a law; None where the motion cannot be followed beside its solution."""
+    """Linearise the fit of a law; None where the motion near its solution cannot be followed."""
     linear = LinearisedFit.at(fit.at)
     path = fit.path()
     if linear is None or path is None or not math.isfinite(linear.cost):

@@ -1,7 +1,7 @@
 """A law or a free curve fitted together with one departure, whose parameters become shared unknowns of the fit.
 
-One linear step (`fitting.departures.scores`) takes the motion for what it was without the departure.  The driver
-follows the motion with it: a scanned scale is one more unknown.
+One linear step (`fitting.departures.scores`) assumes the motion without the departure.  The driver follows the motion
+with it: a scanned scale is one more unknown.
 """
 
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ GIVEN_UP_ABOVE_NOISE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Where a fit with one departure ended."""
+    """A fit with one departure."""
 
     law: int | None  # none for the free curve
     departure: Departure
@@ -58,21 +58,11 @@ def refit_with(
     *,
     hurried: bool = False,
 ) -> Refit | None:
-    """Fit a law or the free curve together with a departure.
+    """Fit a law, or the free curve (``law`` None), with a departure of the tested ``scale`` and ``size``.
 
-    host: The fit without it.
-    law: The law that it is of; None for the free curve.
-    scale: As scanned; NaN without one.
-    size: (k,) The departure's coefficients as tested.
-    noise: (runs,) Standard deviation of one measured position, m.
-    hurried: Try one start alone: something already describes the record, or is likely to.
-    Returns: None where the motion cannot be followed with it, where it stays far from the noise, or where nothing
-        distinguishes it from what the law adjusts.
-
-    Notes
-    -----
-    The search starts from the fit without the departure, with the departure as tested, and from the regression.  A drag
-    is regressed together with the law, and then tried as tested.
+    None where the motion cannot be followed, stays far from the noise, or the departure cannot be told from what the
+    law adjusts. The search starts from the fit without it, with the departure as tested, and from the regression; a
+    ``hurried`` one tries one start.
     """
     task = replace(host.task, forces=(Force(departure, scale),))
     starts = _starts(task, host, size, law)
@@ -86,7 +76,7 @@ def refit_with(
 
 
 def _starts(task: Task, host: TaskFit, size: Array, law: int | None) -> list[tuple[FitStart, PassNoise | None]]:
-    """Return where the search starts, that which is the likeliest first."""
+    """Return the starts of the search, likeliest first."""
     (force,) = task.forces
     more = np.concatenate([size, np.zeros(force.width - size.size)])
     tested = FitStart(np.concatenate([host.q, more]), host.local)
@@ -103,7 +93,7 @@ def _starts(task: Task, host: TaskFit, size: Array, law: int | None) -> list[tup
 
 
 def _judged(fit: TaskFit, host: TaskFit, law: int | None, noise: Array) -> Refit | None:
-    """Return a fit with the errors of its departure; None where nothing distinguishes it from what the law adjusts."""
+    """Return a fit with the errors of its departure; None where the law adjusts it, or a drag is negative."""
     (force,) = fit.task.forces
     linear, path = LinearisedFit.at(fit), fit.path
     if linear is None or path is None:

@@ -8,7 +8,7 @@ from stickslip.units import Measured
 
 @dataclass(frozen=True)
 class Scale:
-    """What else a departure depends on, as scanned: a frequency, a wavelength."""
+    """The scanned frequency or wavelength of a departure."""
 
     name: str
     value: float
@@ -17,8 +17,6 @@ class Scale:
 
 @dataclass(frozen=True)
 class FoundDeparture:
-    """One departure with its size."""
-
     name: str
     # standard deviations of a normal variable that is as unlikely, the number of departures and scales that were tried
     # taken into account
@@ -36,7 +34,6 @@ class FoundDeparture:
 
     @property
     def size(self) -> Measured:
-        """Value and standard error."""
         return Measured(self.value, self.stderr)
 
     def as_json(self) -> dict[str, Any]:

@@ -1,8 +1,8 @@
-"""Score tests: how much of what a fit leaves over one more parameter would explain, and how sure that is.
+"""Score tests: how much of a fit's residual one more parameter would explain, and how significantly.
 
 The columns of a departure are projected off everything that the fit adjusts (`fitting.estimation.linearised`), so one
-linear step gives its parameters.  Their error comes from leaving out one cycle after another: what the fit leaves over
-is correlated within a cycle, and its cycles are independent.
+linear step gives its parameters.  Their error is a jackknife over the cycles: residuals are correlated within a cycle,
+and cycles are independent.
 
 Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests); B. Efron, C. Stein, Ann. Statist. 9
 (1981) 586 (the jackknife).
@@ -28,8 +28,6 @@ RIDGE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """One linear step of a departure's parameters."""
-
     coefficients: Array  # (k,)
     covariance: Array  # (k, k) the jackknife's over the cycles, and at least that of the noise
     gain: float  # by how much the cost falls
@@ -38,12 +36,9 @@ class Score:
 
 
 def score(base: LinearisedFit, columns: Array, widths: Sequence[int]) -> list[Score | None]:
-    """Test departures one by one.
+    """Test departures, each with ``widths`` (1 or 2) of the derivatives ``columns`` (N, d).
 
-    columns: (N, d) Derivatives of the positions with respect to the parameters of the departures, one after another.
-    widths: How many parameters each departure has, 1 or 2.
-    Returns: None where the fit already adjusts the parameters, fewer than four cycles are left to judge by, or one
-        cycle alone shows a parameter.
+    None where the fit already adjusts the parameters, fewer than four cycles remain, or a single cycle shows one.
     """
     scores = base.scores(columns)
     ends = np.cumsum(widths)
@@ -76,14 +71,14 @@ def _score(scores: Scores, columns: slice) -> Score | None:
 
 
 def log_probability(coefficients: Array, covariance: Array, cycles: int) -> float:
-    """Return the log of the probability of coefficients (k,) as large by chance; Hotelling's T^2 of the cycles."""
+    """Return the log p-value of coefficients (k,) by Hotelling's T^2 of the cycles."""
     k, n = coefficients.size, cycles
     statistic = float(np.sum(coefficients * _solve(covariance, coefficients)))
     return fisher_log_tail(statistic * (n - k) / (k * (n - 1)), k, n - k)
 
 
 def sigmas(log_p: float, trials: float = 1.0) -> float:
-    """Return the standard deviations of a normal variable whose two-sided tail is exp(log_p), after so many trials."""
+    """Return the standard deviations of a normal variable with two-sided tail exp(log_p), after so many trials."""
     log_tail = min(log_p + math.log(max(trials, 1.0)), 0.0) - math.log(2)
     if log_tail > -700:
         return max(-normal_quantile(math.exp(log_tail)), 0.0)

@@ -1,7 +1,7 @@
-"""Which departures would explain what a fit leaves over, the strongest first.
+"""The departures that would explain the residual of a fit, the strongest first.
 
-Every gain is that of one linear step (`fitting.departures.scores`).  What else a departure depends on, a frequency or a
-wavelength, is scanned first, on a thinned record.
+Every gain is that of one linear step (`fitting.departures.scores`).  A departure's frequency or wavelength is scanned
+first, on a thinned record.
 """
 
 import math
@@ -36,8 +36,6 @@ STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
 
 @dataclass(frozen=True, eq=False)
 class Tested:
-    """A departure with the score of its best scale."""
-
     departure: Departure
     scale: float
     score: Score
@@ -45,32 +43,28 @@ class Tested:
 
     @property
     def at(self) -> tuple[Departure, float, Array]:
-        """The departure, its scale and its coefficients."""
         return self.departure, self.scale, self.score.coefficients
 
     @property
     def parameters(self) -> int:
-        """Its parameters, a scanned scale included."""
         return self.departure.columns + (1 if math.isfinite(self.scale) else 0)
 
     @property
     def possible(self) -> bool:
-        """Whether its sign can be: a drag takes energy."""
+        """Whether its sign is physically possible: a drag dissipates energy."""
         return self.departure.drag is None or bool(self.score.coefficients[0] > 0)
 
     def near(self, other: "Tested") -> bool:
-        """Whether a search from the other would go where one from this goes: the same departure at the same scale."""
+        """Whether both are the same departure at the same scale, so that searches from them agree."""
         if self.departure is not other.departure:
             return False
         return not math.isfinite(self.scale) or abs(math.log(self.scale / other.scale)) < SAME_SCALE
 
 
 def strongest(base: Base) -> list[Tested]:
-    """Test every departure of the table on a fit, and return those that the record shows, the strongest first.
+    """Test every departure on a fit that does not describe the record; return the significant ones, strongest first.
 
-    To be asked where the fit, of a law or of the free curve, does not describe the record: on one that does, there is
-    nothing to explain.  They are ordered by how far the cost falls.  Those within 4 % of the best explain the record
-    equally well: of them the one with the fewest parameters is first.
+    They are ordered by their gain; of those within 4 % of the best, the one with the fewest parameters is first.
     """
     thin, every = base.thinned(), departures()
     chosen = []
@@ -100,7 +94,7 @@ def strongest(base: Base) -> list[Tested]:
 
 
 def best_scale(base: Base, departure: Departure) -> tuple[float, int]:
-    """Return the scale that explains most, and how many were tried; NaN without one, or where there is none to try."""
+    """Return the scale that explains most, NaN without one, and how many were tried."""
     if departure.scales is None:
         return np.nan, 1
     scales = departure.scales(base.trajectory)
@@ -117,7 +111,7 @@ def best_scale(base: Base, departure: Departure) -> tuple[float, int]:
 
 
 def gains(base: Base, departure: Departure, scales: Array) -> Array:
-    """Return by how much the cost would fall with the departure at each of the scales (n,)."""
+    """Return the decrease of the cost with the departure at each of the scales (n,)."""
     return np.concatenate(
         [
             _gains(base, departure, scales[first : first + SCALES_AT_ONCE])
@@ -146,13 +140,13 @@ def _gains(base: Base, departure: Departure, scales: Array) -> Array:
 
 
 def misfit_beyond_noise(linear: LinearisedFit, noise: Array | float) -> float:
-    """Return the cost of the residuals above that of the noise; the most that a departure can take away."""
+    """Return the cost of the residuals above that of the noise, which a departure can at most explain."""
     weights = np.repeat(linear.weights, np.diff(linear.first))
     return max(0.5 * float(np.sum(weights * (linear.residual**2 - np.square(noise)))), 0.0)
 
 
 def describe(tested: Tested, record: MeasuredMotion, excess: float) -> FoundDeparture:
-    """Put a departure into the units of the rig."""
+    """Convert a departure to the units of the rig."""
     departure, coefficients = tested.departure, tested.score.coefficients
     size = amplitude(coefficients, tested.score.covariance)
     parameter, unit = departure.parameter, departure.unit

@@ -1,8 +1,7 @@
-"""Friction against relative velocity: each law's fitted curve, and the points the record itself shows.
+"""Friction against relative velocity: each law's fitted curve, and measured points.
 
-A measured point is what is left of the force balance, F = m a + c v + k (x - b), at the smoothed samples, divided by
-its cycle's own level so that the cycles lie on one curve.  In newtons when mass or stiffness is known, else per
-kilogram.
+A measured point is the force balance F = m a + c v + k (x - b) at a smoothed sample, over its cycle's level so that the
+cycles lie on one curve.  In newtons where mass or stiffness is known, else per kilogram.
 """
 
 import math
@@ -18,19 +17,18 @@ from stickslip.compute.arrays import Array
 
 
 def mass(motion: MeasuredMotion, fit: FittedLaw) -> float:
-    """Return the mass that turns accelerations into newtons, kg; 1 when neither mass nor stiffness is known."""
+    """Return the mass that converts accelerations to newtons, kg; 1 where neither mass nor stiffness is known."""
     if motion.mass is not None:
         return motion.mass.value
     return motion.stiffness.value / fit.values.K if motion.stiffness is not None else 1.0
 
 
 def unit(motion: MeasuredMotion) -> str:
-    """Return the unit of a friction."""
     return "N" if motion.mass is not None or motion.stiffness is not None else "N/kg"
 
 
 def speeds(motion: MeasuredMotion, number: int = 401) -> Array:
-    """Return relative velocities (m/s, in the record's own sign) that span the motion, 0 among them."""
+    """Return relative velocities (m/s, in the record's sign) over the range of the motion, including 0."""
     w = motion.velocity - motion.belt_speed
     low, high = float(w.min()), max(float(w.max()), 0.1 * motion.belt_speed)
     # densest around 0, where the laws differ
@@ -39,7 +37,7 @@ def speeds(motion: MeasuredMotion, number: int = 401) -> Array:
 
 
 def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
-    """Return relative velocities (m/s) that span the motions of all runs: `speeds` of the widest in each direction."""
+    """Return `speeds` over the ranges of all runs."""
     widest: dict[float, Array] = {}
     for motion in motions:
         spanned = speeds(motion)
@@ -49,15 +47,14 @@ def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
 
 
 def curve(fit: FittedLaw, motion: MeasuredMotion, w: Array) -> Array:
-    """Return a law's friction at relative velocities w (n,), m/s in the record's own sign; in `unit`."""
+    """Return a law's friction at relative velocities w (n,), m/s in the record's sign; in `unit`."""
     return fit.force(w, mass(motion, fit))
 
 
 def points(fit: FittedLaw, motion: MeasuredMotion) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return relative velocity (m/s), friction (in `unit`) and whether it is a stick, of every slip and stick sample.
+    """Return relative velocity (m/s), friction (in `unit`) and whether it is a stick, of slip and stick samples.
 
-    The fit, usually of the best law, gives the force balance and the level of each cycle.
-    Samples within half a smoothing window of a landing are left out: smoothing rounds the corner off there.
+    Samples within half a smoothing window of a landing are left out: smoothing rounds the corner there.
     """
     p = fit.values
     w_parts, f_parts, stick_parts = [], [], []

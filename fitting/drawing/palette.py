@@ -20,27 +20,23 @@ RUN_MARKS = ("o", "c", "|")
 
 
 def run_colour(number: int) -> str:
-    """Return the colour of a run, counted from 1."""
     return RUNS[(number - 1) % len(RUNS)]
 
 
 def run_dash(number: int) -> str:
-    """Return the dashes of a run's line, as `run_colour` its colour."""
     return RUN_DASHES[(number - 1) % len(RUNS) // 3]
 
 
 def run_mark(number: int) -> str:
-    """Return the sign of a run's marks, as `run_colour` their colour."""
     return RUN_MARKS[(number - 1) % len(RUNS) // 3]
 
 
 def law_colours(laws: Iterable[int | str]) -> dict[int | str, str]:
-    """Return the colour of each law: those of the six by their numbers, those of formulas in their order."""
+    """Return the colour of each law: the six by number, formulas in order."""
     return _by_law(laws, COLOURS, FORMULAS)
 
 
 def law_dashes(laws: Iterable[int | str]) -> dict[int | str, str]:
-    """Return the dashes of each law's line, as `law_colours` the colours."""
     return _by_law(laws, DASHES, FORMULA_DASHES)
 
 

@@ -29,13 +29,9 @@ Shown = Sequence[tuple[FittedLaw, str]]  # laws, best first, each with what it i
 def friction(
     laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, title: str, axes: "Axes | None" = None
 ) -> Figure:
-    """Return friction against relative speed (m/s), all speeds and the low ones.
+    """Return friction against relative speed (m/s), all speeds (in ``axes``) and the low ones; laws best first.
 
-    laws: The laws to draw, best first, and what each is called; at least one.
-    motion: Gives mass or stiffness, and where ``measured`` is None the points.
-    measured: The curve without a law, with its band, in the unit of `curves.unit`.  None: the force balance of the
-        first law at each sample is drawn as points.
-    axes: Where to draw all speeds; by default in a new figure.
+    Where ``measured`` (with its band, in `curves.unit`) is None, the force balance of the first law is drawn as points.
     """
     top = float(measured.speed[-1]) if measured is not None else float(np.abs(curves.speeds(motion)).max())
     with mpl.rc_context(fname=STYLE):
@@ -56,7 +52,7 @@ def friction(
 
 
 def _draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, reach: float) -> None:
-    """Draw the laws and what was measured up to a relative speed, m/s."""
+    """Draw the laws and the measurement up to a relative speed, m/s."""
     _curves(axes, laws, motion, 1.02 * reach)
     if measured is None:
         w, force, _ = curves.points(laws[0][0], motion)

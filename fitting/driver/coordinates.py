@@ -1,11 +1,11 @@
 """Coordinates of the curve's coefficients in which their prior is independent: second differences and the two ends.
 
 The prior says that a second difference of neighbouring coefficients is of the order of half the friction; it decides
-only where the record shows nothing.  In these coordinates Levenberg-Marquardt needs no other form of a prior.
+only where the data do not.  In these coordinates Levenberg-Marquardt needs no other form of a prior.
 
-A curve and a datum that move together leave the motion as it is: K datum + friction is what a record shows.  So the
-coordinates are those of a curve that follows the datum; what is left of a datum's effect is then a small number of its
-own, not the difference of two large ones, and an unknown datum keeps its whole interval.
+The data determine K datum + friction only.  So the coordinates are those of a curve that follows the datum: a datum's
+remaining effect is then a small number, not the difference of two large ones, and an unknown datum keeps its whole
+interval.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ BEND_SD = 0.5
 
 @dataclass(frozen=True, eq=False)
 class CurveCoordinates:
-    """How coefficients follow from n - 2 second differences and the two end coefficients, each over its size."""
+    """The map from n - 2 second differences and two end coefficients, each over its size, to coefficients."""
 
     matrix: Array  # (n, n) coefficients (m/s^2) by coordinates
     inverse: Array  # (n, n) coordinates by coefficients
@@ -49,22 +49,21 @@ class CurveCoordinates:
 
     @property
     def slopes(self) -> Array:
-        """Derivatives (n, p + n) of the coefficients by the unknowns beside the curve and by its coordinates."""
+        """Derivatives (n, p + n) of the coefficients by the unknowns: those outside the curve, then its coordinates."""
         return np.hstack([np.broadcast_to(self.offset, (self.precision.size, self.offset.size)), self.matrix])
 
     @property
     def inverse_slopes(self) -> Array:
-        """Derivatives (n, p + n) of the coordinates by the unknowns beside the curve and by its coefficients."""
+        """Derivatives (n, p + n) of the coordinates by the unknowns outside the curve and by its coefficients."""
         whole = self.inverse.sum(axis=1)
         return np.hstack([-whole[:, None] * self.offset, self.inverse])
 
     def coefficients(self, unknowns: Array) -> Array:
-        """Return coefficients (n,), m/s^2, for the unknowns (p + n,)."""
         p = self.offset.size
         moved = float(np.sum(self.offset * (unknowns[:p] - self.start)))
         return np.asarray(np.einsum("ij,j->i", self.matrix, unknowns[p:]) + moved)
 
     def unknowns(self, beside: Array, coefficients: Array) -> Array:
-        """Return all unknowns (p + n,) for those beside the curve (p,) and its coefficients (n,)."""
+        """Return all unknowns (p + n,) from those outside the curve (p,) and its coefficients (n,)."""
         moved = float(np.sum(self.offset * (beside - self.start)))
         return np.concatenate((beside, np.einsum("ij,j->i", self.inverse, coefficients - moved)))

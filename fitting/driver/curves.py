@@ -1,7 +1,7 @@
-"""What friction is in a fit: one of the six laws, or a curve followed through a spline.
+"""The friction of a fit: one of the six laws, or a curve followed through a spline.
 
-A curve has ``size`` numbers theta of its own, with bounds and priors; ``beside`` are the shared unknowns that are
-fitted beside it.  It gives the friction along a path and the derivatives of the positions.
+A curve has ``size`` parameters theta, with bounds and priors; ``beside`` are the shared unknowns fitted with it.  It
+gives the friction along a path and the derivatives of the positions.
 """
 
 from abc import ABC, abstractmethod
@@ -21,8 +21,6 @@ from stickslip.compute.arrays import Array
 
 
 class FrictionCurve(ABC):
-    """A curve in a fit."""
-
     ramp: bool  # whether slip begins beyond a ramp of half-width d, a shared unknown
     size: int  # how many numbers theta it has
     # (size,) of theta: where a fit starts, means and 1/sd^2 of the priors (0 where nothing is known), bounds
@@ -34,21 +32,18 @@ class FrictionCurve(ABC):
 
     @abstractmethod
     def on_path(self, theta: Array, beside: Array) -> Curve | None:
-        """Return the curve that a path is followed with; None where these numbers give no friction."""
+        """Return the curve of a path; None where theta gives no friction."""
 
     @abstractmethod
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
-        """Return the derivatives of the positions by the shared unknowns at ``places`` (p,), then by theta.
-
-        Shape (N, p + size).
-        """
+        """Return the position derivatives (N, p + size) by the shared unknowns at ``places`` (p,), then by theta."""
 
     @abstractmethod
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,); ``u`` are the unknowns of all runs."""
 
     def is_ramp_of(self, other: "FrictionCurve") -> bool:
-        """Return whether this is the other curve behind a ramp, and so contains it."""
+        """Return whether this is the other curve with a ramp, and so contains it."""
         return False
 
     def contains(self, other: "FrictionCurve") -> bool:
@@ -57,7 +52,7 @@ class FrictionCurve(ABC):
 
 
 class LawCurve(FrictionCurve):
-    """One of the six laws: its parameters are the shared unknowns LOG_F and SHAPE, and none of its own."""
+    """One of the six laws: its parameters are the shared unknowns LOG_F and SHAPE; theta is empty."""
 
     size = 0
 
@@ -66,29 +61,24 @@ class LawCurve(FrictionCurve):
         self.start = self.prior = self.precision = self.lower = self.upper = np.empty(0)
 
     def on_path(self, theta: Array, beside: Array) -> Curve:
-        """See `FrictionCurve`."""
         return law_curve(LAWS[self.law].curve_code, self.ramp)
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
-        """See `FrictionCurve`."""
         return shared_tangents(path, places)
 
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
-        """See `FrictionCurve`."""
         p = parameters.values(u[:PER_RUN])
         return np.asarray(magnitude(LAWS[self.law].curve_code, s, p.F, p.shape * p.F, p.shape))
 
     def is_ramp_of(self, other: FrictionCurve) -> bool:
-        """See `FrictionCurve`."""
         return self.ramp and isinstance(other, LawCurve) and other.law == self.law - 1
 
     def contains(self, other: FrictionCurve) -> bool:
-        """See `FrictionCurve`."""
         return isinstance(other, LawCurve) and other.law in NESTED[self.law]
 
 
 class ThroughSpline(FrictionCurve):
-    """A curve whose friction per unit mass is a spline; a subclass says by which numbers."""
+    """A curve whose friction per unit mass is a spline, parametrised by a subclass."""
 
     spline: FrictionSpline  # its knots; the coefficients follow from theta
 
@@ -97,26 +87,21 @@ class ThroughSpline(FrictionCurve):
         """Return the spline's coefficients (n,), m/s^2, and their derivatives (n, beside + size)."""
 
     def on_path(self, theta: Array, beside: Array) -> Curve | None:
-        """See `FrictionCurve`."""
         return spline_curve(self.spline.with_coefficients(self.coefficients(theta, beside)[0]), self.ramp)
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
-        """See `FrictionCurve`."""
         found = spline_tangents(path, self.coefficients(theta, path.u[list(places)])[1])
         found[:, : len(places)] += shared_tangents(path, places)
         return found
 
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
-        """See `FrictionCurve`."""
         return self.spline.with_coefficients(self.coefficients(theta, beside)[0])(s)
 
 
 class FreeCurve(ThroughSpline):
-    """A free spline; theta are `CurveCoordinates`.
+    """A free spline of ``knots`` (n + 1,), m/s, and ``coefficients`` (n + 3,), m/s^2; theta are `CurveCoordinates`.
 
-    knots: (n + 1,) Slip speeds, m/s.
-    coefficients: (n + 3,) Where it starts, m/s^2.
-    offset, beside: (p,) By how much the whole curve moves with each of the unknowns beside it, and where these start.
+    The whole curve moves by ``offset`` (p,) with the unknowns ``beside`` (p,).
     """
 
     def __init__(self, knots: Array, *, ramp: bool, coefficients: Array, offset: Array, beside: Array) -> None:
@@ -127,5 +112,4 @@ class FreeCurve(ThroughSpline):
         self.start = self.basis.unknowns(beside, coefficients)[beside.size :]
 
     def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:
-        """See `ThroughSpline`."""
         return self.basis.coefficients(np.concatenate([beside, theta])), self.basis.slopes

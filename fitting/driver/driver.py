@@ -1,8 +1,8 @@
-"""Tasks fitted to the same runs: which start from where others ended, and which are worth every sample.
+"""Tasks fitted to the same runs: warm starts between them, and which are worth every sample.
 
 Three levels of error decide.  A task that is `noise_levels.LOST` after its first pass may start from others too.  One
-that errs `GIVEN_UP_BEYOND_BEST` times as much as the best one then is not settled, one that errs `FAR_BEYOND_BEST`
-times as much as the best one when settled is fitted to the thinned record alone.
+with an error `GIVEN_UP_BEYOND_BEST` times that of the best one is then not settled, one with `FAR_BEYOND_BEST` times
+that of the best one when settled is fitted to the thinned record alone.
 """
 
 import logging
@@ -54,7 +54,7 @@ CLOSED_RAMP = 0.02
 
 
 def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
-    """Fit one task from where a fit ended, whose noise it takes; None where the motion cannot be followed."""
+    """Fit a task from the end of another fit, with its noise; None where the motion cannot be followed."""
     first = first_pass(task, start, noise)
     settled = None if first is None else settle(first)
     return None if settled is None else finish(settled) or settled
@@ -63,11 +63,11 @@ def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
 def best_end(
     task: Task, starts: Sequence[tuple[FitStart, PassNoise | None]], noise_m: Array | None = None
 ) -> TaskFit | None:
-    """Settle a task from each start until one reaches the noise; return the end that errs least.
+    """Settle a task from each start until one reaches the noise; return the best fit.
 
-    Starts come with the noise of the fit that they are from, the likeliest first.  The one that errs least after its
-    first pass is settled first; once that pass reaches the noise, the starts after it are not looked at.  ``noise_m``
-    (runs,) is the noise of a position, m, where it is known; else the resolution.
+    Starts come with the noise of their fit, likeliest first; the best after its first pass is settled first, and one
+    that reaches the noise ends the search. ``noise_m`` (runs,) is the noise of a position, m, if known; else the
+    resolution.
     """
     reached = noise_levels.DESCRIBES * (task.resolution if noise_m is None else float(np.max(noise_m)))
     best: TaskFit | None = None
@@ -95,14 +95,9 @@ def fit_laws(
     progress: Callable[[float], None] | None = None,
     scheduler: str | None = None,
 ) -> list[TaskFit]:
-    """Fit laws to runs of one contact.
+    """Fit laws to runs of one contact; jump laws first, without those whose motion cannot be followed.
 
-    laws: Those that are asked for.
-    among: All that are searched, whichever are asked for: what one leaves does not depend on which others compete.
-    jobs: Processes; more than one for each law are not started.
-    progress: Called with the number of laws searched, of those that are asked for.
-    scheduler: Address of a dask scheduler whose workers do it instead.
-    Returns: Jump laws before ramp laws, each by number; a law whose motion cannot be followed is missing.
+    All laws ``among`` are searched, so that a fit does not depend on which others are requested.
     """
     tasks = [law_task(law, runs) for law in sorted(among)]
     asked = set(laws)
@@ -128,11 +123,7 @@ def fit_all(
 ) -> list[TaskFit]:
     """Fit tasks to the same runs, and return those ``asked`` for in the order given.
 
-    A curve that contains another comes after it.  Each starts from the regression and, where another errs less after
-    its first pass, from there too.
-
-    each: The ``map`` that work is done by (`stickslip.compute.workers`).
-    progress: Called with the number of tasks that have made their first pass.
+    A curve that contains another comes after it; each starts from the regression and from others better after one pass.
     """
     first = _from_regression(tasks, each, progress)
     chosen = list(each(partial(_from_donors, tasks=tasks, first=tuple(first)), range(len(tasks))))
@@ -161,10 +152,10 @@ def fit_all(
 
 
 def _from_regression(tasks: Sequence[Task], each: Map, progress: Callable[[int], None]) -> list[TaskFit | None]:
-    """Return the first pass of each task from the regression, or one with less noise assumed where that errs less.
+    """Return the first pass of each task from the regression, or one with less assumed noise where that is better.
 
-    Much noise leads out of poor minima of single cycles; less lets a law that is wrong find its way along a valley that
-    calibrations as strong as that noise close.  Where one task reaches the noise, that law's end shows the way better.
+    Much noise leads out of poor minima of single cycles; less lets a wrong law follow a valley that calibrations as
+    strong as that noise close. Once a task reaches the noise, others start from it instead.
     """
     found: list[TaskFit | None] = []
     for one in each(regressed_pass, tasks):
@@ -181,7 +172,7 @@ def _with_less_noise(task: Task) -> TaskFit | None:
 
 
 def _from_donors(k: int, tasks: Sequence[Task], first: Sequence[TaskFit | None]) -> TaskFit | None:
-    """Return the first pass of task k, or one that starts where another's ended and errs less."""
+    """Return the first pass of task k, or a better one that starts from another fit."""
     task, own = tasks[k], first[k]
     far = noise_levels.LOST * task.resolution
     for donor in _donors(task, k, first):
@@ -207,10 +198,9 @@ def _finished(at: TaskFit, limit: float) -> TaskFit:
 
 
 def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
-    """Return where a task starts beside another's end: shared unknowns and windows as there.
+    """Return a warm start of a task from another fit: its shared unknowns, windows and friction.
 
-    A law has the same friction, another curve starts where it is made to start.  A ramp that starts next to none has
-    ``narrow`` of its first width.
+    A new ramp starts with ``narrow`` of its first width.
     """
     u = donor.u
     mine, other = task.curve, donor.task.curve
@@ -225,7 +215,7 @@ def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
 
 
 def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit]:
-    """Return from where a task may start besides: its own curve without a ramp, and the other that errs least."""
+    """Return the fits a task may start from: its curve without a ramp, and the best other."""
     others = [one for j, one in enumerate(first) if j != k and one is not None]
     inner = [one for one in others if task.curve.is_ramp_of(one.task.curve)]
     best = sorted((one for one in others if one not in inner), key=lambda one: one.geometric_mean_rms)[:1]
@@ -233,7 +223,7 @@ def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit
 
 
 def _again(found: list[TaskFit], each: Map) -> list[TaskFit]:
-    """Let tasks start again with their windows at the smoothed motion, where even the best of them is lost."""
+    """Restart tasks with their windows at the smoothed motion, where even the best of them is lost."""
     lowest = min((one.geometric_mean_rms for one in found), default=0.0)
     if not found or lowest <= noise_levels.LOST * found[0].task.resolution:
         return found
@@ -243,10 +233,10 @@ def _again(found: list[TaskFit], each: Map) -> list[TaskFit]:
 
 
 def from_left_starts(found: list[TaskFit], left: Sequence[TaskFit | None], each: Map) -> list[TaskFit]:
-    """Settle tasks from their own regression too where even the best of them is lost: the first pass chose another.
+    """Settle tasks from their own regression too where even the best of them is lost.
 
-    ``left`` are these first passes, one for each fit, None where it was chosen.  Of few samples a slip the regression
-    is far off, and a search that starts there is not over when a wrong law's end seems the better start.
+    ``left`` are these first passes, None where already chosen. With few samples a slip the regression is far off, and
+    its search is not over when a wrong law's fit seems the better start.
     """
     lowest = min((one.geometric_mean_rms for one in found), default=0.0)
     if not found or lowest <= noise_levels.LOST * found[0].task.resolution:
@@ -264,9 +254,9 @@ def _better(one: TaskFit, other: TaskFit | None) -> TaskFit:
 
 
 def _overtaking(found: Sequence[TaskFit], each: Map) -> list[TaskFit]:
-    """Settle those of one curve again with the cycles in which the mass overtakes the belt by one of them.
+    """Settle fits of one curve again with the cycles that one of them finds overtaking the belt.
 
-    A ramp may describe such a cycle by a very low level, where its jump shows that it is spoilt.
+    A ramp may fit such a cycle by a very low level, where its jump shows that it is spoilt.
     """
     near = [one for one in found if one.geometric_mean_rms < FAR_BEYOND_BEST * one.task.resolution]
     seen = {id(one): find_overtaking(one) for one in near}
@@ -291,10 +281,9 @@ def _is_ramp_of(one: TaskFit, other: TaskFit) -> bool:
 
 
 def beside_better(found: list[TaskFit], each: Map) -> list[TaskFit]:
-    """Let a curve that errs little more than another on the same contact start from there too.
+    """Restart a curve slightly worse than another on the same contact from that one.
 
-    Of a ramp without a datum, levels that do not scatter determine v_dr - d alone: a search stops anywhere in that
-    valley, whose floor is not quite level.
+    Without a datum, a ramp with constant levels determines v_dr - d alone: a search stops anywhere in that valley.
     """
     pairs = []
     for one in found:
@@ -310,7 +299,7 @@ def beside_better(found: list[TaskFit], each: Map) -> list[TaskFit]:
 
 
 def _contained(found: list[TaskFit], again: Callable[[TaskFit], TaskFit | None], each: Map) -> list[TaskFit]:
-    """Let a curve that errs more than one that it contains start from there: it can be no worse."""
+    """Restart a curve with a larger error than one that it contains from there: it can only improve."""
     pairs = []
     for one in found:
         inner = [other for other in found if one.task.curve.contains(other.task.curve)]
@@ -321,9 +310,9 @@ def _contained(found: list[TaskFit], again: Callable[[TaskFit], TaskFit | None],
 
 
 def _opened(found: list[TaskFit], each: Map) -> list[TaskFit]:
-    """Let a jump that errs more than the same curve behind a closed ramp start from there: it is as good.
+    """Restart a jump with a larger error than the same curve with a closed ramp from there.
 
-    Of one that errs no more, single cycles may: in harsh records one in twenty has a better minimum.
+    Otherwise only single cycles are restarted: in harsh records one in twenty has a better minimum.
     """
     closed = [(jump, ramp) for ramp, jump in _with_ramps(found) if _is_closed(ramp, jump)]
     errs = [jump.geometric_mean_rms > CONTAINED_ERROR * ramp.geometric_mean_rms for jump, ramp in closed]
@@ -345,7 +334,7 @@ def _kept(
     each: Map,
     again: Callable[[TaskFit], TaskFit | None],
 ) -> list[TaskFit]:
-    """Return the fits, the first of each pair as it ends from where the second did, if it errs less."""
+    """Return the fits; the first of each pair is replaced by a better one started from the second."""
     trials = zip(pairs, each(partial(_moved, again=again), pairs), strict=True)
     by_id = {id(pair[0]): trial for pair, trial in trials}
     return [_better(one, by_id.get(id(one))) for one in found]
@@ -358,10 +347,10 @@ def _is_closed(ramp: TaskFit, jump: TaskFit) -> bool:
 
 
 def _moved(pair: tuple[TaskFit, TaskFit], again: Callable[[TaskFit], TaskFit | None]) -> TaskFit | None:
-    """Return the first task fitted from where the second ended, with its noise; None where that cannot be followed.
+    """Return the first task fitted from the second's end, with its noise; None where it cannot be followed.
 
-    Of a law that is far off, a fit takes the misfit for noise: where it then errs more than the second, the first pass
-    stays, or the start.
+    A law that is far off takes the misfit for noise: where it ends worse than the second, its first pass or start
+    stays.
     """
     one, inner = pair
     start, noise = start_beside(one.task, inner, NARROW_START), inner.noise.without_fade

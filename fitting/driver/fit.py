@@ -1,4 +1,4 @@
-"""Where a fit ended: unknowns, residuals, path, derivatives and covariance."""
+"""The end of a fit: unknowns, residuals, path, derivatives and covariance."""
 
 import math
 from dataclasses import dataclass
@@ -19,8 +19,6 @@ from stickslip.compute.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class TaskFit:
-    """A task fitted to its runs."""
-
     model: Model  # its windows have every sample, or every so many where the fit was not brought to its end
     q: Array  # (p + n + m,) the task's unknowns (`Task`) and each cycle's own
     local: Array
@@ -33,22 +31,19 @@ class TaskFit:
 
     @property
     def task(self) -> Task:
-        """What was fitted."""
         return self.model.task
 
     @property
     def windows(self) -> ShootingWindows:
-        """Those of the residuals."""
         return self.model.windows
 
     @property
     def u(self) -> Array:
-        """The unknowns of all runs, (13 runs,)."""
         return self.task.split(self.q)[0]
 
     @property
     def start(self) -> FitStart:
-        """Where another pass of the same task starts."""
+        """The start of another pass of the same task."""
         return FitStart(self.q, self.local)
 
     @cached_property
@@ -63,17 +58,17 @@ class TaskFit:
 
     @cached_property
     def cycle_rms(self) -> Array:
-        """Error of each cycle, m, shape (cycles,)."""
+        """RMS residual of each cycle, m, shape (cycles,)."""
         return self.windows.rms(self.residual)
 
     @property
     def geometric_mean_rms(self) -> float:
-        """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
+        """Geometric mean of the cycles' rms, m, robust to a few spoilt cycles."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
 
     @property
     def misfit(self) -> float:
-        """What noise (the largest of all runs) does not explain of the geometric mean of the cycles' errors, m."""
+        """The geometric mean of the cycles' rms beyond noise (the largest of all runs), m."""
         noise = max(motion.resolution for motion in self.task.problem.motions)
         return math.sqrt(max(self.geometric_mean_rms**2 - noise**2, 0.0))
 

@@ -1,8 +1,8 @@
 """A law given as a formula as the curve of a fit: followed through a spline, started by `fitting.driver.start_search`.
 
-The spline's knots are set closer until it errs by less than `SPLINE_ERROR` of the friction; the derivatives by the
-parameters are the formula's own.  A parameter that bends the curve and is never negative is fitted by its logarithm.
-A trial whose formula is not finite, is negative at a speed of the motion or is not above 0 at rest is refused as one
+The spline's knots are refined until its error is below `SPLINE_ERROR` of the friction; the derivatives by the
+parameters are the formula's.  A parameter that bends the curve and is never negative is fitted by its logarithm.  A
+trial whose formula is not finite, is negative at a speed of the motion or is not above 0 at rest is rejected as one
 that cannot be followed.
 """
 
@@ -28,14 +28,10 @@ SPLINE_REACH = 1.1  # last knot over the measured curve's: slips of the fit may 
 
 
 class FormulaCurve(FrictionCurve):
-    """A law's formula as the friction that a path is followed with.
+    """A law's formula as the friction of a path; theta (k,) are its free parameters or their logarithms (``by_log``).
 
-    Unknowns theta (k,) stand for the law's free parameters: the value, or its logarithm (``by_log``).
-
-    fastest: Up to which slip speed the formula is followed, m/s.
-    near: What the formula starts near.
-    starts: Minima on that target, nearest first.
-    Raises InputError: where no trial of the parameters is a friction; the reason is that of the first of them.
+    It is followed up to slip speed ``fastest``, m/s; ``starts`` are minima on the target ``near``, nearest first.
+    Raises InputError where no trial of the parameters is a friction, with the reason of the first.
     """
 
     def __init__(self, law: Law, fastest: float, near: Target) -> None:
@@ -50,12 +46,11 @@ class FormulaCurve(FrictionCurve):
         self._near = self._first
 
     def on_path(self, theta: Array, beside: Array) -> Curve | None:
-        """See `FrictionCurve`."""
         spline = self.spline(theta)
         return None if spline is None else spline_curve(spline, self.ramp)
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
-        """See `FrictionCurve`; the derivatives by the parameters are the formula's own."""
+        """As in `FrictionCurve`, with the formula's own derivatives by the parameters."""
         in_slip, in_stick, edge = friction_effect(path)
         at_rest = self.slopes(theta, np.zeros(1))[0]
         forces = in_stick[:, None] * at_rest
@@ -65,34 +60,28 @@ class FormulaCurve(FrictionCurve):
         return np.hstack([shared_tangents(path, places), own])
 
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
-        """See `FrictionCurve`; beyond `fastest`, where the formula may be none, friction is then that at `fastest`."""
+        """As in `FrictionCurve`; constant beyond `fastest`, where the formula may not be a friction."""
         try:
             return self.at_speeds(theta, s)
         except InputError:
             return self.at_speeds(theta, np.minimum(s, self.fastest))
 
     def values(self, theta: Array) -> dict[str, float]:
-        """Return the parameters by name."""
         free = np.where(self.by_log, np.exp(np.clip(theta, -700.0, 700.0)), theta)
         return dict(self.law.fix or {}) | dict(zip(self.law.free, free.tolist(), strict=True))
 
     def theta(self, values: dict[str, float]) -> Array:
-        """Return the unknowns (k,) of parameters."""
         free = np.array([values[name] for name in self.law.free])
         return np.where(self.by_log, np.log(np.where(self.by_log, free, 1.0)), free)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (k,) of the unknowns."""
         lower, upper = np.array([self.law.limits(name) for name in self.law.free]).reshape(-1, 2).T
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.by_log, np.log(lower), lower), np.where(self.by_log, np.log(upper), upper)
 
     def at_speeds(self, theta: Array, s: Array) -> Array:
-        """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s.
-
-        Raises InputError: where it is not finite, or negative.
-        """
+        """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s; InputError if not finite or negative."""
         found = self.law.curve.value(s, self.values(theta))
         if found.min() < 0:
             at = self.law.curve.place(float(s[np.argmin(found)]), self.values(theta))
@@ -101,15 +90,15 @@ class FormulaCurve(FrictionCurve):
         return found
 
     def slopes(self, theta: Array, s: Array) -> Array:
-        """Return the derivatives (k, unknowns) of friction at slip speeds s (k,) by the unknowns."""
+        """Return the derivatives (k, unknowns) of friction at slip speeds s (k,)."""
         values = self.values(theta)
         found = self.law.curve.gradient(s, values, self.law.free)
         return np.asarray(found * np.where(self.by_log, [values[name] for name in self.law.free], 1.0))
 
     def spline(self, theta: Array) -> FrictionSpline | None:
-        """Return a spline through the formula; None where it is no friction, or too abrupt to be followed.
+        """Return a spline through the formula; None where it is not a friction, or too abrupt.
 
-        It begins with the knots of the trial before, or anew where those of other trials are in the way.
+        It begins with the knots of the trial before, or anew where those of other trials do not fit.
         """
         for begin in dict.fromkeys((self._near, self._first)):
             found = self._through(theta, begin)
@@ -119,7 +108,7 @@ class FormulaCurve(FrictionCurve):
         return None
 
     def _through(self, theta: Array, spline: FrictionSpline) -> FrictionSpline | None:
-        """Return a spline through the formula, the knots of one set closer where it errs."""
+        """Return a spline through the formula, with refined knots where its error is large."""
         while True:
             knots = spline.knots
             at = np.append(np.linspace(knots[:-1], knots[1:], PER_PIECE, endpoint=False, axis=1), knots[-1])

@@ -20,12 +20,8 @@ from stickslip.compute.arrays import Array, Integers
 class Model:
     """A task's predictions in windows.
 
-    A force by the mass's own velocity acts along the motion itself, another one along an earlier path, `near`, which
-    `settle` brings up to date.
-
-    longest_step: Times the fastest rate of the motion (`fitting.sensitivity.flow`).
-    near: Where forces are evaluated, in the same windows.
-    count: (N,) How many samples each residual stands for; 1 each without it.
+    A force by the mass's velocity acts along the motion itself, others along an earlier path, `near`, which `settle`
+    updates.
     """
 
     def __init__(
@@ -49,7 +45,7 @@ class Model:
         return any(force.departure.drag is None for force in self.task.forces)
 
     def settle(self, q: Array, local: Array, times: int) -> None:
-        """Evaluate forces along the path of these unknowns from now on; ``times``, as they change the path."""
+        """Evaluate forces along the path of these unknowns, repeated ``times`` as they change the path."""
         for _ in range(times if self.along else 0):
             found = self.path(q, local)
             if found is None:
@@ -57,7 +53,7 @@ class Model:
             self.near, self._last = found, None
 
     def path(self, q: Array, local: Array) -> Path | None:
-        """Follow the motion with all that tangents need; None where it cannot be followed."""
+        """Return the motion with all that tangents need; None where it cannot be followed."""
         u, theta, sizes = self.task.split(q)
         curve = self._curve(q, theta)
         if curve is None:
@@ -66,7 +62,6 @@ class Model:
         return follow(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
 
     def residual(self, q: Array, local: Array) -> Array | None:
-        """Return model minus measurement (N,), m; None where the motion cannot be followed."""
         if self._last is not None and np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1]):
             return self._last[2]
         u, theta, sizes = self.task.split(q)
@@ -79,7 +74,7 @@ class Model:
         return found
 
     def evaluate(self, q: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
-        """As `fitting.least_squares.problem.Evaluate`; rows are as large as the root of what they stand for."""
+        """As `fitting.least_squares.problem.Evaluate`; rows are weighted by the root of their count."""
         residual = self.residual(q, local)
         path = self.path(q, local) if derivatives and residual is not None else None
         if residual is None or (derivatives and path is None):
@@ -88,7 +83,7 @@ class Model:
         return self._sized(residual, jacobian)
 
     def some(self, q: Array, cycles: Integers) -> Evaluate:
-        """Return what evaluates the own unknowns of these cycles (indices) alone, q held."""
+        """Return an evaluation of the own unknowns of these cycles alone, with q fixed."""
         part = Model(self.task, self.windows.some(cycles), self.longest_step)
         if self._size is not None:
             part._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
@@ -103,7 +98,6 @@ class Model:
         return evaluate
 
     def jacobian(self, path: Path, q: Array) -> Array:
-        """Return the derivatives of the positions by all unknowns, shape (N, p + n + m + 6)."""
         _, theta, sizes = self.task.split(q)
         parts = [self.task.curve.columns(path, theta, self.task.places)]
         for forcing in self._forcings(path, sizes):
@@ -127,7 +121,7 @@ class Model:
         return FittedMotion.from_path(path, self.task.problem.motions, path.residual)
 
     def _motion_along(self) -> FittedMotion | None:
-        """Return the motion along which forces act; None where none does, or before the first path."""
+        """Return the motion along which forces act; None without forces, or before the first path."""
         if self.near is None or not self.along:
             return None
         if self._along is None or self._along[0] is not self.near:
@@ -135,19 +129,18 @@ class Model:
         return self._along[1]
 
     def _forcings(self, path: Path, sizes: Array) -> list[Forcing]:
-        """Return what a unit of each of the forces' unknowns changes along a path."""
+        """Return the effect of a unit of each force unknown along a path."""
         if not self.task.forces:
             return []
         motion = self._motion(path)
         return [one for force, own in self._sizes(sizes) for one in force.derivatives(motion, own)]
 
     def _sizes(self, sizes: Array) -> list[tuple[Force, Array]]:
-        """Return each force with its own unknowns."""
         ends = np.cumsum([force.width for force in self.task.forces]).tolist()
         return [(force, sizes[end - force.width : end]) for force, end in zip(self.task.forces, ends, strict=True)]
 
     def _acting(self, sizes: Array) -> tuple[dict[str, Any], Array | float]:
-        """Return what the forces add to a path, as arguments of `follow`, and to the reading, m."""
+        """Return the forces' contribution to a path, as arguments of `follow`, and to the reading, m."""
         more: dict[str, Any] = {}
         reading: Array | float = 0.0
         motion = self._motion_along()

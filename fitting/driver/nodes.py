@@ -11,10 +11,7 @@ from stickslip.compute.arrays import Array, Integers
 
 @dataclass(frozen=True, eq=False)
 class SampleNodes:
-    """Samples n apart in each window, and its last one; a node stands for the samples about it.
-
-    A sample counts to the two nodes beside it, by a share that falls linearly from one to the other.
-    """
+    """Samples n apart in each window, and its last; each sample counts to its two nodes by linear shares."""
 
     windows: ShootingWindows  # of the nodes
     left: Integers  # (N,) the node before each sample
@@ -23,7 +20,6 @@ class SampleNodes:
 
     @classmethod
     def of(cls, whole: ShootingWindows, thinned: Sequence[Thinning]) -> "SampleNodes":
-        """Take the nodes of each run's windows."""
         table, picked, left, share, total = whole.table.copy(), [], [], [], 0
         ends = np.zeros(len(whole.rows), np.int64)
         for row, (cycle, stick, first, size, overtakes, run) in enumerate(whole.table):
@@ -52,10 +48,9 @@ class SampleNodes:
         return cls(windows, before, part, _shared_out(np.ones(part.size), before, part, total))
 
     def seen(self, model: Array, residual: Array) -> ShootingWindows:
-        """Return the nodes, measured where their residual is the mean of those of the samples about them.
+        """Return the nodes, measured where their residual is the mean of the residual (N,) of samples near them.
 
-        model: (nodes,) Positions that are predicted at the nodes, m.
-        residual: (N,) Of every sample, m.
+        ``model`` (nodes,) are predicted positions, m.
         """
         total = _shared_out(residual, self.left, self.share, self.count.size)
         mean = np.divide(total, self.count, out=np.zeros_like(total), where=self.count > 0)

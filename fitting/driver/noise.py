@@ -1,4 +1,4 @@
-"""What a pass of a fit assumes of the noise, and what its residuals show."""
+"""The noise that a pass of a fit assumes, and that its residuals show."""
 
 import math
 from collections.abc import Sequence
@@ -34,8 +34,6 @@ START_SD = 0.1  # distance over the travel: how far a window may start from the 
 
 @dataclass(frozen=True, eq=False)
 class PassNoise:
-    """What a pass assumes."""
-
     sigma: Array  # (runs,) effective standard deviation of one residual, m
     weights: Array  # (cycles,) of each cycle: 1, and less for one that errs more than the usual one
     scatter: float = FIRST_SCATTER  # standard deviation of the logarithms of the friction levels
@@ -43,21 +41,21 @@ class PassNoise:
 
     @property
     def inliers(self) -> Mask:
-        """Which cycles (cycles,) fit about as well as the others."""
+        """Inlier cycles (cycles,)."""
         return np.asarray(self.weights > INLIER_WEIGHT)
 
     @property
     def for_last_pass(self) -> "PassNoise":
-        """The same with outlying cycles that hardly count."""
+        """The same with outlying cycles nearly ignored."""
         return replace(self, weights=without_outliers(self.weights))
 
     @property
     def without_fade(self) -> "PassNoise":
-        """The same with levels that do not fade within a cycle."""
+        """The same with constant levels within a cycle."""
         return replace(self, fade_sd=None)
 
     def with_fade(self, task: Task, windows: ShootingWindows, local: Array) -> "PassNoise":
-        """Return the same with levels that may fade within a cycle about as they fall from cycle to cycle."""
+        """Return the same with levels that may fade within a cycle as they do between cycles."""
         sd = []
         for run, motion in enumerate(task.problem.motions):
             table = windows.table
@@ -71,7 +69,7 @@ class PassNoise:
     def seen(self, task: Task, windows: ShootingWindows, residual: Array, local: Array, *, first: bool) -> "PassNoise":
         """Return the noise that residuals (N,) show, run by run.
 
-        After the first pass it only falls: a wrong curve must not talk itself into noise that excuses it.
+        After the first pass it only decreases: a wrong curve must not be excused by its own misfit.
         """
         rms, run = windows.rms(residual), windows.run
         weights, sigma = np.ones(rms.size), self.sigma.copy()
@@ -85,7 +83,7 @@ class PassNoise:
         return replace(self, sigma=sigma, weights=weights, scatter=scatter)
 
     def local_precision(self, task: Task, windows: ShootingWindows) -> Array:
-        """Return the precisions (cycles, 6) of the cycles' own unknowns: about the smoothed motion, and their level."""
+        """Return the precisions (cycles, 6) of each cycle's own unknowns: about the smoothed motion, and its level."""
         wide = [(START_SD * motion.travel, motion.belt_speed) for motion in task.problem.motions]
         sd = np.array([[x, v, 0.0, 0.0, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
         sd[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = self.level_sd(windows, task.problem.level_prior)
@@ -100,16 +98,16 @@ class PassNoise:
 
 
 def without_outliers(weights: Array) -> Array:
-    """Return weights (cycles,) under which outlying cycles hardly count.
+    """Return weights (cycles,) that nearly ignore outlying cycles.
 
-    Those of `cycle_weights` are enough for an outlier to pull: its residuals keep one sign over much of a slip, those
-    of noise do not.  Not 0, since the cycle's own unknowns must still follow it.
+    Those of `cycle_weights` still let an outlier pull: its residuals keep one sign over much of a slip. Not 0, since
+    the cycle's own unknowns must still follow it.
     """
     return weights * np.clip((weights / INLIER_WEIGHT) ** OUTLIER_POWER, LEAST_OUTLIER_SHARE, 1.0)
 
 
 def cycle_weights(errors: Array, usual: float) -> Array:
-    """Return weights (cycles,) of cycles with these errors: 1, and less for one that fits worse than the usual one."""
+    """Return weights (cycles,): 1, less for a cycle that fits worse than the ``usual`` one."""
     return np.minimum(2 / (1 + (errors / usual) ** 2), 1.0)
 
 

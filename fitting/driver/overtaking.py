@@ -17,7 +17,7 @@ LEFT_BY_OVERTAKING = 0.5
 
 
 def find_overtaking(at: TaskFit) -> Mask:
-    """Return in which spoilt cycles (cycles,) the mass overtakes the belt unseen: that explains what they leave."""
+    """Return the spoilt cycles (cycles,) whose residual an unseen overtaking of the belt explains."""
     asked: Mask = at.windows.spoilt(at.residual) & ~at.windows.overtaking
     overtaking = np.zeros(asked.size, np.bool_)
     cycles = np.flatnonzero(asked)
@@ -37,7 +37,7 @@ def find_overtaking(at: TaskFit) -> Mask:
 
 
 def with_overtaking(at: TaskFit, overtaking: Mask) -> TaskFit | None:
-    """Return the thinned record fitted with a mass that overtakes the belt in these cycles (cycles,) as well."""
+    """Return the thinned record fitted with the belt overtaken in these cycles (cycles,) too."""
     problem = at.task.problem.with_overtaking(overtaking)
     fresh = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, at.u)
     local = np.where(overtaking[:, None], fresh, at.local)

@@ -31,7 +31,7 @@ from stickslip.compute.arrays import Array
 
 
 class Limits(NamedTuple):
-    """When a minimisation stops: most steps, the gain of one, and by how much of itself one may change the rms."""
+    """Limits of a minimisation: most steps, and the gain and the relative change of the rms below which it ends."""
 
     steps: int
     gain: float
@@ -73,7 +73,7 @@ FOLLOWED, FORCE_PASSES, FORCE_STEPS, FORCE_SETTLED = 4, 6, 8, 1e-3
 
 
 def regressed_start(task: Task) -> FitStart:
-    """Return the start: shared unknowns of the regression, forces of size 0, windows at the smoothed motion."""
+    """Return the start: shared unknowns of the regression, forces of 0, windows at the smoothed motion."""
     problem = task.problem
     windows = problem.windows(thinned=True)
     local = starts.cycle_starts(windows, problem.motions, problem.cycles, problem.start)
@@ -82,16 +82,16 @@ def regressed_start(task: Task) -> FitStart:
 
 
 def restarted_windows(at: TaskFit) -> FitStart:
-    """Return where a fit starts again: its shared unknowns, with all windows at the smoothed motion.
+    """Return a restart: the fit's shared unknowns, with all windows at the smoothed motion.
 
-    Some cycles may have been held in poor minima by the first shared unknowns, and have held these where they were.
+    The first shared unknowns may have held some cycles in poor minima, and these held them in turn.
     """
     problem = at.task.problem
     return FitStart(at.q, starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u))
 
 
 def assumed_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
-    """Return noise of so many resolutions, before a fit has seen any."""
+    """Return noise of so many resolutions, before the first pass."""
     resolution = np.array([motion.resolution for motion in task.problem.motions])
     return PassNoise(times * resolution, np.ones(len(task.problem.cycles)))
 
@@ -99,7 +99,7 @@ def assumed_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
 def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> TaskFit | None:
     """Fit on the thinned record; None where the start cannot be followed.
 
-    A start that was fitted brings its ``noise`` with it; of another nearly any misfit is taken for noise.
+    ``noise`` is that of a fitted start; for others nearly any misfit is taken for noise.
     """
     begun = clock.process_time()
     windows = task.problem.windows(thinned=True)
@@ -111,9 +111,9 @@ def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> T
 
 
 def regressed_pass(task: Task, noise: PassNoise | None = None) -> TaskFit | None:
-    """Return the first pass from the regression; a belt's ripple is free only once the rest has found its place.
+    """Return the first pass from the regression; a belt's ripple is free only after the rest has converged.
 
-    Of the much noise that a first pass assumes any frequency is as good as the one that the sticks show.
+    Under the large noise of a first pass any frequency fits as well as that of the sticks.
     """
     steady = task.without(*RIPPLE)
     if steady.places == task.places:
@@ -125,15 +125,15 @@ def regressed_pass(task: Task, noise: PassNoise | None = None) -> TaskFit | None
 
 
 def unmoved(task: Task, start: FitStart, at: TaskFit) -> TaskFit | None:
-    """Return a task where it starts, before the first step, on the samples and with the noise of another's end."""
+    """Return a task at its start, before the first step, with the samples and noise of another fit."""
     model = Model(task, at.windows, at.model.longest_step)
     return _one_pass(model, start, at.noise.without_fade, AT_START, FIRST_DAMPING)
 
 
 def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
-    """Fit again with the noise and the weights that the pass before showed, until these no longer change.
+    """Fit again with the noise and the weights of the previous pass, until these no longer change.
 
-    Where the noise of a position is known, ``noise_m`` (runs,), m, it is approached in steps, whatever a pass shows.
+    A known noise of a position, ``noise_m`` (runs,), m, is approached in steps, whatever a pass shows.
     """
     begun, spent = clock.process_time(), at.cpu_s
     for _ in range(MOST_PASSES):
@@ -151,13 +151,13 @@ def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
 
 
 def _searched(at: TaskFit) -> TaskFit | None:
-    """Return another pass on the thinned record, from where a fit ended."""
+    """Return another pass on the thinned record, from the end of a fit."""
     model = Model(at.task, at.windows, flow.SEARCH_STEP, at.model.near)
     return _one_pass(model, FitStart(at.q, restarted(at)), at.noise, SEARCH, LATER_DAMPING)
 
 
 def with_cycles_of(pair: tuple[TaskFit, TaskFit]) -> TaskFit | None:
-    """Return the first fit settled again with those cycles of the second that cost it less; None where none does."""
+    """Return the first fit settled with the cheaper cycles of the second; None without one."""
     at, other = pair
     residual = at.model.residual(at.q, other.local) if other.local.shape == at.local.shape else None
     if residual is None:
@@ -170,10 +170,10 @@ def with_cycles_of(pair: tuple[TaskFit, TaskFit]) -> TaskFit | None:
 
 
 def with_own_static(at: TaskFit) -> TaskFit:
-    """Return the fit of a ramp with a break-away level of its own where that gains something on the thinned record.
+    """Return the fit of a ramp with a separate break-away level where that gains on the thinned record.
 
-    It is settled again from several starts until one reaches the noise, and the best stays.  A level that is free from
-    the first pass on ends in a poor minimum where the ramp has none.
+    It is settled from several starts until one reaches the noise. A level free from the first pass on ends in poor
+    minima.
     """
     begun, task = clock.process_time(), at.task.with_static
     if task is at.task:
@@ -194,11 +194,11 @@ def with_own_static(at: TaskFit) -> TaskFit:
 
 
 def _static_starts(task: Task, at: TaskFit) -> list[Array]:
-    """Return unknowns (13 runs,) with a break-away level, where a fit without one ended.
+    """Return unknowns (13 runs,) with a break-away level, from the end of a fit without one.
 
-    A curve without a level rises towards rest to come near the break-aways, and that of the regression of the smoothed
-    slips is too flat.  So the first have curves between the two, and the fit's friction at rest as the level; the
-    others have the fit's friction in slip.
+    A curve without a level rises towards rest to come near the break-aways, and the regression of the smoothed slips is
+    too flat. The first have curves between the two, and the fit's friction at rest as the level; the others have the
+    fit's friction in slip.
     """
     between = [at.u.copy() for _ in TOWARDS_REGRESSION]
     for u, share in zip(between, TOWARDS_REGRESSION, strict=True):
@@ -214,7 +214,7 @@ def _static_starts(task: Task, at: TaskFit) -> list[Array]:
 
 
 def _beside(task: Task, u: Array, at: TaskFit) -> Array:
-    """Return the unknowns of a task with other free places, at u (13 runs,) and where a fit ended."""
+    """Return the unknowns of a task with other free places, at u (13 runs,) and the end of a fit."""
     u = np.clip(u, task.problem.lower, task.problem.upper)
     return np.concatenate([u[list(task.places)], at.q[len(at.task.places) :]])
 
@@ -228,7 +228,7 @@ def _set_static(task: Task, u: Array, level: float) -> None:
 
 
 def _static_gain(at: TaskFit) -> float:
-    """Return about how much a ramp's own break-away level gains in log likelihood; inf where it has none."""
+    """Return the approximate gain of a break-away level in log likelihood; inf where the ramp has none."""
     if Global.STATIC not in at.task.places:
         return math.inf
     excess, sd = float(at.u[Global.STATIC]) - 1.0, at.deviation(Global.STATIC)
@@ -236,9 +236,9 @@ def _static_gain(at: TaskFit) -> float:
 
 
 def finish(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
-    """Fit again with every sample, through nodes; None where the motion cannot be followed in these shorter steps.
+    """Fit again with every sample, through nodes; None where these shorter steps cannot be followed.
 
-    ``noise_m`` (runs,) is the noise of a position, m, where it is known better than by what this curve leaves.
+    ``noise_m`` (runs,) is the noise of a position, m, where known better than by this curve's residual.
     """
     begun, spent = clock.process_time(), at.cpu_s
     noise = at.noise.with_fade(at.task, at.windows, at.local)
@@ -266,7 +266,6 @@ def finish(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
 def _whole(
     task: Task, start: FitStart, settled: PassNoise, near: Path | None, *, below_belt: bool = False
 ) -> TaskFit | None:
-    """Fit every sample through nodes, from near the end."""
     noise = settled.for_last_pass
     whole = task.problem.windows(thinned=False)
     nodes = SampleNodes.of(whole, [thinned_to(run) for run in task.problem.runs])
@@ -290,11 +289,11 @@ def _whole(
 
 
 def _started_below_belt(at: TaskFit, noise: PassNoise) -> TaskFit:
-    """Return the fit, or a better one where slips that it starts beyond the belt's speed start below it.
+    """Refit slips that start faster than the belt from a slower start, and keep the better fit.
 
-    Beyond the belt's speed friction points the other way until the mass sticks, and the cycle's own break-away then
-    fixes its level: under noise a local minimum, with Fs up to 15 % too small.  Bounds from the first pass on lead
-    other fits into poor minima.  On a ramp the two directions meet without a jump.
+    Beyond the belt's speed friction points the other way until the mass sticks, and the cycle's break-away then fixes
+    its level: a local minimum under noise, with Fs up to 15 % too small. Bounds from the first pass on lead other fits
+    into poor minima. On a ramp the two directions meet without a jump.
     """
     problem, curve = at.task.problem, at.task.curve
     fastest = at.windows.fastest_starts(at.u)
@@ -310,8 +309,7 @@ def _started_below_belt(at: TaskFit, noise: PassNoise) -> TaskFit:
 def restarted(at: TaskFit) -> Array:
     """Return the cycles' own unknowns, those of outlying cycles from the smoothed motion where that costs less.
 
-    A cycle with a velocity step has several minima, and one pass can leave it in a poor one: from there it distorts the
-    fit although its weight is low.
+    A cycle with a velocity step has several minima, and a poor one distorts the fit although its weight is low.
     """
     cycles = np.flatnonzero(~at.noise.inliers)
     part = at.problem.of_cycles(at.q, cycles)
@@ -331,7 +329,7 @@ def restarted(at: TaskFit) -> Array:
 
 
 def _over(near: Path | None, windows: object) -> Path | None:
-    """Return a path as one of windows with the same times."""
+    """Return a path as one of other windows with the same times."""
     return None if near is None else replace(near, windows=windows)  # type: ignore[arg-type]
 
 
@@ -342,7 +340,7 @@ def _with_noise(at: TaskFit, *, first: bool) -> TaskFit:
 def _one_pass(
     model: Model, start: FitStart, noise: PassNoise, limits: Limits, damping: float, *, below_belt: bool = False
 ) -> TaskFit | None:
-    """Minimise with the noise assumed; forces along the path are evaluated anew until they settle."""
+    """Minimise under assumed noise; forces along the path are evaluated anew until they settle."""
     model.settle(*start, FOLLOWED)
     problem = least_squares_problem(model, noise, start.q, below_belt=below_belt)
     settings: dict[str, Any] = {"tolerance": limits.gain, "steady": limits.steady, "corrections": limits.corrections}
@@ -365,9 +363,9 @@ def _one_pass(
 
 
 def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_belt: bool = False) -> LeastSquaresProblem:
-    """Return what a pass minimises: calibrations are priors; levels that do not fade keep their fade.
+    """Return the problem of a pass: calibrations are priors; levels that do not fade keep their fade.
 
-    ``below_belt`` is whether a slip must start slower than the belt, as it must beside a curve or a force of its own.
+    ``below_belt`` bounds slips to start slower than the belt, as a separate curve or force requires.
     """
     task, windows = model.task, model.windows
     problem, (p, _, m) = task.problem, task.widths

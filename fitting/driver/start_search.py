@@ -36,10 +36,7 @@ REFUSED_RESIDUAL = 1e9  # a residual of no number: the step is refused
 
 
 class Target(NamedTuple):
-    """What a formula f is to come near: ``root`` f(``speeds``) is to be ``aim``; shapes (k,) m/s, (m, k), (m,).
-
-    ``size`` is that of the friction, m/s^2.
-    """
+    """Target of a formula f: ``root`` f(``speeds``) near ``aim``; shapes (k,) m/s, (m, k), (m,); ``size`` in m/s^2."""
 
     speeds: Array
     root: Array
@@ -48,11 +45,11 @@ class Target(NamedTuple):
 
     @classmethod
     def of(cls, speeds: Array, friction: Array, sd: float) -> "Target":
-        """Return friction (k,), known everywhere to the same standard deviation, m/s^2, as a target."""
+        """Return friction (k,) with one standard deviation everywhere, m/s^2, as a target."""
         return cls(speeds, np.eye(speeds.size) / sd, friction / sd, float(np.median(friction)))
 
     def off_by_a_constant(self, sd: float) -> "Target":
-        """Return the same where all of it may be off by one constant of standard deviation ``sd``, m/s^2."""
+        """Return the same with an unknown constant of standard deviation ``sd``, m/s^2."""
         along = sd * self.root.sum(axis=1)
         square = float(np.sum(along**2))
         if not square > 0:
@@ -67,30 +64,28 @@ class Target(NamedTuple):
         return -sd * float(np.sum(along * self.away(friction))) / (1 + float(np.sum(along**2)))
 
     def away(self, friction: Array) -> Array:
-        """Return how far friction (k,) at the speeds is from the target, (m,)."""
+        """Return the distances (m,) of friction (k,) from the target."""
         return np.asarray(np.einsum("mk,k->m", self.root, friction) - self.aim)
 
 
 class Start(NamedTuple):
-    """Values of the free parameters by name, and the square of what they leave of the target."""
+    """Values of the free parameters, and their squared distance from the target."""
 
     values: dict[str, float]
     misfit: float
 
 
 def find_starts(law: Law, near: Target, fastest: float = 0.0) -> list[Start]:
-    """Return values of a law's free parameters near another friction, nearest first: a local minimum each.
+    """Return local minima of a law's free parameters near another friction, nearest first.
 
-    law: Its first values are where these parameters are tried; its bounds hold.
-    fastest: Slip speed up to which it must be friction, m/s; at least the target's fastest.
-    Raises InputError: with none of the values tried is the formula a friction curve; the reason is that of the first of
-        them.
+    The law's first values are the trials, within its bounds; it must be friction up to ``fastest``, m/s, or the
+    target's fastest. Raises InputError where no trial makes the formula a friction curve, with the reason of the first.
     """
     return StartSearch(law, near, fastest).minima()
 
 
 class StartSearch:
-    """The values of a law's free parameters that are tried near another friction; arguments as of `find_starts`."""
+    """The trials of a law's free parameters near another friction; arguments as in `find_starts`."""
 
     def __init__(self, law: Law, near: Target, fastest: float = 0.0) -> None:
         self.law, self.near = law, near
@@ -102,7 +97,7 @@ class StartSearch:
         self.refused: InputError | None = None
 
     def minima(self) -> list[Start]:
-        """Return the best local minima where the formula is friction, nearest first."""
+        """Return the best local minima where the formula is a friction, nearest first."""
         found = self._tried()
         best = self._valleys(sorted(found, key=_order))
         improved = [end for start in best if (end := self._improved(start)) is not None]
@@ -114,12 +109,12 @@ class StartSearch:
 
     @cached_property
     def bends(self) -> dict[str, bool]:
-        """Whether each parameter bends the curve: whether the derivative by it depends on it."""
+        """Whether each parameter bends the curve: its derivative depends on it."""
         return {name: self._moves((name,)) for name in self.law.free}
 
     @cached_property
     def linear(self) -> tuple[str, ...]:
-        """The parameters without a first value in which the formula is linear, in all of them together."""
+        """The parameters without a first value in which the formula is jointly linear."""
         chosen: list[str] = []
         for name in self.law.free:
             if name not in self.given and not self.bends[name] and not (chosen and self._moves((*chosen, name))):
@@ -129,7 +124,7 @@ class StartSearch:
     def _moves(self, group: tuple[str, ...]) -> bool:
         """Return whether the derivatives by a group of parameters depend on them, at some values of the others.
 
-        These differ from each other by chance: where two friction levels are equal, a Stribeck speed seems to act not.
+        These values are distinct at random: with two equal friction levels, a Stribeck speed has no effect.
         """
         rng = np.random.default_rng(SEED)
         for _ in range(BEND_DRAWS):
@@ -155,21 +150,21 @@ class StartSearch:
 
     @property
     def _bending(self) -> list[str]:
-        """The parameters that are tried: those without a first value in which the formula is not linear."""
+        """The parameters to try: those without a first value in which the formula is not linear."""
         return [name for name in self.law.free if name not in self.linear and name not in self.given]
 
     def _tried(self) -> list[Start]:
-        """Return the first values and what is tried of the parameters that bend the curve, with the linear ones."""
+        """Return the first values and the trials of the parameters that bend the curve, with the linear ones."""
         tried = self._bending
         trials = [self.begin, *(self._combined(tried) if len(tried) != 1 else ())]
         found = [start for values in trials if (start := self._with_linear(values)) is not None]
         return found + (list(self._scanned(*tried)) if len(tried) == 1 else [])
 
     def _scanned(self, name: str) -> Iterator[Start]:
-        """Yield the minima over a scan of the one parameter that is tried.
+        """Yield the minima over a scan of the one parameter to try.
 
-        On fine records the valley of the true value is so narrow that a wide one elsewhere is lower on the scan: so
-        every minimum is settled.
+        On fine records the true valley is so narrow that a wide one elsewhere is lower on the scan: so every minimum is
+        settled.
         """
         for sign in (1.0, -1.0):
             low, high = sorted(sign * limit for limit in self.law.limits(name))
@@ -188,7 +183,7 @@ class StartSearch:
     def _settled(self, name: str, start: Start, begin: float, end: float) -> Start:
         """Return the minimum between two logarithms of the parameter's size (Golub and Pereyra, 1973).
 
-        By secants of the derivative of what is left, halved where these do not lead down.
+        By secants of the derivative of the residual, halved where these do not descend.
         """
         sign = math.copysign(1.0, start.values[name])
         at, before = math.log(abs(start.values[name])), None
@@ -216,7 +211,7 @@ class StartSearch:
         return start
 
     def _combined(self, tried: Sequence[str]) -> list[dict[str, float]]:
-        """Return trials of the parameters that bend the curve: every combination, or some of very many."""
+        """Return trials of the parameters that bend the curve: all combinations, or some of very many."""
         each = []
         for name in tried:
             low, high = self.law.limits(name)
@@ -233,7 +228,7 @@ class StartSearch:
         return [self.begin | dict(zip(tried, values, strict=True)) for values in combined]
 
     def _with_linear(self, values: dict[str, float]) -> Start | None:
-        """Return values with the linear ones by least squares, within their bounds; None where they are not finite."""
+        """Return values with the linear ones by bounded least squares; None where not finite."""
         left = self._left(values)
         if left is None:
             return None
@@ -250,7 +245,7 @@ class StartSearch:
         return None if left is None else Start(values, float(np.sum(left**2)))
 
     def sloped(self, values: dict[str, float], by: tuple[str, ...]) -> Array | None:
-        """Return the derivatives (m, p) of what is left by parameters; None where they are not finite."""
+        """Return the derivatives (m, p) of the residual by parameters; None where not finite."""
         try:
             slopes = self.law.curve.gradient(self.near.speeds, self.fixed | values, by)
         except InputError as error:
@@ -259,7 +254,7 @@ class StartSearch:
         return np.asarray(np.einsum("mk,kp->mp", self.near.root, slopes))
 
     def _left(self, values: dict[str, float]) -> Array | None:
-        """Return how far the formula is from the target (m,); None where it is not finite."""
+        """Return the residual (m,); None where not finite."""
         try:
             return self.near.away(self.law.curve.value(self.near.speeds, self.fixed | values))
         except InputError as error:
@@ -278,7 +273,7 @@ class StartSearch:
         return [start for start, _ in kept]
 
     def _improved(self, start: Start) -> Start | None:
-        """Return the end of least squares within the bounds, or the start; None where neither is friction."""
+        """Return the end of bounded least squares, or the start; None where neither is a friction."""
         from scipy.optimize import least_squares
 
         names = self.law.free
@@ -327,5 +322,5 @@ class StartSearch:
 
 
 def _order(start: Start) -> tuple[float, int]:
-    """Return by what starts are sorted: of values that give the same curve those with fewer signs come first."""
+    """Return the sort key: of values with the same curve, those with fewer signs come first."""
     return float(f"{max(start.misfit, ROUNDING):.5g}"), sum(value < 0 for value in start.values.values())

@@ -1,4 +1,4 @@
-"""What is fitted to which runs, and the tasks of the six laws and of a free curve."""
+"""Tasks: what is fitted to which runs; those of the six laws and of a free curve."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a curve o
 
 
 class FitStart(NamedTuple):
-    """Where a fit starts: the task's unknowns (p + n + m,) and each cycle's own (cycles, 6)."""
+    """A start: the task's unknowns (p + n + m,) and each cycle's own (cycles, 6)."""
 
     q: Array
     local: Array
@@ -34,10 +34,7 @@ class FitStart(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is fitted.
-
-    The unknowns q are the shared ones at ``places``, then the curve's own theta, then the sizes of the forces.
-    """
+    """A fit to be done; the unknowns q are the shared ones at ``places``, the curve's theta, the forces' sizes."""
 
     problem: EstimationProblem  # the runs, with the priors, bounds and start of the shared unknowns
     curve: FrictionCurve
@@ -46,33 +43,32 @@ class Task:
 
     @property
     def widths(self) -> tuple[int, int, int]:
-        """How many of the unknowns are shared ones, the curve's, and the forces'."""
+        """Numbers of shared, curve and force unknowns."""
         return len(self.places), self.curve.size, sum(force.width for force in self.forces)
 
     def split(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return the unknowns of all runs (13 runs,), the curve's own, and the forces' sizes."""
+        """Return the unknowns of all runs (13 runs,), the curve's theta and the forces' sizes."""
         p, n, _ = self.widths
         u = self.problem.start.copy()
         u[list(self.places)] = q[:p]
         return parameters.copy_shared(u), q[p : p + n], q[p + n :]
 
     def without(self, *slots: Global) -> "Task":
-        """Return the same with shared unknowns held where the regression has them."""
+        """Return the same with shared unknowns fixed at the regression."""
         return replace(self, places=tuple(place for place in self.places if place % PER_RUN not in slots))
 
     @property
     def resolution(self) -> float:
-        """The coarsest resolution of a position among the runs, m."""
+        """The coarsest resolution of the runs, m."""
         return max(motion.resolution for motion in self.problem.motions)
 
     @property
     def with_static(self) -> "Task":
-        """The same with a break-away level of its own, where it is a ramp that can have one."""
+        """The same with a separate break-away level, where it is a ramp that can have one."""
         free = Global.STATIC in self.problem.active and Global.STATIC not in self.places
         return replace(self, places=tuple(sorted((*self.places, int(Global.STATIC))))) if free else self
 
     def friction(self, q: Array, s: Array) -> Array:
-        """Return friction per unit mass (m/s^2) at slip speeds s (k,)."""
         u, theta, _ = self.split(q)
         return self.curve.friction(u, theta, q[: len(self.places)], s)
 
@@ -97,13 +93,9 @@ def curve_knots(runs: Sequence[Run], d: float) -> Array:
 def regress(
     runs: Sequence[Run], rest: float, columns: Callable[[Array], Array], held: Array | None = None
 ) -> tuple[Array, float]:
-    """Regress the smoothed slips: acceleration = -K (x - rest) + columns(s) c.
+    """Regress the smoothed slips, acceleration = -K (x - rest) + columns(s) c; return K with c, and the squares left.
 
-    rest: Rest position of the spring, m.
-    columns: Slip speeds (k,) to what multiplies each number c (k, n).
-    held: (r, n) Rows of c that want to be 0.
-    Returns: K, then c.
-    Returns: Sum of squares left.
+    ``columns`` maps slip speeds (k,) to (k, n); ``held`` (r, n) are rows of c with prior 0.
     """
     samples = [starts.slip_samples(run.motion, run.cut) for run in runs]
     x, s, a = (np.concatenate([getattr(own, name) for own in samples]) for name in ("x", "s", "a"))
@@ -117,9 +109,9 @@ def regress(
 
 
 def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coefficients: Array) -> Task:
-    """Return the task of a free curve on the contact of a problem, its coordinates about u (13 runs,) and coefficients.
+    """Return the task of a free curve on the contact of a problem, in coordinates about u (13 runs,).
 
-    A curve and a rest position that move together leave the motion as it is.
+    Moving the curve and the rest position together does not change the motion.
     """
     places = tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW)
     beside = u[list(places)]
@@ -132,14 +124,10 @@ def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coeffici
 
 
 def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -> tuple[float, Array] | None:
-    """Return K and the coefficients of a free curve by regression of the smoothed slips; None where these are absurd.
+    """Return K and the coefficients of a free curve by regression of the smoothed slips; None if absurd.
 
-    At low speed, where slips show little, the curve begins with the load at the break-aways: with more friction at rest
-    than that the mass sticks in every window, with far less it slips too early.
-
-    start: (13 runs,) Unknowns, for rest position, damping and belt speed.
-    knots: (n + 1,) m/s.
-    d: Half-width of the ramp, m/s.
+    At low speed, where slips show little, the curve begins with the load at the break-aways: with more friction the
+    mass sticks in every window, with far less it slips too early.
     """
     spline = FrictionSpline.over(knots)
     held = SMOOTHNESS * np.diff(np.eye(spline.coefficients.size), 2, axis=0)

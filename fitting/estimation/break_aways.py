@@ -1,7 +1,7 @@
-"""Each break-away by itself: when it came, at which load, and how strong friction was in the slip after it.
+"""Each break-away separately: its time, its load, and the friction in the slip after it.
 
-The load at break-away is not read off the smoothed corner (that is 6 to 7 % off): the time at which a slip under the
-fitted law must begin, so as to pass through the measured positions around the corner, is searched instead.
+The load at break-away is not read from the smoothed corner (6 to 7 % off): the start time of a slip under the fitted
+law that passes through the measured positions around the corner is searched instead.
 """
 
 import math
@@ -25,11 +25,7 @@ POOR_CYCLE = 3.0  # error over a cycle's usual one: a larger one means that some
 
 
 def find_break_aways(fit: FittedLaw, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
-    """Return every break-away of the record, fitted or not.
-
-    fit: Of the best law.
-    motion, cut: What it was fitted to.
-    """
+    """Return every break-away of the record, fitted or not, by the best law."""
     times, loads = _break_aways(fit, motion)
     usual = float(np.median(fit.cycle_rms))
     place = {cycle.number: k for k, cycle in enumerate(fit.cycles)}
@@ -48,7 +44,7 @@ def find_break_aways(fit: FittedLaw, motion: MeasuredMotion, cut: CycleSegmentat
 def _break_aways(fit: FittedLaw, motion: MeasuredMotion) -> tuple[Array, Array]:
     """Return time (s) and friction over Fs/m of each fitted cycle's break-away; arrays of shape (cycles,).
 
-    The search begins where the load reaches the level of the slip that follows: earlier, the law itself would hold.
+    The search begins where the load reaches the level of the following slip: before, the law itself would hold.
     """
     count = len(fit.cycles)
     earliest = np.array([_reaches_level(fit, motion, k) for k in range(count)])
@@ -65,28 +61,24 @@ def _break_aways(fit: FittedLaw, motion: MeasuredMotion) -> tuple[Array, Array]:
 
 
 def _belt_ripple(fit: FittedLaw, time: Array) -> tuple[Array, Array, Array]:
-    """Return position (m), velocity and acceleration of the belt's ripple at ``time`` (any shape), as fitted."""
+    """Return position (m), velocity and acceleration of the belt's fitted ripple at ``time`` (any shape)."""
     p = fit.values
     return Ripple(p.cosine, p.sine, p.omega).belt_motion(time)
 
 
 def _edge_speed(fit: FittedLaw, time: Array) -> Array:
-    """Return the velocity at which a stick ends, m/s: the belt's less `_width`."""
+    """Return the velocity at the end of a stick, m/s: the belt's less `_width`."""
     return np.asarray(fit.values.v_dr - _width(fit) + _belt_ripple(fit, time)[1])
 
 
 def _width(fit: FittedLaw) -> float:
-    """Return how much slower than the free belt the mass breaks away, m/s: ramp and belt compliance together."""
+    """Return the velocity below the free belt's at break-away, m/s: ramp and belt compliance together."""
     p = fit.values
     return (p.d if fit.problem.ramp else 0.0) + p.compliance / p.K * p.F
 
 
 def _friction(fit: FittedLaw, time: Array, x: Array) -> Array:
-    """Return friction per unit mass (m/s^2) just before the break-away at ``time`` and ``x``.
-
-    On a ramp, or a belt that slows under load, the mass is already slowing down, and that much of the load is not
-    friction.
-    """
+    """Return friction per unit mass (m/s^2) just before the break-away, corrected for the deceleration on a ramp."""
     p, speed = fit.values, _edge_speed(fit, time)
     load = p.K * (x - p.datum) + p.damping * speed + _belt_ripple(fit, time)[2]
     slowing = _width(fit) / p.static * p.K * speed / p.F
@@ -94,7 +86,7 @@ def _friction(fit: FittedLaw, time: Array, x: Array) -> Array:
 
 
 def _reaches_level(fit: FittedLaw, motion: MeasuredMotion, k: int) -> float:
-    """Return when the friction in stick reaches the level of the slip after it, s."""
+    """Return the time at which friction in stick reaches the level of the next slip, s."""
     smoothed = fit.cycles[k].break_away
     reach = SEARCH_RANGE * motion.slip_s
     time = np.arange(smoothed - reach, smoothed + reach, SEARCH_STEP * motion.slip_s)
@@ -104,7 +96,7 @@ def _reaches_level(fit: FittedLaw, motion: MeasuredMotion, k: int) -> float:
 
 
 def _misfit(fit: FittedLaw, motion: MeasuredMotion, trials: Array) -> Array:
-    """Return the squared error around the corner for break-aways at ``trials`` (cycles, m), same shape; m^2."""
+    """Return the squared error around the corner of break-aways at ``trials`` (cycles, m), same shape; m^2."""
     errors = np.full(trials.shape, np.inf)
     table: list[tuple[int, ...]] = []
     owner: list[tuple[int, ...]] = []
@@ -149,7 +141,7 @@ def _misfit(fit: FittedLaw, motion: MeasuredMotion, trials: Array) -> Array:
 
 
 def _in_stick(fit: FittedLaw, motion: MeasuredMotion, k: int, time: Array) -> Array:
-    """Return where the mass would be at ``time`` had it not yet left the belt, m."""
+    """Return the position at ``time`` if the mass had not left the belt, m."""
     first, end = fit.cycles[k].stick
     if _width(fit) > 0 or end <= first:
         return np.interp(time, motion.time, motion.position)

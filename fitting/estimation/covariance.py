@@ -1,15 +1,15 @@
 """Intervals: a sandwich over cycles, calibrations as priors, t quantile.
 
 Residuals of a slightly wrong model are correlated within a cycle and independent between cycles, so the spread of the
-gradients of the cycles shows how far the estimate would move with other cycles.  With few cycles the sandwich can come
-out too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.  There a cycle informs by no
-more than its own residuals allow: the drag of a start-up alone shows the belt's speed under constant friction, so that
-no other cycle says how far a belt that ripples moves it.
+cycles' gradients shows how far the estimate would move with other cycles.  With few cycles the sandwich can be too
+small; the curvature at the noise level rms x sqrt(correlation time) is the floor.  In it a cycle informs by no more
+than its residuals allow: under constant friction only the drag of a start-up constrains the belt's speed, so that no
+other cycle shows how far a belt's ripple moves it.
 
-What the levels of the cycles inform must not come from their own errors (`without_level_errors`).
+The errors of the levels must not inform the parameters (`without_level_errors`).
 
 Without a datum the prior of the friction levels is wider than their scatter (`EstimationProblem.level_prior`).  The
-curvature then understates what they inform, so the floor is the covariance of the estimate under the true scatter.
+floor is then the covariance of the estimate under the true scatter.
 """
 
 import math
@@ -34,11 +34,11 @@ SCATTER_ERRORS = 3.0
 
 
 def without_level_errors(fit: Fit) -> Fit:
-    """Return a fit whose curvatures are those at the levels without their own errors.
+    """Return a fit whose curvatures are those at the levels without their errors.
 
-    Without a datum a ramp law knows Fs/d, v_dr - d and x0 + Fs/k alone, unless the friction level changes from cycle to
-    cycle: then the load follows Fs and the ramp follows Fs/d.  Levels that differ by their errors alone would pass for
-    such a change, and v_dr would get an interval a hundred times too narrow.
+    Without a datum a ramp law constrains only Fs/d, v_dr - d and x0 + Fs/k, unless the friction level changes between
+    cycles. Levels that differ only by their errors would count as such a change, and v_dr would get an interval a
+    hundred times too narrow.
     """
     if fit.problem.level_prior <= 1 or not fit.inlier_cycles.any():
         return fit
@@ -56,12 +56,11 @@ def without_level_errors(fit: Fit) -> Fit:
 
 
 def levels_differ(fit: Fit) -> bool:
-    """Return whether the friction levels of the cycles differ by more than their errors."""
     return _true_square(fit, PerCycle.LEVEL)[0] > 0
 
 
 def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
-    """Return the mean square of a cycle's unknown beyond what its errors make likely, and their squares (cycles,)."""
+    """Return the mean square of a cycle's unknown beyond its expected errors, and the squares (cycles,)."""
     own = fit.inlier_cycles
     error = np.asarray(np.linalg.inv(fit.solution.blocks.Hl)[:, column, column])
     likely = float(np.mean(error[own])) * (1 + SCATTER_ERRORS * math.sqrt(2 / own.sum()))
@@ -69,9 +68,9 @@ def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
 
 
 def covariance(fit: FittedLaw, precision: Array) -> Array:
-    """Return a covariance (p, p) of the active shared unknowns, in no direction smaller than either of `covariances`.
+    """Return a covariance (p, p) of the active shared unknowns not smaller than either of `covariances`.
 
-    An unknown's own variance in it may be larger than both: for one quantity take the larger of both variances.
+    A variance in it may exceed both: for one quantity take the larger of both variances.
     """
     return upper_bound(*covariances(fit, precision))
 
@@ -79,8 +78,7 @@ def covariance(fit: FittedLaw, precision: Array) -> Array:
 def covariances(fit: FittedLaw, precision: Array) -> tuple[Array, Array]:
     """Return the covariances (p, p) of the active shared unknowns by the sandwich and by the curvature.
 
-    precision: (p,) 1/sd^2 of the calibrations, and of a formula's own unknowns; 0 where there is none.  A prior's own
-        error is one more independent source.
+    ``precision`` (p,) is 1/sd^2 of the priors, each one more independent source, or 0.
     """
     blocks = fit.solution.blocks
     reduced = SchurComplement(blocks)
@@ -101,11 +99,11 @@ def covariances(fit: FittedLaw, precision: Array) -> tuple[Array, Array]:
 
 
 def upper_bound(first: Array, second: Array) -> Array:
-    """Return a covariance (p, p) that gives no combination of unknowns a smaller variance than either of two.
+    """Return a covariance (p, p) that is in no direction smaller than either of two.
 
-    In the units in which the second is 1 and the first diagonal it is the larger of both.  To raise the variances alone
-    and keep the correlations does not do: where Fs and gamma are known far better together than either of them, the
-    friction's slope at the belt's speed would be one that neither covariance allows.
+    In the basis in which the second is 1 and the first diagonal it is the larger of both. Raising the variances with
+    fixed correlations would not do: where Fs and gamma are strongly correlated, it would give the friction's slope at
+    the belt's speed an error that neither covariance allows.
     """
     unit = np.sqrt(np.diag(second))
     size, axes = eigen(second / unit[:, None] / unit)
@@ -117,7 +115,7 @@ def upper_bound(first: Array, second: Array) -> Array:
 
 
 def _founded(fit: FittedLaw) -> Array:
-    """Return the share (cycles,) of what a cycle informs that its residuals allow."""
+    """Return the share (cycles,) of a cycle's information that its residuals allow."""
     assumed = 1 / fit.at.problem.weights
     own = np.full(assumed.size, 1e-300)
     for cycle, _, first, size, *_ in fit.windows.table:  # a drag is a window of the first cycle
@@ -127,7 +125,7 @@ def _founded(fit: FittedLaw) -> Array:
 
 
 def _excess(fit: FittedLaw) -> Array:
-    """Return the part of the precisions (cycles, q) of the levels' prior by which it is wider than their scatter."""
+    """Return the excess precision (cycles, q) of the levels by which the prior is wider than their scatter."""
     sd = fit.at.noise.level_sd(fit.windows, fit.problem.level_prior)
     excess = (1 - (fit.at.noise.scatter / sd) ** 2) / sd**2
     found = np.zeros_like(fit.solution.blocks.gl)
@@ -136,10 +134,7 @@ def _excess(fit: FittedLaw) -> Array:
 
 
 def without_prior(fit: Fit, index: int) -> Measured:
-    """Return what the record alone shows of a parameter that has a prior: one Newton step away from the fitted value.
-
-    index: Of the parameter among the active ones.  The priors of the others stay.
-    """
+    """Return a parameter without its prior, one Newton step from the fit; ``index`` is among the active ones."""
     blocks, place = fit.solution.blocks, fit.active[index]
     weight = float(fit.precision[index])
     precision = fit.precision.copy()

@@ -28,7 +28,7 @@ DEFAULT_LEFT = 0.01
 
 
 class Derived(NamedTuple):
-    """One derived quantity and when it is given."""
+    """One derived quantity and its condition."""
 
     name: str
     unit: str
@@ -78,23 +78,16 @@ RUNS_OWN = ("v_dr", "x0", "Fs0/m", "wear", "droop", "ripple", "ripple_hz")  # th
 def derived_parameters(
     fit: Fit, motion: MeasuredMotion, alpha: float, run: int = 0, *, sustained: bool = True
 ) -> dict[str, Parameter]:
-    """Return a law's parameters with their intervals, in the record's own signs.
+    """Return a law's parameters with their intervals, in the record's signs.
 
-    ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
-    sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
-    second, both by the line through the cycles' friction levels (`fitting.model.wear`).  ``static`` is a ramp's
-    break-away level over Fs, given where the record shows that they differ.  ``droop`` is how much
-    slower the belt runs under the load Fs, ``ripple`` and ``ripple_hz`` are amplitude and frequency of its speed.
+    ``x0`` is the spring's rest in the recorded positions.  Fs is its mean over the record; for a ``sustained`` contact,
+    which sticks repeatedly, ``Fs0/m`` is its value at the start and ``wear`` the fraction lost per second, by the line
+    through the cycles' levels (`fitting.model.wear`).  ``static`` is a ramp's break-away level over Fs, where they
+    differ.  ``droop`` is the slowing of the belt under Fs, ``ripple`` and ``ripple_hz`` are amplitude and frequency of
+    its speed.
 
-    Without a calibration of the datum or of the damping a default stands in for it.  Where the record adds next to
-    nothing to the default, what depends on it is left out, and the combination that the record does know is given
-    instead: ``x0 + Fs/k``, ``(G_slip - c)/m``.
-
-    fit: Of all runs together.
-    motion: Of the run; its mass or stiffness, when known, turns accelerations into newtons.
-    alpha: 1 - confidence.
-    run: Whose own parameters are wanted, beside those that all runs share.
-    sustained: Whether the contact sticks again and again: else its level is not made anew and shows no wear.
+    Where datum or damping is not calibrated and the data hardly constrain it, what depends on it is omitted, and the
+    constrained combination is given: ``x0 + Fs/k``, ``(G_slip - c)/m``.
     """
     known = _known(fit, motion, run)
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
@@ -107,15 +100,7 @@ def derived_parameters(
 
 
 def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations:
-    """Return how the errors of a law's parameters go together: those per unit mass, each once.
-
-    Left out are values that follow from others (``Fs/k``, and what is multiplied by a mass or a stiffness), and those
-    by the trend of the levels (``Fs0/m``, ``wear``).
-
-    fit: Of all runs together.
-    motion: Of the run.
-    run: Whose own parameters are wanted, beside those that all runs share.
-    """
+    """Return the correlations of a law's parameters per unit mass, without those that follow from others."""
     known = _known(fit, motion, run)
     rows = _rows_each_once(fit, motion, known)
     slopes = np.array([list(_slopes(row.formula, known.own, known.active)) for row in rows])
@@ -130,14 +115,13 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
 
 
 def _rows_each_once(fit: Fit, motion: MeasuredMotion, known: "Known") -> list[Derived]:
-    """Return the rows of what `correlations` compares: those per unit mass that follow from no others."""
     rows = given_rows(LAWS[fit.law].curve, motion, known)
     left_out = {"Fs/k", *hidden(known)}
     return [row for row, scale in rows if scale is None and row.name not in left_out]
 
 
 def independent_parameters(fit: Fit, motion: MeasuredMotion) -> "IndependentParameters":
-    """Return the parameters of the first run that follow from no others, per unit mass, at any unknowns of the fit."""
+    """Return the parameters of the first run that follow from no others, per unit mass, at given unknowns."""
     known = _known(fit, motion, 0)
     rows = _rows_each_once(fit, motion, known)
 
@@ -150,10 +134,9 @@ def independent_parameters(fit: Fit, motion: MeasuredMotion) -> "IndependentPara
 
 
 def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> float:
-    """Return the standard error of a run's break-away level over Fs by what all cycles share: rest position, Fs, k/m.
+    """Return the error of a run's break-away level over Fs from rest position, Fs and k/m, which all cycles share.
 
-    The level is the spring's force at a measured position.  Without a datum, or on a camera track, it is known far less
-    well than its scatter from cycle to cycle suggests.  Arguments as of `derived_parameters`.
+    Without a datum, or on a camera track, it is far larger than the scatter between cycles suggests.
     """
     known = _known(fit, motion, run)
     p = values(known.own)
@@ -163,9 +146,9 @@ def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> fl
 
 
 class IndependentParameters(NamedTuple):
-    """Names of parameters, the power of the metre in each (k,), and their values (k,) at unknowns of the fit.
+    """Names of parameters, the power of the metre in each (k,), and a function to their values (k,).
 
-    ``at(q, unseen)`` takes the unknowns q, and how many standard deviations what nothing in the record shows is off.
+    ``at(q, unseen)`` takes the unknowns q and the standard deviations of what the record does not constrain.
     """
 
     names: tuple[str, ...]
@@ -174,11 +157,11 @@ class IndependentParameters(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What a fit knows of one run.
+    """A fit's knowledge of one run, with unknowns ``own`` (13,).
 
-    ``own`` (13,) are its unknowns, ``spreads`` (2, p, p) the covariances of the ``active`` ones by the sandwich and by
-    the curvature; ``undetermined`` are those that a default still decides; ``unseen`` (p,) is how the active ones move
-    together, by a standard deviation, where nothing in the record shows it: ``spreads`` have it.
+    ``spreads`` (2, p, p) are the covariances of the ``active`` ones by sandwich and curvature; ``undetermined`` are
+    those dominated by a default; ``unseen`` (p,) is an unconstrained direction, a standard deviation long, contained in
+    ``spreads``.
     """
 
     own: Array
@@ -233,10 +216,10 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
 
 
 def _hidden_level(fit: Fit, run: int, active: list[Global]) -> Array:
-    """Return how the unknowns (p,) of a linear curve move together where nothing shows it, by the error of the datum.
+    """Return the unconstrained direction (p,) of a linear curve, by the error of the datum.
 
-    On a ramp, or a belt that slows under load, another level of friction is made up for by the rest position and the
-    belt's speed, unless levels that differ move the load by more than the position.
+    On a ramp, or a belt that slows under load, rest position and belt speed absorb another level of friction, unless
+    levels that differ move the load by more than the position.
     """
     p = values(fit.u[PER_RUN * run : PER_RUN * (run + 1)])
     width = p.d if LAWS[fit.law].ramp else p.compliance * p.F / p.K
@@ -258,7 +241,7 @@ def _hidden_level(fit: Fit, run: int, active: list[Global]) -> Array:
 
 
 def given_rows(curve: str, motion: MeasuredMotion, known: Known) -> Iterator[tuple[Derived, Measured | None]]:
-    """Yield the rows of the table that a fit with this curve gives, each with the calibration it is multiplied by."""
+    """Yield the rows of a fit with this curve, each with the calibration that multiplies it."""
     for row in TABLE:
         scale = None if not row.scale or (row.scale == "stiffness" and motion.mass) else getattr(motion, row.scale)
         if (
@@ -271,17 +254,17 @@ def given_rows(curve: str, motion: MeasuredMotion, known: Known) -> Iterator[tup
 
 
 def hidden(known: Known) -> set[str]:
-    """Return the names that are known only together with what is undetermined."""
+    """Return the names that are constrained only together with an undetermined one."""
     return {name for slot in known.undetermined for name in UNDETERMINED_WITH[slot]}
 
 
 def sign_of(row: Derived, motion: MeasuredMotion) -> float:
-    """Return -1 for what changes sign with a backward belt, where the run's is one."""
+    """Return -1 for a row that changes sign with the belt, if the run's belt runs backward."""
     return motion.sign if row.name in MIRRORED else 1.0
 
 
 def scaled(row: Derived, scale: Measured | None, known: Known, motion: MeasuredMotion, quantile: float) -> Parameter:
-    """Return a derived quantity with its interval, multiplied by the calibration that its row names."""
+    """Return a derived quantity with its interval, times its row's calibration."""
     value = sign_of(row, motion) * float(row.formula(values(known.own)))
     slope = np.array(list(_slopes(row.formula, known.own, known.active)))
     variance = float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max())
@@ -303,7 +286,7 @@ def _slopes(formula: Callable[[Values], float], u: Array, active: list[Global]) 
 
 
 def wear_of(trend: Wear | None, level: Parameter, alpha: float) -> dict[str, Parameter]:
-    """Return Fs/m when the recording began, and wear; empty where the cycles show no trend."""
+    """Return Fs/m at the start of the recording, and wear; empty where the levels have no trend."""
     if trend is None:
         return {}
     first, rate = trend.first, trend.rate
@@ -316,6 +299,6 @@ def wear_of(trend: Wear | None, level: Parameter, alpha: float) -> dict[str, Par
 
 
 def as_parameter(value: float, error: float, quantile: float, unit: str, *, signed: bool) -> Parameter:
-    """Return a quantity with its interval, which ends at 0 unless the quantity may be negative."""
+    """Return a quantity with its interval, cut at 0 unless it may be negative."""
     lo, hi = value - quantile * error, value + quantile * error
     return Parameter(value, error, lo if signed else max(lo, 0.0), hi, unit)

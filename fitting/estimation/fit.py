@@ -10,16 +10,12 @@ from fitting.model.parameters import NUISANCE, PER_RUN
 
 @dataclass(frozen=True, eq=False)
 class Fit(FittedLaw):
-    """One of the six laws fitted to the runs; attributes as of `FittedLaw`."""
-
     @classmethod
     def of(cls, at: TaskFit) -> "Fit":
-        """Read where the driver ended with a law."""
         return cls(**cls.read(at))
 
     @property
     def law(self) -> int:
-        """The law's number."""
         curve = self.at.task.curve
         if not isinstance(curve, LawCurve):
             raise TypeError("not the fit of one of the six")
@@ -27,6 +23,6 @@ class Fit(FittedLaw):
 
     @property
     def law_parameters(self) -> int:
-        """Number of the law's own free unknowns; what every law has besides (datum, damping, fade, belt) not."""
+        """Number of the law's own free unknowns, without those of every law (datum, damping, fade, belt)."""
         held = self.problem.held
         return sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.active)

@@ -1,4 +1,4 @@
-"""What the fit of a law says, one of the six or a formula: unknowns, residuals, friction, of all runs or of one."""
+"""The fit of a law, one of the six or a formula: unknowns, residuals, friction, of all runs or of one."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ class FittedLaw(ABC):
 
     @staticmethod
     def read(at: TaskFit) -> dict[str, Any]:
-        """Return the attributes of where the driver ended with a law."""
+        """Return the attributes from the end of a driver's fit."""
         problem, active, u = at.task.problem, at.task.places, at.u
         index = list(active)
         return {
@@ -72,46 +72,43 @@ class FittedLaw(ABC):
     @property
     @abstractmethod
     def law_parameters(self) -> int:
-        """Number of the law's own free unknowns; what every law has besides (datum, damping, fade, belt) not."""
+        """Number of the law's own free unknowns, without those of every law (datum, damping, fade, belt)."""
 
     @property
     def values(self) -> parameters.Values:
-        """Global parameters by name; the first run's where there are several."""
+        """Global parameters by name, of the first run."""
         return parameters.values(self.u[:PER_RUN])
 
     @property
     def rows(self) -> tuple[slice, ...]:
-        """The residuals of each cycle."""
         return self.windows.rows
 
     @property
     def outcome(self) -> str:
-        """How the last minimisation ended (`levenberg_marquardt.Solution`)."""
+        """The reason for the end of the last minimisation (`levenberg_marquardt.Solution`)."""
         return self.solution.outcome
 
     @property
     def cpu_s(self) -> float:
-        """CPU time of the fit, s."""
         return self.at.cpu_s
 
     @property
     def rms(self) -> float:
-        """Root mean square of all residuals, m."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
     @property
     def geometric_mean_rms(self) -> float:
-        """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
+        """Geometric mean of the cycles' rms, m, robust to a few spoilt cycles."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
 
     @property
     def misfit(self) -> float:
-        """What noise (the largest of all runs) does not explain of the geometric mean of the cycles' errors, m."""
+        """The geometric mean of the cycles' rms beyond noise (the largest of all runs), m."""
         return self.at.misfit
 
     @property
     def calibration_deviations(self) -> Array:
-        """How far the active unknowns are from calibrations that were given, in standard deviations; else 0."""
+        """Deviations of the active unknowns from stated calibrations, in standard deviations; else 0."""
         guessed = [
             place % PER_RUN == Global.DATUM and self.problem.motions[place // PER_RUN].datum_prior is None
             for place in self.active
@@ -120,12 +117,11 @@ class FittedLaw(ABC):
 
     @property
     def runs(self) -> int:
-        """How many runs were fitted together."""
         return self.u.size // PER_RUN
 
     @property
     def curve_on_path(self) -> Curve | None:
-        """The friction that a path is followed with."""
+        """The friction of a path."""
         task = self.at.task
         return task.curve.on_path(task.split(self.at.q)[1], self.at.q[: len(task.places)])
 
@@ -141,17 +137,17 @@ class FittedLaw(ABC):
         return np.asarray(-mass * np.where(np.abs(w) <= d, ramp, slip))
 
     def residual_in(self, windows: ShootingWindows, local: Array) -> Array | None:
-        """Return what the law would leave of other windows of this run (N,), m; None where it cannot be followed."""
+        """Return the residual (N,) in other windows of this run, m; None where it cannot be followed."""
         curve = self.curve_on_path
         found = None if curve is None else positions(windows, curve, self.u, local)
         return None if found is None else found - windows.position
 
     def level_trend(self, run: int = 0) -> wear.Wear | None:
-        """Return the line through the friction levels of one run's inlier cycles (`fitting.model.wear`)."""
+        """Return the line through the levels of one run's inlier cycles (`fitting.model.wear`)."""
         return wear.of_cycles(self.windows, self.inlier_cycles, self.local, run)
 
     def for_run(self, run: int) -> Self:
-        """Return what the fit says of one run: its unknowns, cycles and residuals; the solution stays that of all."""
+        """Return the fit of one run: its unknowns, cycles and residuals; the solution stays that of all."""
         if self.runs == 1:
             return self
         own = np.flatnonzero(self.windows.run == run)

@@ -1,10 +1,10 @@
-"""A fit's estimation problem made linear about its solution, for what is asked once the fit is done.
+"""A fit's estimation problem made linear about its solution.
 
-How would the residuals change with other noise, what does the record show of an unknown that was not fitted, how do
-single cycles pull at the estimates: all of it follows from the derivatives at the solution, without another search.
+The response of the residuals to other noise, the data's constraint on an unknown that was not fitted, and the pull of
+single cycles all follow from the derivatives at the solution, without another search.
 
-The cost is 1/2 sum_c w_c |r_c|^2 and the priors' quadratic forms, as in
-`fitting.least_squares.levenberg_marquardt`; the unknowns of each cycle are eliminated by the same `SchurComplement`.
+The cost is 1/2 sum_c w_c |r_c|^2 and the priors' quadratic forms, as in `fitting.least_squares.levenberg_marquardt`;
+the unknowns of each cycle are eliminated by the same `SchurComplement`.
 """
 
 from dataclasses import dataclass, replace
@@ -24,8 +24,8 @@ WEIGHT_LEFT = 1e-6  # share of its weight left to a cycle that does not count: i
 class Scores:
     """Gradient and curvature of the cost in d more unknowns, those of the fit eliminated.
 
-    Where the fit is at its minimum, the estimate of one unknown is -total / total information, and the cost would
-    fall by half of total^2 / total information.  A cycle left out takes its own score and information with it.
+    At a minimum, the estimate of one unknown is -total / total information, and its gain half of total^2 / total
+    information; omitting a cycle removes its score and information.
     """
 
     score: Array  # (cycles, d) each cycle's gradient
@@ -38,12 +38,10 @@ class Scores:
 
     @property
     def total(self) -> Array:
-        """Gradient (d,) of the whole cost."""
         return np.asarray(self.score.sum(axis=0) + self.prior_score)
 
     @property
     def total_information(self) -> Array:
-        """Curvature (d, d) of the whole cost."""
         return np.asarray(self.information.sum(axis=0) + self.prior_information)
 
 
@@ -83,7 +81,7 @@ class LinearisedFit:
 
     @cached_property
     def first(self) -> Integers:
-        """First residual of each cycle, and how many there are, shape (cycles + 1,)."""
+        """First residual of each cycle, and their number, shape (cycles + 1,)."""
         return np.array([*(rows.start for rows in self.rows), self.rows[-1].stop], np.int64)
 
     def _product(self, left: Array, right: Array) -> Array:
@@ -125,7 +123,7 @@ class LinearisedFit:
 
     @cached_property
     def _pull(self) -> Array:
-        """What the gradients of the cycles' own unknowns alone would move these by, (cycles, q)."""
+        """The step (cycles, q) by the gradients of the cycles' own unknowns alone."""
         return self.reduced.local_step(self.blocks.gl)
 
     @cached_property
@@ -134,22 +132,16 @@ class LinearisedFit:
         return self.reduced.reduced_gradients(self.blocks.cycle_g, self._pull)
 
     def refit(self, residuals: Array) -> Array:
-        """Return what a linear fit of all unknowns leaves of other residuals.
+        """Return the residuals (N, B), m, of a linear fit to B records with the fit's true unknowns, such as noise.
 
-        residuals: (N, B) Of B records whose true unknowns are those of the fit, such as noise alone, m: the priors hold
-            at the solution.
-        Returns: (N, B) As they were where the step would raise the cost: a search that ended beside a jump of the
-            motion has no derivatives there.
+        Unchanged where the step would raise the cost: at a jump of the motion the derivatives fail.
         """
         gradient = self._product(self.shared, residuals).sum(axis=0)
         out = self._moved(residuals, *self.reduced.newton_step(gradient, self._product(self.local, residuals)))
         return np.where(self._squares(out) <= self._squares(residuals), out, residuals)
 
     def without(self, spoilt: Mask) -> "LinearisedFit":
-        """Return the fit one Gauss-Newton step on, without the weight of some cycles (cycles,).
-
-        As it was where that raises the cost of the others: there the derivatives do not hold.
-        """
+        """Return the fit after a Gauss-Newton step without some cycles (cycles,), or as it was if that is worse."""
         others = replace(self, weights=np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights))
         step, own = others.reduced.newton_step(others.blocks.g, others.blocks.gl)
         moved = replace(others, residual=self._moved(self.residual[:, None], step[:, None], own[:, :, None])[:, 0])
@@ -173,10 +165,7 @@ class LinearisedFit:
         return np.asarray(np.einsum("c,c...->...", self.weights, np.add.reduceat(residuals**2, self.first[:-1])))
 
     def scores(self, columns: Array) -> Scores:
-        """Return gradient and curvature in further unknowns, shared and own unknowns eliminated.
-
-        columns: (N, d) Derivatives of the predicted positions with respect to them.
-        """
+        """Return gradient and curvature in further unknowns with position derivatives ``columns`` (N, d)."""
         columns = np.ascontiguousarray(columns)
         raw, to_local = self._product(columns, columns), self._product(self.local, columns)
         pull = self.reduced.local_step(to_local)

@@ -11,13 +11,9 @@ from stickslip.compute.arrays import Array
 
 
 def motion_at(fit: FittedLaw, time: Array) -> tuple[Array, Array]:
-    """Return position, m, and velocity, m/s, of one run's fit at times of its record, in the fit's frame.
+    """Return position, m, and velocity, m/s, of one run's fit at times of its record, s, in the fit's frame.
 
-    From a cycle's stick window to its slip window, where the mass breaks away, the stick goes on as the law has it.
-    Outside the cycles that were fitted there is no motion: NaN.
-
-    fit: Of one run.
-    time: s.
+    From a cycle's stick window to its slip window the stick is continued; outside the fitted cycles it is NaN.
     """
     windows, asked = fit.windows, np.asarray(time, np.float64)
     flat, count = asked.ravel(), windows.table[:, 3]
@@ -48,7 +44,7 @@ def motion_at(fit: FittedLaw, time: Array) -> tuple[Array, Array]:
 
 
 def _spans(windows: ShootingWindows) -> tuple[Array, Array]:
-    """Return from when until when each window holds, s: a stick's to the slip, others to a sample behind their last."""
+    """Return start and end of each window, s: a stick's to the slip, others to a sample after their last."""
     table = windows.table
     begin, last = windows.time[table[:, 2]], windows.time[table[:, 2] + table[:, 3] - 1]
     end = last + float(np.median(np.diff(windows.time)))

@@ -1,4 +1,4 @@
-"""Values that a fit returns: a parameter with its interval, and one break-away."""
+"""Results of a fit: a parameter with its interval, and one break-away."""
 
 import math
 from collections.abc import Mapping
@@ -18,11 +18,10 @@ LARGEST_LOG = 300.0  # logarithm of a value's factor: at more the end of an inte
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value with its standard error and confidence interval, in the unit named.
+    """A value with its standard error and confidence interval, in its unit.
 
-    ``trusted`` is False where the law does not describe the record: what the law's interval leaves out is then larger
-    than what it contains, and error and interval are withheld from documents and tables.  ``fixed`` is whether the
-    value was given and not fitted.
+    ``trusted`` is False where the law does not describe the record: error and interval are then too small, and withheld
+    from documents and tables.  ``fixed`` values were not fitted.
     """
 
     value: float
@@ -35,7 +34,7 @@ class Parameter:
 
     @property
     def decimals(self) -> int:
-        """Digits after the point that the error deserves: two of the error, and 12 at most."""
+        """Digits after the point: two of the error, at most 12."""
         return min(max(0, 1 - math.floor(math.log10(self.stderr))), 12) if self.stderr > 0 else 6
 
     def __str__(self) -> str:
@@ -61,7 +60,7 @@ class Parameter:
         *,
         by_log: bool = False,
     ) -> "Parameter":
-        """Return a value with its interval within the limits; of one that is fitted by its logarithm by a factor.
+        """Return a value with its interval within the limits, by a factor for one that is fitted by its logarithm.
 
         ``quantile`` is half the width of the interval over the standard error.
         """
@@ -74,7 +73,7 @@ class Parameter:
 
 
 def in_columns(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Return parameters as cells of a table: value, "NAME stderr", "NAME lo", "NAME hi"; None for what is withheld."""
+    """Return table cells: value, "NAME stderr", "NAME lo", "NAME hi"; None for what is withheld."""
     found: dict[str, Any] = {}
     for name, item in parameters.items():
         cells = item.as_json()
@@ -94,14 +93,11 @@ class Correlations:
     matrix: Array
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form."""
         return {"parameters": list(self.names), "matrix": self.matrix.tolist()}
 
 
 @dataclass(frozen=True)
 class BreakAway:
-    """One break-away."""
-
     number: int
     t: float  # s, when the mass leaves the belt
     break_away_level: float  # load at the break-away over Fs; NaN for a cycle that was not fitted
@@ -110,5 +106,4 @@ class BreakAway:
     flag: str
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form."""
         return {"static_level" if name == "break_away_level" else name: item for name, item in vars(self).items()}

@@ -1,1 +1,1 @@
-"""What a departure is, and the fitted motion that it reads."""
+"""Departures as forces, and the fitted motion that they read."""

@@ -1,4 +1,4 @@
-"""What a departure is: from a fitted motion to what it would change, to first order in its parameters."""
+"""A departure: from a fitted motion to its effect, to first order in its parameters."""
 
 import math
 from collections.abc import Callable
@@ -26,7 +26,7 @@ TABLE_REACH, TABLE_CONTRAST, TABLE_ROWS = 1.5, 8.0, 801
 
 
 class Forcing(NamedTuple):
-    """What one departure adds where its parameters are 1; k columns, one a parameter, None for nothing."""
+    """The effect of a departure with parameters of 1; k columns, one a parameter, or None."""
 
     # (M, k) force on the mass per unit mass at the stage points of the trajectory, m/s^2 per unit of the parameter
     acceleration: Array | None = None
@@ -62,11 +62,11 @@ class Departure:
     drag: Callable[[Array, float], Array] | None = None
 
     def says(self, *, counted: bool) -> str:
-        """Return what it says of the rig of a record that an encoder counted, or of another one."""
+        """Return its statement about the rig, by whether an encoder counted."""
         return self.text if counted or not self.text_of_positions else self.text_of_positions
 
     def drag_table(self, fastest: float) -> Drag:
-        """Return the force of a unit by velocity, of motions about as fast as ``fastest``, m/s; empty without one."""
+        """Return the drag of a unit by velocity, up to about ``fastest``, m/s; empty without one."""
         if self.drag is None:
             return NO_DRAG
         velocity = (
@@ -80,7 +80,7 @@ class Departure:
 
 
 def by_velocity(drag: Callable[[Array, float], Array]) -> Callable[[FittedMotion, float], Forcing]:
-    """Return the forcing of a departure that is a force by the mass's own velocity alone."""
+    """Return the forcing of a force by the mass's velocity alone."""
 
     def forcing(trajectory: FittedMotion, _: float) -> Forcing:
         turn = TURN_IN_COLUMN * float(np.max(np.abs(trajectory.velocity)))
@@ -95,11 +95,7 @@ def harmonic(phase: Array, factor: Array | float = 1.0) -> Array:
 
 
 def spaced(smallest: float, largest: float, length: float) -> Array:
-    """Return wavelengths (or periods) from large to small, a quarter of the resolution of ``length`` apart.
-
-    Two harmonics can be distinguished when they differ by one turn over the length: half as many values would lose up
-    to a fifth of a gain between two of them, twice as many cost twice the time.
-    """
+    """Return wavelengths (or periods), descending, a quarter of the resolution of ``length`` apart."""
     if not 0 < smallest < largest or length <= 0:
         return np.empty(0)
     turns = np.arange(1 / largest, 1 / smallest, 0.25 / length)
@@ -107,5 +103,4 @@ def spaced(smallest: float, largest: float, length: float) -> Array:
 
 
 def speed_of_wave(length: float) -> float:
-    """Return 2 pi over a wavelength or a period."""
     return 2 * math.pi / length

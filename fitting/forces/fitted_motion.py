@@ -73,12 +73,11 @@ class FittedMotion:
 
     @property
     def travel(self) -> float:
-        """Largest travel of the runs, m."""
         return max(record.travel for record in self.records)
 
     @property
     def slip_s(self) -> float:
-        """About how long a slip of the slowest run lasts, s."""
+        """Approximate duration of a slip of the slowest run, s."""
         return max(record.slip_s for record in self.records)
 
     @property
@@ -88,10 +87,10 @@ class FittedMotion:
 
     @cached_property
     def rows_of_runs(self) -> tuple[Mask, ...]:
-        """Which stage points are of each run."""
+        """The stage points of each run."""
         return tuple(self.run == number for number in range(len(self.records)))
 
     @property
     def belt_way(self) -> float:
-        """Way of the belt in the longest run, m."""
+        """Travel of the belt in the longest run, m."""
         return max(float(np.ptp(self.belt_position[run])) for run in self.rows_of_runs)

@@ -1,4 +1,4 @@
-"""A departure as a force of a fit: its coefficients are unknowns, and its scale, where it was scanned."""
+"""A departure as a force of a fit: its coefficients, and its scale if scanned, are unknowns."""
 
 import math
 from dataclasses import dataclass
@@ -16,29 +16,27 @@ SCALE_RANGE = 0.15  # relative range of a scale: how far a scale may move from w
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """What acts besides in a fit."""
+    """A force in addition to the law."""
 
     departure: Departure
     scale: float = math.nan  # its first scale (a frequency, a wavelength); NaN for a departure without one
 
     def __post_init__(self) -> None:
-        """Refuse a departure whose scale is not known."""
         if self.departure.scales is not None and not self.scanned:
             raise ValueError(f"{self.departure.name} depends on {self.departure.scale}: scan it first")
 
     @property
     def scanned(self) -> bool:
-        """Whether its scale is an unknown."""
         return math.isfinite(self.scale)
 
     @property
     def width(self) -> int:
-        """How many unknowns it has: coefficients, then the relative change of the scale."""
+        """Number of unknowns: coefficients, then the relative change of the scale."""
         return self.departure.columns + self.scanned
 
     @property
     def lower(self) -> Array:
-        """Lower bounds (width,): a drag takes energy; another force may have either sign."""
+        """Lower bounds (width,): a drag dissipates energy; another force may have either sign."""
         least = 0.0 if self.departure.drag is not None else -np.inf
         return np.array([least] * self.departure.columns + [-SCALE_RANGE] * self.scanned)
 
@@ -48,19 +46,17 @@ class Force:
         return np.array([np.inf] * self.departure.columns + [SCALE_RANGE] * self.scanned)
 
     def coefficients(self, size: Array) -> Array:
-        """Return the departure's coefficients of the force's unknowns (width,)."""
         return size[: self.departure.columns]
 
     def scale_of(self, size: Array) -> float:
-        """Return the scale of the force's unknowns (width,)."""
         return self.scale * (1 + float(size[-1])) if self.scanned else self.scale
 
     def forcing(self, motion: FittedMotion, size: Array) -> Forcing:
-        """Return what a unit of each coefficient does along a motion."""
+        """Return the effect of a unit of each coefficient along a motion."""
         return self.departure.forcing(motion, self.scale_of(size))
 
     def derivatives(self, motion: FittedMotion, size: Array) -> list[Forcing]:
-        """Return what a unit of each unknown changes: of the coefficients, and of the scale's relative change."""
+        """Return the effect of a unit of each unknown: coefficients, then the scale's relative change."""
         scale = self.scale_of(size)
         forcing = self.departure.forcing(motion, scale)
         if not self.scanned:

@@ -1,1 +1,1 @@
-"""Nonlinear least squares with unknowns that all cycles share and unknowns that each cycle has of its own."""
+"""Nonlinear least squares with unknowns shared by all cycles and unknowns of each cycle."""

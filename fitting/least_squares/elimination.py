@@ -1,10 +1,10 @@
 """Kernels: sums over the residuals of each cycle, elimination of a cycle's own unknowns, and a symmetric eigenproblem.
 
-BLAS and LAPACK add in another order on every processor, and where a search takes decisions, the last bit of a sum can
-lead to another minimum.  These matrices are tiny: plain loops cost next to nothing and add in one order everywhere.
+BLAS and LAPACK add in a processor-dependent order, and the last bit of a sum can lead a search to another minimum.
+These matrices are tiny: plain loops cost next to nothing and add in one order everywhere.
 
-Every function runs as written or compiled (`stickslip.compute.compile`).
-Source: G. Golub, C. Van Loan, Matrix Computations, 4th ed., 4.2 (Cholesky) and 8.5 (cyclic Jacobi).
+Every function runs as written or compiled (`stickslip.compute.compile`). Source: G. Golub, C. Van Loan, Matrix
+Computations, 4th ed., 4.2 (Cholesky) and 8.5 (cyclic Jacobi).
 """
 
 import math
@@ -19,10 +19,7 @@ TINY = 1e-200  # least curvature: its inverse stays a number
 def sum_products(jacobian: Array, residual: Array, first: Integers, square: Array, gradient: Array) -> None:
     """Add J'J to ``square`` (c, m, m) and J'r to ``gradient`` (c, m), cycle by cycle.
 
-    jacobian: (N, m)
-    residual: (N,)
-    first: (c + 1,) First row of each cycle, and the number of rows.
-    square, gradient: Zero at first.
+    ``first`` (c + 1,) are the first rows of the cycles, and the number of rows.
     """
     cycles, m = gradient.shape
     for k in range(cycles):
@@ -80,9 +77,9 @@ def along(jacobian: Array, first: Integers, step: Array, out: Array) -> None:
 
 
 def invert(matrices: Array, inverse: Array) -> None:
-    """Store the inverses of positive definite matrices (c, q, q); only the lower triangle is read.
+    """Store the inverses of positive definite matrices (c, q, q), by Cholesky in units of the diagonal.
 
-    By Cholesky in units of the diagonal.  A pivot that rounding has used up counts as `LEAST_PIVOT`.
+    Only the lower triangle is read; a pivot lost to rounding counts as `LEAST_PIVOT`.
     """
     cycles, q, _ = matrices.shape
     for k in range(cycles):
@@ -120,12 +117,9 @@ def invert(matrices: Array, inverse: Array) -> None:
 
 
 def eliminate(cross: Array, inverse: Array, reduced: Array, follow: Array) -> None:
-    """Take the cycles' own unknowns out of the shared curvatures.
+    """Subtract cross inverse cross' of the cycles' own unknowns from the shared curvatures ``reduced`` (p, p).
 
-    cross: (c, p, q)
-    inverse: (c, q, q) Of the cycles' own curvatures.
-    reduced: (p, p) The shared curvatures; sum cross inverse cross' is taken off.
-    follow: (c, q, p) Filled with inverse cross': how a cycle's own unknowns follow the shared ones.
+    ``follow`` (c, q, p) is filled with inverse cross', by which a cycle's unknowns follow the shared ones.
     """
     cycles, p, q = cross.shape
     for k in range(cycles):
@@ -145,7 +139,7 @@ def eliminate(cross: Array, inverse: Array, reduced: Array, follow: Array) -> No
 
 
 def eigen(matrix: Array, vectors: Array) -> None:
-    """Turn a symmetric ``matrix`` (n, n) diagonal, its eigenvalues there, and store its eigenvectors as columns."""
+    """Diagonalise a symmetric ``matrix`` (n, n) in place, with the eigenvectors as columns of ``vectors``."""
     n = matrix.shape[0]
     vectors[:] = 0.0
     for i in range(n):

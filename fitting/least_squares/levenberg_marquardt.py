@@ -53,8 +53,6 @@ LARGEST_ACCELERATION = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the minimiser stopped."""
-
     u: Array  # (p,)
     local: Array
     cost: float
@@ -72,7 +70,7 @@ class Step(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Where a search stands: unknowns (p,) and (cycles, q), residuals (N,), derivatives (N, p + q), and the cost."""
+    """A point of a search: unknowns (p,) and (cycles, q), residuals (N,), derivatives (N, p + q), and cost."""
 
     u: Array
     local: Array
@@ -83,7 +81,7 @@ class Point(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """Where a step leads, and the cost there."""
+    """The end of a step, and its cost."""
 
     u: Array
     local: Array
@@ -101,18 +99,12 @@ def minimise(
     steady: float = math.inf,
     corrections: int = 0,
 ) -> Solution | None:
-    """Minimise from (u, local); None when not even the start can be followed.
+    """Minimise from u (p,) and local (cycles, q); None where the start cannot be followed.
 
-    u: (p,)
-    local: (cycles, q)
-    max_steps: Derivatives to take at most.
-    tolerance: Stop when a step lowers the cost by less than this fraction (twice in a row), or by less than this at
-        all.
-    damping: Of the first step, times the curvatures: less where the start is known to be near.
-    steady: Of the weighted rms residual: a step that changes it by more is not one to stop at, however little it gains.
-        Where the noise is taken to be large, the cost is small and nearly all priors.
-    corrections: How often a step that leads off the floor of a bent valley is led back by the same derivatives before
-        it counts as failed.  Near the end of a search, where derivatives cost much more than residuals.
+    ``tolerance`` is the relative gain of a step (twice in a row), or the absolute gain, that ends the search, unless
+    the weighted rms changes by more than ``steady`` of itself: under large noise the cost is nearly all priors.
+    ``damping`` is that of the first step; ``corrections`` limits how often a step off the floor of a bent valley is led
+    back by the same derivatives, which pays where derivatives cost more than residuals.
     """
     u, local = np.clip(u, problem.lower, problem.upper), np.minimum(local, problem.local_upper)
     at = _point(problem, u, local)
@@ -149,9 +141,9 @@ def minimise(
 
 
 def last_step(problem: LeastSquaresProblem, near: Solution) -> Solution | None:
-    """Return where one step of these curvatures leads from the end of a search for a similar problem.
+    """Return the end of one step from the end of a similar problem's search, or that end where the cost does not fall.
 
-    None where the end cannot be followed; without a step where the cost does not fall.
+    None where it cannot be followed.
     """
     at = _point(problem, near.u, near.local)
     if at is None:
@@ -171,7 +163,7 @@ def _rms(problem: LeastSquaresProblem, at: Point) -> float:
 
 
 def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None:
-    """Return the point, or None where it, or what lies beside it, cannot be followed."""
+    """Return the point, or None where it or its neighbourhood cannot be followed."""
     found = problem.evaluate(u, local, True)
     if found is None:
         return None
@@ -184,7 +176,7 @@ def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None
 
 
 def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections: int = 0) -> Trial | None:
-    """Return where a step leads; None where that cannot be followed, or where the second order no longer holds."""
+    """Return the end of a step; None where it cannot be followed, or the second order no longer holds."""
     step = _accelerated_step(problem, at, damping)
     if step is None:
         return None
@@ -208,10 +200,7 @@ def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections:
 
 
 def _corrected(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> tuple[Trial, Array] | None:
-    """Return where a step across the valley leads from a trial, by the derivatives before it, and the residuals there.
-
-    None where that cannot be followed.
-    """
+    """Return the trial corrected across the valley by the previous derivatives, and its residuals, or None."""
     p = at.u.size
     gradient = np.zeros((trial.local.shape[0], p + trial.local.shape[1]))
     kernel(elimination.sum_gradients)(at.jacobian, residual * problem.weights[problem.owner], problem.first, gradient)
@@ -226,9 +215,9 @@ def _corrected(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: 
 
 
 def _with_failed_cycles_anew(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> Trial:
-    """Return where a failed step leads after the own unknowns of the few cycles that made it fail are fitted anew.
+    """Return a failed step with the own unknowns of the few cycles that made it fail fitted again.
 
-    Each of them starts where it was or where the step led, whichever costs less.
+    Each starts from its old values or those of the step, whichever costs less.
     """
     by_cycle = cost_by_cycle(problem, trial.local, residual)
     rise = by_cycle - cost_by_cycle(problem, at.local, at.residual)
@@ -250,7 +239,7 @@ def _with_failed_cycles_anew(problem: LeastSquaresProblem, at: Point, trial: Tri
 
 
 def _accelerated_step(problem: LeastSquaresProblem, at: Point, damping: float) -> Step | None:
-    """Return the damped step with its acceleration; None where it leads too far for the second order to hold."""
+    """Return the damped step with its acceleration; None where it exceeds the reach of the second order."""
     p = at.u.size
     damped = SchurComplement(at.blocks, damping, (at.local >= problem.local_upper) & (at.blocks.gl < 0))
     step = _step(problem, at.u, damped, at.blocks.g, at.blocks.gl)
@@ -278,9 +267,8 @@ def _accelerated_step(problem: LeastSquaresProblem, at: Point, damping: float) -
 def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Array, gl: Array) -> Step:
     """Return the step down the gradients g and gl, within the bounds.
 
-    An unknown on its bound that is pushed outward stays.  One whose step would cross its bound goes onto it, and the
-    others step anew beside that: merely cut off, it would leave them a step made for another place, and a search next
-    to a bound would stop where no step helps.
+    An unknown pushed outward on its bound stays; one that would cross its bound moves onto it, and the others' step is
+    computed again: merely cut off, a search next to a bound would stop where no step helps.
     """
     pull = damped.local_step(gl)
     g = damped.reduced_gradient(g, pull)
@@ -300,9 +288,9 @@ def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Ar
 
 
 def _solve(H: Array, target: Array) -> Array:
-    """Return x of H x = target, H (n, n) positive semidefinite, with nothing along directions that only rounding holds.
+    """Return x of H x = target, H (n, n) positive semidefinite, without directions below rounding.
 
-    Where these begin must be no cliff: they fade out.  An unknown that the elimination left no curvature does not move.
+    These fade out gradually. An unknown without curvature after elimination does not move.
     """
     curvature = np.diag(H)
     held = curvature > 0

@@ -11,11 +11,7 @@ DEPENDENT = 1e-13  # share of a column's length: as little left of it beside the
 
 
 def least_squares(matrix: Array, target: Array) -> tuple[Array, Array]:
-    """Return what minimises |matrix x - target|, and the residual target - matrix x.
-
-    matrix: (n, m) A few columns; one that depends on those before it gets 0.
-    target: (n,)
-    """
+    """Return the least-squares x of matrix (n, m) x = target (n,), and the residual; dependent columns get 0."""
     columns = np.array(np.transpose(matrix), np.float64, order="C")
     residual = np.array(target, np.float64)
     size = np.sum(columns**2, axis=1)

@@ -17,7 +17,7 @@ ROUNDING = 1e-14  # what elimination leaves of a curvature, over it: as little i
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Normal equations: gradient and Hessian in blocks; shapes (p,), (p, p), (c, q), (c, q, q), (c, p, q)."""
+    """Gradient and Hessian in blocks; shapes (p,), (p, p), (c, q), (c, q, q), (c, p, q)."""
 
     g: Array
     H: Array
@@ -28,7 +28,7 @@ class NormalEquations:
     cycle_curvature: Array  # (c, p, p): each cycle's share of H, likewise
 
     def moved(self, step: Array, own: Array) -> "NormalEquations":
-        """Return the same after steps of the shared (p,) and the cycles' own unknowns (c, q): curvatures stay."""
+        """Return the same after steps of the shared (p,) and own unknowns (c, q), with the same curvatures."""
         by_own = np.einsum("cpq,cq->cp", self.cross, own)
         return replace(
             self,
@@ -41,7 +41,6 @@ class NormalEquations:
 def normal_equations(
     problem: LeastSquaresProblem, u: Array, local: Array, residual: Array, jacobian: Array
 ) -> NormalEquations:
-    """Return gradient and Gauss-Newton Hessian, cycle by cycle."""
     p, (c, q) = u.size, local.shape
     square, gradient = np.zeros((c, p + q, p + q)), np.zeros((c, p + q))
     kernel(elimination.sum_products)(jacobian, residual, problem.first, square, gradient)
@@ -57,9 +56,8 @@ def normal_equations(
 class SchurComplement:
     """The normal equations with the cycles' own unknowns eliminated.
 
-    damping: By which part of them the curvatures are raised.
-    held: (cycles, q) Unknowns of the cycles that do not move.
-    H: (p, p) The information on the shared unknowns with every cycle's own unknowns also fitted.
+    ``damping`` raises the curvatures by that part; ``held`` (cycles, q) unknowns do not move; H (p, p) is the
+    information on the shared ones.
     """
 
     def __init__(self, blocks: NormalEquations, damping: float = 0.0, held: Mask | None = None) -> None:
@@ -75,19 +73,16 @@ class SchurComplement:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance (p, p) of the shared unknowns for the noise that the weights assume."""
+        """Covariance (p, p) of the shared unknowns under the assumed noise."""
         scale, inverse = scaled_inverse(self.H, self._raw)
         return np.asarray(inverse * scale[:, None] * scale)
 
     def by_cycle(self, cycle_curvature: Array) -> Array:
-        """Return what each cycle informs of the shared unknowns, (c, p, p), with its own unknowns also fitted."""
+        """Return each cycle's information (c, p, p) on the shared unknowns, its own eliminated."""
         return np.asarray(cycle_curvature - np.einsum("cpq,cqr->cpr", self._cross, self._spread))
 
     def by_prior(self, precision: Array) -> Array:
-        """Return the covariance of each cycle's reduced gradient, (c, p, p), that its own unknowns' priors lead to.
-
-        ``precision`` (c, q) are the priors' 1/sd^2, where the unknowns scatter by sd.
-        """
+        """Return the covariance (c, p, p) of each cycle's reduced gradient from the priors' 1/sd^2 (c, q)."""
         return np.asarray(np.einsum("cqp,cq,cqr->cpr", self._spread, precision, self._spread))
 
     def local_step(self, gl: Array) -> Array:
@@ -95,7 +90,7 @@ class SchurComplement:
         return np.asarray(np.einsum("cij,cj...->ci...", self._inverse, gl))
 
     def reduced_gradient(self, g: Array, pull: Array) -> Array:
-        """Return the gradient (p,) with the cycles' unknowns eliminated, ``pull`` their `local_step`; or (p, n)."""
+        """Return the gradient (p,) or (p, n) with the cycles' unknowns eliminated; ``pull`` is their `local_step`."""
         return np.asarray(g - np.einsum("cpq,cq...->p...", self._cross, pull))
 
     def reduced_gradients(self, cycle_g: Array, pull: Array) -> Array:
@@ -103,21 +98,18 @@ class SchurComplement:
         return np.asarray(cycle_g - np.einsum("cpq,cq...->cp...", self._cross, pull))
 
     def newton_step(self, g: Array, gl: Array) -> tuple[Array, Array]:
-        """Return the whole step of the shared (p,) and of the cycles' own unknowns (cycles, q); or with one axis more.
-
-        ``g`` and ``gl`` are the gradients, as in `NormalEquations`.
-        """
+        """Return the step of the shared (p,) and of the cycles' own unknowns (cycles, q); or with one axis more."""
         pull = self.local_step(gl)
         step = -np.einsum("ij,j...->i...", self.covariance, self.reduced_gradient(g, pull))
         return step, self.back_substitute(step, pull)
 
     def back_substitute(self, step: Array, pull: Array) -> Array:
-        """Return the cycles' own step (cycles, q) beside a shared one (p,); or (cycles, q, n) beside (p, n)."""
+        """Return the cycles' own step (cycles, q) for a shared one (p,); or (cycles, q, n) for (p, n)."""
         return np.asarray(-pull - np.einsum("cqp,p...->cq...", self._spread, step))
 
 
 def eigen(matrix: Array) -> tuple[Array, Array]:
-    """Return the eigenvalues (n,) of a symmetric matrix (n, n), in no order, and its eigenvectors as columns (n, n)."""
+    """Return the eigenvalues (n,) of a symmetric matrix, in any order, and its eigenvectors as columns."""
     turned, vectors = matrix.copy(), np.empty(matrix.shape)  # one layout: compiled once
     kernel(elimination.eigen)(turned, vectors)
     return np.diag(turned).copy(), vectors
@@ -126,9 +118,8 @@ def eigen(matrix: Array) -> tuple[Array, Array]:
 def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
     """Return units (p,) of the parameters and the inverse (p, p) of reduced curvatures in these units.
 
-    In units of the curvatures nothing overflows where a record shows next to nothing of an unknown.  A weak direction
-    must neither make the inverse fail nor pass for a known one: one that only rounding holds gets the variance of a
-    guess that is all there is to it.  ``raw`` (p,) are the curvatures before elimination.
+    The units, from the curvatures ``raw`` (p,) before elimination, avoid overflow for unconstrained unknowns. A
+    direction below rounding gets a prior's variance: it must neither make the inverse fail nor pass for a known one.
     """
     scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * raw, 1e-100)))
     size, axes = eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
@@ -137,5 +128,4 @@ def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
 
 
 def kernel(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a function of `elimination` compiled."""
     return compiled(function, (elimination.__name__,))

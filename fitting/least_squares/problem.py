@@ -16,8 +16,6 @@ Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresProblem:
-    """What is minimised."""
-
     evaluate: Evaluate  # ``evaluate(u, l, derivatives)`` with u (p,), l (cycles, q)
     rows: tuple[slice, ...]  # which residuals belong to which cycle
     weights: Array  # (cycles,) 1/variance of each cycle's residuals, 1/m^2
@@ -53,28 +51,26 @@ class LeastSquaresProblem:
 
     @cached_property
     def starts(self) -> NDArray[np.int64]:
-        """First residual of each cycle; the cycles' rows follow one another without a gap."""
+        """First residual of each cycle; the cycles' rows are contiguous."""
         return np.array([rows.start for rows in self.rows], np.int64)
 
     @cached_property
     def first(self) -> Integers:
-        """First residual of each cycle, and how many there are, shape (cycles + 1,)."""
+        """First residual of each cycle, and their number, shape (cycles + 1,)."""
         return np.append(self.starts, self.rows[-1].stop)
 
     @cached_property
     def owner(self) -> NDArray[np.int64]:
-        """Which cycle each residual belongs to."""
+        """Cycle of each residual."""
         return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
 
 
 def cost(problem: LeastSquaresProblem, u: Array, local: Array, residual: Array) -> float:
-    """Return the objective."""
     shared = 0.5 * float(np.sum(problem.precision * (u - problem.prior) ** 2))
     return shared + float(np.sum(cost_by_cycle(problem, local, residual)))
 
 
 def cost_by_cycle(problem: LeastSquaresProblem, local: Array, residual: Array) -> Array:
-    """Return each cycle's share of the objective, shape (cycles,)."""
     own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
     own += problem.weights * np.add.reduceat(residual**2, problem.starts)
     return np.asarray(0.5 * own)

@@ -1,1 +1,1 @@
-"""What is estimated: parameters, starting values, priors, and the motion they predict."""
+"""The estimated model: parameters, starting values, priors, and the motion they predict."""

@@ -9,13 +9,10 @@ from stickslip.compute.arrays import Array
 
 
 def remaining(fade: float, t: float, epoch: float) -> float:
-    """Return the level at time t (s) over that at ``epoch``; ``fade`` is the share of the first level lost per second.
-
-    The record begins at 0 s.
-    """
+    """Return the level at time t (s) over that at ``epoch``; ``fade`` is the loss per second over the level at 0 s."""
     return float((1.0 - fade * t) / (1.0 - fade * epoch))
 
 
 def relative_change(fade: Array | float, t: Array, epoch: Array) -> Array:
-    """Return the derivative of the logarithm of `remaining` with respect to the fade, s; arrays (M,)."""
+    """Return the derivative of the logarithm of `remaining` by the fade, s; arrays (M,)."""
     return (epoch - t) / ((1.0 - fade * t) * (1.0 - fade * epoch))

@@ -35,8 +35,6 @@ class Global(IntEnum):
 
 
 class PerCycle(IntEnum):
-    """Column of each parameter of one cycle."""
-
     X_SLIP = 0  # position where the slip window starts, m
     V_SLIP = 1  # velocity there, m/s
     LEVEL = 2  # log of the kinetic friction level over Fs
@@ -70,10 +68,10 @@ NUISANCE = (Global.DATUM, Global.DAMPING, Global.FADE, Global.COMPLIANCE, *RIPPL
 
 
 def active_places(law: int, compliant: Sequence[bool], rippled: Sequence[bool]) -> tuple[int, ...]:
-    """Return the places of the parameters that a law has.
+    """Return the places of a law's parameters.
 
-    compliant, rippled: Of each run's belt: whether it slows under load, whether its speed ripples.  On a belt that
-        slows under load a ramp's break-away level is that of slip (`rig_sim.flow.flow.validate`).
+    Each run's belt may slow under load (``compliant``) or ripple; on a compliant belt a ramp's break-away level is that
+    of slip (`rig_sim.flow.flow.validate`).
     """
     kind = LAWS[law]
     shape = () if kind.curve == "constant" else (Global.SHAPE,)
@@ -87,7 +85,6 @@ def active_places(law: int, compliant: Sequence[bool], rippled: Sequence[bool]) 
 
 
 def values(u: Array) -> Values:
-    """Return the global parameters u (13,) of one run by name."""
     K, log_F, *others = (float(value) for value in u)
     return Values(K, math.exp(log_F), *others)
 
@@ -98,7 +95,7 @@ def to_array(p: Values) -> Array:
 
 
 def columns(places: Sequence[int], runs: int) -> Integers:
-    """Return the slot of each place in each run, shape (runs, places); -1 where the run does not have it."""
+    """Return the slot of each place in each run, shape (runs, places), or -1."""
     table = np.full((runs, len(places)), -1, np.int64)
     for j, place in enumerate(places):
         run, slot = divmod(place, PER_RUN)
@@ -107,7 +104,7 @@ def columns(places: Sequence[int], runs: int) -> Integers:
 
 
 def copy_shared(u: Array) -> Array:
-    """Return the parameters of all runs (13 runs,) with those that runs share copied from the first."""
+    """Return the parameters of all runs (13 runs,) with the shared ones copied from the first."""
     whole = u.reshape(-1, PER_RUN).copy()
     whole[:, SHARED_BY_RUNS] = whole[0, SHARED_BY_RUNS]
     return whole.ravel()

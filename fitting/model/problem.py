@@ -1,4 +1,4 @@
-"""What stays the same while one law is fitted: starting values, bounds, and the calibrations as priors."""
+"""The constants of a law's fit: starting values, bounds, and the calibrations as priors."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -41,7 +41,7 @@ HELD_SD = 1e-6  # standard deviation of an unknown that is held, over its size
 
 
 class GivenUnknown(NamedTuple):
-    """What the user gives of a shared unknown, in its units: bounds, equal where it is held, and a first value."""
+    """The user's bounds, equal where it is fixed, and first value of a shared unknown."""
 
     slot: Global
     low: float
@@ -51,10 +51,7 @@ class GivenUnknown(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any.
-
-    ``given`` is what the user gives of the shared unknowns of each law.
-    """
+    """One record in the fit's frame, its cycles (unflagged ones are fitted), its ripple, the user's values by law."""
 
     motion: MeasuredMotion
     cut: CycleSegmentation
@@ -64,7 +61,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class EstimationProblem:
-    """What stays the same through a law's passes; arrays over the unknowns of all runs unless said otherwise."""
+    """Constants of a law's passes; arrays over the unknowns of all runs unless said otherwise."""
 
     law: int
     runs: tuple[Run, ...]
@@ -79,8 +76,8 @@ class EstimationProblem:
     def build(cls, law: int, runs: Sequence[Run], name: int | str | None = None) -> "EstimationProblem":
         """Regress the start and turn the calibrations into priors.
 
-        Several runs start from the median of what their regressions say of the contact.  What the user gives is that of
-        the law, or of another one of that ``name`` on its contact.
+        Several runs start from the median regression of the contact; the user's values are those of ``name`` where
+        given.
         """
         kind = LAWS[law]
         motions = tuple(run.motion for run in runs)
@@ -140,7 +137,7 @@ class EstimationProblem:
         ).with_given(law if name is None else name)
 
     def with_given(self, name: int | str) -> "EstimationProblem":
-        """Return the problem with what the user gives of a law's shared unknowns."""
+        """Return the problem with the user's values of a law's shared unknowns."""
         if not any(run.given.get(name) for run in self.runs):
             return self
         start, lower, upper, prior, precision = (
@@ -160,11 +157,11 @@ class EstimationProblem:
 
     @property
     def held(self) -> NDArray[np.bool_]:
-        """Which unknowns of all runs have one value."""
+        """The fixed unknowns of all runs."""
         return np.asarray(self.lower == self.upper)
 
     def with_overtaking(self, overtaking: NDArray[np.bool_]) -> "EstimationProblem":
-        """Return the problem with these cycles (cycles,) as ones in which the mass overtakes the belt after landing."""
+        """Return the problem with these cycles (cycles,) as ones that overtake the belt after landing."""
         flags = iter(overtaking)
         runs = []
         for run in self.runs:
@@ -184,9 +181,9 @@ class EstimationProblem:
         return np.clip(start, self.lower, self.upper), size
 
     def start_near(self, other: int, u: Array) -> Array:
-        """Return the unknowns (13 runs,) at which the fit u of another law would begin to be this law.
+        """Return the unknowns (13 runs,) of this law nearest the fit u of another.
 
-        A ramp begins next to none; a curve of another kind with the same friction at two slip speeds.
+        A new ramp is almost closed; another curve has the same friction at two slip speeds.
         """
         start, own, near = u.copy(), LAWS[self.law], LAWS[other]
         if own.ramp and not near.ramp:
@@ -212,19 +209,18 @@ class EstimationProblem:
 
     @property
     def curve(self) -> int:
-        """Code of the law's curve, as the flow wants it."""
+        """Code of the law's curve in the flow."""
         return LAWS[self.law].curve_code
 
     @property
     def ramp(self) -> bool:
-        """Whether the law's contact has a ramp."""
         return bool(LAWS[self.law].ramp)
 
     @property
     def level_prior(self) -> float:
         """Standard deviation of the prior of the friction levels, in standard deviations of their scatter.
 
-        Constant friction holds the datum, so that no level pulls at it.
+        Constant friction fixes the datum, so that no level pulls at it.
         """
         return 1.0 if LAWS[self.law].curve == "constant" else level_prior(self.motions)
 
@@ -234,14 +230,13 @@ class EstimationProblem:
 
     @property
     def cycles(self) -> tuple[Cycle, ...]:
-        """The cycles that are fitted, run by run."""
         return tuple(cycle for run in self.runs for cycle in run.cut.used)
 
 
 def _regressed(
     law: int, runs: Sequence[Run], drag: Callable[[Array], Array] | None = None
 ) -> tuple[list[parameters.Values], float]:
-    """Return each run's regression, what it says of the contact the median of all; the size of a drag likewise."""
+    """Return each run's regression, with the medians of the contact, and the median size of a drag."""
     kind = LAWS[law]
     found = [
         starts.regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_calibration(run.motion), drag)
@@ -252,7 +247,7 @@ def _regressed(
 
 
 def thinned_to(run: Run) -> Thinning:
-    """Return how a run is thinned: to `COARSE_SAMPLES` a slip, and in a stick, unless its belt ripples."""
+    """Return the thinning of a run: `COARSE_SAMPLES` a slip, also in a stick unless its belt ripples."""
     motion = run.motion
     stride = max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE_SAMPLES))
     return Thinning(stride, COARSE_SAMPLES if run.ripple is None else math.inf)
@@ -275,7 +270,7 @@ def datum_calibration(motion: MeasuredMotion) -> Measured:
 
 
 def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:
-    """Return c/m, 1/s: the ring-down's, or 0 +- a hundredth of the critical damping."""
+    """Return c/m, 1/s: from the ring-down, or 0 +- a hundredth of the critical damping."""
     known = motion.damping_prior
     mass = motion.mass.value if motion.mass else motion.stiffness.value / K if motion.stiffness else None
     if known is None or mass is None:
@@ -284,12 +279,12 @@ def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:
 
 
 def _sizes(motion: MeasuredMotion, K: float) -> dict[Global, float]:
-    """Return the natural size of each unknown that may be given."""
+    """Return the natural sizes of the unknowns."""
     v, omega = motion.belt_speed, math.sqrt(K)
     sizes = {Global.K: K, Global.LOG_F: 1.0, Global.V_DR: v, Global.SHAPE: 1 / v, Global.D: v, Global.STATIC: 1.0}
     return sizes | {Global.DATUM: motion.travel, Global.DAMPING: omega}
 
 
 def _precision(sd: float, exact: float) -> float:
-    """Return 1/sd^2; a calibration stated without an error counts as known to ``exact``."""
+    """Return 1/sd^2; a calibration without an error has the error ``exact``."""
     return 1 / max(sd, exact) ** 2 if max(sd, exact) > 0 else 0.0

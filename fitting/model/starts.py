@@ -32,7 +32,7 @@ STICK_SLOPE = 0.12  # slips: shortest stretch of stick whose slope is worth a fi
 
 @dataclass(frozen=True, eq=False)
 class SlipSamples:
-    """The trimmed slip samples: position x (m), slip speed s (m/s), acceleration a (m/s^2), each of shape (n,)."""
+    """The trimmed slip samples: position x (m), slip speed s (m/s), acceleration a (m/s^2), each (n,)."""
 
     x: Array
     s: Array
@@ -40,9 +40,9 @@ class SlipSamples:
 
 
 def slip_samples(motion: MeasuredMotion, cut: CycleSegmentation) -> SlipSamples:
-    """Collect the samples of every slip, half a smoothing window away from its two corners.
+    """Collect the samples of every slip, half a smoothing window away from its corners.
 
-    Where the window is as long as all slips, what is left of them without a quarter on either side.
+    Where the window is as long as all slips, the middle half.
     """
     s = motion.belt_speed - motion.velocity
     slips = s > 0.02 * motion.belt_speed
@@ -59,10 +59,10 @@ def slip_samples(motion: MeasuredMotion, cut: CycleSegmentation) -> SlipSamples:
 
 
 def stick_velocity_line(motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[float, float]:
-    """Return (velocity at the record's zero, slope dv/dx) of the plateaus, in m/s and 1/s.
+    """Return velocity at the record's zero, m/s, and slope dv/dx, 1/s, of the plateaus.
 
-    A jump contact sticks at the belt's speed (slope 0); on a ramp the mass falls behind in proportion to the spring's
-    pull (slope -d K/F).  Without a plateau worth a fit the slope is 0 and the speed is the belt's first value.
+    A jump contact sticks at the belt's speed (slope 0); on a ramp the slope is -d K/F. Without a plateau the slope is 0
+    and the speed is the belt's first value.
     """
     rows: list[Array] = []
     for cycle in cut.used:
@@ -79,10 +79,7 @@ def stick_velocity_line(motion: MeasuredMotion, cut: CycleSegmentation) -> tuple
 
 
 def break_away_position(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
-    """Return the median position at which the mass leaves the belt, m.
-
-    The load there is the break-away level, so the level of slip at rest, at datum + Fs/k, lies no further on.
-    """
+    """Return the median position at which the mass leaves the belt, m: an upper bound of datum + Fs/k."""
     return float(np.median(np.interp([cycle.break_away for cycle in cut.used], motion.time, motion.position)))
 
 
@@ -94,16 +91,10 @@ def regress_start(
     datum: Measured,
     drag: Callable[[Array], Array] | None = None,
 ) -> tuple[Values, float]:
-    """Regress one law's starting values; damping, fade and what the belt does besides are 0.
+    """Regress one law's starting values, and the size of a drag; damping, fade and belt variations are 0.
 
-    motion, cut: The record and its cycles (at least one used).
-    curve: CONSTANT, LINEAR or HYPERBOLIC.
-    ramp: Whether the contact has a ramp.
-    datum: What is known of the spring's rest position, m.  The hyperbola finds its own where that is little, since it
-        falls towards zero; the other curves cannot.
-    drag: A force by the mass's own velocity, regressed besides: velocities (n,) to the acceleration (n,) of a unit of
-        it, m/s^2.
-    Returns: Of the drag; 0 without one.
+    A hyperbola determines a poorly known ``datum`` (m) by itself, since it falls towards zero. ``drag`` maps velocities
+    (n,) to the acceleration of a unit, m/s^2.
     """
     samples = slip_samples(motion, cut)
     level, slope = stick_velocity_line(motion, cut)
@@ -129,9 +120,9 @@ def regress_start(
 def cycle_starts(
     windows: ShootingWindows, motions: Sequence[MeasuredMotion], cycles: Sequence[Cycle], u: Array
 ) -> Array:
-    """Return where the cycles' own unknowns (cycles, 6) start beside shared ones u (13 runs,): at the smoothed motion.
+    """Return starts (cycles, 6) of the cycles' own unknowns at the smoothed motion, for shared ones u (13 runs,).
 
-    Where the mass overtakes the belt, the new level must be below the load it landed with, or it would not.
+    Where the mass overtakes the belt, the new level is below the load at landing.
     """
     local = windows.starting_values(motions)
     for k, (cycle, run) in enumerate(zip(cycles, windows.run, strict=True)):
@@ -144,12 +135,7 @@ def cycle_starts(
 
 
 def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float) -> tuple[float, float]:
-    """Return (F, shape) of a curve that has the friction of another one at a quarter and three quarters of a speed.
-
-    curve, other: CONSTANT, LINEAR or HYPERBOLIC: the curve wanted, and the one known.
-    F, shape: Of the curve known, in the units of `fitting.model.parameters.Values`.
-    fastest: m/s; the fastest slip.
-    """
+    """Return (F, shape) of a curve that equals another at a quarter and three quarters of ``fastest``, m/s."""
     s = np.array([0.25, 0.75]) * fastest
     near, far = magnitude(other, s, F, shape * F, shape)
     if curve == CONSTANT or not near > far > 0:
@@ -163,12 +149,7 @@ def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float
 
 
 def with_static(curve: int, p: Values, static: float) -> Values:
-    """Return a ramp law with another break-away level but the same friction in slip and the same slope in stick.
-
-    curve: CONSTANT, LINEAR or HYPERBOLIC.
-    p: With a ramp, d > 0.
-    static: The new break-away level over Fs.
-    """
+    """Return a ramp law with another break-away level over Fs but the same friction in slip and slope in stick."""
     # With f the new F over the old and r the new static over the old, the slope in stick asks for d = r f p.d, and the
     # same friction in slip for f = 1 - shape (d - p.d), or 1/(1 + shape (d - p.d)).
     wide, steep = p.d * static / p.static, p.shape * p.d
@@ -185,10 +166,10 @@ def with_static(curve: int, p: Values, static: float) -> Values:
 
 @dataclass(frozen=True, eq=False)
 class _Slips:
-    """What a regression reads.
+    """The data of a regression.
 
-    ``besides`` (n, k), k of 0 or 1, are accelerations by what is regressed besides the law, ``while_stuck`` (k,) those
-    on the belt; the mass leaves the belt before ``x_slip``, m.
+    ``besides`` (n, k), k of 0 or 1, are accelerations of a drag, ``while_stuck`` (k,) those on the belt; the mass
+    leaves the belt before ``x_slip``, m.
     """
 
     samples: SlipSamples
@@ -200,10 +181,7 @@ class _Slips:
 def _curve(
     slips: _Slips, curve: int, datum: float, d: float, v_dr: float, loose: bool
 ) -> tuple[float, float, float, float, float]:
-    """Return (K, F, shape, datum) of one slip curve and the size of what is regressed besides.
-
-    Falls back to the kinematics where the regression is absurd.
-    """
+    """Return (K, F, shape, datum) of one slip curve and the size of the drag, or the kinematics' if absurd."""
     samples, besides = slips.samples, slips.besides
     x, s, a = samples.x - datum, np.maximum(samples.s - d, 0.0), samples.a
     one = np.ones_like(x)
@@ -240,10 +218,10 @@ def _curve(
 
 
 def _rest_by_scatter(motion: MeasuredMotion, cut: CycleSegmentation, otherwise: float) -> float:
-    """Return the spring's rest position that the scatter of the levels betrays, m.
+    """Return the spring's rest position from the scatter of the levels, m.
 
     Cycle by cycle a = -K x + p - q s with p = level F + K b and q = level G: p against q is a line that meets q = 0 at
-    K b.  Needs three cycles whose levels differ; otherwise returns ``otherwise``.
+    K b. Needs three cycles whose levels differ; otherwise returns ``otherwise``.
     """
     rows = []
     for cycle in cut.used:

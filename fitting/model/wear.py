@@ -1,8 +1,8 @@
-"""Wear: how fast the friction level falls from cycle to cycle, by a straight line through the cycles' own levels.
+"""Wear: the decrease of the friction level from cycle to cycle, by a straight line through the cycles' levels.
 
-A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  The change
-of a level within one cycle is a separate parameter of the fit (`fitting.model.parameters`, fade) and is not used for
-wear, since a contact may lose its strength only where it is formed anew.
+A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  The change of
+a level within one cycle is a separate parameter of the fit (`fitting.model.parameters`, fade) and is not used for wear,
+since a contact may lose its strength only where it is formed anew.
 """
 
 from dataclasses import dataclass
@@ -19,15 +19,13 @@ FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
 
 @dataclass(frozen=True)
 class Wear:
-    """The line through a run's levels."""
-
     relative_rate: Measured  # fraction of the mean level lost per second, 1/s; negative where the contact runs in
     middle: float  # s, the mean time of the levels: there the line passes through their mean
     degrees_of_freedom: int  # of the standard error of ``relative_rate``
 
     @property
     def first(self) -> Measured:
-        """Level when the recording begins, over the mean level; the error is the line's, not the mean's."""
+        """Level when the recording begins, over the mean level; the error is the line's."""
         return Measured(1 + self.relative_rate.value * self.middle, self.relative_rate.sd * self.middle)
 
     @property
@@ -38,12 +36,7 @@ class Wear:
 
 
 def level_trend(time: Array, level: Array) -> Wear | None:
-    """Fit the least-squares line of friction levels over time.
-
-    time: (n,) s, each level's cycle.
-    level: (n,) Friction level of each cycle, in any unit.
-    Returns: None for fewer than four levels, or where the line falls below zero before the recording begins.
-    """
+    """Fit a line to levels (n,) at times (n,), s; None for fewer than four, or if it is negative at the start."""
     if level.size < FEWEST_LEVELS:
         return None
     level = level / level.mean()
@@ -58,7 +51,7 @@ def level_trend(time: Array, level: Array) -> Wear | None:
 
 
 def of_cycles(windows: ShootingWindows, inlier: Mask, local: Array, run: int) -> Wear | None:
-    """Return the line through the friction levels of one run's inlier cycles; ``local`` (cycles, 6) has their logs."""
+    """Return the line through one run's inlier levels, whose logs ``local`` (cycles, 6) has."""
     table = windows.table
     own = (table[:, 1] == 0) & (table[:, 5] == run) & inlier[table[:, 0]]
     return level_trend(windows.level_epoch[own], np.exp(local[table[own, 0], PerCycle.LEVEL]))

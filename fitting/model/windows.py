@@ -1,4 +1,4 @@
-"""The samples that a fit predicts: a stick window and a slip window of each cycle."""
+"""The samples of a fit: a stick window and a slip window of each cycle."""
 
 import math
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ BESIDE_BELT = 0.9995  # speed over the belt's: the fastest start of a slip windo
 
 
 class Thinning(NamedTuple):
-    """Which samples of a window are taken: every ``stride``-th, and of a long stick about ``most`` in all."""
+    """The samples of a window to take: every ``stride``-th, and about ``most`` of a long stick."""
 
     stride: int = 1
     most: float = math.inf
 
     def taken(self, size: int, stuck: int) -> NDArray[np.int64]:
-        """Return which of a window's samples are taken; from sample ``stuck`` on the mass is stuck."""
+        """Return the samples taken of a window that sticks from sample ``stuck`` on."""
         moving = np.arange(0, stuck, self.stride)
         begin = moving.size * self.stride
         return np.concatenate([moving, np.arange(begin, size, max(self.stride, int((size - begin) / self.most)))])
@@ -37,9 +37,9 @@ EVERY_SAMPLE = Thinning()
 
 
 def stuck_from(time: Array, stick: int, landing: float, *, overtakes: bool) -> int:
-    """Return from which sample of a window (n,), s, on the mass is stuck.
+    """Return the first stuck sample of a window (n,), s.
 
-    Where it overtakes the belt after landing, it slips forwards for less time than it slipped before.
+    After overtaking the belt, it slips forwards for less time than it slipped before.
     """
     if stick:
         return 0
@@ -68,7 +68,6 @@ class ShootingWindows:
     def from_cycles(
         cls, motion: MeasuredMotion, cycles: tuple[Cycle, ...], thinning: Thinning = EVERY_SAMPLE
     ) -> "ShootingWindows":
-        """Gather the windows of the given cycles."""
         table, level_epoch, earliest_landing, source, rows, total = [], [], [], [], [], 0
         for k, cycle in enumerate(cycles):
             begin = total
@@ -95,7 +94,7 @@ class ShootingWindows:
 
     @classmethod
     def join(cls, parts: "Sequence[ShootingWindows]") -> "ShootingWindows":
-        """Put the windows of several runs end to end; those of one run stay as they are."""
+        """Concatenate the windows of several runs; those of one run stay as they are."""
         if len(parts) == 1:
             return parts[0]
         tables: list[NDArray[np.int64]] = []
@@ -117,7 +116,7 @@ class ShootingWindows:
         )
 
     def some(self, cycles: NDArray[np.int64]) -> "ShootingWindows":
-        """Return the windows of these cycles (indices, rising) alone."""
+        """Return the windows of these cycles (ascending indices)."""
         number = np.full(len(self.rows), -1)
         number[cycles] = np.arange(cycles.size)
         own = number[self.table[:, 0]] >= 0
@@ -137,14 +136,14 @@ class ShootingWindows:
 
     @property
     def run(self) -> NDArray[np.int64]:
-        """Which run each cycle is of, shape (cycles,)."""
+        """Run of each cycle, shape (cycles,)."""
         found = np.zeros(len(self.rows), np.int64)
         found[self.table[:, 0]] = self.table[:, 5]
         return found
 
     @property
     def overtaking(self) -> NDArray[np.bool_]:
-        """Return in which cycles (cycles,) the mass overtakes the belt."""
+        """Return the cycles (cycles,) in which the mass overtakes the belt."""
         found = np.zeros(len(self.rows), np.bool_)
         found[self.table[:, 0]] = self.table[:, 4] == 1
         return found
@@ -154,14 +153,14 @@ class ShootingWindows:
         return np.array([math.sqrt(float(np.mean(residual[rows] ** 2))) for rows in self.rows])
 
     def spoilt(self, residual: Array) -> NDArray[np.bool_]:
-        """Return which cycles (cycles,) leave far more of the residuals (N,) than the usual one of their run."""
+        """Return the cycles (cycles,) with residuals (N,) far above the median of their run."""
         square = np.array([np.mean(residual[rows] ** 2) for rows in self.rows])
         run = self.run
         usual = np.array([np.median(square[run == one]) for one in range(int(run.max()) + 1)])
         return np.asarray(square > SPOILT * usual[run])
 
     def starting_values(self, motions: Sequence[MeasuredMotion]) -> Array:
-        """Return starting values of the cycles' own unknowns, from the smoothed motions; shape (cycles, 6)."""
+        """Return starting values (cycles, 6) of the cycles' own unknowns, from the smoothed motions."""
         local = np.zeros((len(self.rows), PER_CYCLE))
         for k, stick, first, _, _, run in self.table:
             motion = motions[run]
@@ -174,10 +173,8 @@ class ShootingWindows:
     def fastest_starts(self, u: Array) -> Array:
         """Return upper bounds (cycles, 6) of the cycles' own unknowns: a slip starts slower than the belt.
 
-        A start beyond the belt's speed meets friction in the other direction.  Noise hides that, and curve, level and
-        damping can use it: local minima with Fs 15 % and friction 7 % off.
-
-        u: (13 runs,) The unknowns, for the belt's speed when each window starts.
+        Beyond the belt's speed friction is reversed. Noise hides that, and curve, level and damping can use it: local
+        minima with Fs 15 % and friction 7 % off.
         """
         found = np.full((len(self.rows), PER_CYCLE), np.inf)
         for k, stick, first, _, _, run in self.table:

@@ -1,1 +1,1 @@
-"""What is written: page, pictures, tables, the stage in the run file."""
+"""The outputs: page, pictures, tables, the stage in the run file."""

@@ -26,15 +26,13 @@ def by_law(ranking: RankedLaws) -> list[LawResult]:
 
 
 def colours_of(ranking: RankedLaws) -> dict[int | str, str]:
-    """Return the colour of each law, the same in every picture."""
     return law_colours(row.law for row in ranking.rows)
 
 
 def measured_curve(ranking: RankedLaws) -> str:
-    """Draw friction against relative speed: the measured curve with its band, the laws behind it, and a zoom near 0.
+    """Draw friction against relative speed: the measured curve with its band, over the laws, and a zoom near 0.
 
-    Each law has its own dashes; those of the set are heavier.  Where the record hardly determines the level of
-    friction, the laws are drawn at the level of the measured curve.
+    Compatible laws are heavier; an undetermined level of friction is that of the measured curve.
     """
     curve = ranking.adequacy.curve
     if curve is None:
@@ -69,7 +67,7 @@ def measured_curve(ranking: RankedLaws) -> str:
 
 
 def _force(ranking: RankedLaws, row: LawResult, speed: Array) -> Array:
-    """Return a law's friction at relative speeds, at the level of the measured curve where that is not determined."""
+    """Return a law's friction at relative speeds, at the level of the measured curve if undetermined."""
     force = np.abs(curves.curve(row.fit, ranking.motion, -speed))
     curve = ranking.adequacy.curve
     if curve is None or curve.level_known:
@@ -79,9 +77,9 @@ def _force(ranking: RankedLaws, row: LawResult, speed: Array) -> Array:
 
 
 def orbits(ranking: RankedLaws) -> str:
-    """Draw the phase portrait once a law: one cycle of each run as measured, and over it the law, with its error.
+    """Draw phase portraits of the laws over a measured cycle of each run, with the error.
 
-    It is the cycle in the middle of all by the best law's error.
+    It is the cycle with the median error of the best law.
     """
     rows, colours = by_law(ranking), colours_of(ranking)
     columns = min(len(rows), 3)

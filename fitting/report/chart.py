@@ -1,6 +1,6 @@
-"""Charts as SVG text to stand inside a page: axes with ticks, lines, bands, marks, and clouds as images.
+"""Charts as SVG text inside a page: axes with ticks, lines, bands, marks, and clouds as images.
 
-By matplotlib the ten pictures of a report took 4 s of CPU time, half of a whole `fit-friction`; these take 0.4 s.
+Matplotlib took 4 s of CPU time for the ten pictures of a report, half of a whole `fit-friction`; these take 0.4 s.
 """
 
 import base64
@@ -30,7 +30,7 @@ MOST_TICKS, PX_PER_TICK = 6, (62.0, 34.0)  # along x and y
 
 @dataclass(eq=False)
 class Axes:
-    """Axes of one picture and what is drawn into them; lengths in px, x to the right and y down."""
+    """Axes of one picture and their contents; lengths in px, x to the right and y down."""
 
     left: float  # of all, title and labels included
     top: float
@@ -55,7 +55,6 @@ class Axes:
 
     @property
     def foot(self) -> float:
-        """Height below the field, px."""
         return CLOSE if self.over else BOTTOM
 
     def _at(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -65,7 +64,7 @@ class Axes:
         return left + (right - left) * px, bottom - (bottom - top) * py
 
     def key(self, label: str, colour: str, dash: str = "") -> None:
-        """Name a line in the legend that is drawn elsewhere."""
+        """Add a line to a legend elsewhere."""
         self._key(label, f'<path {_stroke(colour, 0.8, dash)} d="M0,0h18"/>')
 
     def _key(self, label: str | None, sign: str) -> None:
@@ -75,7 +74,7 @@ class Axes:
     def line(
         self, x: Array, y: Array, colour: str, *, width: float = 1.2, dash: str = "", label: str | None = None
     ) -> None:
-        """Draw a line through points (n,); it breaks where one is not finite."""
+        """Draw a line through points (n,), interrupted where one is not finite."""
         px, py = self._at(x, y)
         style = _stroke(colour, width, dash)
         self._drawn.append(f'<path {style} stroke-linejoin="round" d="{_path(px, py)}"/>')
@@ -84,7 +83,7 @@ class Axes:
     def level(
         self, value: float, colour: str, *, dash: str = "", upright: bool = False, label: str | None = None
     ) -> None:
-        """Draw a line across the whole field at a value of y, or of x where ``upright``."""
+        """Draw a line across the field at a value of y, or of x where ``upright``."""
         ends = np.array([self.x.low, self.x.high] if not upright else [self.y.low, self.y.high])
         same = np.full(2, value)
         x, y = (same, ends) if upright else (ends, same)
@@ -120,14 +119,14 @@ class Axes:
             self._drawn.append(f'<path fill="{colour}" fill-opacity="0.55" stroke="#fff" d="{_path(px, py)}Z"/>')
 
     def text(self, x: float, y: float, words: str, shift: tuple[float, float] = (4.0, 3.5)) -> None:
-        """Write words beside a point; ``shift`` is in px."""
+        """Write words next to a point; ``shift`` is in px."""
         px, py = self._at(np.array([x]), np.array([y]))
         self._drawn.append(_text(float(px[0]) + shift[0], float(py[0]) + shift[1], words, SMALL))
 
     def cloud(
         self, x: Array, y: Array, colour: str, *, size: float = 1.4, opacity: float = 0.5, label: str | None = None
     ) -> None:
-        """Draw many dots (n,) as an image; where they lie on each other it is darker."""
+        """Draw many dots (n,) as an image, darker where they overlap."""
         self._image(lambda shape, fine: _dots(*self._fine(x, y, fine), shape, round(size * fine), opacity), colour)
         self._key(label, f'<circle cx="9" r="3" fill="{colour}"/>')
 
@@ -167,7 +166,7 @@ class Axes:
         self._drawn.append(f'<image {size} preserveAspectRatio="none" href="data:image/png;base64,{data}"/>')
 
     def svg(self, name: str) -> str:
-        """Return the axes as SVG; their ``name`` is unlike any other on the page."""
+        """Return the axes as SVG; ``name`` must be unique on the page."""
         left, top, right, bottom = self.frame
         lines, words = [], []
         most = [
@@ -202,7 +201,7 @@ class Axes:
         )
 
     def _legend_rows(self) -> list[str]:
-        """Return the legend above the field, from left to right, in as many rows as it takes."""
+        """Return the legend above the field, from left to right, in rows."""
         left, top, right, _ = self.frame
         first, drawn = top - ROW * self.rows + 7.0, []
         places = _legend_places([label for label, _ in self._legend], right - left)
@@ -213,18 +212,18 @@ class Axes:
 
 
 def text_width(words: str, size: float) -> float:
-    """Return about how wide a text is in the broadest usual font, px."""
+    """Return the approximate width of a text in the broadest usual font, px."""
     thin, other, broad = WIDTHS
     return size * sum(thin if letter in THIN else broad if letter in BROAD else other for letter in words)
 
 
 def legend_rows(labels: Sequence[str], width: float) -> int:
-    """Return the rows that a legend takes above axes of this ``width``, px."""
+    """Return the number of legend rows above axes of this ``width``, px."""
     return 1 + max((row for _, row in _legend_places(labels, width - LEFT - RIGHT)), default=0)
 
 
 def _legend_places(labels: Sequence[str], width: float) -> list[tuple[float, int]]:
-    """Return where each label of a legend begins, px from the left, and in which row; ``width`` is the field's."""
+    """Return left end, px, and row of each label of a legend over a field of this ``width``."""
     x, row, places = 0.0, 0, []
     for label in labels:
         taken = 30.0 + text_width(label, SMALL)
@@ -236,10 +235,7 @@ def _legend_places(labels: Sequence[str], width: float) -> list[tuple[float, int
 
 
 def picture(name: str, width: float, height: float, axes: Sequence[Axes], about: str) -> str:
-    """Return axes as an ``<svg>`` element; ``name`` is unlike that of any other picture of the page.
-
-    ``about`` says what is drawn, for those who cannot see it.
-    """
+    """Return axes as an ``<svg>`` element with a unique ``name``; ``about`` is the text alternative."""
     inner = "".join(one.svg(f"{name}-{number}") for number, one in enumerate(axes))
     named = f'role="img" aria-label="{html.escape(about)}"'
     head = f'<svg viewBox="0 0 {width:g} {height:g}" {named} font-family="sans-serif" fill="#222222"'
@@ -257,7 +253,7 @@ def _stroke(colour: str, width: float, dash: str) -> str:
 
 
 def _path(px: Array, py: Array) -> str:
-    """Return a path through points (n,), without those that lie on the one before."""
+    """Return a path through points (n,), without repeated ones."""
     parts, before, down = [], "", False
     for a, b in zip(px.tolist(), py.tolist(), strict=True):
         if not math.isfinite(a + b):
@@ -271,7 +267,7 @@ def _path(px: Array, py: Array) -> str:
 
 
 def _along(px: Array, py: Array) -> tuple[Array, Array]:
-    """Return points no further apart than one pixel along a line through points (n,)."""
+    """Return points at most one pixel apart along a line through points (n,)."""
     good = np.isfinite(px + py)
     px, py = px[good], py[good]
     steps = np.maximum(np.ceil(np.maximum(np.abs(np.diff(px)), np.abs(np.diff(py)))), 1).astype(np.int64)
@@ -281,7 +277,7 @@ def _along(px: Array, py: Array) -> tuple[Array, Array]:
 
 
 def _dashed(px: Array, py: Array, dash: str, fine: float) -> tuple[Array, Array]:
-    """Return those points along a line that lie in its dashes; ``fine`` is the number of image pixels per px."""
+    """Return the points of a line within its dashes; ``fine`` is the number of image pixels per px."""
     if not dash or not px.size:
         return px, py
     ends = fine * np.cumsum([float(length) for length in dash.split()])
@@ -291,7 +287,7 @@ def _dashed(px: Array, py: Array, dash: str, fine: float) -> tuple[Array, Array]
 
 
 def _dots(px: Array, py: Array, shape: tuple[int, int], size: int, opacity: float) -> Array:
-    """Return how far square dots cover an image of this shape, rows by columns."""
+    """Return the coverage of an image of this shape (rows, columns) by square dots."""
     rows, columns = shape
     x, y = np.floor(px).astype(np.int64), np.floor(py).astype(np.int64)
     inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)

@@ -1,4 +1,4 @@
-"""The comparison of runs that were fitted one by one: a page with their verdicts, and their parameters side by side."""
+"""The comparison of separately fitted runs: a page with their verdicts and parameters."""
 
 import html
 import math
@@ -29,7 +29,7 @@ HEAD, PER_RUN = 76.0, 22.0  # px of a panel: its title and labels, and each run
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One run: its file, the document of its fit (empty where it failed), and what went wrong."""
+    """One run: its file, the document of its fit (empty where it failed), and the error."""
 
     file: Path
     document: Mapping[str, Any]
@@ -46,12 +46,11 @@ class ComparedRun:
 
     @property
     def members(self) -> tuple[int | str, ...]:
-        """The laws in the set."""
         return (*self.document.get("set", ()), *self.document.get("rivals", ()))
 
     @property
     def decided(self) -> bool:
-        """Whether one law is left that describes the record."""
+        """Whether exactly one compatible law describes the record."""
         shown = (self.parameter(name) for name in SHOWN)
         return self.members == (self.law,) and all(p is None or p.trusted for p in shown)
 
@@ -64,19 +63,19 @@ class ComparedRun:
         return [name for name in SHOWN if name in parameters] + (list(others) if "formula" in best else [])
 
     def parameter(self, name: str) -> Parameter | None:
-        """Return a parameter of the best law; None where it has none of this name."""
+        """Return a parameter of the best law; None if it has no such parameter."""
         item = None if self._best is None else self._best["parameters"].get(name)
         return None if item is None else _parameter(item)
 
 
 def _parameter(item: Mapping[str, Any]) -> Parameter:
-    """Return a parameter from its form in the document; what is withheld there is NaN."""
+    """Return a parameter from its form in the document, NaN where withheld."""
     stderr, lo, hi = (math.nan if item[key] is None else item[key] for key in ("stderr", "lo", "hi"))
     return Parameter(item["value"], stderr, lo, hi, item["unit"], trusted=item["stderr"] is not None)
 
 
 def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = False) -> None:
-    """Raise InputError when ``path`` cannot be written, or without ``force`` is no comparison of just these runs."""
+    """Raise InputError when ``path`` cannot be written or, without ``force``, is not a comparison of these runs."""
     atomic.refuse_existing(path, force, own=MARK, kind="comparison of runs", flag="--report")
     if path.exists() and not force and _mark(files) not in path.read_text(encoding="utf-8", errors="replace"):
         do = "give another name (--report), or --force to replace it"
@@ -84,26 +83,22 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
 
 
 def _mark(files: Sequence[Path]) -> str:
-    """Return the head lines by which the page of these runs is known again."""
+    """Return the head lines that identify the page of these runs."""
     names = html.escape(", ".join(file.name for file in files))
     return f'{MARK} {html.escape(VERSION)}">\n<meta name="runs" content="{names}">'
 
 
 def write(runs: Sequence[ComparedRun], path: Path, alpha: float, summary: str, *, force: bool = False) -> None:
-    """Write the comparison; an older one of the same runs is replaced.
+    """Write the comparison, in place of an older one of the same runs.
 
-    runs: In the order in which they are shown.
-    alpha: 1 - confidence level of the intervals.
-    summary: How many were decided, undecided and so on.
-    Raises InputError: when ``path`` holds something else.
-    Raises RefusedError: the disk refuses; an older page still stands.
+    Raises InputError where ``path`` is another file, and RefusedError where it cannot be written; an older page then
+    remains.
     """
     refuse_foreign_file(path, [run.file for run in runs], force=force)
     page.put(render(runs, alpha, summary), path)
 
 
 def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
-    """Return the page as HTML."""
     from markupsafe import Markup
 
     known = dict.fromkeys(name for run in runs for name in run.names)

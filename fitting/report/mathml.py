@@ -1,7 +1,7 @@
-"""A friction formula typeset: MathML, which browsers show and print without a script.
+"""A friction formula typeset in MathML, which browsers show and print without a script.
 
 Names of Greek letters become the letters, ``v_s`` and ``Fs`` get subscripts, a quotient is a fraction, ``exp`` a power
-of e.  Brackets stand where the notation needs them, whatever was typed.
+of e.  Brackets follow from the notation, not from the input.
 """
 
 import html
@@ -26,7 +26,6 @@ INDEXED = re.compile(r"([A-Z])([a-z]{1,2}\d?|\d)")  # Fs, Fc, F0
 
 
 def typeset(text: str) -> str:
-    """Return the formula of a friction curve as a ``<math>`` element."""
     stack: list[Typeset] = []
     for step in Formula.parse(text).steps:
         taken = [stack.pop() for _ in range(step.takes)][::-1]
@@ -53,7 +52,7 @@ def _step(step: Operation, taken: list[Typeset]) -> Typeset:
 
 
 def _within(part: Typeset, least: int) -> str:
-    """Return an expression, in brackets where it binds less strongly than its place needs."""
+    """Return an expression, in brackets where it binds less strongly than ``least``."""
     text, binds = part
     return text if binds >= least else f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>"
 

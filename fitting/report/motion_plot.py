@@ -20,7 +20,7 @@ Part = tuple[Array, Array, Array]  # time (s), position (mm), velocity (m/s)
 
 
 def typical_cycle(row: LawResult) -> Cycle:
-    """Return the cycle in the middle of all by a law's error."""
+    """Return the cycle with a law's median error."""
     order = np.argsort(row.fit.cycle_rms, kind="stable")
     return row.fit.cycles[int(order[order.size // 2])]
 
@@ -32,14 +32,14 @@ def extent(cycle: Cycle) -> slice:
 
 
 def measured_motion(side: RankedLaws, cycle: Cycle | None = None) -> Part:
-    """Return the smoothed motion of a run, or of one cycle of it."""
+    """Return the smoothed motion of a run or of one cycle."""
     motion, samples = side.motion, slice(None) if cycle is None else extent(cycle)
     time = motion.begin + motion.time[samples]
     return time, MM * motion.sign * motion.position[samples], motion.sign * motion.velocity[samples]
 
 
 def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> list[Part]:
-    """Return the motion of a law in each window of its fit, or in those of one cycle."""
+    """Return the motion of a law in each window of its fit, or of one cycle."""
     windows = row.fit.windows
     model = windows.position + row.fit.residual
     parts = [
@@ -58,7 +58,7 @@ def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> lis
 
 
 def begins(ranking: RankedLaws) -> list[float]:
-    """Return what is added to the times of each run so that they follow one another, s; 0 for a single run."""
+    """Return the offsets of each run's times, s, that put the runs one after another."""
     if not ranking.runs:
         return [0.0]
     spans = np.array([side.motion.span for side in ranking.sides])
@@ -68,7 +68,7 @@ def begins(ranking: RankedLaws) -> list[float]:
 
 
 def time_label(ranking: RankedLaws) -> str:
-    """Return the name of the times that `begins` shifts."""
+    """Return the label of the times that `begins` shifts."""
     return "time, one run after another (s)" if ranking.runs else "time (s)"
 
 
@@ -84,9 +84,9 @@ def record(ranking: RankedLaws) -> str:
 
 
 def cycle(ranking: RankedLaws) -> str:
-    """Draw position and velocity of one cycle of each run against the time since its break-away.
+    """Draw position and velocity of a typical cycle of each run against the time since its break-away.
 
-    Measured positions are the readings themselves; the velocity is the smoothed one.  The cycle is the typical one.
+    Positions are the readings, velocities are smoothed.
     """
     measured, fitted = [], []
     for side in ranking.sides:
@@ -104,7 +104,7 @@ def cycle(ranking: RankedLaws) -> str:
 def _over_time(
     name: str, ranking: RankedLaws, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
 ) -> str:
-    """Draw position above velocity against one time; what is measured broad and pale, the fit thin and dark."""
+    """Draw position above velocity against time: the measurement broad and pale, the fit thin and dark."""
     runs, opacity = [("measured", MEASURED)], PALE_RUN if ranking.runs else PALE
     if ranking.runs:
         runs = [(f"run {number}", run_colour(number)) for number in range(1, len(measured) + 1)]

@@ -1,4 +1,4 @@
-"""The report: one static page with its pictures inside, nothing fetched from anywhere, made to be printed."""
+"""The report: one static, printable page that includes its pictures and loads nothing."""
 
 import html
 import math
@@ -35,15 +35,11 @@ MARK = '<meta name="generator" content="stickslip fit-friction'
 
 
 def default_path(run: Path) -> Path:
-    """Return where the report of a run goes: RUN.report.html beside it."""
     return run.with_name(run.stem + SUFFIX)
 
 
 def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
-    """Return where the reports of several runs go: each beside its run, or FILE, FILE-2, FILE-3 ... in that order.
-
-    Raises InputError: when two are the same.
-    """
+    """Return the paths of the reports: next to each run, or FILE, FILE-2, ...; two equal ones are an InputError."""
     if report is None:
         places = [default_path(run) for run in runs]
     else:
@@ -54,10 +50,10 @@ def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
 
 
 def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
-    """Raise InputError when ``path`` cannot be written, or without ``force`` holds no report of just these runs.
+    """Raise InputError when ``path`` cannot be written or, without ``force``, is not a report of these runs.
 
-    A report of any release contains the sha256 of each raw record that it was made from.  The report that bears the
-    name of one run, of ``files``, may be that of an earlier run of this name: one that no run in the folder holds.
+    A report contains the sha256 of each of its raw records. The one named after a run of ``files`` may also be that of
+    an earlier run of this name which no run in the folder holds.
     """
     atomic.refuse_existing(path, force, own=MARK, kind="report", flag="--report")
     if not path.exists() or force:
@@ -76,7 +72,7 @@ def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[P
 
 
 def _holder(digests: set[str], file: Path) -> Path | None:
-    """Return the run beside ``file`` that holds one of these raw records, None where they are gone."""
+    """Return the run next to ``file`` that holds one of these raw records, None where they are gone."""
     for other in sorted(file.absolute().parent.glob("*.h5")):
         if other.name == file.name:
             continue
@@ -91,28 +87,22 @@ def _holder(digests: set[str], file: Path) -> Path | None:
 
 
 def write(page: str, path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
-    """Write a report that `render` made.
+    """Write a page of `render`, in place of a report of the same runs, or of any file with ``force``.
 
-    page: The HTML that `render` returned.
-    path: An older report of the same runs there is replaced, and one of a run that is gone (`refuse_foreign_file`); any
-        other file only by ``force``.
-    digests: Of the raw data of each run.
-    files: The runs.
-    Raises InputError: when ``path`` holds something else.
-    Raises RefusedError: the disk refuses; an older report still stands.
+    Raises InputError where ``path`` is another file, and RefusedError where it cannot be written; an older report then
+    remains.
     """
     refuse_foreign_file(path, digests, files=files, force=force)
     put(page, path)
 
 
 def put(page: str, path: Path) -> None:
-    """Write a page, replacing what stands at ``path``."""
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(storable(page), encoding="utf-8")
 
 
 def template(name: str) -> "Template":
-    """Return a template of this folder; text that is put into it is escaped."""
+    """Return a template of this folder; inserted text is escaped."""
     import jinja2
 
     loader = jinja2.FileSystemLoader(TEMPLATES)
@@ -120,18 +110,13 @@ def template(name: str) -> "Template":
 
 
 def now() -> str:
-    """Return date and time for the foot of a page."""
     return datetime.now().astimezone().isoformat(" ", timespec="minutes")
 
 
 def render(
     ranking: RankedLaws, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
 ) -> str:
-    """Return the report as HTML.
-
-    motions, statistics: Of each run: its smoothed motion, and the statistics of its stick-slip.
-    alpha: 1 - confidence level of the intervals.
-    """
+    """Return the report as HTML; motions and statistics are those of each run."""
     from markupsafe import Markup
 
     from fitting.report import plot
@@ -175,7 +160,6 @@ def render(
 
 
 def _best(ranking: RankedLaws) -> dict[str, Parameter]:
-    """Return the parameters of the best law; none where no law came near."""
     return ranking.best.parameters if ranking.rows else {}
 
 
@@ -188,13 +172,13 @@ def _formula(row: LawResult) -> tuple[str, str, Any, str]:
 
 
 def _rival(row: LawResult) -> dict[str, Any]:
-    """Return name and parameters of a formula of the set that is not the best law asked for."""
+    """Return name and parameters of a compatible formula that is not the best requested law."""
     shown = [(name, *format_interval(item)) for name, item in row.parameters.items()]
     return {"label": row.label, "asked": row.asked, "parameters": shown}
 
 
 def _run(number: int, side: RankedLaws, kinematics: Kinematics) -> dict[str, Any]:
-    """Return what the page says of one run: where it comes from, what was fitted, and how well."""
+    """Return the page's data of one run: its source, what was fitted, and how well."""
     recording, cut, motion = kinematics.recording, side.cut, side.motion
     best = side.best if side.rows else None
     return {
@@ -248,7 +232,7 @@ def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:
 
 
 def smallest_departure(adequacy: Adequacy) -> str:
-    """Return the smallest departure of friction that the record would show, in words."""
+    """Return the smallest detectable departure of friction in words."""
     visible = adequacy.smallest_visible
     return f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
 
@@ -275,13 +259,13 @@ def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
 
 
 def _when(recording: Recording) -> str:
-    """Return when a run was recorded; of an imported table, when its file was changed, which is all that is known."""
+    """Return the time of recording; of an imported table, that of its file's last change."""
     said = recording.when.removesuffix(recording.started) or "recorded "
     return said + moment(recording.started)
 
 
 def moment(stated: str) -> str:
-    """Return a date and time in ISO 8601 without the parts of a second."""
+    """Return a date and time in ISO 8601 without fractions of a second."""
     try:
         return datetime.fromisoformat(stated).isoformat(" ", timespec="seconds")
     except ValueError:
@@ -289,7 +273,7 @@ def moment(stated: str) -> str:
 
 
 def _correlations(ranking: RankedLaws) -> dict[str, Any] | None:
-    """Return the correlations of the parameters as a triangle of cells, and the strongest of them, strongest first."""
+    """Return the correlations of the parameters as a triangle of cells, and the strongest, in descending order."""
     correlations = ranking.correlations()
     if correlations is None:
         return None
@@ -314,7 +298,7 @@ def _signed(value: float) -> str:
 
 
 def _shade(value: float) -> str:
-    """Return the colour of a cell: blue for errors of like sign, orange for those of opposite sign."""
+    """Return the colour of a cell: blue for errors of the same sign, orange for those of opposite sign."""
     return f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})"
 
 
@@ -356,7 +340,7 @@ def _event(event: Any) -> tuple[str, str, str, str, str]:
 def format_interval(item: Parameter) -> tuple[str, str, str, str]:
     """Return value, standard error and interval with as many digits as the error deserves, and the unit.
 
-    Of a law that does not describe the record error and interval are withheld, and the value has four digits.
+    Withheld error and interval are empty, and the value has four digits.
     """
     if item.fixed:
         return f"{item.value:.6g}", "fixed", "–", symbols.pretty(item.unit)

@@ -1,6 +1,6 @@
 """Pictures of a report as SVG: portrait, friction curves, residuals, evidence, levels, cost, break-aways.
 
-Each holds all runs of a joint fit, each run in its own colour, dashes and marks.
+Each shows all runs of a joint fit, each run in its own colour, dashes and marks.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ BINS = (4, 30)  # of the distribution: fewest and most; between them the square 
 
 
 def portrait(ranking: RankedLaws) -> str:
-    """Draw velocity against position: the whole record, or all, and the best law's motion in every window."""
+    """Draw velocity against position of the whole record, and the best law's motion in every window."""
     runs = [measured_motion(side)[1:] for side in ranking.sides]
     x, v = (np.concatenate(parts_of) for parts_of in zip(*runs, strict=True))
     legend = _legend(ranking, MEASURED, "measured")
@@ -62,17 +62,14 @@ def portrait(ranking: RankedLaws) -> str:
 
 
 def _legend(ranking: RankedLaws, colour: str, label: str) -> list[tuple[str, str]]:
-    """Return colour and label of each run: those given of a single run, and of several those of the run's number."""
+    """Return colour and label of each run: the arguments for a single run, else those of its number."""
     if not ranking.runs:
         return [(colour, label)]
     return [(run_colour(number), f"run {number}") for number in range(1, len(ranking.runs) + 1)]
 
 
 def friction(ranking: RankedLaws) -> str:
-    """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest.
-
-    Each law has its own dashes.
-    """
+    """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest."""
     motion = ranking.motion
     clouds = [curves.points(side.best.fit, side.motion)[:2] for side in ranking.sides]
     force = np.concatenate([forces for _, forces in clouds])
@@ -101,10 +98,7 @@ def friction(ranking: RankedLaws) -> str:
 
 
 def residuals(ranking: RankedLaws) -> str:
-    """Draw model minus measurement with the band of the noise: the best law over time and phase, a rival over phase.
-
-    Of several runs the times follow one another.
-    """
+    """Draw model minus measurement with the noise band: the best law over time and phase, a rival over phase."""
     best = ranking.best
     others = (row for row in ranking.rows if row is not best and not row.in_set)
     rival, colours = next((row for row in others if row.rms_m > 1.2 * best.rms_m), None), colours_of(ranking)
@@ -141,7 +135,7 @@ def _whole(ranking: RankedLaws) -> str:
 
 
 def evidence(ranking: RankedLaws) -> str:
-    """Draw each cycle's error under each law: what the ranking is made of."""
+    """Draw each cycle's error under each law, the basis of the ranking."""
     rows = list(reversed(ranking.rows))
     errors = [1e6 * row.fit.cycle_rms for row in rows]
     names = tuple(f"{row.label}{' *' if row.in_set else ''}" for row in rows)
@@ -246,10 +240,7 @@ WITHOUT_LAW = (motion_plot.record, portrait)
 
 
 def draw(ranking: RankedLaws, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
-    """Return every picture of the report as an ``<svg>`` element, by name; ``statistics`` are those of each run.
-
-    `break_aways` where there are statistics; of a record that no law comes near the measured motion alone besides.
-    """
+    """Return the pictures of the report as ``<svg>`` elements by name; without a law only the measured ones."""
     shown = PICTURES if ranking.rows else WITHOUT_LAW
     drawn = {one.__name__: one(ranking) for one in shown}
     if ranking.rows:

@@ -12,7 +12,7 @@ EDGE = 0.04  # of the range, left free on both sides of the data
 
 @dataclass(frozen=True)
 class AxisScale:
-    """From numbers to a place between 0 and 1."""
+    """A map from numbers to positions between 0 and 1."""
 
     low: float
     high: float
@@ -31,7 +31,7 @@ class AxisScale:
         return cls(10**low, 10**high, log) if log else cls(low, high)
 
     def place(self, values: Array) -> Array:
-        """Return where the values lie, (n,), 0 at ``low`` and 1 at ``high``."""
+        """Return positions (n,) of the values, 0 at ``low`` and 1 at ``high``."""
         if not self.log:
             return np.asarray((values - self.low) / (self.high - self.low))
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,7 +1,7 @@
 """The fitted stage: /entry/fit and /entry/fit_law1 ... fit_law_NAME, of one run in its file, of several in their own.
 
-In a run file the raw data beside them stay untouched.  In the file of a joint fit (`daq.runfile.joint`) the cycles and
-what differs between the runs stand once for each: cycles_run1 ..., parameters_run1 ...; runs has what each run shows.
+In a run file the raw data stay unchanged.  In the file of a joint fit (`daq.runfile.joint`) the cycles and what differs
+between the runs appear once for each: cycles_run1 ..., parameters_run1 ...; runs has the results of each.
 """
 
 import math
@@ -29,7 +29,7 @@ FRICTION = "N or N/kg"  # unit of a friction: N where mass or stiffness is known
 
 @dataclass(frozen=True)
 class _Stage:
-    """What is written of a fit: its ranking, what was fitted in words, the sha256 of the smoothed stage."""
+    """The contents of a stage: ranking, fitted part in words, sha256 of the smoothed stage."""
 
     ranking: RankedLaws
     part: str
@@ -46,7 +46,7 @@ class _Stage:
 
 @dataclass(frozen=True)
 class _Law:
-    """What is written of one law: its row, and where its friction curve was computed."""
+    """The contents of a law: its row, and the speeds of its friction curve."""
 
     row: LawResult
     ranking: RankedLaws
@@ -54,11 +54,10 @@ class _Law:
 
     @property
     def shared(self) -> dict[str, Parameter]:
-        """The parameters that all runs share; of a single run all of them."""
+        """The parameters that all runs share; all for a single run."""
         return self._of(self.ranking.sides[0], lambda name: not self.ranking.runs or name not in RUNS_OWN)
 
     def own(self, number: int) -> dict[str, Parameter]:
-        """Return the parameters of one of several runs."""
         return self._of(self.ranking.runs[number], lambda name: name in RUNS_OWN)
 
     @property
@@ -75,7 +74,7 @@ def _number(row: LawResult) -> int:
 
 
 def _span(side: RankedLaws) -> tuple[float, float]:
-    """Return when what was fitted begins and ends, s."""
+    """Return start and end of the fitted part, s."""
     begin, end = side.motion.begin + side.motion.time[[0, -1]]
     return float(begin), float(end)
 
@@ -85,7 +84,7 @@ def _shown_name(row: LawResult) -> str:
 
 
 def _table(path: str, of: str, *columns: Field) -> tree.Tree:
-    """Return the rows of a table of laws; ``columns`` are its own, the axis first."""
+    """Return the rows of a table of laws; ``columns`` begin with the axis."""
     title = "log error of each law above the best one's, penalised"
     return (
         tree.table(path, columns[0].name, "score", title, optional=True),
@@ -115,7 +114,6 @@ def _evidence(of: str, name: str) -> Callable[[_Stage], list[float] | None]:
 
 
 def _cycles(path: str) -> tree.Tree:
-    """Return the rows of the table of break-aways of one run."""
     title = "levels of each break-away over Fs"
     return (
         tree.table(path, "t", "static_level", title, auxiliary=("kinetic_scale",), optional=True),
@@ -131,7 +129,7 @@ def _used(side: RankedLaws) -> list[bool] | None:
 
 
 def _law(path: str, title: str, runs: int = 0) -> tree.Tree:
-    """Return the rows of one law; ``runs`` is the number of runs that were fitted together."""
+    """Return the rows of one law; ``runs`` is the number of runs fitted together."""
     return (
         *tree.process(path, "fit-friction", 2, "friction_curve"),
         Group(f"{path}/parameters", "NXparameters"),
@@ -222,14 +220,10 @@ TREE: tree.Tree = (
 
 
 def save(ranking: RankedLaws, path: Path, record: str, smoothed: str, part: str = "") -> None:
-    """Write the stage into the run file, replacing an earlier one.
+    """Write the stage into the run file, replacing an earlier one; ``part`` names what was fitted, if not all.
 
-    ranking: The fit.
-    path: The run file.
-    record, smoothed: The sha256 of the raw data and of the smoothed stage (`processing.stage.digest`) that the file
-        held when it was read.
-    part: What was fitted, in words, where something was left out.
-    Raises InputError: for a file that is no run, or one that was recorded or smoothed anew meanwhile.
+    Raises InputError where the file is not a run, or its raw data or smoothed stage no longer have the sha256
+    ``record`` and ``smoothed``.
     """
 
     def write(entry: h5py.Group) -> None:
@@ -249,7 +243,7 @@ def save(ranking: RankedLaws, path: Path, record: str, smoothed: str, part: str 
 def save_joint(
     ranking: RankedLaws, runs: Sequence[joint.FittedRun], path: Path, part: str = "", *, force: bool = False
 ) -> None:
-    """Write the file of a joint fit; InputError where something else stands, without ``force``; ``part`` as `save`."""
+    """Write the file of a joint fit; another file there is an InputError without ``force``; ``part`` as in `save`."""
 
     def write(entry: h5py.Group) -> None:
         _write(entry, ranking, part)

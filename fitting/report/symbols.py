@@ -38,20 +38,18 @@ ALWAYS = ("x", "v", "w", "s", "F", "m")
 
 
 def formula(law: int) -> str:
-    """Return one of the six friction laws as a formula in plain text."""
     kind = LAWS[law]
     return _with_contact(FORMULAS[kind.curve].replace("*", " "), "Fs", ramp=bool(kind.ramp))
 
 
 def formula_of(row: LawResult) -> str:
-    """Return a law of the ranking as a formula in plain text."""
     if isinstance(row.law, int):
         return formula(row.law)
     return _with_contact(row.formula or "", "F(0)", ramp=row.fit.problem.ramp)
 
 
 def typeset(row: LawResult) -> tuple[str, str]:
-    """Return the curve of a law of the ranking as MathML, and the contact around it in words."""
+    """Return the curve of a law of the ranking as MathML, and its contact in words."""
     curve = FORMULAS[LAWS[row.law].curve] if isinstance(row.law, int) else row.formula or ""
     level = "Fs" if isinstance(row.law, int) else "f(0)"
     if row.fit.problem.ramp:

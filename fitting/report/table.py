@@ -20,10 +20,7 @@ HEAD = "file,law,name,"
 
 
 def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = False) -> None:
-    """Raise InputError when a ranking cannot go to ``path``: a folder, a run, without ``force`` what is not theirs.
-
-    Theirs is a ranking that names no other runs than ``files``.
-    """
+    """Raise InputError where ``path`` is a folder, a run or, without ``force``, not a ranking of only these files."""
     atomic.refuse_existing(path, force, *files, own=HEAD, kind="ranking", flag="--csv")
     if path.exists() and not force:
         with path.open(newline="", encoding="utf-8", errors="surrogateescape") as file:
@@ -34,12 +31,7 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
 
 
 def write_curve(path: Path, ranking: RankedLaws, curve: MeasuredCurve) -> None:
-    """Write friction against relative speed with its band, a row for each speed; an older table is replaced.
-
-    Laws given as formulas have a column each.
-
-    curve: Its own.
-    """
+    """Write friction against relative speed with its band, and a column for each formula; replaces an older table."""
     unit, formulas = ranking.adequacy.unit, ranking.rivals
     drawn = [np.abs(curves.curve(row.fit, ranking.motion, -curve.speed)) for row in formulas]
     columns = (curve.speed, curve.friction, curve.lo, curve.hi, *drawn)
@@ -51,11 +43,7 @@ def write_curve(path: Path, ranking: RankedLaws, curve: MeasuredCurve) -> None:
 
 
 def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]]) -> None:
-    """Write the rankings of runs.
-
-    path: Table to write; an older one is replaced.
-    rankings: Run file and the rows of its ranking, as in its JSON document.
-    """
+    """Write the rankings of runs (file and rows of the JSON document), in place of an older table."""
     rows = [(file, row) for file, ranking in rankings for row in ranking]
     names = dict.fromkeys(name for _, row in rows for name in row["parameters"])
     with (

@@ -1,4 +1,4 @@
-"""What `fit-friction` prints of a ranking: verdict, laws, parameters, goodness of fit, warnings."""
+"""The printed ranking of `fit-friction`: verdict, laws, parameters, goodness of fit, warnings."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,12 +21,7 @@ INTERVAL = 3  # column of the table of parameters that may be broken over two li
 def of_ranking(
     ranking: RankedLaws, statistics: Sequence[str], written: Sequence[Path | None], alpha: float
 ) -> list[Any]:
-    """Return the lines and tables of a ranking.
-
-    statistics: Of its stick-slip, in words.
-    written: The file of a joint fit, and the report.
-    alpha: 1 - confidence level of the intervals.
-    """
+    """Return the lines and tables of a ranking; ``written`` are the file of a joint fit, and the report."""
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
     lines: list[Any] = [f"verdict: {ranking.verdict}"]
     if ranking.rows:
@@ -78,7 +73,6 @@ def _adequacy(adequacy: Adequacy) -> list[Any]:
 
 
 def _parameters(ranking: RankedLaws, alpha: float) -> "Table":
-    """Return the best law's parameters."""
     headings = ("parameter", "value", "std. error", f"{100 * (1 - alpha):g} % interval", "unit")
     table = application.table(ranking.best.label, headings)
     rows = [(name, *page.format_interval(item)[:3], item.unit) for name, item in ranking.best.parameters.items()]

@@ -1,4 +1,4 @@
-"""The answer of a ranking: its rows, sentences and warnings, from what was decided about the laws."""
+"""The answer of a ranking: its rows, sentences and warnings, from the decision about the laws."""
 
 import math
 import time as clock
@@ -100,8 +100,6 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of the laws, best first."""
-
     runs: tuple[tuple[LawResult, ...], ...]  # those of each run
     together: tuple[LawResult, ...]  # those of all runs together; of a single run its own
     depends: tuple[tuple[str, ...], ...]  # of each run: what of it depends on the law, in words
@@ -123,7 +121,7 @@ def without_law(
     records: Sequence[Kinematics],
     begun: float,
 ) -> RankedLaws:
-    """Return the verdict on stick-slip that no law comes near: no rows, and what is known without any law."""
+    """Return the verdict on stick-slip that no law fits: no rows, and what is known without a law."""
     words = name_contradictions(verdict.refused_sentence(reason, asked.competitors), contradicted)
     outcome = NONE_OF_SIX if asked.competitors.laws == ALL_LAWS else NONE_FITTED
     sides = []
@@ -305,7 +303,7 @@ def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], unfitted: Sequenc
 
 
 def _level_error(fit: Fit | FormulaFit, run: Run, number: int) -> float:
-    """Return the standard error of a run's break-away level by what all cycles share."""
+    """Return the error of a run's break-away level that all cycles share."""
     if isinstance(fit, Fit):
         return derived.break_away_level_error(fit, run.motion, number)
     return formula_level_error(fit, number)

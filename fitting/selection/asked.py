@@ -1,4 +1,4 @@
-"""What was asked of a ranking, checked."""
+"""The checked request of a ranking."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,6 @@ LEAST_ALPHA = 1e-9  # surer is no interval
 
 
 def check_numbers(alpha: float, jobs: int = 1) -> None:
-    """Raise InputError for alpha outside (0, 1), or fewer than one job."""
     if not (isinstance(alpha, Real) and LEAST_ALPHA <= alpha < 1):
         raise InputError(f"alpha is {alpha!r}", "--alpha", f"give a number from {LEAST_ALPHA:g} to 1, such as 0.05")
     if not (isinstance(jobs, int) and jobs >= 1):
@@ -22,10 +21,7 @@ def check_numbers(alpha: float, jobs: int = 1) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """Which laws compete, and how; as the arguments of `fitting.selection.ranking.rank`.
-
-    Raises InputError: for alpha outside (0, 1), fewer than one job.
-    """
+    """The laws that compete, and how; arguments of `fitting.selection.ranking.rank`, checked by InputError."""
 
     competitors: Competitors
     belt_speed: Measured | float | str | None
@@ -36,20 +32,18 @@ class Asked:
     scheduler: str | None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
         check_numbers(self.alpha, self.jobs)
 
     def given(self, law: int | str) -> dict[str, Given]:
-        """Return what is given of a law's parameters; nothing of a rival that was not asked for."""
+        """Return the conditions on a law's parameters; none for a rival that was not requested."""
         own = next((one for one in self.competitors.every if law in (one, getattr(one, "name", None))), None)
         return {} if own is None else self.competitors.of_law(own)
 
     def fixed(self, law: int | str) -> dict[str, float]:
-        """Return the parameters of a law that are fixed, with their values."""
         return {name: given.low for name, given in self.given(law).items() if given.fixed}
 
     def check_together(self, records: Sequence[Kinematics]) -> None:
-        """Raise InputError for what means nothing beside several runs."""
+        """Raise InputError for options that require a single run."""
         if not records:
             raise InputError("no run", "command line", "name at least one run file")
         if len(records) == 1:

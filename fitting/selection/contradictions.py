@@ -1,4 +1,4 @@
-"""Contradictions: what was stated of the rig beside what the record shows.
+"""Contradictions between the stated rig and the record.
 
 A calibration is contradicted only where a law that was fitted without it describes the record, and none does with it.
 A law that describes the record with a calibration as a prior, but far from it, was fitted without it in effect: what it
@@ -75,7 +75,7 @@ def _of_runs(
 
 
 def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:
-    """Return a verdict that says which calibrations its law contradicts; of several runs, each calibration once."""
+    """Return a verdict with the calibrations that its law contradicts, each once."""
     clauses = {}
     for one in (one for own in contradicted for one in own):
         unit, name = UNITS[one.code], one.code.replace("-", " ")

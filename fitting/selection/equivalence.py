@@ -1,10 +1,10 @@
-"""Equivalent laws: a narrow ramp, or a jump on a belt that slows under load, make the same motion.
+"""Equivalent laws: a narrow ramp and a jump on a belt that slows under load make the same motion.
 
-Without the belt's own counts the two are one observable (`rig_sim.flow.modes`, droop): a belt that loses 1 % of
-its speed at the load Fs turns law 5 into a perfect law 6.  So where a ramp law is in the set and its ramp is no wider
-than the speed drop of a realistic belt, its jump law is fitted once more with a compliance of its own, and joins the
-set if its error is then no larger.  A wider ramp is taken as one: no belt drive loses that much.  Runs at several belt
-speeds can separate the two: a ramp has the same width at every speed, while each run has its own compliance.
+Without the belt's counts the two are one observable (`rig_sim.flow.modes`, droop): a belt that loses 1 % of its speed
+at the load Fs turns law 5 into a perfect law 6.  So where a ramp law is in the set and its ramp is not wider than the
+speed drop of a realistic belt, its jump law is fitted again with a belt compliance, and joins the set if its error is
+then not larger.  Wider ramps exceed the loss of any belt drive.  Runs at several belt speeds can separate the two: a
+ramp has the same width at every speed, while each run has its own compliance.
 """
 
 import math
@@ -47,10 +47,8 @@ SAME = 0.05
 def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int | str], runs: Sequence[Run]) -> Fit | None:
     """Fit the jump law of a narrow ramp on a compliant belt.
 
-    members: The set, best first.
-    runs: What was fitted.
-    Returns: None where a belt was measured, where the set's best ramp law is no narrow ramp, or where its jump law is
-        in the set already, was not to be fitted, or leads nowhere.
+    None where a belt was measured, the set's best ramp is not narrow, or its jump law is already in the set, not
+    requested or does not converge.
     """
     if any(run.motion.belt_measured for run in runs):
         return None
@@ -71,9 +69,9 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int | str], runs:
 
 
 def closed_ramps(fits: Sequence[Fit]) -> list[tuple[int, int]]:
-    """Return (jump law, ramp law) wherever the ramp is as narrow as it may be: both are then the same model.
+    """Return (jump law, ramp law) where the ramp is as narrow as it may be: both are then the same model.
 
-    What the ramp law errs less is then due to where the two minimisers ended: it is no evidence for a ramp.
+    The smaller error of the ramp law is then due to the minimiser: it is not evidence for a ramp.
     """
     laws = {fit.law for fit in fits}
     return [
@@ -86,19 +84,16 @@ def closed_ramps(fits: Sequence[Fit]) -> list[tuple[int, int]]:
 
 
 def mean_excess(twin: Array, ramp: Array) -> float:
-    """Return how much worse than the ramp law the twin errs: mean difference of log errors (units,)."""
+    """Return the mean difference of log errors (units,) of the twin and the ramp law."""
     return float(np.mean(twin - ramp))
 
 
 def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> bool:
-    """Return whether the ramp of constant friction may be a belt whose speed varies.
+    """Return whether the ramp of constant friction (law 2) may be a belt whose speed varies.
 
-    Where the mass never sticks again, jump and ramp differ in the start-up drag alone: half a second in which a belt
-    whose speed varies looks much like a ramp.  This is possible if the ramp is no wider than such a variation would
-    make it, and if the drag fits worse than the rest of the record, which does not depend on the belt.
-
-    ramp: Of law 2.
-    drag: (pieces,) Log error of the pieces of the drags.
+    Where the mass never sticks again, jump and ramp differ in the start-up drag alone, in which a varying belt speed
+    looks like a ramp. It may be one if the ramp is not wider than such a variation, and if the drag (log error of its
+    pieces) fits worse than the rest, which does not depend on the belt.
     """
     noise = max(run.motion.resolution for run in runs)
     rest = math.hypot(ramp.geometric_mean_rms, noise)  # as the log errors are floored
@@ -110,14 +105,10 @@ def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> boo
 def with_open_ramps(
     chosen: ModelSet, fits: Sequence[Fit], runs: Sequence[Run], alpha: float, samples: float, *, sustained: bool
 ) -> ModelSet:
-    """Return the set with each ramp law beside its jump law whose ramp the record cannot show to be narrow.
+    """Return the set with each ramp law, next to its jump law, whose ramp the data cannot show to be narrow.
 
-    A ramp acts in a few samples of a cycle.  Where noise hides them the ramp law fits no better than its jump law and
-    is ranked behind it for its extra parameter, although the interval of its width contains wide ramps.
-
-    alpha: 1 - confidence of the interval of the width.
-    samples: Effective samples of the evidence.
-    sustained: Whether the mass sticks in the long run.
+    A ramp acts in a few samples of a cycle. Where noise hides them it fits no better and is ranked lower for its extra
+    parameter, although the interval of its width contains wide ramps. ``samples`` are the evidence's effective samples.
     """
     if all(run.motion.belt_measured for run in runs):
         return chosen

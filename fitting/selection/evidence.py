@@ -1,17 +1,17 @@
 """Evidence between laws, and the model confidence set: the laws that it cannot distinguish.
 
 Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
-Where the best law leaves white noise alone, a cycle falls into pieces of `PIECE_TIMES` correlation times, because there
-a law may fail in a small part of a cycle: with cycles as units law 2, better than law 1 by 5 % over 1500 samples, was
-behind it.  The score is a BIC: with N effective samples (samples over the correlation
-time of the best law's residuals) each unit pays (p/2N) log N in log error for the law's p parameters, and 1/2N of the
-misfit to the calibrations.  Cycles that not even the best law describes (a kick) are no evidence.  The t-interval of a
-mean difference assumes that the units are independent of each other.
+Where the best law's residual is white noise, a cycle is divided into pieces of `PIECE_TIMES` correlation times, because
+there a law may fail in a small part of a cycle: with cycles as units law 2, better than law 1 by 5 % over 1500 samples,
+was ranked lower.  The score is a BIC: with N effective samples (samples over the correlation time of the best law's
+residuals) each unit pays (p/2N) log N in log error for the law's p parameters, and 1/2N of the misfit to the
+calibrations.  Cycles that not even the best law describes (a kick) are not evidence.  The t-interval of a mean
+difference assumes independent units.
 
 Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
-zero, or when the difference, however regular, is small and the winner is no limit of it.  Inside the set a
-law is preferred to the winner only when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6, each jump law in its
-ramp law): then the winner's extra parameter does not improve the fit.
+zero, or when the difference, however regular, is small and the winner is not a limit of it.  Inside the set a law is
+preferred to the winner only when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6, each jump law in its ramp
+law): then the winner's extra parameter does not improve the fit.
 """
 
 import math
@@ -54,11 +54,11 @@ SAME_SCORE = 1  # decimals of a score: one curve in two forms differs by less
 
 
 class Residuals(Protocol):
-    """What a fit leaves of a run."""
+    """A fit's residuals of a run."""
 
     @property
     def windows(self) -> ShootingWindows:
-        """The windows that were fitted."""
+        """The fitted windows."""
 
     @property
     def residual(self) -> Array:
@@ -74,7 +74,7 @@ class Residuals(Protocol):
 
 
 class Candidate(Residuals, Protocol):
-    """What competes: the fit of one of the six, or of a law given as a formula."""
+    """A competing fit: of one of the six, or of a law given as a formula."""
 
     @property
     def law(self) -> int | str:
@@ -82,11 +82,11 @@ class Candidate(Residuals, Protocol):
 
     @property
     def geometric_mean_rms(self) -> float:
-        """Geometric mean of the cycles' errors, m."""
+        """Geometric mean of the cycles' rms, m."""
 
     @property
     def inlier_cycles(self) -> NDArray[np.bool_]:
-        """Which cycles fit about as well as the others."""
+        """Inlier cycles."""
 
     @property
     def law_parameters(self) -> int:
@@ -94,16 +94,14 @@ class Candidate(Residuals, Protocol):
 
     @property
     def calibration_deviations(self) -> Array:
-        """How far unknowns are from their calibrations, in standard deviations; 0 without one."""
+        """Deviations of the unknowns from their calibrations, in standard deviations; 0 without one."""
 
     def for_run(self, run: int) -> Residuals:
-        """Return what is left of one run."""
+        """Return the residuals of one run."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Paired evidence of laws."""
-
     laws: tuple[int | str, ...]  # numbers of the six, names of formulas
     penalised: Array  # (laws, units) log error of each unit, penalty included
     samples: float = 0.0  # effective samples behind them; fewer than there are units count as one a unit
@@ -111,7 +109,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """What is compared: the same units for every law."""
+    """The units of the comparison, the same for every law."""
 
     sustained: bool  # whether the mass sticks in the long run; else the start-up drags alone are evidence
     inliers: NDArray[np.bool_]  # (cycles,) the cycles that are judged by
@@ -120,15 +118,15 @@ class Units:
 
 
 def _log_error(residual: Array, motion: MeasuredMotion) -> float:
-    """Return the log of the rms, with the encoder's own error as the floor below which nothing is better."""
+    """Return the log of the rms, not below the encoder's error."""
     return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
 
 
 def common_inliers(fits: Sequence[Candidate]) -> NDArray[np.bool_]:
-    """Return which cycles are judged by, shape (cycles,): those that the best law describes, if these are enough.
+    """Return the cycles to compare, shape (cycles,): those that the best law describes, if these are enough.
 
-    A cycle with a velocity step in its slip is described by no law, and does not help to decide between them.  Laws
-    that are limits of each other differ there by where their minimisers ended, so near relatives must all describe it.
+    A cycle with a velocity step in its slip fits no law and does not help to decide. Laws that are limits of each other
+    differ there by their minimisers' ends, so near relatives must all describe it.
     """
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)
     related = [
@@ -141,7 +139,7 @@ def common_inliers(fits: Sequence[Candidate]) -> NDArray[np.bool_]:
 
 
 def nested(law: int | str) -> tuple[int | str, ...]:
-    """Return the laws that are a limit of this one; of a formula on either contact, and of a ramp's all."""
+    """Return the laws that are a limit of this one; of a formula on either contact, of a ramp all of them."""
     if isinstance(law, int):
         return NESTED[law]
     limits = LIMITS.get(law, ())
@@ -153,9 +151,9 @@ def _related(law: int | str, other: int | str) -> bool:
 
 
 def common_units(fits: Sequence[Candidate], runs: Sequence[Run], *, sustained: bool) -> Units:
-    """Return the units by which laws are compared, as the best law's residuals have them.
+    """Return the units of the comparison, by the best law's residuals.
 
-    A law that a coarse fit ruled out has fewer samples in a cycle than the best; the cycle has no more units than that.
+    A law that a coarse fit ruled out has fewer samples in a cycle, which limits its units.
     """
     inliers = common_inliers(fits)
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)
@@ -177,7 +175,7 @@ def common_units(fits: Sequence[Candidate], runs: Sequence[Run], *, sustained: b
 def _judged(
     fit: Candidate, runs: Sequence[Run], inliers: NDArray[np.bool_], *, sustained: bool
 ) -> list[tuple[MeasuredMotion, Array]]:
-    """Return the residuals that are evidence, with the motion they belong to: cycle by cycle, or of each drag."""
+    """Return the residuals that are evidence, with their motion: cycle by cycle, or of each drag."""
     found = []
     for number, run in enumerate(runs):
         part = fit.for_run(number)
@@ -204,7 +202,7 @@ def unit_errors(fit: Candidate, runs: Sequence[Run], units: Units) -> Array:
 
 
 def constant_friction_limit(motion: MeasuredMotion) -> float:
-    """Return how much constant friction may leave of a motion that it makes, m rms.
+    """Return the largest residual of constant friction on a motion that it makes, m rms.
 
     The step counts as far as rounding makes up the resolution: the last printed decimal of a noisy sensor does not.
     """
@@ -213,13 +211,13 @@ def constant_friction_limit(motion: MeasuredMotion) -> float:
 
 
 def rules_out_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Return whether constant friction leaves far more of a motion without sustained sticks than noise explains."""
+    """Return whether constant friction misses a motion without sustained sticks by far more than noise."""
     limit = max(constant_friction_limit(run.motion) for run in runs)
     return all(fit.geometric_mean_rms > limit for fit in fits)
 
 
 def drag_error(fits: Sequence[Fit], runs: Sequence[Run]) -> float:
-    """Return the rms error in the start-up drags by the law that errs least there, m; inf where none is used."""
+    """Return the smallest rms error of a law in the start-up drags, m; inf without a drag."""
     used = [number for number, run in enumerate(runs) if run.cut.drag != (0, 0) and run.cut.uses_start]
     errors = []
     for fit in fits if used else ():
@@ -240,16 +238,15 @@ def _drag_rows(fit: Residuals, drag: tuple[int, int]) -> slice:
 
 
 def penalised(fit: Candidate, errors: Array, units: Units) -> Array:
-    """Return the log errors plus the penalties for the law's parameters and for contradicting its calibrations."""
+    """Return the log errors with the penalties for the law's parameters and for contradicted calibrations."""
     n = max(units.samples, errors.size)
     return errors + (fit.law_parameters * math.log(n) + prior_misfit(fit)) / (2 * n)
 
 
 def prior_misfit(fit: Candidate) -> float:
-    """Return what a fit pays for contradicting its calibrations, like a squared deviation where that is small.
+    """Return a fit's penalty for contradicted calibrations, a squared deviation where small.
 
-    Student's t with 4 degrees of freedom: a calibration can be plainly wrong, and then must not decide alone.  A datum
-    that was guessed is no calibration and costs nothing.
+    Student's t with 4 degrees of freedom: a wrong calibration must not decide alone. A guessed datum costs nothing.
     """
     return float(np.sum(5 * np.log1p(fit.calibration_deviations**2 / 4)))
 

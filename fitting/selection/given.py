@@ -1,7 +1,7 @@
-"""What the user gives of parameters, in the units of the fit: of the shared unknowns, and of formulas.
+"""The user's values of parameters in the units of the fit: of the shared unknowns, and of formulas.
 
-The fit is per unit mass, and its belt runs forward: what is given in newtons is divided by the mass, and a belt speed
-or a position has the sign of the run's belt.
+The fit is per unit mass, and its belt runs forward: values in newtons are divided by the mass, and a belt speed or a
+position has the sign of the run's belt.
 """
 
 import math
@@ -31,15 +31,15 @@ SIGNED = ("v_dr", "x0")
 
 
 def known_rest(rig: Rig, competitors: Competitors) -> Rig:
-    """Return a run's calibration with the rest position that is fixed, if one is."""
+    """Return a run's calibration with the fixed rest position, if any."""
     fixed = competitors.fix.get("x0")
     return rig if fixed is None else rig.resting_at(Measured(fixed, 0.0))
 
 
 def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
-    """Return the runs with what is given of the shared unknowns of each law, the formulas by their names.
+    """Return the runs with the user's values of each law's shared unknowns, formulas by name.
 
-    Raises InputError: for a belt speed of several runs, or a force in newtons that needs a mass.
+    Raises InputError for a belt speed of several runs, or a force in newtons without a mass.
     """
     of_laws: dict[int | str, Mapping[str, Given]] = {law: competitors.of_law(law) for law in competitors.laws}
     of_laws |= {own.name: competitors.of_law(law) for law, own in competitors.restated.items()}
@@ -57,7 +57,7 @@ def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
 
 
 def formula_given(law: Law, given: Mapping[str, Given], motion: MeasuredMotion) -> Law:
-    """Return a law with what is given of its formula's own parameters, per unit mass."""
+    """Return a law with the user's values of its formula's parameters, per unit mass."""
     fix, bounds, start = {}, {}, {}
     for name, own in given.items():
         plain = name.removesuffix(PER_MASS)
@@ -76,12 +76,12 @@ def formula_given(law: Law, given: Mapping[str, Given], motion: MeasuredMotion) 
 
 
 def _of_rig(law: Law, given: Mapping[str, Given]) -> dict[str, Given]:
-    """Return what is given beside a formula's own parameters."""
+    """Return the values of the rig's parameters."""
     return {name: own for name, own in given.items() if name.removesuffix(PER_MASS) not in law.curve.parameters}
 
 
 def _unknowns(given: Mapping[str, Given], sign: float, motion: MeasuredMotion) -> tuple[GivenUnknown, ...]:
-    """Return what is given of the shared unknowns."""
+    """Return the values of the shared unknowns."""
     found = []
     for name, own in given.items():
         per_mass = f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in UNKNOWNS else name
@@ -103,7 +103,7 @@ def _in_units(slot: Global, value: float) -> float:
 
 
 def _newtons(name: str, motion: MeasuredMotion) -> float:
-    """Return by what a value per unit mass is multiplied to be that of ``name``: the mass, or 1 where none is known."""
+    """Return the factor from a value per unit mass to ``name``: the mass, or 1 where it is unknown."""
     if motion.mass is None and motion.stiffness is not None:
         do = f"give {name}{PER_MASS}, per unit mass, or --mass instead of --stiffness"
         raise InputError(f"{name} depends on k/m, which is fitted, where the stiffness is known", name, do)

@@ -1,4 +1,4 @@
-"""Which laws are fitted to what: a record cut into cycles, with the belt's ripple where there is one to be found."""
+"""Which laws are fitted to a record divided into cycles, with the belt's ripple if it has one."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -27,7 +27,7 @@ MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each cos
 
 
 class NoLawError(Exception):
-    """No law comes near the record: caught by `rank`, which returns it as a result where that is stick-slip."""
+    """No law fits the record; `rank` catches it, and returns it as a result where that is stick-slip."""
 
     def __init__(self, reason: str, *, stick_slip: bool) -> None:
         super().__init__(reason)
@@ -36,10 +36,10 @@ class NoLawError(Exception):
 
 
 class FittedSix(NamedTuple):
-    """The fits of the six, and what they were fitted to.
+    """The fits of the six, and their runs.
 
-    ``sustained`` is whether the mass sticks often; ``doubt`` why the record would be refused, if no other law comes
-    near it.
+    ``sustained`` is whether the mass sticks often; ``doubt`` the reason to reject the record unless another law fits
+    it.
     """
 
     fits: list[Fit]
@@ -49,7 +49,7 @@ class FittedSix(NamedTuple):
 
 
 def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
-    """Cut a record into cycles; where the mass sticks often on a belt that ripples, as it would on a steady belt."""
+    """Divide a record into cycles, with the belt's ripple removed where the mass sticks often."""
     cut = cycles.segment_cycles(motion, excluded)
     beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
     if beyond and cut.cycles:
@@ -63,13 +63,13 @@ def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
 
 
 def _with_ripple(run: Run) -> Run:
-    """Return a run with the ripple that its sticks show, cut as the mass would move on a steady belt; else the run."""
+    """Return a run with the ripple that its sticks show, cut as on a steady belt; else the run."""
     found = ripple.find_ripple(run.motion, run.cut)
     return run if found is None else _rippled(run, found)
 
 
 def _rippled(run: Run, found: ripple.Ripple) -> Run:
-    """Return a run with a ripple, cut as the mass would move on a steady belt."""
+    """Return a run with a ripple, cut as on a steady belt."""
     return replace(run, cut=cycles.segment_cycles(found.removed(run.motion), _excluded(run)), ripple=found)
 
 
@@ -85,7 +85,7 @@ def fit_runs(
     progress: Callable[[float], None] | None,
     scheduler: str | None,
 ) -> FittedSix:
-    """Fit the laws to what may be described by them.
+    """Fit the laws that may describe the records.
 
     A record that none of the six comes near is not refused yet: another law may.
     """
@@ -122,14 +122,14 @@ def fit_runs(
 
 
 def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = ALL_LAWS, **how: Any) -> list[Fit]:
-    """Fit laws by the driver; what all of them know is without the errors of the levels."""
+    """Fit laws by the driver; without the errors of the levels as information."""
     return [without_level_errors(Fit.of(one)) for one in driver.fit_laws(laws, runs, among, **how)]
 
 
 def _fit_other_ripples(
     laws: Sequence[int], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run]]:
-    """Fit the laws with the other ripples that the sticks may show, until one is described; return the best fits."""
+    """Fit the laws with the other possible ripples of the sticks, until one is described; return the best fits."""
     best = fits, run
     least = min(fit.geometric_mean_rms for fit in fits)
     for trial in _other_ripples(run):
@@ -143,12 +143,12 @@ def _fit_other_ripples(
 
 
 def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Return whether the law that comes nearest leaves no more than noise."""
+    """Return whether the best law fits to within the noise."""
     return describes([min(fits, key=lambda fit: fit.geometric_mean_rms)], [run.motion for run in runs])
 
 
 def _other_ripples(run: Run) -> list[Run]:
-    """Return a run with each of the ripples that its sticks show nearly as well as the likeliest."""
+    """Return a run with each ripple nearly as likely as the likeliest."""
     likely = ripple.find_ripples(run.motion, cycles.segment_cycles(run.motion, _excluded(run)))
     return [_rippled(run, other) for other in likely[1 : 1 + MOST_OTHERS]]
 
@@ -156,11 +156,10 @@ def _other_ripples(run: Run) -> list[Run]:
 def _fit_grazing(
     laws: Sequence[int], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run], bool]:
-    """Fit the laws to a mass that merely grazes the belt; also return what was fitted and whether it sticks often.
+    """Fit the laws to a mass that grazes the belt; also return the runs and whether it sticks often.
 
-    Such a mass shows little of the belt, and what the smoothing takes for short sticks may be the tops of a sine.  So a
-    ripple of the belt comes first only where the start-up drag asks for it.  Laws with sticks are tried where constant
-    friction leaves more than the noise does.
+    Such a mass shows little of the belt, and apparent short sticks may be the tops of a sine. So a ripple comes first
+    only where the start-up drag shows one. Laws with sticks are tried where constant friction misses the record.
     """
     tried = [(fit_to(CONSTANT, steady, CONSTANT), steady)]
     rippled = [_with_ripple(run) for run in steady]
@@ -186,7 +185,7 @@ def _fit_grazing(
 
 
 def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Return whether laws 1 and 2 leave more of a motion without sustained sticks than noise does."""
+    """Return whether laws 1 and 2 miss a motion without sustained sticks by more than noise."""
     if not fits or evidence.rules_out_constant_friction(fits, runs):
         return True
     # A record that may be a sine is refused elsewhere, and of several runs the drags of all decide.
@@ -195,7 +194,7 @@ def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
 
 
 def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
-    """Return whether the mass sticks in the long run; raise DataError unless there are enough cycles of one kind."""
+    """Return whether the mass sticks in the long run; DataError unless there are enough cycles of one kind."""
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
     for run, kind, record in zip(runs, kinds, records, strict=True):
@@ -226,7 +225,7 @@ def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematic
 
 
 def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return what gives more cycles."""
+    """Return advice to obtain more cycles."""
     if any(map(_excluded, runs)):
         return "leave out fewer (--exclude-cycles)"
     if not sustained and all(run.cut.starts_at_rest and screening.dies_away(run.motion.velocity) for run in runs):
@@ -238,7 +237,7 @@ def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
 
 
 def refuse(why: str, records: Sequence[Kinematics]) -> None:
-    """Raise NoLawError where ``why`` says why the laws cannot be ranked."""
+    """Raise NoLawError unless ``why``, the reason that the laws cannot be ranked, is empty."""
     if why:
         stick_slip = why != screening.SINE_ALONE and all(screening.is_stick_slip(record) for record in records)
         raise NoLawError(why, stick_slip=stick_slip)

@@ -43,7 +43,7 @@ REWEIGHTINGS = 4  # fits, each with the weights of the last
 
 @dataclass(frozen=True, eq=False)
 class PieceModes:
-    """Modes of a random walk in a piece of n samples, less its cubic."""
+    """Modes of a random walk in a piece of n samples, without its cubic."""
 
     vectors: Array
     noise: Array  # variance that noise of unit autocovariance at each lag gives to each mode
@@ -52,7 +52,6 @@ class PieceModes:
 
 @lru_cache(maxsize=len(PIECE_SAMPLES))
 def piece_modes(n: int) -> PieceModes:
-    """Return the modes of pieces of ``n`` samples."""
     smooth = np.linalg.qr(np.vander(np.linspace(-1, 1, n), TREND_DEGREE + 1))[0]
     left = np.eye(n) - smooth @ smooth.T
     steps = left @ np.tril(np.ones((n, n)))
@@ -63,11 +62,9 @@ def piece_modes(n: int) -> PieceModes:
 
 
 def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None:
-    """Return the share of frames that are lost (or doubled) in a run, 0 to 1; None where the record shows none.
+    """Return the share of lost (or doubled) frames of a run, 0 to 1, by the best law; None where none is seen.
 
-    fit: Of the best law.
-    record: The run's; a recording of a board, or one whose times are not even, shows in its times what is missing.
-    run: Number of the run.
+    A board's recording and uneven times are not tested: their times show what is missing.
     """
     motion = fit.problem.motions[run]
     if record.recording.raw is not None or not record.even_times or motion.resolution < DITHERED * motion.step:
@@ -89,10 +86,10 @@ def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None
 
 
 def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
-    """Return the squares of the modes of every piece (k, m), m^2, its mean square step (k,), m^2, and cycle (k,).
+    """Return squared modes (k, m), m^2, mean square step (k,), m^2, and cycle (k,) of every piece.
 
-    Pieces lie at the same places after the start of every window, and what their modes have in common over the cycles
-    is taken off: lost frames do not repeat themselves, what a wrong law leaves does.
+    Pieces are at the same places in every window, and the mean of their modes over the cycles is subtracted: lost
+    frames do not repeat, the misfit of a wrong law does.
     """
     modes, steps, cycles, places = [], [], [], []
     windows = fit.windows

@@ -1,7 +1,6 @@
-"""How far a law's orbit runs from the measured one in the phase plane: the comparison by eye, as a number.
+"""The distance of a law's orbit from the measured one in the phase plane: the comparison by eye, as a number.
 
-It ranks with tiny margins (laws that differ tenfold in error lie on one line to the eye): a figure beside the evidence,
-not a part of it.
+Its margins are tiny (laws with tenfold errors look the same): it is shown with the evidence, not part of it.
 """
 
 import math
@@ -27,17 +26,14 @@ class MeasuredOrbit:
 
     @classmethod
     def of(cls, motion: MeasuredMotion) -> "MeasuredOrbit":
-        """Sort a run's motion."""
         size = np.array([np.ptp(motion.position), np.ptp(motion.velocity)])
         order = np.argsort(motion.position, kind="stable")
         return cls(size, motion.position[order] / size[0], motion.velocity[order] / size[1])
 
     def distance(self, fit: FittedLaw) -> float:
-        """Return the rms distance of a law's orbit to the nearest points of the measured one.
+        """Return the rms distance of one run's law orbit to the measured one, of the orbit's size in each axis.
 
-        fit: Of this one run (`Fit.for_run`).
-        Returns: In units of the orbit's size, position and velocity each of its own. What differs in time alone, such
-            as a slip that comes late, does not count.
+        Differences in time alone, such as a late slip, do not count.
         """
         own = model(fit) / self.size
         x, v = np.ascontiguousarray(own[:: max(1, len(own) // MOST_POINTS)].T)
@@ -47,7 +43,7 @@ class MeasuredOrbit:
 
 
 def model(fit: FittedLaw) -> Array:
-    """Return position and velocity of a law in every window, one after the other; shape (samples, 2)."""
+    """Return position and velocity of a law in all windows; shape (samples, 2)."""
     x = fit.windows.position + fit.residual
     parts = []
     for _, _, first, count, *_ in fit.windows.table:
@@ -58,9 +54,9 @@ def model(fit: FittedLaw) -> Array:
 
 
 def nearest_distances(x: Array, y: Array, at_x: Array, at_y: Array, out: Array) -> None:
-    """Store the distance of each point (k,) to the nearest of the points (x, y), n of them in ascending order of x.
+    """Store the distance of each point (k,) to the nearest of n points (x, y), in ascending order of x.
 
-    Each search leaves from the point's own x to both sides, as far as the nearest one found so far.  A kernel.
+    A kernel: each search proceeds from the point's x to both sides, as far as the nearest one so far.
     """
     n = x.size
     for k in range(at_x.size):

@@ -1,6 +1,6 @@
-"""`rank`: fits the laws to a smoothed record and ranks them; returns one, or the set that cannot be distinguished.
+"""`rank`: fits the laws to a smoothed record and ranks them; returns the best, or the set of compatible ones.
 
-What is evidence and who is in the set: `fitting.selection.evidence`.
+Evidence and set rule: `fitting.selection.evidence`.
 """
 
 import logging
@@ -49,15 +49,10 @@ def rank(
     progress: Callable[[float], None] | None = None,
     scheduler: str | None = None,
 ) -> RankedLaws:
-    """Fit the laws to a record, or to several records of one contact together, and rank them.
+    """Fit the laws to a record, or to several of one contact together, and rank them.
 
-    kinematics: The smoothed record (`processing.smooth`); plain differences are smoothed again, in memory.  Several are
-        taken as runs of one contact, at other belt speeds say: k/m, Fs/m, the curve, the ramp and the damping are one
-        for all; belt speed, rest position, wear and the belt's compliance are each run's own.
-    rig: Calibration; the recording's own by default, one for all, or one for each run.
-    belt_speed: m/s, signed, if known better than from the calibration.
-    laws, fix, bounds, start, excluded, alpha, jobs, progress, scheduler: As of `fitting.rank`, which also says what is
-        raised and what is not modelled (`fitting.competitors`, `fitting.selection.equivalence`, `fitting.data.ripple`).
+    Plain differences are smoothed again, in memory; ``rig`` is by default the recordings' own, ``belt_speed`` in m/s,
+    signed. Other arguments, errors and limits as in `fitting.rank`.
     """
     begun = clock.process_time()
     competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
@@ -111,7 +106,7 @@ def _smoothed(kinematics: Kinematics) -> Kinematics:
 
 
 def _cut(records: Sequence[Kinematics], rig: Rig | Sequence[Rig] | None, asked: Asked) -> list[Run]:
-    """Return each record in the fit's frame, cut into cycles."""
+    """Return each record in the fit's frame, divided into cycles."""
     for record in records:
         screening.refuse_wrong_times(record)
     rigs = [None] * len(records) if rig is None else [rig] * len(records) if isinstance(rig, Rig) else rig
@@ -154,7 +149,7 @@ def _contest(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
-    """Return the travel per revolution of the encoder, m, where the runs have the same; None otherwise."""
+    """Return the encoder's travel per revolution, m, if the same in all runs, else None."""
     found = set()
     for record in records:
         pitch, counts = record.recording.rig.metres_per_count, record.recording.rig.counts_per_revolution

@@ -1,14 +1,14 @@
-"""Errors of a fitted law without a covariance: fits of drawn cycles, and fits with one parameter held.
+"""Errors of a fitted law without a covariance: fits of drawn cycles, and fits with one parameter fixed.
 
-Bootstrap.  Cycles are what is independent in a record: each break-away draws a new friction level, and what a slightly
-wrong model leaves is correlated within a cycle alone.  So cycles are drawn, not samples, by the weights of the Bayesian
-bootstrap (D. Rubin, Ann. Statist. 9 (1981) 130): exponential ones, since a cycle that is not drawn at all would leave a
-short record with too few.  Calibrations are drawn from their errors.  Each draw is fitted again from the fit's end.
-The spread is that of the sandwich covariance (`fitting.estimation.covariance`) where the problem is linear.
+Bootstrap.  The cycles of a record are independent: each break-away draws a new friction level, and the residuals of a
+slightly wrong model are correlated within a cycle alone.  So cycles are drawn, not samples, by the weights of the
+Bayesian bootstrap (D. Rubin, Ann. Statist. 9 (1981) 130): exponential ones, since omitting cycles entirely would leave
+a short record with too few.  Calibrations are drawn from their errors.  Each draw is fitted with a warm start. The
+spread is that of the sandwich covariance (`fitting.estimation.covariance`) where the problem is linear.
 
-Profile.  One parameter is held at a row of values and all others are fitted again.  The deviance is twice the rise of
+Profile.  One parameter is fixed at a row of values and all others are fitted again.  The deviance is twice the rise of
 the objective: in a linear problem the square of the distance in standard errors, 3.84 at the ends of a 95 % interval.
-The errors of the metres per count and of the mass, which only scale what is fitted, are not in it.
+It excludes the errors of the metres per count and of the mass, which only scale the result.
 """
 
 import math
@@ -45,14 +45,9 @@ PROFILE_REACH, PROFILE_STEPS = 3.0, 6
 
 
 def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int | None) -> dict[str, Array]:
-    """Return parameters of fits of drawn cycles: by name arrays (draws,), per unit mass, of the first run.
+    """Return parameters of fits of n draws of cycles: by name arrays (draws,), per unit mass, of the first run.
 
-    fit: Of all runs together.
-    motion: Of the first run.
-    n: How many draws.
-    seed: The same draws for the same seed.
-    Raises InputError: for fewer than two draws.
-    Raises DataError: more than a tenth of the draws cannot be fitted.
+    Raises InputError for fewer than two draws, and DataError where more than a tenth of them cannot be fitted.
     """
     if not (isinstance(n, int) and n >= 2):
         raise InputError(f"n is {n!r}", "bootstrap", "give 2 draws or more; 200 show a standard error to 5 %")
@@ -85,14 +80,10 @@ def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int |
 def profile(
     fit: Fit | FormulaFit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], name: str
 ) -> dict[str, Array]:
-    """Return ``value`` (k,) of a parameter, and with it held there ``deviance`` (k,) and ``rms_m`` (k,).
+    """Return ``value`` (k,) of a parameter, and with it fixed there ``deviance`` (k,) and ``rms_m`` (k,).
 
-    fit: Of all runs together.
-    motion: Of the first run.
-    parameters: Of the law.
-    name: Of an unknown of the fit: per unit mass or, where the mass is known, in newtons.
-    Raises InputError: for a parameter that the law does not have, that is fixed, or that follows from others.
-    Raises DataError: the motion cannot be followed with other values.
+    ``name`` is an unknown of the fit: per unit mass or, with a known mass, in newtons; unknown, fixed or dependent ones
+    raise InputError, a motion that cannot be followed DataError.
     """
     if name not in parameters:
         raise InputError(f"law {fit.law} has no parameter {name!r}", "profile", nearest(name, list(parameters)))
@@ -128,14 +119,14 @@ def profile(
 
 
 class _Unknown(NamedTuple):
-    """Where a parameter stands among a fit's unknowns, and how it follows from that."""
+    """The unknown of a parameter, and the map between them."""
 
     number: int
     value: Callable[[float], float]
 
 
 def _unknown(fit: Fit | FormulaFit, motion: MeasuredMotion, name: str) -> _Unknown | None:
-    """Return the unknown that a parameter is, None where it follows from others."""
+    """Return the unknown of a parameter, None where it follows from others."""
     plain = name.removesuffix(PER_MASS)
     if isinstance(fit, FormulaFit) and plain in fit.curve.law.free:
         k = fit.curve.law.free.index(plain)
@@ -153,7 +144,7 @@ def _unknown(fit: Fit | FormulaFit, motion: MeasuredMotion, name: str) -> _Unkno
 
 
 def _newtons(motion: MeasuredMotion, name: str, power: int) -> float | None:
-    """Return a parameter over the same per unit mass, None where that is fitted."""
+    """Return the factor from the parameter per unit mass; None where only the stiffness is known."""
     if power == 0 or name.endswith(PER_MASS) or motion.per_mass:
         return 1.0
     return None if motion.mass is None else motion.mass.value**power
@@ -164,7 +155,7 @@ def _scaled(index: int, factor: float, *, by_log: bool) -> _Unknown:
 
 
 def _deviation(fit: Fit | FormulaFit, index: int) -> float:
-    """Return the standard error of an unknown: of calibrations those that the fit takes part in."""
+    """Return the standard error of an unknown."""
     spreads = fit.spreads if isinstance(fit, FormulaFit) else np.array(covariances(fit, fit.precision))
     return math.sqrt(float(spreads[:, index, index].max()))
 

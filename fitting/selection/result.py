@@ -33,7 +33,7 @@ CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the s
 
 
 def numbers(values: "ArrayLike", name: str) -> Array:
-    """Return what a caller gives as numbers; InputError, which names the argument, for anything else."""
+    """Return a caller's numbers; otherwise InputError, which names the argument."""
     try:
         return np.asarray(values, np.float64)
     except (TypeError, ValueError):
@@ -113,7 +113,7 @@ class LawResult:
 
     @property
     def called(self) -> str:
-        """The law in a sentence: what it is called, and its number or name; of a formula of one's own the formula."""
+        """The law in a sentence: its name and number, or name and, for a custom law, formula."""
         if self.formula is None:
             return f"law {self.law} ({self.name})"
         title = TITLES.get(str(self.law))
@@ -121,7 +121,7 @@ class LawResult:
 
     @property
     def shown(self) -> str:
-        """Its parameters in words, without those of the rig: per unit mass, what is determined alone."""
+        """Its parameters in words, without the rig's: per unit mass, those determined alone."""
         return ", ".join(
             f"{name} = {item.value:.3g} {item.unit}".rstrip()
             for name, item in self.parameters.items()
@@ -253,7 +253,6 @@ class LawResult:
             raise InputError(f"{self.fit.runs} runs together have no common time", what, do)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form."""
         of_formula = () if self.formula is None else ("formula", "asked")
         names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "misfit", "cycles")
         document: dict[str, Any] = {name: getattr(self, name) for name in names}
@@ -274,7 +273,7 @@ class UnfittedLaw:
 
     @property
     def title(self) -> str:
-        """The law in a table, as `LawResult.title`."""
+        """The law in a table, as in `LawResult.title`."""
         return f"{self.law} {self.name}" if self.formula is None else f"{self.law}: {self.formula}"
 
     def as_json(self) -> dict[str, Any]:
@@ -295,7 +294,7 @@ class UnfittedLaw:
 
 @dataclass(frozen=True, eq=False)
 class RankedLaws:
-    """The laws in order, with the verdict, the break-aways and the warnings.
+    """The laws in order, as `fitting.Ranking` describes them.
 
     Attributes
     ----------
@@ -366,7 +365,7 @@ class RankedLaws:
 
     @property
     def sides(self) -> "tuple[RankedLaws, ...]":
-        """Each run's own side; of a single run the ranking itself."""
+        """The side of each run; of a single run the ranking itself."""
         return self.runs or (self,)
 
     def row(self, law: int | str) -> LawResult:
@@ -414,10 +413,7 @@ class RankedLaws:
         }
 
     def correlations(self) -> Correlations | None:
-        """Return how the errors of the best law's parameters go together, of several runs those of the first.
-
-        None where their intervals are withheld.
-        """
+        """Return the correlations of the best law's parameters (first run); None where intervals are withheld."""
         if not self.rows or not all(item.trusted for item in self.best.parameters.values()):
             return None
         fit, motion = self.best.fit, self.sides[0].motion

@@ -1,8 +1,8 @@
-"""Intervals of what belongs to the rig, whichever law of the set holds.
+"""Intervals of the rig's parameters over all laws of the set.
 
-A law's interval holds if that law does.  Where the record does not distinguish several laws, the true belt speed may
-lie far outside the interval of the best one: a ramp lets the mass lag behind the belt that drags it, so that a jump
-law, fitted to the same camera track, finds a belt slower by part of the ramp's width.
+A law's interval holds if that law does.  Where several laws are compatible, the true belt speed may lie far outside the
+interval of the best one: on a ramp the mass lags behind the belt, so that a jump law, fitted to the same camera track,
+finds a belt slower by part of the ramp's width.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,10 @@ OPEN_BELT_SPEED = 0.5
 
 
 def over_the_set(rows: Sequence[LawResult]) -> list[LawResult]:
-    """Return the rows of one run, by law; intervals of the rig's parameters contain those of every law of the set.
+    """Return one run's rows; intervals of the rig's parameters contain those of every compatible law.
 
-    The standard error becomes that of the longer half of the interval.  A parameter that a law does not determine, and
-    rows outside the set, stay as they are.
+    The standard error becomes that of the longer half of the interval. Undetermined parameters and rows outside the set
+    do not change.
     """
     members = [row for row in rows if row.in_set]
     if len(members) < 2:
@@ -35,11 +35,7 @@ def over_the_set(rows: Sequence[LawResult]) -> list[LawResult]:
 
 
 def law_dependent(rows: Sequence[LawResult]) -> tuple[str, ...]:
-    """Return the warning of belt speed and k/m that depend on the law, from the rows of one run; none without.
-
-    ``rows`` have their laws' own intervals: a parameter depends on the law where another law's value lies outside.
-    Laws that do not determine it do not count, as in `over_the_set`.
-    """
+    """Return the warning that belt speed or k/m depend on the law, if another law's value lies outside its interval."""
     members = [row for row in rows if row.in_set]
     warned = []
     for name in ("v_dr", "k/m"):
@@ -59,7 +55,7 @@ def _determined(name: str, members: Sequence[LawResult]) -> dict[int | str, Para
 
 
 def _widened(name: str, item: Parameter, members: Sequence[LawResult]) -> Parameter:
-    """Return a parameter with the interval over the laws that determine it; one of the law alone as it is."""
+    """Return a parameter with the interval over the laws that determine it, or unchanged if not the rig's."""
     if name.split(" (")[0] not in RIG:  # of several runs: "v_dr (2)"
         return item
     known = [item, *_determined(name, members).values()]

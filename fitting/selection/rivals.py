@@ -153,7 +153,7 @@ def name_better_limit(
 
 
 def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:
-    """Return whether a law that was named can be the curve of another one, which is then no rival of it."""
+    """Return whether a requested law can draw the curve of another one, which is then not a rival."""
     if law.ramp != rival.problem.ramp:
         return False
     speeds = seen_speeds(host)

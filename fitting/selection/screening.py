@@ -1,7 +1,7 @@
-"""Why a record holds no belt stick-slip: from its cycles, from rough fits of a few of them, from how all laws fit.
+"""Why a record is not belt stick-slip: from its cycles, from rough fits of a few of them, from the fit of all laws.
 
-A belt that drags a mass against a spring leaves three marks that no drive, hand or noise leaves together: every stick
-runs at one speed, every slip leads back against the belt, and the break-aways lie closer together than a slip is long.
+A belt that drags a mass against a spring has three marks that a drive, a hand or noise never has together: every stick
+has one speed, every slip leads back against the belt, and the break-aways are closer together than a slip is long.
 """
 
 import math
@@ -78,9 +78,7 @@ def refusal(
 ) -> DataError:
     """Return the error of a record whose laws cannot be ranked.
 
-    why: Why they cannot.
-    contradicted: What was stated of each run's rig without which a law comes near.
-    records: The records of the runs, as they were smoothed.
+    ``contradicted`` are each run's calibrations without which a law fits.
     """
     where = ", ".join(record.recording.where for record in records)
     findings = [finding for own in contradicted for finding in own]
@@ -92,7 +90,7 @@ def refusal(
 
 
 def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics], where: str) -> tuple[str, str, str]:
-    """Return what a refused record is, where, and what to do."""
+    """Return what a rejected record is, where, and what to do."""
     if why == SINE_ALONE:
         do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
         return f"no belt stick-slip in this record: {why}", where, do
@@ -109,11 +107,7 @@ def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics],
 
 
 def refuse_wrong_times(record: Kinematics) -> None:
-    """Raise DataError for a record with frames lost or doubled among even times.
-
-    Where they are missing is not known to a frame, so the times cannot be put right: the dynamics would be fitted to a
-    clock that is wrong by an unknown amount.
-    """
+    """Raise DataError for a record with frames lost or doubled among even times, since their places are unknown."""
     for finding in record.findings:
         if finding.code in WRONG_TIMES:
             raise _wrong_times(f"{100 * finding.value:.2g}", WRONG_TIMES[finding.code], record)
@@ -136,20 +130,20 @@ def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def _slip(motion: MeasuredMotion, record: Kinematics) -> tuple[float, float]:
-    """Return the samples in the usual slip of a record, and how long it lasts, s."""
+    """Return the samples in the usual slip of a record, and its duration, s."""
     return motion.samples_per_slip, motion.samples_per_slip * float(np.median(np.diff(record.time)))
 
 
 def _rounded_up(rate: float) -> float:
-    """Return a rate in two digits, Hz, and not a lower one."""
+    """Return a rate rounded up to two digits, Hz."""
     step = 10.0 ** (math.floor(math.log10(rate)) - 1)
     return step * math.ceil(rate / step)
 
 
 def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
-    """Raise InputError for a spring that would be at rest beyond the end of the travel to which the belt runs.
+    """Raise InputError for a spring at rest beyond the end of the travel to which the belt runs.
 
-    Asked of records that stick and slip alone: of any other the direction of the belt says nothing.
+    Only for stick-slip: otherwise the belt's direction does not matter.
     """
     if motion.datum_prior is None:
         return
@@ -162,9 +156,9 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
-    """Raise DataError for a record whose residuals by the best law show frames lost or doubled among even times.
+    """Raise DataError for a record whose residuals by the best law show lost or doubled frames.
 
-    Only residuals of every sample show them: a fit that was not brought to its end is passed over.
+    Only finished fits have the residuals of every sample that this requires.
     """
     best = min((fit for fit in fits if fit.at.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
     for run, record in enumerate(records):
@@ -186,8 +180,8 @@ def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
 def is_stick_slip(record: Kinematics) -> bool:
     """Return whether a record sticks and slips in turn on a belt, whatever its friction.
 
-    Its sticks fill a good part of it and share one speed, and the slips between them lead back as far as the sticks
-    lead on, at a speed that changes, as under a spring.
+    Its sticks fill a good part of it at one speed, and the slips lead back as far, at a changing speed, as under a
+    spring.
     """
     sticks = record.sticks
     if len(sticks) < FEW or record.plateau_fraction < LEAST_SHARE:
@@ -205,10 +199,10 @@ def is_stick_slip(record: Kinematics) -> bool:
 
 
 def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int, *, sustained: bool) -> str:
-    """Return why a record is no stick-slip on a belt; "" where it may be.
+    """Return why a record is not stick-slip on a belt, or "".
 
-    slips: How many the smoothing found: where most cycles hold none of them, the cycles are noise.
-    sustained: Whether the mass sticks in the long run: a mass that merely grazes the belt ends a slip where it began.
+    ``slips`` is their number by smoothing: cycles without any are noise. A mass that merely grazes the belt (not
+    ``sustained``) ends a slip where it began.
     """
     # Cycles at rest half the time are left out of the fit, but show as well as any other what drives the mass.
     seen = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
@@ -262,14 +256,10 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int,
 
 
 def reject_by_coarse_fits(laws: Sequence[int], runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return why no law can describe the runs, from rough fits of a few cycles; "" as soon as one law comes near them.
+    """Return why no law can describe the runs, from rough fits of a few cycles, or "" once one law fits.
 
-    Real stick-slip passes with the first law tried: the windows and the levels of the cycles are free enough for any of
-    the six to leave less than `SCREENED_ERROR`.  What no law can follow is refused here within a second, before the
-    whole record is fitted by all of them.
-
-    laws: Laws to be fitted.
-    sustained: Whether the mass sticks in the long run; else constant friction is tried too.
+    Real stick-slip passes with the first law: windows and levels are free enough for any of the six to reach
+    `SCREENED_ERROR`. Other records are rejected within a second. Unless ``sustained``, constant friction is tried too.
     """
     if not sustained and all(_is_sine_alone(run) for run in runs):
         return SINE_ALONE
@@ -297,7 +287,7 @@ def _sine_or(what: str, runs: Sequence[Run], *, sustained: bool) -> str:
 
 
 def swings_alone(swings: int) -> str:
-    """Return what a record of a few swings is that shows neither a start-up nor a stick."""
+    """Return the description of a few swings without start-up or stick."""
     return f"{swings} whole swing{'' if swings == 1 else 's'} in it, and no stick"
 
 
@@ -308,7 +298,7 @@ def comes_near(fits: Sequence[FittedLaw], runs: Sequence[Run]) -> bool:
 
 
 def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return why no fit describes the runs; "" where one does."""
+    """Return why no fit describes the runs, or ""."""
     return _sine_or(_misfit(fits, runs, sustained=sustained), runs, sustained=sustained)
 
 
@@ -326,7 +316,7 @@ def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
 
 
 def _not_back(motion: MeasuredMotion, begin: Integers, end: Integers) -> str:
-    """Return what stretches that end where they began, or beyond, show in place of slips back against the belt."""
+    """Return the description of stretches that do not lead back against the belt, as slips do."""
     parts = [motion.measured[i : j + 1] for i, j in zip(begin, end, strict=True)]
     back = max(float(np.max(np.maximum.accumulate(part) - part)) for part in parts)
     if back < BEYOND_NOISE * motion.resolution:
@@ -340,7 +330,7 @@ def _not_back(motion: MeasuredMotion, begin: Integers, end: Integers) -> str:
 
 
 def _of_motion(motion: MeasuredMotion) -> str:
-    """Return why a record without a single whole cycle shows no stick-slip."""
+    """Return why a record without a whole cycle shows no stick-slip."""
     v = motion.velocity
     if motion.travel < BEYOND_NOISE * motion.resolution or motion.travel == 0:
         return "nothing moves beyond the noise" if motion.travel else "nothing moves"
@@ -354,9 +344,9 @@ def _of_motion(motion: MeasuredMotion) -> str:
 
 
 def _reversal(motion: MeasuredMotion, begin: Integers, end: Integers) -> float | None:
-    """Return the time of the run, s, at which the belt reverses; None where it does not.
+    """Return the time of the run, s, at which the belt reverses, or None.
 
-    Sticks on a belt that runs the other way are taken for slips, all of one constant speed, which is that of the belt.
+    Sticks on a reversed belt look like slips, all of the belt's constant speed.
     """
     middle = [motion.velocity[i + (j - i) // 4 : j - (j - i) // 4 + 1] for i, j in zip(begin, end, strict=True)]
     speed = np.array([float(np.median(v)) for v in middle]) / motion.belt_speed
@@ -372,14 +362,14 @@ def _reversal(motion: MeasuredMotion, begin: Integers, end: Integers) -> float |
 
 
 def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Array:
-    """Return how much the velocity changes in the middle half of each slip, over the mean slip speed there (slips,)."""
+    """Return the change of velocity in the middle half of each slip, over the mean slip speed there (slips,)."""
     quarter = (end - begin) // 4
     middles = [motion.velocity[i : j + 1] for i, j in zip(begin + quarter, end - quarter, strict=True)]
     return np.array([np.ptp(v) / max(abs(float(np.mean(v)) - motion.belt_speed), 1e-9) for v in middles])
 
 
 def _filled(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
-    """Return the share of the record in which the mass sticks, slips in a cycle that was found, or stands still."""
+    """Return the share of the record in sticks, slips of cycles, or rests."""
     speed = motion.velocity / motion.belt_speed
     known = (np.abs(speed) < REST_SPEED) | ((speed > STICK_SPEEDS[0]) & (speed < STICK_SPEEDS[1]))
     for cycle in cut.cycles:
@@ -393,12 +383,11 @@ def _is_sine(motion: MeasuredMotion) -> bool:
 
 
 def _is_sine_alone(run: Run) -> bool:
-    """Return whether a run is a sine to within its noise, without a start-up."""
     return not run.cut.starts_at_rest and _sine_residual(run.motion) < constant_friction_limit(run.motion)
 
 
 def _sine_residual(motion: MeasuredMotion) -> float:
-    """Return what the best sine of two periods or more leaves of the position, m rms; inf where there are fewer."""
+    """Return the rms residual of the best sine of two periods or more, m; inf with fewer."""
     x = motion.position - 0.5 * (motion.position.max() + motion.position.min())
     up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
     if up.size < 3:
@@ -411,7 +400,6 @@ def _sine_residual(motion: MeasuredMotion) -> float:
 
 
 def dies_away(velocity: Array) -> bool:
-    """Return whether a motion is slower at the end than at first."""
     first, _, last = (float(np.max(np.abs(part))) for part in np.array_split(velocity, 3))
     return last < DIES_AWAY * first
 

@@ -32,7 +32,7 @@ def verdict_sentence(
     rest_known: bool = True,
     runs: int = 1,
 ) -> str:
-    """Return the verdict: the law, or the laws that the record cannot distinguish, and why.
+    """Return the verdict: the law, or the compatible laws, and why; rows are best first.
 
     rows: Best first.
     not_excluded: Laws outside the set that fit equally well.
@@ -93,7 +93,7 @@ def _lag(row: LawResult) -> float:
 
 
 def _behind(best: LawResult, other: LawResult) -> str:
-    """Return how far the next best law is behind."""
+    """Return the lead over the next law in words."""
     ratio = other.rms_m / best.rms_m
     if ratio > 1.2:
         return f"the next best, {other.label}, has {ratio:.3g} times the error"
@@ -103,7 +103,6 @@ def _behind(best: LawResult, other: LawResult) -> str:
 
 
 def _constant_friction(rows: Sequence[LawResult], members: Sequence[LawResult], *, measured: bool) -> str:
-    """Return the verdict without a sustained stick."""
     best = rows[0]
     head = "no sustained stick: constant friction, "
     if len(members) == 1:
@@ -116,7 +115,7 @@ def _constant_friction(rows: Sequence[LawResult], members: Sequence[LawResult], 
 
 
 def _is_compliant(row: LawResult) -> bool:
-    """Return whether a law of the six was fitted on a belt that slows under load."""
+    """Return whether one of the six was fitted on a belt that slows under load."""
     return isinstance(row.fit, Fit) and Global.COMPLIANCE in row.fit.active
 
 
@@ -137,7 +136,7 @@ def _of_formula(rows: Sequence[LawResult], members: Sequence[LawResult], cycles:
 
 
 def _as_well(others: Sequence[LawResult]) -> str:
-    """Return what is said of formulas beside laws of the six in the set."""
+    """Return the statement about formulas that are compatible like the six."""
     if not others:
         return ""
     named = " or ".join(f"{row.called} ({row.shown})" for row in others)
@@ -180,7 +179,7 @@ def _size(departure: FoundDeparture) -> str:
 
 
 def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
-    """Return how far the best law is from the record."""
+    """Return the distance of the best law from the record in words."""
     named = f"{best.called}, the closest," if laws > 1 else "it"
     left = f"{named} leaves residuals of {format_length(best.rms_m)} rms"
     found, outside = adequacy.goodness, best.outside_band
@@ -198,13 +197,13 @@ def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
 
 
 def refused_sentence(reason: str, competitors: Competitors) -> str:
-    """Return the verdict on stick-slip that was refused before, or after, its laws were fitted."""
+    """Return the verdict on stick-slip that was rejected before or after its laws were fitted."""
     which = "none of the six laws" if competitors.laws == ALL_LAWS else "none of the laws fitted"
     return f"stick-slip, but {which}: {reason}"
 
 
 def format_probability(p: float | None) -> str:
-    """Return a probability as "= 0.3", or as "< 1e-06": the tails of a null distribution are known roughly."""
+    """Return a p-value as "= 0.3", or as "< 1e-06": the tails of a null distribution are rough."""
     if p is None:
         return NOT_JUDGED
     return f"= {p:.2g}" if p >= REJECTED else f"< {REJECTED:g}"

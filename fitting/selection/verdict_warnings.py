@@ -1,4 +1,4 @@
-"""Warnings beside a verdict: a table of conditions, each with its sentence."""
+"""Warnings of a verdict: a table of conditions, each with its sentence."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +21,7 @@ POOR_ERROR = 0.003  # error over the motion's range: five times what 12 % scatte
 
 @dataclass(frozen=True, eq=False)
 class JudgedRun:
-    """One run and what was found of it: what a warning may be about."""
+    """One run and its results, the subjects of warnings."""
 
     rows: Sequence[LawResult]  # best first
     best: LawResult  # the first row
@@ -34,30 +34,26 @@ class JudgedRun:
 
     @property
     def ramps(self) -> bool:
-        """Whether a law of the set has a ramp."""
         return any(row.fit.problem.ramp for row in self.rows if row.in_set)
 
     def fixed(self, name: str) -> bool:
-        """Return whether the value of a parameter was given."""
         return name in self.given and self.given[name].fixed
 
     @property
     def ripples(self) -> bool:
-        """Whether the fit has a ripple of the belt."""
         return "ripple" in self.best.parameters
 
     def percent_of_belt(self, speed: float) -> float:
-        """Return a speed (m/s) in percent of the belt's."""
         return 100 * speed / self.motion.belt_speed
 
     @property
     def percent_of_travel(self) -> float:
-        """What the best law leaves beyond noise, in percent of the motion's range."""
+        """The best law's misfit beyond noise, in percent of the motion's range."""
         return 100 * self.best.fit.misfit / self.motion.travel
 
     @property
     def odd_rest(self) -> str:
-        """What is asked about a stated rest position; empty where nothing is."""
+        """The question about a stated rest position, or ""."""
         rest, place = self.motion.datum_prior, self.motion.sign * self.motion.measured
         if rest is None:
             return ""
@@ -66,7 +62,7 @@ class JudgedRun:
 
     @property
     def left_out(self) -> str:
-        """The cycles that were left out, each with its reason, but for those that the user excluded."""
+        """The omitted cycles, each with its reason, without those that the user excluded."""
         left = (cycle for cycle in self.cut.cycles if cycle.flag and cycle.flag != "excluded")
         return ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
 
@@ -78,7 +74,7 @@ class JudgedRun:
 
     @property
     def hidden_ramp(self) -> float | None:
-        """The width (m/s) below which the best law may have a ramp unseen; None where that is not asked."""
+        """The width (m/s) below which the best law may have a hidden ramp; None where not tested."""
         jump = self.best.law
         if not isinstance(jump, int) or not self.sustained or LAWS[jump].ramp:
             return None
@@ -91,7 +87,7 @@ class JudgedRun:
 
 
 class Warned(NamedTuple):
-    """A warning: when it is given, and what it says."""
+    """A warning: its condition and its text."""
 
     when: Callable[[JudgedRun], object]
     says: Callable[[JudgedRun], str]
@@ -185,7 +181,6 @@ OF_THE_RECORD = (  # after the findings
 
 
 def warnings(run: JudgedRun) -> tuple[str, ...]:
-    """Return the warnings that belong to the verdict on a run."""
     of_fit, of_record = ([one.says(run) for one in table if one.when(run)] for table in (OF_THE_FIT, OF_THE_RECORD))
     return (*of_fit, *(finding.text for finding in run.findings), *of_record)
 
@@ -206,7 +201,7 @@ def not_judged(adequacy: Adequacy) -> tuple[str, ...]:
 
 
 def level_of_curve(adequacy: Adequacy) -> tuple[str, ...]:
-    """Return the warning that the record does not determine the level of the measured curve; none where it does."""
+    """Return the warning that the record does not determine the level of the measured curve, if so."""
     curve = adequacy.curve
     if curve is None or curve.level_known:
         return ()
@@ -223,7 +218,7 @@ def level_of_curve(adequacy: Adequacy) -> tuple[str, ...]:
 
 
 def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:
-    """Return the warnings of several runs: what holds for all of them once, the rest with the file's name before it."""
+    """Return the warnings of several runs: common ones once, others after the file's name."""
     common = [text for text in warned[0] if all(text in own for own in warned)]
     apart = ((name, text) for name, own in zip(names, warned, strict=True) for text in own if text not in common)
     return (*common, *(f"{name}: {text}" for name, text in apart))

@@ -1,4 +1,4 @@
-"""The columns of a fit's own unknowns: shared parameters, the cycles' own, and the coefficients of a spline."""
+"""The columns of a fit's unknowns: shared parameters, the cycles' own, and the coefficients of a spline."""
 
 from collections.abc import Sequence
 
@@ -33,10 +33,7 @@ def local_tangents(path: Path) -> Array:
 
 
 def shared_tangents(path: Path, places: Sequence[int]) -> Array:
-    """Return the derivatives of the positions by shared unknowns, shape (N, p).
-
-    places: p places of `fitting.model.parameters`; with a spline those of F and of the curve's shape act no more.
-    """
+    """Return the derivatives (N, p) of the positions by shared unknowns; with a spline LOG_F and SHAPE give 0."""
     runs = path.u.size // PER_RUN
     slots = [place % PER_RUN for place in places] if runs == 1 else sorted({place % PER_RUN for place in places})
     acceleration, edge = parameter_forces(path, slots)
@@ -70,11 +67,10 @@ def spline_tangents(path: Path, directions: Array) -> Array:
 
 
 def friction_effect(path: Path) -> tuple[Array, Array, Array]:
-    """Return what a unit of friction per unit mass more does where a spline is followed.
+    """Return the effects of a unit of friction per unit mass where a spline is followed.
 
-    Returns: To the acceleration, of friction at each point's slip speed.
-    Returns: To the acceleration on a ramp, of friction at rest.
-    Returns: To the ramp's edge, of friction at rest.
+    On the acceleration, of friction at each point's slip speed; on the acceleration on a ramp and on the ramp's edge,
+    of friction at rest.
     """
     d, q, at_rest = _contact(path)
     in_slip = np.broadcast_to(path.level * path.side * _yielding(path), path.time.shape)
@@ -86,9 +82,9 @@ def friction_effect(path: Path) -> tuple[Array, Array, Array]:
 
 
 def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
-    """Return what a unit of each slot adds to the acceleration, (M, slots), and to the ramp's edge, (windows, slots).
+    """Return the effect of each slot on the acceleration, (M, slots), and on the ramp's edge, (windows, slots).
 
-    Those that move the belt do it through its speed alone (`belt_columns`): 0 here.
+    0 for those that move the belt, which act through its speed alone (`belt_columns`).
     """
     K, F, compliance = path.unknown(Global.K), np.exp(path.unknown(Global.LOG_F)), path.unknown(Global.COMPLIANCE)
     _, q, at_rest = _contact(path)
@@ -130,7 +126,7 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
 
 
 def _by_width(path: Path) -> Array:
-    """Return what a unit of the ramp's half-width d adds to the acceleration at a given relative speed, 1/s, (M,)."""
+    """Return the effect of the ramp's half-width d on the acceleration at fixed relative speed, 1/s, (M,)."""
     d, q, at_rest = _contact(path)
     ramp = ~path.slips & (path.mode != STICK)
     found = np.where(path.slips, -path.side * path.friction_slope, 0.0)
@@ -140,7 +136,7 @@ def _by_width(path: Path) -> Array:
 
 
 def belt_columns(path: Path, slots: Sequence[int]) -> Array:
-    """Return what a unit of each slot adds to the belt's speed, m/s, shape (M, slots)."""
+    """Return the effect of each slot on the belt's speed, m/s, shape (M, slots)."""
     columns = np.ones((path.time.size, len(slots)))
     if any(slot != Global.V_DR for slot in slots):
         turn = path.unknown(Global.OMEGA) * path.time

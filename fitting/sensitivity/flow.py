@@ -76,7 +76,7 @@ X_SLIP, V_SLIP, OWN, NEXT, X_STICK, V_STICK = (int(column) for column in PerCycl
 
 
 def margin(w: Window, mode: int, held: bool, t: float, x: float, v: float) -> float:
-    """Return how far a state is from the edge of its mode (m/s, in stick m/s^2); below 0 the mode has ended."""
+    """Return the distance of a state from the edge of its mode (m/s, in stick m/s^2); negative after its end."""
     if held:
         return 1.0
     e, edge = belt_speed(w, t) - v, edge_speed(w.contact)
@@ -90,16 +90,16 @@ def margin(w: Window, mode: int, held: bool, t: float, x: float, v: float) -> fl
 
 
 def margin_at_side(w: Window, mode: int, side: float, t: float, x: float, v: float) -> float:
-    """Return `margin`, of a ramp that from its edge where the belt is faster (``side`` 1.0) or slower (-1.0)."""
+    """Return `margin`, of a ramp from its edge where the belt is faster (``side`` 1.0) or slower (-1.0)."""
     if mode == RAMP or mode == CREEP:
         return edge_speed(w.contact) - side * (belt_speed(w, t) - v)
     return margin(w, mode, False, t, x, v)
 
 
 def time_of_edge(w: Window, mode: int, t: float, x: float, v: float, h: float) -> float:
-    """Return the part of the step h after which the mode ends, by bisection with a secant where that is faster.
+    """Return the part of the step h after which the mode ends, by bisection with a faster secant.
 
-    A ramp ends at the edge on whose side the step does: it begins on the other one, within rounding.
+    A ramp ends at the edge on the step's final side: it begins on the other one, within rounding.
     """
     low, high = 0.0, h
     far_x, far_v = advance(w, mode, t, x, v, h)
@@ -122,7 +122,7 @@ def time_of_edge(w: Window, mode: int, t: float, x: float, v: float, h: float) -
 
 
 def next_mode(w: Window, mode: int, t: float, x: float, v: float) -> int:
-    """Return the mode that follows at an edge, as `rig_sim.flow.modes` has it; a steep ramp creeps."""
+    """Return the mode that follows at an edge, as in `rig_sim.flow.modes`; a steep ramp creeps."""
     edge, pull = edge_speed(w.contact), load(w, t, x)
     if mode == STICK:
         return NEGATIVE if pull > 0.0 else POSITIVE
@@ -139,7 +139,7 @@ def next_mode(w: Window, mode: int, t: float, x: float, v: float) -> int:
 def ramp_mode(w: Window, held: bool, t: float, x: float) -> int:
     """Return the mode in which a ramp is entered: CREEP where its transient would not show, else RAMP.
 
-    Where the forces balance beyond the ramp, its transient is what carries the mass through it, and it does not creep.
+    Where the forces balance beyond the ramp, its transient carries the mass through it: no creep.
     """
     edge = edge_speed(w.contact)
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
@@ -148,14 +148,14 @@ def ramp_mode(w: Window, held: bool, t: float, x: float) -> int:
 
 
 def balances(w: Window, held: bool, t: float, x: float) -> bool:
-    """Return whether the forces balance within the ramp, which goes on beyond its edge where the contact is held."""
+    """Return whether the forces balance within the ramp, which has no edge where the contact is held."""
     return held or abs(belt_speed(w, t) - bound_velocity(w, CREEP, t, x)) < edge_speed(w.contact)
 
 
 def settled(w: Window, held: bool, t: float, x: float, since: float, longest: float) -> bool:
-    """Return whether a ramp entered at time ``since`` can creep where steps are ``longest`` times the fastest rate.
+    """Return whether a ramp entered at time ``since`` can creep in steps ``longest`` times the fastest rate.
 
-    What is left out then is of second order in K/rise^2, and so of the order of what a step leaves out.
+    The error is of second order in K/rise^2, like that of a step.
     """
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
     steep = math.sqrt(w.u[K]) < STEEP_RAMP * longest * rise
@@ -163,7 +163,7 @@ def settled(w: Window, held: bool, t: float, x: float, since: float, longest: fl
 
 
 def turning_step(w: Window, mode: int, t: float, x: float, v: float) -> float:
-    """Return the longest step (s) that does not pass over where a drag changes steeply, as the mass turns round."""
+    """Return the longest step (s) that resolves a steep change of drag as the mass turns round."""
     turn = w.turn
     if turn == 0.0 or mode == STICK or mode == CREEP:
         return math.inf
@@ -171,7 +171,6 @@ def turning_step(w: Window, mode: int, t: float, x: float, v: float) -> float:
 
 
 def fastest_rate(w: Window, mode: int, t: float, v: float) -> float:
-    """Return the fastest rate of the motion at a state, 1/s."""
     if mode == STICK:
         return float(w.u[OMEGA])
     if mode == CREEP:
@@ -195,7 +194,7 @@ def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Arra
 
 
 def store_middle(w: Window, mode: int, t: float, h: float, points: Array, i: int) -> None:
-    """Store the point in the middle of the step from point i to i + 2, by Hermite's cubic between them."""
+    """Store the midpoint of the step from point i to i + 2, by Hermite's cubic between them."""
     x0, x1 = points[POSITION, i], points[POSITION, i + 2]
     v0, v1 = points[VELOCITY, i], points[VELOCITY, i + 2]
     middle = t + 0.5 * h
@@ -210,7 +209,7 @@ def store_middle(w: Window, mode: int, t: float, h: float, points: Array, i: int
 
 
 def first_mode(w: Window, stick: bool, t: float, x: float, v: float) -> tuple[int, float]:
-    """Return the mode in which a window begins, and the velocity: where the mass is bound to the belt, not its own."""
+    """Return the first mode of a window, and the velocity: the belt's where the mass is bound to it."""
     belt, edge = belt_speed(w, t), edge_speed(w.contact)
     if stick and edge == 0.0:
         mode = STICK
@@ -239,10 +238,10 @@ def mode_at_edge(
     x: float,
     v: float,
 ) -> tuple[int, bool, bool, float]:
-    """Return the mode after one that has ended, whether it is held to its window's end, has landed, and the level.
+    """Return the mode after one that has ended, whether it is held to the window's end, has landed, and the level.
 
-    The first touch of the belt from ``earliest`` on is the landing: the next level holds, and the mass sticks until the
-    window ends, or overtakes the belt and sticks when it comes back.
+    The first touch of the belt from ``earliest`` on is the landing: the next level holds, and the mass sticks to the
+    window's end, or overtakes the belt and sticks when it comes back.
     """
     jump = edge_speed(w.contact) == 0.0
     if landed and before == POSITIVE:
@@ -285,11 +284,11 @@ def follow_window(
     m: int,
     s: int,
 ) -> tuple[int, int]:
-    """Follow one window from its start; return the numbers of points and of steps stored, or (-1, 0) or (0, -1).
+    """Follow one window from its start; return the numbers of points and of steps stored.
 
-    ``points`` (9, M), ``kinds`` (2, M) (mode, and 1 after the landing), ``steps`` (S, 3), ``jumps`` (S, 3)
-    (`crossing`) and ``reached`` (N,), the point of each sample, are filled from ``m`` and ``s`` on.  Returns (-1, 0)
-    where they are too small, and (0, -1) where the motion cannot be followed.
+    ``points`` (9, M), ``kinds`` (2, M) (mode, and 1 after the landing), ``steps`` (S, 3), ``jumps`` (S, 3) (`crossing`)
+    and ``reached`` (N,), the point of each sample, are filled from ``m`` and ``s`` on. Returns (-1, 0) where they are
+    too small, and (0, -1) where the motion cannot be followed.
     """
     t = times[0]
     held, landed = stick, stick
@@ -371,10 +370,10 @@ def rates_at(w: Window, mode: int, t: float, x: float, v: float) -> tuple[float,
 def crossing(
     w: Window, before: int, old: tuple[float, float], mode: int, t: float, x: float, v: float, out: Array
 ) -> None:
-    """Store in ``out`` (3,) what a change of mode at a relative speed of +-edge does to a tangent.
+    """Store in ``out`` (3,) the effect of a change of mode at a relative speed of +-edge on a tangent.
 
-    The change comes later by dt = (d belt - d x' -+ d edge) / (x'' - belt'), and with it the change of x' and x'':
-    d x += out[0] (d belt - d x' - out[2] d edge), d x' += out[1] (the same).
+    The change comes later by dt = (d belt - d x' -+ d edge) / (x'' - belt'), and with it the change of x' and x'': d x
+    += out[0] (d belt - d x' - out[2] d edge), d x' += out[1] (the same).
     """
     new = rates_at(w, mode, t, x, v)
     approach = -old[1]
@@ -407,9 +406,9 @@ def follow_windows(
 ) -> int:
     """Follow all windows; return 0, -1 where the arrays are too small, or 1 + the window that cannot be followed.
 
-    ``longest`` is the longest step times the fastest rate.  ``u`` (runs, 13), ``local`` (cycles, 6), ``table``
-    (windows, 6) and the times are those of `ShootingWindows`; ``first_point`` and ``first_step`` (windows + 1,) are
-    filled with where each window's begin.
+    ``longest`` is the longest step times the fastest rate. ``u`` (runs, 13), ``local`` (cycles, 6), ``table`` (windows,
+    6) and the times are those of `ShootingWindows`; ``first_point`` and ``first_step`` (windows + 1,) receive the
+    windows' first indices.
     """
     m, s = 0, 0
     for row in range(table.shape[0]):

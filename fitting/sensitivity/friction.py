@@ -22,10 +22,10 @@ MOST_ITERATIONS = 30  # Newton steps on a compliant belt; it needs 3 to 5
 
 
 class Contact(NamedTuple):
-    """Friction of one run: what `friction` reads.
+    """Friction of one run, as `friction` reads it.
 
-    ``curve`` is a code, F in m/s^2, ``shape`` in s/m, d and q in m/s; ``at_rest`` is n(0).  ``table`` is that of
-    a spline of ``pieces`` cubics as in `rig_sim.friction.spline`, without its last two numbers.
+    ``curve`` is a code, F in m/s^2, ``shape`` in s/m, d and q in m/s; ``at_rest`` is n(0).  ``table`` is that of a
+    spline of ``pieces`` cubics as in `rig_sim.friction.spline`, without its last two numbers.
     """
 
     curve: int
@@ -40,7 +40,7 @@ class Contact(NamedTuple):
 
 
 def normal_curve(c: Contact, s: float) -> tuple[float, float]:
-    """Return n(s) and its slope (s/m); a spline goes on with a constant slope beyond its last knot."""
+    """Return n(s) and its slope (s/m); a spline has a constant slope beyond its last knot."""
     if c.curve == SPLINE:
         i = piece_of(c.table, c.pieces, s)
         z, at = s - c.table[i], c.pieces + 4 * i

@@ -1,4 +1,4 @@
-"""The path: what moves along the windows, at the stage points that tangents are integrated with."""
+"""The path: the motion along the windows, at the stage points of the integration of tangents."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -38,11 +38,7 @@ NO_DRAG = rates.Drag(NOTHING, NOTHING, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The friction that a path is followed with.
-
-    ``code`` is that of the law's curve (`rig_sim.friction.curve`), or of the spline where there is one; ``ramp`` says
-    whether slip begins beyond a ramp of half-width d.
-    """
+    """The friction of a path: ``code`` of a law's curve (`rig_sim.friction.curve`) or a spline; ramp or jump."""
 
     code: int
     ramp: bool
@@ -78,7 +74,7 @@ class Path:
     reached: Integers  # (N,) the point of each sample
 
     def unknown(self, slot: int) -> Array | float:
-        """Return a shared unknown at every point, (M,); one number where there is one run."""
+        """Return a shared unknown at every point, (M,); one number for a single run."""
         of_runs = self.u.reshape(-1, PER_RUN)[:, slot]
         return float(of_runs[0]) if of_runs.size == 1 else np.asarray(of_runs[self.run])
 
@@ -109,7 +105,7 @@ class Path:
 
     @property
     def stuck(self) -> Mask:
-        """Where the mass moves with the belt or creeps on it: no acceleration counts there, shape (M,)."""
+        """Where the mass moves with the belt or creeps on it, without its own acceleration, shape (M,)."""
         return np.asarray((self.mode == STICK) | (self.mode == rates.CREEP))
 
     @cached_property
@@ -138,14 +134,9 @@ def follow(
 ) -> Path | None:
     """Follow all windows; None where the motion cannot be followed, or only in too many steps.
 
-    u: (13 runs,) `fitting.model.parameters.Global` of every run.  With a spline, LOG_F and SHAPE are not used: the
-        spline's coefficients are friction per unit mass.
-    local: (cycles, 6) `fitting.model.parameters.PerCycle`.
-    along: An earlier path of the same windows, at whose points what follows is given.
-    acceleration, belt_speed: (M,) A force per unit mass, m/s^2, and a change of the belt's speed, m/s, besides; between
-        points linear in time.
-    drag: A force by the mass's own velocity besides; unlike an acceleration it needs no earlier path.
-    longest_step: Times the fastest rate of the motion; a search may take longer ones (`flow.LONGEST_STEP`).
+    ``u`` (13 runs,) are `fitting.model.parameters.Global`, with a spline LOG_F and SHAPE unused; ``local`` (cycles, 6)
+    are `PerCycle`. An added acceleration (m/s^2) and belt speed (m/s), (M,), are given at the points of ``along``, an
+    earlier path of the same windows, linear in time between them; ``longest_step`` is times the fastest rate.
     """
     arguments = kernel_arguments(windows, curve, u, local, along, acceleration, belt_speed, drag)
     N, rows = windows.time.size, windows.table.shape[0]
@@ -212,7 +203,7 @@ def kernel_arguments(
     belt_speed: Array | None,
     drag: rates.Drag,
 ) -> tuple[Any, ...]:
-    """Return what a kernel that follows windows begins with, from the parameters of `follow`."""
+    """Return the first arguments of a kernel that follows windows, from the parameters of `follow`."""
     spline = curve.spline
     unknowns = np.array(u, float).reshape(-1, PER_RUN)
     if spline is not None:
@@ -239,12 +230,11 @@ def kernel_arguments(
 
 
 def law_curve(code: int, ramp: bool) -> Curve:
-    """Return the curve of one of the six laws."""
     return Curve(code, ramp)
 
 
 def spline_curve(spline: FrictionSpline, ramp: bool) -> Curve:
-    """Return a spline as the curve, behind a ramp or not."""
+    """Return a spline as the curve, with or without a ramp."""
     return Curve(SPLINE, ramp, spline)
 
 

@@ -1,6 +1,6 @@
-"""Kernels: what accelerates the mass in each mode, and one Runge-Kutta step of it.
+"""Kernels: the acceleration of the mass in each mode, and one Runge-Kutta step of it.
 
-`fitting.sensitivity.flow` puts the steps together.
+`fitting.sensitivity.flow` joins the steps.
 """
 
 import math
@@ -27,10 +27,10 @@ INLINED = ("acceleration",)  # `Window` has 49 numbers: called four times a step
 
 
 class Drag(NamedTuple):
-    """A force on the mass by its own velocity: a table, linear between its rows and beyond them; empty for none.
+    """A drag on the mass: a table, extrapolated linearly; empty for none.
 
     ``velocity`` (G,) in m/s rises, ``acceleration`` (G,) is in m/s^2.  Within ``turn`` of rest (m/s) it may change
-    steeply: no step of the path passes over that.
+    steeply: no step passes over that.
     """
 
     velocity: Array
@@ -39,11 +39,11 @@ class Drag(NamedTuple):
 
 
 class Extra(NamedTuple):
-    """What acts besides: a force and a change of the belt's speed along an earlier path, and a drag.
+    """Additional effects: a force and a change of the belt's speed along an earlier path, and a drag.
 
     ``first`` (windows + 1,) are the first points of each window in ``along``, whose row 0 is time (s), row ``force``
-    the force (m/s^2) and row ``belt`` the change of the belt's speed (m/s); row 0 stands for none.  ``drag`` (2, G) are
-    velocities and accelerations of a `Drag`, ``turn`` is its.  Arrays are empty where nothing acts.
+    the force (m/s^2) and row ``belt`` the change of the belt's speed (m/s); row 0 stands for none.  ``drag`` (2, G) and
+    ``turn`` are those of a `Drag`.  Unused arrays are empty.
     """
 
     first: Integers
@@ -55,10 +55,10 @@ class Extra(NamedTuple):
 
 
 class Window(NamedTuple):
-    """The numbers of one window: its run's unknowns (13,), friction, level now, when that holds, and what is extra.
+    """The numbers of one window: its run's unknowns (13,), friction, current level and its epoch, and extras.
 
-    The points of ``along`` from ``low`` to before ``high`` are the window's.  Compiled code hands each number, and
-    seven to ten for an array, from function to function: fewer arrays make a step faster.
+    The points of ``along`` from ``low`` to before ``high`` are the window's.  Compiled code passes seven to ten numbers
+    for an array: fewer arrays make a step faster.
     """
 
     u: Array
@@ -75,12 +75,11 @@ class Window(NamedTuple):
 
 
 def at_level(w: Window, level: float) -> Window:
-    """Return the window with another friction level."""
     return Window(w.u, w.contact, level, w.epoch, w.low, w.high, w.along, w.force, w.belt, w.drag, w.turn)
 
 
 def piece(w: Window, t: float) -> int:
-    """Return the last point of the window before its last one whose time is not after t, or its first."""
+    """Return the latest point of the window, other than its last, not after t; else its first."""
     low, last = w.low, w.high - 1
     while last - low > 1:
         middle = (low + last) // 2
@@ -92,7 +91,7 @@ def piece(w: Window, t: float) -> int:
 
 
 def between(w: Window, row: int, t: float) -> float:
-    """Return a row of `Extra.along` at time t by linear interpolation; 0 where it is that of none."""
+    """Return a row of `Extra.along` at time t by linear interpolation; 0 for no row."""
     if row == 0:
         return 0.0
     i = piece(w, t)
@@ -135,7 +134,7 @@ def level_at(w: Window, t: float) -> float:
 
 
 def drag(w: Window, v: float) -> tuple[float, float]:
-    """Return the force by the mass's own velocity besides damping (m/s^2), and its derivative (1/s)."""
+    """Return the drag without damping (m/s^2), and its derivative (1/s)."""
     if w.drag.shape[1] < 2:
         return 0.0, 0.0
     low, high = 0, w.drag.shape[1] - 1
@@ -150,12 +149,12 @@ def drag(w: Window, v: float) -> tuple[float, float]:
 
 
 def resistance(w: Window, v: float) -> float:
-    """Return what the mass's own velocity takes from its acceleration, damping and drag, m/s^2."""
+    """Return the deceleration by damping and drag, m/s^2."""
     return float(w.u[DAMPING] * v - drag(w, v)[0])
 
 
 def free_force(w: Window, t: float, x: float) -> float:
-    """Return what acts on the mass at rest besides friction, m/s^2."""
+    """Return the acceleration of the mass at rest without friction, m/s^2."""
     return float(-w.u[K] * (x - w.u[DATUM]) + between(w, w.force, t))
 
 
@@ -168,8 +167,7 @@ def acceleration(w: Window, mode: int, t: float, x: float, v: float) -> float:
 def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
     """Return x' (m/s) of a mode bound to the belt: the belt's in stick; in creep that of balanced forces.
 
-    In creep the inertia counts to first order, by the acceleration of the velocity that balances the other forces; of
-    a ripple of the belt to second order.
+    In creep the inertia counts to first order, by the acceleration of that velocity; for a ripple to second order.
     """
     if mode == STICK:
         return belt_speed(w, t)
@@ -204,6 +202,6 @@ def advance(w: Window, mode: int, t: float, x: float, v: float, h: float) -> tup
 
 
 def load(w: Window, t: float, x: float) -> float:
-    """Return the force that friction must bear where the mass moves with the belt, its inertia included, m/s^2."""
+    """Return the friction force needed to move with the belt, including inertia, m/s^2."""
     belt = belt_speed(w, t)
     return float(belt_acceleration(w, t) + resistance(w, belt) - free_force(w, t, x))

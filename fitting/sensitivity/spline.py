@@ -16,8 +16,6 @@ DEGREE = 3  # degree of the pieces: slopes and curvatures are continuous
 
 @dataclass(frozen=True, eq=False)
 class FrictionSpline:
-    """A cubic B-spline, clamped at its ends."""
-
     knots: Array  # (n + 1,) slip speeds from 0, m/s, increasing
     # (n + 3,) friction per unit mass, m/s^2; the first is that at s = 0, the last that at the last knot
     coefficients: Array
@@ -26,16 +24,15 @@ class FrictionSpline:
 
     @classmethod
     def over(cls, knots: Array, coefficients: Array | None = None) -> "FrictionSpline":
-        """Return a spline over knots (n + 1,), its coefficients (n + 3,) 0 unless given."""
+        """Return a spline over knots (n + 1,), with coefficients (n + 3,) 0 unless given."""
         found = np.zeros(knots.size + DEGREE - 1) if coefficients is None else coefficients
         return cls(knots, found, _basis_pieces(knots))
 
     def with_coefficients(self, coefficients: Array) -> "FrictionSpline":
-        """Return the spline with the same knots and other coefficients (n + 3,), m/s^2."""
         return FrictionSpline(self.knots, coefficients, self.basis_pieces)
 
     def nearest(self, s: Array, values: Array) -> "FrictionSpline":
-        """Return the spline with the same knots that is nearest to values (k,) at speeds s (k,), by least squares.
+        """Return the least-squares spline with the same knots for values (k,) at speeds s (k,).
 
         Every piece holds at least four of the speeds, and none lies outside the knots.
         """
@@ -64,8 +61,7 @@ class FrictionSpline:
     def basis_along(self, s: Array, directions: Array, factor: Array | float = 1.0) -> Array:
         """Return the basis at slip speeds s (k,) along directions (n + 3, m) times ``factor`` (k,), shape (m, k).
 
-        The functions are continued as the kernels continue them: with a constant slope beyond the last knot; below 0
-        the first polynomial goes on.
+        Continued with a constant slope beyond the last knot; below 0 by the first polynomial.
         """
         found = np.zeros((directions.shape[1], s.size))
         fill = compiled(fill_basis, ("rig_sim.friction.spline", __name__), _nrt=False)
@@ -134,11 +130,11 @@ def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, directions:
 def fill_nearest(
     knots: Array, pieces: Array, s: Array, values: Array, band: Array, acting: Array, coefficients: Array
 ) -> None:
-    """Store the coefficients (n + 3,) of the spline that is nearest to values (k,) at speeds s (k,); a kernel.
+    """Store the coefficients (n + 3,) of the spline nearest to values (k,) at speeds s (k,); a kernel.
 
-    By normal equations, whose matrix has a band of four: where each piece holds several speeds they are as good as an
-    orthogonal factorisation to 1e-13.  ``band`` (n + 3, 4) and ``coefficients`` are 0 at first, ``acting`` (4,) is
-    scratch space.  Source: G. Golub, C. Van Loan, Matrix Computations, 4th ed., 4.3.5 (band Cholesky).
+    By normal equations with a band of four, as good as an orthogonal factorisation to 1e-13 where each piece holds
+    several speeds. ``band`` (n + 3, 4) and ``coefficients`` are 0 at first, ``acting`` (4,) is scratch. Source: G.
+    Golub, C. Van Loan, Matrix Computations, 4th ed., 4.3.5 (band Cholesky).
     """
     n = coefficients.size
     for row in range(s.size):

@@ -37,16 +37,11 @@ def tangents(
     start: tuple[Array, Array] | None = None,
     position: Array | None = None,
 ) -> Array:
-    """Return the derivatives of the positions at all samples, shape (N, k).
+    """Return the derivatives of the positions at all N samples, shape (N, k).
 
-    path: M points, N samples.
-    acceleration: (M, k) What one unit of each column adds to the acceleration at given position, velocity and belt
-        speed, m/s^2.
-    belt_speed: (M, n) What it adds to the belt's speed, m/s.
-    moving: (n,) Which columns move the belt; all of them without it.
-    edge: (windows, k) What it adds to the half-width of the ramp, m/s.
-    start: What it adds to position (m) and velocity (m/s) at the start of each window; 0 without.
-    position: (N, k) What it adds to the reading itself, m.
+    One unit of a column adds ``acceleration`` (M, k) at fixed position, velocity and belt speed, m/s^2; ``belt_speed``
+    (M, n), m/s, in the columns ``moving`` (n,) (default all); ``edge`` (windows, k) to the half-width of the ramp, m/s;
+    ``start`` to position (m) and velocity (m/s) of each window; and ``position`` (N, k) to the reading, m.
     """
     k = acceleration.shape[1]
     none = np.zeros((path.windows.table.shape[0], k))
@@ -100,7 +95,7 @@ def integrate(
 ) -> None:
     """Integrate all columns through all windows; fill ``out`` (N, k).  ``room`` (6, k) is scratch space.
 
-    ``own`` (windows,) is K of each window's run, 1/s^2; ``acceleration`` is (k, M), a column without gaps.
+    ``own`` (windows,) is K of each window's run, 1/s^2; ``acceleration`` (k, M) is contiguous.
     """
     k = out.shape[1]
     x, v = room[0], room[1]

@@ -60,10 +60,7 @@ def positions(
     drag: rates.Drag = NO_DRAG,
     longest_step: float = LONGEST_STEP,
 ) -> Array | None:
-    """Return the position at every sample, m, shape (N,); None where the motion cannot be followed.
-
-    Parameters are those of `fitting.sensitivity.path.follow`.
-    """
+    """Return the position at every sample, m, shape (N,); None where it cannot be followed.  Arguments of `follow`."""
     out = np.empty(windows.time.size)
     kernel = compiled(follow_values, (*KERNELS, __name__), _nrt=False)
     arguments = kernel_arguments(windows, curve, u, local, along, acceleration, belt_speed, drag)
@@ -84,9 +81,9 @@ def window_values(
     out: Array,
     most: int,
 ) -> int:
-    """Fill ``out`` (n,) with the positions of one window; return how many steps it took, -1 where that fails.
+    """Fill ``out`` (n,) with the positions of one window; return the number of steps, or -1.
 
-    It fails where the motion is no number, stays on an edge, or takes more than ``most`` steps.
+    It fails where the motion is not finite, stays on an edge, or takes more than ``most`` steps.
     """
     t, end = times[0], times[times.size - 1]
     held, landed = stick, stick
@@ -148,9 +145,9 @@ def follow_values(
     most: int,
     out: Array,
 ) -> int:
-    """Fill ``out`` (N,) along all windows; return 0, or 1 + the window that cannot be followed.
+    """Fill ``out`` (N,) along all windows in ``most`` steps; return 0, or 1 + the window that cannot be followed.
 
-    Arguments are those of `fitting.sensitivity.flow.follow_windows`; ``most`` steps are taken in all.
+    Other arguments are those of `fitting.sensitivity.flow.follow_windows`.
     """
     for row in range(table.shape[0]):
         own, part = u[table[row, 5]], local[table[row, 0]]

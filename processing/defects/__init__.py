@@ -1,1 +1,1 @@
-"""What is wrong in a record: lost counts, velocity steps."""
+"""Faults of a record: spikes, frozen stretches, lost counts and frames, velocity steps."""

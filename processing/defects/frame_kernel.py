@@ -1,39 +1,34 @@
-"""Kernel: one pass over the positions for steps of twice, or none of, the usual length.
+"""Kernel: one pass over the positions for steps of zero, two or three times the usual length.
 
 Runs as written or compiled (`stickslip.compute.compile`).
 """
 
 from stickslip.compute.arrays import Array
 
-WIDE = 7  # steps on either side that say how long one usually is
-# Of those the nearest, and how far the parabola through the means of the near and the far ones lies beyond the near
-# mean at the compared step: 14/3 / (63/2 - 14/3), from the mean squares of 1 to 3 and of 4 to 7 steps.
+WIDE = 7  # steps on either side that determine the usual one
+# The nearest of those steps, and how far the parabola through the means of near and far ones lies beyond the near mean
+# at the compared step: 14/3 / (63/2 - 14/3), from the mean squares of 1 to 3 and of 4 to 7 steps.
 BESIDE, BEYOND = 3, 28 / 161
-# Of the usual step: the most that the steps beside a compared one scatter by.  Two lost frames among them make 0.25, a
-# mass that starts or stops 0.7, the middle of a slip of 16 samples 0.35.  At half, two lost frames of 14 steps exclude
-# each other; at twice, the middles of slips of 12 to 20 samples are up to half of all frames "lost", and none is.
+# Of the usual step: largest scatter of the steps around a compared one.  Two lost frames among them make 0.25, the
+# middle of a slip of 16 samples 0.35, a mass that starts or stops 0.7.
 EVEN = 0.25
-# Of the variance of a step by noise: what 12 steps scatter by at most, in all but one of a thousand places.
-BY_NOISE = 2.75
+BY_NOISE = 2.75  # of the variance of a step by noise: scatter of 12 steps, in all but one of a thousand places
 BEND_NOISE = 37 / 144  # variance of the difference of the near and the far mean, in variances of a position
 MEAN_NOISE = 6 / WIDE  # three standard deviations by noise of the difference of two means of `WIDE` steps
-MOST_NOISE = 6.0  # standard deviations of a position that a step differs by from what it would be without noise
+MOST_NOISE = 6.0  # standard deviations of a position: largest difference of a step by noise
 
 
 def count_steps(x: Array, noise: float, least: float, near: float, sums: Array) -> None:
     """Compare every step of the position with the usual one of its neighbours.
 
-    The usual step is the mean of ``WIDE`` steps on either side, the largest and the smallest left out.  There is none
-    where these steps differ among themselves, or one of them turns back or is longer than two lost frames make it: at a
-    corner of the motion, or in a slip of few samples, a long step is no sign of a lost frame.
+    The usual step is the mean of ``WIDE`` steps on either side without the largest and the smallest.  Steps are not
+    compared where these differ among themselves, or one turns back or is longer than two lost frames make it: at a
+    corner of the motion, or in a slip of few samples, a long step is not a sign of a lost frame.  Steps are clear of
+    ``noise``, m, above ``least``, m, and must lie within ``near`` usual steps of a multiple.
 
-    x: Positions, m.
-    noise, least: Standard deviation of one position, and the usual step above which a single step is clear of noise, m.
-    near: How near a multiple of the usual step a step must lie, in usual steps.
-    sums: Added to: number of clear steps; of those twice and three times the usual one, of those of none and of minus
-        one; and of the steps that are not clear the sum of cubes of what they exceed the usual one by, the sum of its
-        own cubes, their number, and the sums of the excess and of its squares; and of the square by which the near
-        steps differ from the far ones, times the usual one, without what noise makes of it.
+    Added to ``sums``: [0] number of clear steps, [1:5] those of two, three, zero and minus one usual steps; of others
+    [5] the cubes of the excess over the usual step, [6] the cubes of the usual step, [7] their number, [8] the
+    excess, [9] its squares, and [10] the squared bend times the usual step, without the contribution of noise.
     """
     for i in range(WIDE, x.size - WIDE - 1):
         low = high = x[i] - x[i - 1]
@@ -58,12 +53,12 @@ def count_steps(x: Array, noise: float, least: float, near: float, sums: Array) 
         if back < -near * size - MOST_NOISE * noise or ahead > (3 + near) * size + MOST_NOISE * noise:
             continue
         step = (x[i + 1] - x[i]) * (1.0 if usual > 0 else -1.0)
-        # At the middle of a slip of 16 samples a step is 1.4 times the mean of those beside it; a parabola shows that.
+        # In the middle of a slip of 16 samples a step is 1.4 times the mean of its neighbours, as a parabola shows.
         inner = (x[i] - x[i - BESIDE] + x[i + 1 + BESIDE] - x[i + 1]) / (2 * BESIDE)
         outer = (x[i - BESIDE] - x[i - WIDE] + x[i + 1 + WIDE] - x[i + 1 + BESIDE]) / (2 * (WIDE - BESIDE))
         more, bent = step - size, step - abs(inner + BEYOND * (inner - outer))
         if size >= least:
-            if abs(bent) < abs(more):  # what both of them leave
+            if abs(bent) < abs(more):  # the smaller residual of mean and parabola
                 more = bent
             sums[0] += 1
             sums[1] += abs(more - size) < near * size

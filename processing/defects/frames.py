@@ -1,11 +1,11 @@
-"""Frames lost or doubled without a trace: times on an even grid, and steps of twice, or none of, the usual length.
+"""Frames lost or doubled among even times: steps of zero, two or three times the usual length.
 
-A camera or a logger that numbers what arrives, instead of stamping when it was taken, makes even times of uneven ones.
-Where a mass moves by several standard deviations of a position between two frames, a lost frame shows as a step of
-twice those beside it, two lost ones as three times, and a doubled frame as no step at all.  Where a step is between
-one and eight standard deviations, only the share of lost frames shows, in the skewness of the steps.  Smaller steps
-hide lost frames.  A doubled frame repeats the noise of the one before it: where noise is several printed steps, equal
-readings are rare, and about as many as readings one, two and three steps apart lead one to expect.
+A camera or a logger that numbers frames on arrival, instead of recording when they were taken, makes even times of
+uneven ones.  Where a mass moves by several standard deviations of a position between two frames, a lost frame shows as
+a step of twice its neighbours, two lost ones as three times, and a doubled frame as no step at all.  Where a step is
+between one and eight standard deviations, only the share of lost frames shows, in the skewness of the steps.  Smaller
+steps hide lost frames.  A doubled frame repeats the noise of the one before it: where noise is several printed steps,
+equal readings are rare, and their expected number follows from readings one, two and three steps apart.
 """
 
 import math
@@ -31,19 +31,18 @@ NEAR = 0.35  # of the usual step: how near a multiple a step must lie
 SHARE = 1e-3  # of the steps compared, at least
 FEWEST = 5  # steps, at least, in a short record
 SUMS, OF_KERNEL, UNCLEAR = 16, 11, 5  # numbers; those of the kernel; the first of its steps that are not clear
-REPEATED = 2.0  # printed steps of noise, at least: at 1 the readings one to three steps apart mislead by 2 % of all
-# Readings one step apart over those two apart, at least: noise of 2 steps gives 1.2.  Where a few readings were
-# set half way between their neighbours, as spikes are, half of the printed step passes for it: odd steps are then rare.
+REPEATED = 2.0  # printed steps of noise that are needed to search for repeated readings
+# Ratio of readings one step apart to those two apart; noise of 2 steps gives 1.2, and it is small where half of the
+# printed step was taken for the step.
 REGULAR = 0.8
-LONGEST_REPEAT = 3  # equal steps in a row: longer is a sensor that held its value, or a mass at rest
-UNLIKELY = 5.0  # standard deviations of the number of equal readings; none of 48 clean cameras has as many
-SHORT = 32  # samples: half of the shortest piece looked at
-SKEW = 0.02  # share of frames below which noise could look like them; clean cameras of 0.2 mm reach 0.024
-# What a motion that bends within the steps looked at can make of the share at most, in relative bends (root mean
-# square) cubed.  Slips of 14 to 20 samples make 12 at most, lost frames themselves bend by half of the root of their
-# share: at twice, a share above 0.1 is not found.
+LONGEST_REPEAT = 3  # equal steps in a row: more are a sensor that held its value, or a mass at rest
+UNLIKELY = 5.0  # standard deviations of the number of equal readings
+SHORT = 32  # samples: half of the shortest piece
+SKEW = 0.02  # share of lost frames: noise can look like a smaller one
+# Largest share that curvature of the motion can imitate, in relative bends (root mean square) cubed; slips of 14 to 20
+# samples make 12.
 BENT = 14.0
-SIGNIFICANT = 4.0  # standard deviations of that share; 30 clean cameras of 0.2 mm reach 2.1
+SIGNIFICANT = 4.0  # standard deviations of that share
 
 
 @dataclass(frozen=True)
@@ -56,46 +55,44 @@ class FrameCount:
 
     @property
     def share(self) -> float:
-        """Share of all frames that were lost, 0 to 1."""
+        """Share of lost frames, 0 to 1."""
         return self.lost / (self.compared + self.lost) if self.lost else 0.0
 
 
-def step_sums(series: Series, own: slice, noise: float, step: float) -> Array:
-    """Return the sums that `count_frames` needs, (16,), over the samples ``own`` of a record.
+def step_sums(series: Series, samples: slice, noise: float, step: float) -> Array:
+    """Return the sums for `count_frames`, (16,), over some samples of a record, with missing readings interpolated.
 
-    They are 0 for a piece whose times are not even: there the times show where frames are missing.  Where readings are
-    missing (NaN) a line stands for them.
-
-    noise, step: Standard deviation of one position, and the step that readings are rounded to (0: none), m.
+    Pieces with uneven times are skipped, since those show where frames are missing.  ``step`` is the step that readings
+    are rounded to, m, or 0.
     """
     sums = np.zeros(SUMS)
-    known = ~np.isnan(series.position)
-    parts = [slice(max(piece.start, own.start), min(piece.stop, own.stop)) for piece in series.pieces]
+    present = ~np.isnan(series.position)
+    parts = [slice(max(piece.start, samples.start), min(piece.stop, samples.stop)) for piece in series.pieces]
     even = [part for part in parts if part.stop - part.start > 2 * SHORT and is_even(series.time[part])]
     reading = series.position
-    bridged = reading if known.all() else np.interp(series.time, series.time[known], reading[known])
+    bridged = reading if present.all() else np.interp(series.time, series.time[present], reading[present])
     for part in even:
         least = CLEAR * math.sqrt(2) * noise
-        found = np.zeros(OF_KERNEL)
-        compiled(frame_kernel.count_steps, KERNELS)(bridged[part], noise, least, NEAR, found)
+        kernel_sums = np.zeros(OF_KERNEL)
+        compiled(frame_kernel.count_steps, KERNELS)(bridged[part], noise, least, NEAR, kernel_sums)
         valid = OF_KERNEL if noise >= DITHERED * step else UNCLEAR
-        sums[:valid] += found[:valid]
+        sums[:valid] += kernel_sums[:valid]
         if noise >= REPEATED * step > 0:
             steps = np.rint(np.abs(np.diff(reading[part])) / step)
-            sums[OF_KERNEL:] += _equal_readings(steps[~np.isnan(steps)])
+            sums[OF_KERNEL:] += _count_equal_readings(steps[~np.isnan(steps)])
     return sums
 
 
-def _equal_readings(steps: Array) -> Array:
-    """Return how many steps there are, how many are 0 in short runs, and how many are 1, 2 and 3 printed ones."""
+def _count_equal_readings(steps: Array) -> Array:
+    """Return the number of steps, of those of 0 in short runs, and of those of 1, 2 and 3 printed steps."""
     equal = sum(last - first for first, last in runs(steps == 0) if last - first <= LONGEST_REPEAT)
     return np.array([steps.size, equal, *(np.count_nonzero(steps == number) for number in (1, 2, 3))], float)
 
 
 def count_frames(sums: Array) -> FrameCount:
-    """Return the frames lost or doubled, from the sums over all of a record."""
-    compared, one, two, none, back = (int(value) for value in sums[:5])
-    lost, doubled = one + 2 * two - back, none - one
+    """Return the frames lost or doubled, from the sums over a record."""
+    compared, once, twice, never, backward = (int(value) for value in sums[:5])
+    lost, doubled = once + 2 * twice - backward, never - once
     few = max(FEWEST, SHARE * compared)
     steps, equal, first, second, third = (float(value) for value in sums[OF_KERNEL:])
     usual = (15 * first - 6 * second + third) / 20  # each is those up and those down; the parabola of degree 4 at 0
@@ -105,8 +102,8 @@ def count_frames(sums: Array) -> FrameCount:
     ):
         return FrameCount(int(steps) - repeated, 0, repeated)
     if lost <= few and doubled <= few and sums[6] > 0 and compared < sums[7]:
-        # Steps of twice the usual length skew the distribution by the share of frames lost; noise does not.  It is
-        # taken about the mean: usual steps chosen because they are long are too long, and shift it.
+        # Steps of twice the usual length skew the distribution by the share of lost frames; noise does not.  Moments
+        # are about the mean, because usual steps selected for their length are too long.
         number, cubes = float(sums[7]), float(sums[6])
         mean, square = float(sums[8]) / number, float(sums[9]) / number
         share = (float(sums[5]) - 3 * square * float(sums[8]) + 2 * number * mean**3) / cubes

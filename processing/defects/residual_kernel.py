@@ -1,4 +1,4 @@
-"""Kernel: what the scores of a smoother say of an outlier, a step, a kick and a corner at every sample.
+"""Kernel: t statistics of an outlier, a step, a kick and a corner at every sample, from the scores of a smoother.
 
 Runs as written or compiled (`stickslip.compute.compile`).
 """
@@ -6,10 +6,8 @@ Runs as written or compiled (`stickslip.compute.compile`).
 from stickslip.compute.arrays import Array, Integers
 
 OUTLIER, STEP, KICK, CORNER = 0, 1, 2, 3  # rows of the statistics
-ENDS = 4  # samples at either end of a piece at which neither step, kick nor corner is looked for
-# Of the square of a t statistic of a step or a kick that begins at a sample: the templates of kicks that are over in
-# some samples are tried where it is more.  They look alike, so that below nothing reaches the threshold of a kick.
-TRIED = 9.0
+ENDS = 4  # samples at either end of a piece that are not searched for steps, kicks and corners
+TRIED = 9.0  # square of the t statistic of a step or a kick above which the templates of kicks are tried
 
 
 def find_statistics(
@@ -20,33 +18,25 @@ def find_statistics(
     durations: Integers,
     sharpest: float,
     interval: float,
-    own: tuple[int, int],
+    span: tuple[int, int],
     squares: Array,
     sizes: Array,
     widths: Integers,
 ) -> None:
-    """Write the squares of the t statistics of the samples own[0]..own[1] - 1 of a piece of n samples.
+    """Write the squares of the t statistics of the samples span[0]..span[1] - 1 of a piece.
 
-    The score of a step of the position that takes some samples is the mean of the scores of these; that of a kick after
-    which the mass moves with the belt again is a weighted sum, for the position moves by a parabola.
-
-    scores: Of `processing.kalman.white_jerk.smooth_piece`.
-    steps: Variance of the score of a step at once over that of the sum of 1, 2, ... of them.
-    kicks, variance, durations: Weights of the scores of kicks that are over after so many samples, and likewise their
-        variance.
-    sharpest: The acceleration by which a kick may be over.
-    interval: Of the samples.
-    squares: Of outlier, step, kick and corner.
-    sizes, widths: Of the best outlier, step and kick; samples that the step takes.
+    The score of a step over some samples is the mean of their scores; that of a kick, after which the mass soon moves
+    with the belt again at ``sharpest`` acceleration at most, is a sum weighted by ``kicks``, whose variances, relative
+    to a step, are ``variance``.  ``sizes`` and ``widths`` receive those of the best outlier, step and kick.
     """
     n = scores.shape[0]
-    for i in range(own[0], own[1]):
+    for i in range(span[0], span[1]):
         outlier, step, kick, corner = 0.0, 0.0, 0.0, 0.0
         if scores[i, 1] > 0.0:
             sizes[OUTLIER, i] = scores[i, 0] / scores[i, 1]
             outlier = scores[i, 0] * sizes[OUTLIER, i]
-        known = scores[i, 3] > 0.0 and scores[i, 5] > 0.0 and scores[i, 7] > 0.0
-        if known and ENDS <= i < n - ENDS:
+        all_known = scores[i, 3] > 0.0 and scores[i, 5] > 0.0 and scores[i, 7] > 0.0
+        if all_known and ENDS <= i < n - ENDS:
             sizes[KICK, i] = scores[i, 4] / scores[i, 5]
             kick = scores[i, 4] * sizes[KICK, i]
             corner = scores[i, 6] * scores[i, 6] / scores[i, 7]

@@ -1,4 +1,4 @@
-"""The state of a filter before its first sample: about as fast as over the first nine readings, else unknown."""
+"""The state of a filter before its first sample: the speed of the first nine readings, everything else unknown."""
 
 import math
 
@@ -7,21 +7,19 @@ import numpy as np
 from processing.kalman.motion_kernel import state_size
 from stickslip.compute.arrays import Array
 
-FIRST = 8  # samples behind the first one
+FIRST = 8  # samples after the first one
 
 
 def first_state(time: Array, position: Array, variance: float, derivatives: int) -> Array:
-    """Return the state of a filter of the first ``derivatives`` derivatives before its first sample.
+    """Return the state before the first sample, the upper triangle of its covariance by rows, and its time, s.
 
-    time, position: s and m, NaN where a reading is missing; at least two are not.
-    variance: Of a reading, m^2.
-    derivatives: 2 for x, v, a (`white_jerk`), 3 for x, v, a, j (`stick_slip`), 1 for x, v and zeros as in `stick_slip`.
-    Returns: The state, the upper triangle of its covariance row by row, and the time it holds for, s.
+    ``derivatives`` is 2 for x, v, a (`white_jerk`), 3 for x, v, a, j (`stick_slip`) and 1 for x, v and zeros there.  At
+    least two readings are not NaN.
     """
     t, x = time[: FIRST + 1].tolist(), position[: FIRST + 1].tolist()  # so few are faster as plain numbers
     if math.isnan(sum(x)):
-        known = np.flatnonzero(~np.isnan(position))[: FIRST + 1]
-        t, x = time[known].tolist(), position[known].tolist()
+        readings = np.flatnonzero(~np.isnan(position))[: FIRST + 1]
+        t, x = time[readings].tolist(), position[readings].tolist()
     k = len(x) - 1
     h = (t[k] - t[0]) / k
     slope = (x[k] - x[0]) / (t[k] - t[0])

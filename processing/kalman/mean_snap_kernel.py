@@ -1,4 +1,4 @@
-"""Kernel: how the mean snap before a landing moves what is expected of the samples around it.
+"""Kernel: how the mean snap before a landing shifts the predicted samples around it.
 
 Runs as written or compiled (`stickslip.compute.compile`).
 """
@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.kalman.motion_kernel import LINE, Order, Process, predict, turn, unpack, update
+from processing.kalman.motion_kernel import LINE, Order, Process, pass_corner, predict, unpack, update
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import stack, stack_square
 
@@ -24,20 +24,14 @@ def accumulate_normal_equations(
     edges: Array,
     parts: Labels,
     process: Process,
-    loose: Array,
+    landing_variance: Array,
     gram: Array,
     rhs: Array,
 ) -> None:
-    """Add a landing to the normal equations ``gram @ means = rhs`` of the mean snap of the parts before it.
+    """Add a landing to the normal equations ``gram @ means = rhs`` of the mean snap of the k parts before it.
 
-    time, position: Samples around the landing, no other corner among them; NaN where a reading is missing.
-    state: Of the filter before the first of them.
-    landing: When, s.
-    edges: Where parts begin, s from the landing; the last is 0.
-    parts: Labels: far before, the k parts asked for, the stick.
-    process: By label; the mean snap is taken as 0.
-    loose: Variances gained at the landing, whose time is not known: of the velocity's step, m^2/s^2, and zeros.
-    gram, rhs: Added to, the lower triangle alone of ``gram``.
+    ``parts`` are the labels far before, of the k parts and of the stick, which change at ``edges``, s from the landing;
+    ``landing_variance`` allows for the uncertain time of the landing.  Only the lower triangle of ``gram`` is filled.
     """
     q, r = process.density, process.reading_variance
     y, p = stack(order), stack_square(order)
@@ -46,17 +40,17 @@ def accumulate_normal_equations(
     x, v, a, j = np.zeros(k), np.zeros(k), np.zeros(k), np.zeros(k)
     last = time[0]
     part = 0
-    ahead = True
+    before_landing = True
     for i in range(time.size):
         while True:
-            corner = ahead and landing <= time[i]
-            to = landing if corner else time[i]
+            corner = before_landing and landing <= time[i]
+            until = landing if corner else time[i]
             while not corner and part < edges.size and time[i] - landing >= edges[part]:
                 part += 1
-            h = to - last
-            last = to
+            h = until - last
+            last = until
             b = parts[part]
-            if ahead:
+            if before_landing:
                 predict(order, order, h, q[b], 0.0, y, p)
                 for n in range(k):
                     u = 1.0 if part == n + 1 else 0.0
@@ -70,8 +64,8 @@ def accumulate_normal_equations(
                     x[n] += h * v[n]
             if not corner:
                 break
-            ahead = False
-            turn(order, 2, loose, y, p)
+            before_landing = False
+            pass_corner(order, 2, landing_variance, y, p)
             part = edges.size
         if math.isnan(position[i]):
             continue
@@ -86,7 +80,7 @@ def accumulate_normal_equations(
             v[n] -= p[1] * g
             a[n] -= p[2] * g
             j[n] -= p[3] * g
-        if ahead:
+        if before_landing:
             update(order, order, e, s, r[parts[part]], y, p)
         else:
             update(order, LINE, e, s, r[parts[part]], y, p)

@@ -1,26 +1,26 @@
 """Kernels: the Kalman filter of a motion whose n-th derivative is white noise, on any times, and its smoother.
 
 State: x and its first n - 1 derivatives.  Between samples h apart the n-th derivative has a mean u and white noise of
-density q; a reading is x + noise of variance r.  All of these belong to the label of a sample (`Process`), and so does
-how many derivatives are alive: 2 where x and v alone go on, without noise, else n.  At a corner between samples the
-derivatives from ``keep`` on become 0, and each gains the variance ``jump``.  The filter writes down what it expected of
-every sample; the smoother goes back over that and needs no inverse:
+density q; a reading is x + noise of variance r.  The label of a sample selects all of these (`Process`), and the number
+of derivatives that are alive: 2 where only x and v go on, without noise, else n.  At a corner between samples the
+derivatives from ``keep`` on become 0, and each gains the variance ``jump``.  The filter stores its prediction of every
+sample; the smoother goes back over these and needs no inverse:
 
     l = F'l - h (e/s + k'l),   smoothed state = expected - p l,   its covariance = p - p m p
 
 with the adjoint state l and its information m (F the step of the state, h = (1, 0, ...), e the innovation, s its
-variance, k the gain).  In what is stored s stands for 1/s.  On its way back it sums what says how well each noise level
-was chosen: sum(l^2)/sum(m) of the last derivative is 1 at the level of greatest likelihood, and the level times that
-ratio comes closer to it.
+variance, k the gain).  The stored s is 1/s.  On its way back the smoother sums the evidence on each noise level:
+sum(l^2)/sum(m) of the last derivative is 1 at the level of greatest likelihood, and the level times that ratio comes
+closer to it.
 
-``order`` is a tuple of n numbers, whatever they are, and ``part`` one of as many as are alive: lengths of tuples are
-constants of the compiled code, so that the loops unroll, and the state lives in arrays of n and n n numbers on the
-stack.  Of p the upper triangle is kept, of m the lower one: each is carried in place.  Every function runs as written
+``order`` is a tuple of n numbers of any value, and ``part`` one with as many as are alive: lengths of tuples are
+constants of the compiled code, so that the loops unroll, and the state is held in arrays of n and n n numbers on the
+stack.  The upper triangle of p and the lower one of m are kept, each updated in place.  Every function runs as written
 or compiled (`stickslip.compute.compile`).
 
-A reading that is NaN is a missing one: its variance is infinite, and s and e/s are 0.
+A reading that is NaN is missing: its variance is infinite, and s and e/s are 0.
 
-The adjoint state tells what the motion does not explain (auxiliary residuals): just before a sample l_d^2/m_dd is the
+The adjoint state gives the auxiliary residuals, unexplained by the motion: just before a sample l_d^2/m_dd is the
 square of the t statistic of a step of the d-th derivative there, and l_d/m_dd the estimate of that step; u^2/d is that
 of an outlying reading, of size u/d, with the score u of the sample and its variance d.
 
@@ -42,35 +42,35 @@ Labels = NDArray[np.uint8]
 Order = tuple[float, ...]
 Sums = tuple[float, float, float, float]
 
-LINE = (0.0, 0.0)  # order of a motion of which x and v alone are alive
+LINE = (0.0, 0.0)  # order of a motion in which only x and v are alive
 SETTLED = 36.0  # natural logarithm of how far a start must have faded: 2e-16
 INVERSE = (0.0, *(1 / k for k in range(1, 10)))
 OVER_FACTORIAL = tuple(1 / math.factorial(k) for k in range(10))
 
 
 class Process(NamedTuple):
-    """The noise of a motion of order n: arrays of shape (labels,), and of its corners, one row a kind."""
+    """The noise of a motion of order n by label, and of its corners by kind."""
 
     density: Array  # of the n-th derivative
     mean: Array
     reading_variance: Array  # m^2
     alive: Integers  # derivatives that go on, x included: 2 or n
-    keep: Integers  # at a corner: how many derivatives go on, and the variance that each gains
-    jump: Array
+    keep: Integers  # derivatives that go on at a corner
+    jump: Array  # variance that each gains there
 
 
 def state_size(n: int) -> int:
-    """Return the numbers in a filter's state: x and derivatives, the upper triangle of p by rows, the time it is of."""
+    """Return how many numbers a state has: x and derivatives, the upper triangle of p by rows, and its time."""
     return n + n * (n + 1) // 2 + 1
 
 
 def stored_size(n: int) -> int:
-    """Return the numbers kept of a sample: x and p as expected, 1/s, e/s."""
+    """Return how many numbers are stored for a sample: x and p as predicted, 1/s, e/s."""
     return n + n * (n + 1) // 2 + 2
 
 
 def predict(order: Order, part: Order, h: float, q: float, u: float, x: Any, p: Any) -> None:
-    """Carry the state over h seconds."""
+    """Predict the state h seconds later."""
     n, alive = len(order), len(part)
     for i in range(alive):
         t = 0.0
@@ -104,10 +104,10 @@ def predict(order: Order, part: Order, h: float, q: float, u: float, x: Any, p: 
 
 
 def update(order: Order, part: Order, e: float, s: float, r: float, x: Any, p: Any) -> None:
-    """Take in a reading with innovation e; s = 1/(p00 + r).
+    """Update the state with a reading of innovation e and s = 1/(p00 + r).
 
-    A variance keeps at least the part r s of itself, since p01^2 <= p00 p11: where r is 1e-16 of p00, as beside a
-    reading without noise, the difference is rounding, of either sign.
+    A variance keeps at least the fraction r s, since p01^2 <= p00 p11; where r is 1e-16 of p00 the difference is only
+    rounding, of either sign.
     """
     n, alive = len(order), len(part)
     g, f = e * s, r * s
@@ -122,8 +122,7 @@ def update(order: Order, part: Order, e: float, s: float, r: float, x: Any, p: A
         p[c] *= f
 
 
-def turn(order: Order, keep: int, jump: Array, x: Any, p: Any) -> None:
-    """Go through a corner."""
+def pass_corner(order: Order, keep: int, jump: Array, x: Any, p: Any) -> None:
     n = len(order)
     for d in range(n):
         if d >= keep:
@@ -135,7 +134,7 @@ def turn(order: Order, keep: int, jump: Array, x: Any, p: Any) -> None:
 
 
 def unpack(order: Order, w: Array, x: Any, p: Any) -> None:
-    """Read a state."""
+    """Copy the state ``w`` into x and p."""
     n = len(order)
     k = n
     for i in range(n):
@@ -146,7 +145,7 @@ def unpack(order: Order, w: Array, x: Any, p: Any) -> None:
 
 
 def pack(order: Order, w: Array, x: Any, p: Any) -> None:
-    """Write a state."""
+    """Copy x and p into the state ``w``."""
     n = len(order)
     k = n
     for i in range(n):
@@ -161,16 +160,13 @@ def forward(
     time: Array,
     position: Array,
     label: Labels,
-    at: Array,
+    corner_times: Array,
     kind: Labels,
     process: Process,
     state: Array,
     stored: Array,
 ) -> None:
-    """Filter from ``state`` on, which ends behind the last sample; write what was expected of each, (n, stored_size).
-
-    ``label`` (n,) picks the noise; ``at`` and ``kind`` (c,) are the corners among the samples, in order.
-    """
+    """Filter from ``state`` on, which is moved past the last sample, and store the predictions, (n, stored_size)."""
     n = len(order)
     q, u, r, alive = process.density, process.mean, process.reading_variance, process.alive
     x, p = stack(order), stack_square(order)
@@ -179,15 +175,15 @@ def forward(
     last = state[end]
     c = 0
     for i in range(time.size):
-        while c < at.size and at[c] <= time[i]:
+        while c < corner_times.size and corner_times[c] <= time[i]:
             b = label[max(i - 1, 0)]
-            predict(order, order, at[c] - last, q[b], u[b], x, p)
-            turn(order, process.keep[kind[c]], process.jump[kind[c]], x, p)
-            last = at[c]
+            predict(order, order, corner_times[c] - last, q[b], u[b], x, p)
+            pass_corner(order, process.keep[kind[c]], process.jump[kind[c]], x, p)
+            last = corner_times[c]
             c += 1
         b = label[i]
-        two = alive[b] < n
-        if two:
+        straight = alive[b] < n
+        if straight:
             predict(order, LINE, time[i] - last, 0.0, 0.0, x, p)
         else:
             predict(order, order, time[i] - last, q[b], u[b], x, p)
@@ -200,7 +196,7 @@ def forward(
         s = 1.0 / (p[0] + r[b])
         e = position[i] - x[0]
         w[end], w[end + 1] = s, e * s
-        if two:
+        if straight:
             update(order, LINE, e, s, r[b], x, p)
         else:
             update(order, order, e, s, r[b], x, p)
@@ -208,7 +204,7 @@ def forward(
     state[end] = last
 
 
-def take_in(
+def add_reading(
     order: Order, part: Order, w: Array, adjoint: Any, information: Any, gain: Any, v: Any
 ) -> tuple[float, float]:
     """Add the reading of a sample to the adjoint state and its information; return its score and its variance."""
@@ -233,13 +229,12 @@ def take_in(
 
 
 def write_motion(
-    order: Order, part: Order, w: Array, adjoint: Any, information: Any, row: Any, motion: Array, at: int
+    order: Order, part: Order, w: Array, adjoint: Any, information: Any, row: Any, motion: Array, column: int
 ) -> None:
-    """Write x, v, a and their variances of one sample."""
     n, alive = len(order), len(part)
     for i in range(3):
         if i >= alive:
-            motion[i, at] = motion[3 + i, at] = 0.0
+            motion[i, column] = motion[3 + i, column] = 0.0
             continue
         for c in range(alive):
             low, high = min(i, c), max(i, c)
@@ -251,12 +246,12 @@ def write_motion(
             for m in range(c + 1, alive):
                 y += row[m] * information[m * n + c]
             z += row[c] * (row[c] * information[c * n + c] + 2 * y)
-        motion[i, at] = w[i] - t
-        motion[3 + i, at] = row[i] - z
+        motion[i, column] = w[i] - t
+        motion[3 + i, column] = row[i] - z
 
 
 def carry_back(order: Order, part: Order, h: float, adjoint: Any, information: Any) -> None:
-    """Take the adjoint state and its information back over h seconds."""
+    """Propagate the adjoint state and its information back over h seconds."""
     n, alive = len(order), len(part)
     for i in range(alive - 1, -1, -1):
         t = 0.0
@@ -281,7 +276,7 @@ def backward(
     order: Order,
     time: Array,
     label: Labels,
-    at: Array,
+    corner_times: Array,
     kind: Labels,
     process: Process,
     stored: Array,
@@ -294,10 +289,10 @@ def backward(
 ) -> None:
     """Smooth from the last sample back.
 
-    ``motion`` (6, n) gets x v a and their variances of the first ``wanted`` samples, from its column ``begin`` on;
-    ``noise`` (labels, 4) is added sum(l^2) and sum(m) of the last derivative, and the same for the readings; ``steps``
-    (kinds, n, 2) likewise for what each derivative gains at corners.  ``scores`` (k, 2 + 2 n) gets, of its first k
-    samples, the score of the reading and its variance, then those of a step of each derivative just before the sample.
+    ``motion`` (6, n) receives x, v, a and their variances of the first ``wanted`` samples, from column ``begin`` on.
+    sum(l^2) and sum(m) of the last derivative and of the readings are added to ``noise`` (labels, 4), those of the
+    jumps at corners to ``steps`` (kinds, n, 2).  ``scores`` (k, 2 + 2 n) receives, for the first k samples, the score
+    of the reading and its variance, then those of a step of each derivative just before the sample.
     """
     n = len(order)
     alive, keep = process.alive, process.keep
@@ -306,15 +301,15 @@ def backward(
         adjoint[i] = 0.0
     for i in range(n * n):
         information[i] = 0.0
-    c = at.size - 1
+    c = corner_times.size - 1
     for i in range(time.size - 1, -1, -1):
         w = stored[i]
         b = label[i]
-        two = alive[b] < n
-        if two:
-            u, d = take_in(order, LINE, w, adjoint, information, row, v)
+        straight = alive[b] < n
+        if straight:
+            u, d = add_reading(order, LINE, w, adjoint, information, row, v)
         else:
-            u, d = take_in(order, order, w, adjoint, information, row, v)
+            u, d = add_reading(order, order, w, adjoint, information, row, v)
         noise[b, 2] += u * u
         noise[b, 3] += d
         if i < scores.shape[0]:
@@ -322,49 +317,48 @@ def backward(
             for m in range(n):
                 scores[i, 2 + 2 * m], scores[i, 3 + 2 * m] = -adjoint[m], information[m * n + m]
         if i < wanted:
-            if two:
+            if straight:
                 write_motion(order, LINE, w, adjoint, information, row, motion, begin + i)
             else:
                 write_motion(order, order, w, adjoint, information, row, motion, begin + i)
         if i == 0:
             break
-        if two and (c < 0 or at[c] <= time[i - 1]):
+        if straight and (c < 0 or corner_times[c] <= time[i - 1]):
             carry_back(order, LINE, time[i] - time[i - 1], adjoint, information)
             continue
         now = time[i]
         while True:
             # Back over the interval; corners in it, the latest first, cut it into parts.
-            corner = c >= 0 and at[c] > time[i - 1]
-            h = now - (at[c] if corner else time[i - 1])
+            corner = c >= 0 and corner_times[c] > time[i - 1]
+            h = now - (corner_times[c] if corner else time[i - 1])
             noise[b, 0] += h * (adjoint[n - 1] * adjoint[n - 1] + h * adjoint[n - 2] * adjoint[n - 1])
             noise[b, 1] += h * (information[n * n - 1] + h * information[n * n - 2])
             carry_back(order, order, h, adjoint, information)
             if not corner:
                 break
-            now = at[c]
-            what = kind[c]
+            now = corner_times[c]
+            corner_kind = kind[c]
             b = label[i - 1]
             c -= 1
             for m in range(n):
-                if m >= keep[what]:
+                if m >= keep[corner_kind]:
                     adjoint[m] = 0.0
                     for j in range(n):
                         information[m * n + j] = 0.0
                         information[j * n + m] = 0.0
                 else:
-                    steps[what, m, 0] += adjoint[m] * adjoint[m]
-                    steps[what, m, 1] += information[m * n + m]
+                    steps[corner_kind, m, 0] += adjoint[m] * adjoint[m]
+                    steps[corner_kind, m, 1] += information[m * n + m]
 
 
 def sum_likelihood(
     order: Order, time: Array, position: Array, edges: Integers, every: int, q: float, states: Array, most: float
 ) -> Sums:
-    """Filter the stretches of samples edges[k]..edges[k + 1] - 1 of every ``every``-th k, for readings of variance 1.
+    """Sum the likelihood of every ``every``-th stretch edges[k]..edges[k + 1] - 1, for readings of variance 1.
 
-    Each begins in its own of the ``states``, (k, state_size).  Returned are sums over all samples but the first four of
-    a stretch, which only set its filter up: of the logarithm of the innovation's variance, of its square over that
-    variance, of 1, and of 1 where the square is more than ``most``.  It then counts as that, and the reading is left
-    out of the filter, but never more than three in a row: outliers, not a motion that turns.
+    The sums are of the logarithm of the innovation's variance, of the square over the variance, of samples, and of
+    samples whose square exceeds ``most``; the first four of a stretch are not counted.  Such squares are clipped and
+    up to three such readings in a row are kept out of the filter, as outliers.
     """
     n = len(order)
     logarithms = squares = samples = clipped = 0.0
@@ -373,7 +367,7 @@ def sum_likelihood(
     for k in range(0, edges.size - 1, every):
         unpack(order, states[k], x, p)
         last = states[k, n + n * (n + 1) // 2]
-        out = 0
+        skipped = 0
         for i in range(edges[k], edges[k + 1]):
             predict(order, order, time[i] - last, q, 0.0, x, p)
             last = time[i]
@@ -387,9 +381,9 @@ def sum_likelihood(
                 if product < 1e-200:
                     logarithms -= math.log(product)
                     product = 1.0
-            if e * e * s > most and out < 3:
-                out += 1
+            if e * e * s > most and skipped < 3:
+                skipped += 1
                 continue
-            out = 0
+            skipped = 0
             update(order, order, e, s, 1.0, x, p)
     return logarithms - math.log(product), squares, samples, clipped

@@ -5,13 +5,13 @@ The motion is that of `processing.kalman.motion_kernel` with x, v, a and j (jerk
 the motion a sample lies in (its label).  In sticks on an even belt and at rest a = j = 0, without noise.  Between
 samples lie corners:
 
-    LAND    onto a belt that runs evenly: x and v go on, a and j are 0 from here
+    LAND    onto a belt that runs evenly: x and v go on, a and j become 0
     LEAVE   the belt: x and v go on, a and j change by an unknown step of variance reset[0], reset[1]
     MEET    a belt that does not run evenly: as LEAVE, of variance reset[2], reset[3]
     KICK    v, a and j all step: reset[4], reset[5], reset[6]
     START   from rest: as LEAVE, of variance reset[7], reset[8]
     STOP    to rest: as LAND
-    OVERTAKE  the mass comes up to the belt's speed and runs ahead of it: as MEET; it lands behind that
+    OVERTAKE  the mass reaches the belt's speed and runs ahead of it, before it lands: as MEET
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from stickslip.compute.arrays import Array
 
 Labels = NDArray[np.uint8]
 
-SNAP = (0.0, 0.0, 0.0, 0.0)  # order of the motion: x, v, a, j
+SNAP = (0.0, 0.0, 0.0, 0.0)  # order of the motion: x, v, a, j (`motion_kernel`)
 STORED = stored_size(len(SNAP))
 LAND, LEAVE, MEET, KICK, START, STOP, OVERTAKE = 1, 2, 3, 4, 5, 6, 7
 STICK, LANDING, SLIP, ONSET, RIDE, MET, LEAVING, REST = 0, 1, 5, 6, 10, 11, 12, 13  # LANDING and ONSET: four each
@@ -43,16 +43,15 @@ JUMP_DERIVATIVE = np.array([2, 3, 2, 3, 1, 2, 3, 2, 3])  # of x: which derivativ
 class NoiseLevels:
     """Noise of each part of the motion, by its label, and of the resets at corners."""
 
-    process_density: Array  # Density, m^2/s^7, and mean, m/s^4, of the snap
-    mean_snap: Array
+    process_density: Array  # density of the snap, m^2/s^7
+    mean_snap: Array  # m/s^4
     reading_variance: Array  # m^2
-    # of the steps at corners: LEAVE a j, MEET a j, KICK v a j, START a j, in (m/s)^2, (m/s^2)^2, (m/s^3)^2
-    reset_variance: Array
+    reset_variance: Array  # (JUMPS,) of steps at corners, in (m/s)^2, (m/s^2)^2, (m/s^3)^2
     peak: float  # about the largest acceleration, m/s^2
 
     @cached_property
     def process(self) -> Process:
-        """The noise as `processing.kalman.motion_kernel` takes it."""
+        """The same for `processing.kalman.motion_kernel`."""
         alive, keep = np.full(LABELS, len(SNAP)), np.full(KINDS, len(SNAP))
         alive[[STICK, REST]] = 2
         keep[[LAND, STOP]] = 2
@@ -62,8 +61,8 @@ class NoiseLevels:
         return Process(self.process_density, self.mean_snap, self.reading_variance, alive, keep, jump)
 
 
-def summed_by_jump(steps: Array) -> Array:
-    """Return the sums of each reset variance, (JUMPS, 2), from those of each kind of corner, (KINDS, 4, 2)."""
+def sum_by_jump(steps: Array) -> Array:
+    """Return the sums for each reset variance, (JUMPS, 2), from those for each kind of corner, (KINDS, 4, 2)."""
     shared = steps.copy()
     shared[MEET] += steps[OVERTAKE]
     return np.asarray(shared[JUMP_KIND, JUMP_DERIVATIVE])

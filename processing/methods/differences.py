@@ -1,4 +1,4 @@
-"""Finite differences: the thesis's first method, kept as the baseline that shows why one smooths.
+"""Finite differences: the thesis's first method, kept as the baseline that shows why smoothing is needed.
 
 The velocity is the gradient between a sample and the next, v_i = (x_{i+1} - x_i)/(t_{i+1} - t_i); the last sample of
 a piece repeats the one before it.  One count over one interval is already pitch/interval: 7.7 mm/s at 1 kHz.
@@ -10,27 +10,22 @@ from processing.kalman import white_jerk
 from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
 from processing.record.series import Series
-from processing.record.setting import Setting, refuse_window
+from processing.record.setting import Setting, reject_window
 
 WINDOW = 2  # samples
 
 
 def learn(method: str, series: Series, setting: Setting, noise: float) -> MethodModel:
-    """Return the model: there is nothing to learn but the noise of a position, m.
-
-    Raises InputError: when a window or an order was asked for: two points and a straight line are the method.
-    """
-    refuse_window(setting, method, "finite differences have no window")
+    """Return the model; InputError for a window or an order, since the method is a line through two points."""
+    reject_window(setting, method, "finite differences have no window")
     jerk = white_jerk.fit(series)
     return MethodModel(method=method, noise=noise, jerk=jerk, window=WINDOW, order=1, stated=setting.belt_speed)
 
 
 def apply(series: Series, model: MethodModel) -> Motion:
-    """Differentiate by differences of neighbouring samples.
+    """Differentiate by differences: the forward one for velocity, the second one of three samples for acceleration.
 
-    Returns: Position as recorded, velocity by the forward difference, acceleration by the second difference on the
-        three samples around. Errors are those of independent reading errors; they do not cover the truncation error a
-        dt/2 of a one-sided difference.
+    The errors assume independent reading errors and exclude the truncation error a dt/2 of a one-sided difference.
     """
     n = series.time.size
     velocity, acceleration = np.zeros(n), np.zeros(n)

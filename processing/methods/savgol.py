@@ -1,4 +1,4 @@
-"""Savitzky-Golay filters of a window that was asked for or chosen from the record, with standard errors."""
+"""Savitzky-Golay filters, with a window that is given or chosen from the record, and standard errors."""
 
 import numpy as np
 
@@ -12,13 +12,9 @@ from processing.record.setting import DEFAULT_ORDER, Setting, check_window
 
 
 def learn(method: str, series: Series, setting: Setting, noise: float) -> MethodModel:
-    """Return the model: window and order, chosen from the record where they are not given.
+    """Return the model with window and order, chosen from the record if they are None in the setting.
 
-    method: "sg".
-    series: The record.
-    setting: Window and order; what is None is chosen from the record (`processing.methods.window_choice.choose`).
-    noise: Standard deviation of a position, m.
-    Raises InputError: for an even window, or one that does not exceed the order.
+    InputError for an even window, or one that does not exceed the order.
     """
     if setting.window is None:
         chosen = window_choice.choose(series, setting.order)
@@ -35,9 +31,9 @@ def apply(series: Series, model: MethodModel) -> Motion:
     length, order = model.window, model.order
     values, norms, probe, probe_norms = (np.empty((3, series.time.size)) for _ in range(4))
     for piece in series.pieces:
-        own = series.time[piece], series.position[piece]
-        values[:, piece], norms[:, piece] = savgol.fit(*own, length, order)
-        probe[:, piece], probe_norms[:, piece] = savgol.fit(*own, savgol.half(length, order), order)
+        samples = series.time[piece], series.position[piece]
+        values[:, piece], norms[:, piece] = savgol.fit(*samples, length, order)
+        probe[:, piece], probe_norms[:, piece] = savgol.fit(*samples, savgol.probe_window(length, order), order)
     errors = np.empty_like(values)
     floor = series.pitch / np.sqrt(12) if length > order + 3 else model.noise
     for piece in series.pieces:

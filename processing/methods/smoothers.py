@@ -1,7 +1,7 @@
-"""The smoothers that ask for no window: "rts" takes all motion alike, "segment" smooths sticks and slips apart.
+"""The smoothers, which need no window: "rts" smooths all motion in one way, "segment" sticks and slips separately.
 
-"auto", the default, is "segment" where the record shows sticks beyond doubt, else "rts".  A stick is beyond doubt when
-it makes the record more likely by 1.5 ln n for each of its corners (`processing.segmentation.model_selection`).
+"auto", the default, is "segment" if the record clearly contains sticks, else "rts".  A stick is clear if it raises the
+log likelihood of the record by 1.5 ln n for each of its corners (`processing.segmentation.model_selection`).
 """
 
 from dataclasses import replace
@@ -10,36 +10,35 @@ from processing.kalman import white_jerk
 from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
 from processing.record.series import Series
-from processing.record.setting import Setting, refuse_window
+from processing.record.setting import Setting, reject_window
 from processing.segmentation import smoother
 
 
 def learn(method: str, series: Series, setting: Setting, noise: float) -> MethodModel:
-    """Find the noise levels of greatest likelihood, and whether and how the record sticks and slips.
+    """Fit the noise levels by maximum likelihood, and whether and how the record sticks and slips.
 
-    series: The record.
-    setting: Must name no window and no order: the record decides.  Its belt speed, if any, is the one that sticks have.
-    noise: Standard deviation of a position, m.
-    Raises InputError: when a window or an order was asked for.
+    A belt speed in the setting is that of the sticks; InputError for a window or an order.
     """
-    refuse_window(setting, method, f"{method} has no window: the record decides how much is smoothed")
+    reject_window(setting, method, f"{method} has no window: the record decides how much is smoothed")
     jerk, stated = white_jerk.fit(series), setting.belt_speed
     if method == "rts":
         return MethodModel(method="rts", noise=noise, jerk=jerk, stated=stated)
     pilot = white_jerk.smooth(series, jerk)
-    rule, sticks, known = smoother.learn(series, jerk, pilot, stated, gated=method == "auto")
+    rule, sticks, first_pass = smoother.learn(series, jerk, pilot, stated, gated=method == "auto")
     chosen = "rts" if method == "auto" and sticks is None else "segment"
-    return MethodModel(method=chosen, noise=noise, jerk=jerk, rule=rule, sticks=sticks, stated=stated, known=known)
+    return MethodModel(
+        method=chosen, noise=noise, jerk=jerk, rule=rule, sticks=sticks, stated=stated, first_pass=first_pass
+    )
 
 
 def apply(series: Series, model: MethodModel) -> Motion:
-    """Smooth the record, or a block of it.
-
-    Returns: ``window`` is that of the equivalent Savitzky-Golay filter of order 4, ``order`` the spline's. With its
-        corners where sticks and slips are smoothed apart.
-    """
-    known = model.known
-    pilot = known.pilot if known is not None and known.series is series else white_jerk.smooth(series, model.jerk)
+    """Smooth the record, or a block of it; the motion states the window of the equivalent Savitzky-Golay filter."""
+    first_pass = model.first_pass
+    pilot = (
+        first_pass.pilot
+        if first_pass is not None and first_pass.series is series
+        else white_jerk.smooth(series, model.jerk)
+    )
     if model.sticks is None or model.rule is None:
         return replace(pilot, method=model.method)
-    return smoother.apply(series, pilot, model.stated, model.rule, model.sticks, known)
+    return smoother.apply(series, pilot, model.stated, model.rule, model.sticks, first_pass)

@@ -16,29 +16,22 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from stickslip.compute.arrays import Array
 
-BLOCK = (
-    8  # windows in a block that is transformed, up to the next power of two; from 4 to 32 it costs the same to a fifth
-)
+BLOCK = 8  # windows in a block that is transformed, rounded up to the next power of two
 CACHED = 2**14  # samples of the blocks transformed in one go: they stay in the processor's cache
 
 
-def coefficients(window: int, order: int, at: int = 0) -> Array:
-    """Return the weights of the samples in x, dx/dj and d2x/dj2 of the local fit.
+def coefficients(window: int, order: int, sample: int = 0) -> Array:
+    """Return the weights, (3, window), of the samples j = -M..M in x, dx/dj and d2x/dj2 of the fit at ``sample``.
 
-    window: Odd number of samples, j = -M..M.
-    order: Degree of the polynomial, below the window.
-    at: The sample j at which the fit is evaluated: 0 is the centre, -M and M the ends.
-    Returns: Rows are derivatives 0, 1, 2 per sample interval: divide row d by interval**d. A derivative above the order
-        is zero, as that of its polynomial is.
-    Raises ValueError: for an even window, or an order that is negative or not below the window.
+    Divide row d by interval**d; the rows of derivatives above the order are zero.
     """
     if window < 1 or window % 2 == 0:
         raise ValueError(f"window is {window}; need an odd number above order {order}")
     if not 0 <= order < window:
         raise ValueError(f"order is {order}; need 0 to {window - 1} for window {window}")
-    made = (_centred(window, order) if at == 0 else _weights(window, order, at)).view()
-    made.flags.writeable = False
-    return made
+    weights = (_centred(window, order) if sample == 0 else _weights(window, order, sample)).view()
+    weights.flags.writeable = False
+    return weights
 
 
 @lru_cache(maxsize=256)
@@ -46,14 +39,14 @@ def _centred(window: int, order: int) -> Array:
     return _weights(window, order, 0)
 
 
-def _weights(window: int, order: int, at: int) -> Array:
+def _weights(window: int, order: int, sample: int) -> Array:
     basis, values = _orthonormal(window, order)
-    return np.asarray(values[:, window // 2 + at] @ basis.T)
+    return np.asarray(values[:, window // 2 + sample] @ basis.T)
 
 
 @lru_cache(maxsize=4)
 def _orthonormal(window: int, order: int) -> tuple[Array, Array]:
-    """Return the orthonormal polynomials on the grid, (window, order + 1), and they with two derivatives, (3, ...).
+    """Return the orthonormal polynomials on the grid, (window, order + 1), and the same with two derivatives, (3, ...).
 
     Derivatives are per sample interval.
     """
@@ -73,51 +66,44 @@ def _orthonormal(window: int, order: int) -> tuple[Array, Array]:
     return basis, values
 
 
-def convolved(position: Array, weights: Array, out: Array | None = None) -> Array:
-    """Return the sums of weights (k, window) and samples (n,) for every sample with half a window beside it.
+def convolve(position: Array, weights: Array, out: Array | None = None) -> Array:
+    """Convolve samples (n,) with weights (k, window) by Fourier transforms of overlapping blocks: (k, n - window + 1).
 
-    Shape (k, n - window + 1), in ``out`` where that is given.  By Fourier transforms of overlapping blocks, so the cost
-    hardly depends on the window.  Digits are lost in proportion to the largest number of a block, so each is seen from
-    its middle sample.
+    Rounding grows with the largest number of a block, so the middle sample of each block is subtracted first.
     """
     n, window = position.size, weights.shape[1]
     size = 1 << (BLOCK * window - 1).bit_length()
-    step, wanted = size - window + 1, n - window + 1
-    together = max(CACHED // size, 1) * step
+    step, outputs = size - window + 1, n - window + 1
+    samples_per_pass = max(CACHED // size, 1) * step
     spectra = np.conj(np.fft.rfft(weights, size))
     total = weights.sum(axis=1)
-    found = np.empty((weights.shape[0], wanted)) if out is None else out
-    for begin in range(0, wanted, together):
-        end = min(begin + together, wanted)
+    result = np.empty((weights.shape[0], outputs)) if out is None else out
+    for begin in range(0, outputs, samples_per_pass):
+        end = min(begin + samples_per_pass, outputs)
         padded = np.full(-(-(end - begin) // step) * step + window - 1, position[-1])
-        own = position[begin : begin + padded.size]
-        padded[: own.size] = own
-        rows = sliding_window_view(padded, size)[::step]
-        middle = rows[:, size // 2, None]
-        spectrum = np.fft.rfft(rows - middle)
-        for k, own in enumerate(spectra):
-            sums = np.fft.irfft(spectrum * own, size)[:, :step] + total[k] * middle
-            found[k, begin:end] = sums.ravel()[: end - begin]
-    return found
+        samples = position[begin : begin + padded.size]
+        padded[: samples.size] = samples
+        blocks = sliding_window_view(padded, size)[::step]
+        middle = blocks[:, size // 2, None]
+        spectrum = np.fft.rfft(blocks - middle)
+        for k, weight_spectrum in enumerate(spectra):
+            sums = np.fft.irfft(spectrum * weight_spectrum, size)[:, :step] + total[k] * middle
+            result[k, begin:end] = sums.ravel()[: end - begin]
+    return result
 
 
 def fit(position: Array, window: int, order: int, interval: float) -> tuple[Array, Array]:
-    """Fit a polynomial around every sample; one-sided near the ends.
-
-    position: m, every ``interval`` seconds.
-    window, order: As of `coefficients`.
-    Returns: As `processing.polynomial.uneven.fit`.
-    """
+    """Fit a polynomial around every sample, one-sided near the ends; return what `uneven.fit` returns."""
     n, half = position.size, window // 2
     values, norms = np.empty((3, n)), np.empty((3, n))
     scale = np.array([1.0, 1.0 / interval, 1.0 / interval**2])[:, None]
     weights = scale * coefficients(window, order)
-    convolved(position, weights, values[:, half : n - half])
+    convolve(position, weights, values[:, half : n - half])
     norms[:, half : n - half] = np.linalg.norm(weights, axis=1)[:, None]
     basis, fitted = _orthonormal(window, order)
-    for own, there in ((slice(0, half), slice(0, window)), (slice(n - half, n), slice(n - window, n))):
-        place = slice(own.start - there.start, own.stop - there.start)
-        values[:, own] = scale * (fitted[:, place] @ (basis.T @ (position[there] - position[there.start])))
-        values[0, own] += position[there.start]
-        norms[:, own] = scale * np.linalg.norm(fitted[:, place], axis=2)
+    for inside, source in ((slice(0, half), slice(0, window)), (slice(n - half, n), slice(n - window, n))):
+        relative = slice(inside.start - source.start, inside.stop - source.start)
+        values[:, inside] = scale * (fitted[:, relative] @ (basis.T @ (position[source] - position[source.start])))
+        values[0, inside] += position[source.start]
+        norms[:, inside] = scale * np.linalg.norm(fitted[:, relative], axis=2)
     return values, norms

@@ -6,33 +6,32 @@ Where times scatter about the grid by less than half an interval, a reading move
 
 import numpy as np
 
-from processing.polynomial.even_fit import coefficients, convolved
+from processing.polynomial.even_fit import coefficients, convolve
 from stickslip.compute.arrays import Array
 
 ROUGH = 31, 4  # window and order of the rough velocity
 
 
 def even_grid(time: Array, position: Array) -> Array:
-    """Return the positions on the even grid from the first to the last sample.
+    """Return the positions on the even grid from the first to the last sample; ``position`` itself if times are even.
 
-    time, position: s, increasing and without gaps; m.
-    Returns: ``position`` itself when the times are even already.
+    The times, s, increase and have no gaps.
     """
     n = time.size
     step = (time[-1] - time[0]) / (n - 1)
     grid = time[0] + step * np.arange(n)
-    off = time - grid
-    if np.abs(off).max() <= 1e-6 * step:
+    offset = time - grid
+    if np.abs(offset).max() <= 1e-6 * step:
         return position
-    if np.abs(off).max() > 0.5 * step or n < ROUGH[0]:
+    if np.abs(offset).max() > 0.5 * step or n < ROUGH[0]:
         return np.asarray(np.interp(grid, time, position))
     half = ROUGH[0] // 2
-    inner = convolved(position, coefficients(*ROUGH))[1]
-    return np.asarray(position - off / step * np.pad(inner, half, mode="edge"))
+    inner = convolve(position, coefficients(*ROUGH))[1]
+    return np.asarray(position - offset / step * np.pad(inner, half, mode="edge"))
 
 
 def is_even(time: Array) -> bool:
-    """Tell whether the times, (n,), lie on an even grid, to a millionth of an interval."""
+    """Return whether the times lie on an even grid, to a millionth of an interval."""
     n = time.size
     if n < 3:
         return True

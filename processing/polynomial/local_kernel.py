@@ -1,7 +1,7 @@
-"""Kernel: least-squares polynomials on each window's own sample times, `LANES` windows side by side.
+"""Kernel: least-squares polynomials on the sample times of each window, `LANES` windows side by side.
 
-The recurrence is the one of `processing.polynomial.uneven`; windows lie in the fast index of every array, so that a
-processor takes several at once and no sum depends on how many.
+The recurrence is that of `processing.polynomial.uneven`.  Windows lie in the fast index of every array: vector
+instructions then process several at once, and no sum depends on how many.
 
 Runs as written or compiled (`stickslip.compute.compile`).
 """
@@ -26,10 +26,9 @@ def fit(
     values: Array,
     norms: Array,
 ) -> None:
-    """Fit around every sample; ``first`` is where its window begins, ``span`` (s) the unit of time of the fit.
+    """Fit around every sample, whose window begins at ``first``, with time u in units of ``span``, s.
 
-    ``values`` (3, n) gets x, dx/du, d2x/du2 at the sample, u in units of ``span``; ``norms`` the roots of the sums of
-    the squared weights.
+    ``values`` (3, n) receives x, dx/du and d2x/du2 at the sample, ``norms`` the root sums of squares of the weights.
     """
     n = time.size
     u, x = np.empty((window, LANES)), np.empty((window, LANES))

@@ -21,9 +21,9 @@ from stickslip.compute.arrays import Array
 
 
 def fit(time: Array, position: Array, window: int, order: int) -> tuple[Array, Array]:
-    """Fit one piece; values and norms as in `processing.polynomial.uneven.fit`, a shorter piece as one polynomial.
+    """Fit one piece as `uneven.fit` does, a piece shorter than the window as one polynomial.
 
-    A derivative that the samples cannot give has an infinite norm.
+    The norm of a derivative that the samples cannot determine is infinite.
     """
     n = time.size
     if n >= window and is_even(time):
@@ -35,39 +35,37 @@ def fit(time: Array, position: Array, window: int, order: int) -> tuple[Array, A
     return values, norms
 
 
-def half(window: int, order: int) -> int:
-    """Return the window of the probe that looks for corners: half as long, still overdetermined; odd."""
+def probe_window(window: int, order: int) -> int:
+    """Return the odd window of the probe for corners: half as long, still overdetermined."""
     return min(max(order + 3 - order % 2, window // 2 | 1), window)
 
 
 def standard_errors(
     position: Array, long: tuple[Array, Array], short: tuple[Array, Array], window: int, floor: float
 ) -> Array:
-    """Return one standard error of x, v and a at every sample of a piece, shape (3, n).
+    """Return one standard error of x, v and a at every sample of a piece, (3, n).
 
-    position: The readings, m.
-    long, short: (values, norms) The fit itself and its probe of half the window.
-    window: Samples of the long fit.
-    floor: The least reading error, m.
+    ``long`` is the fit over ``window`` samples and ``short`` its probe, values and norms each; ``floor`` is the least
+    reading error, m.
     """
     n = position.size
     window = min(window, n)
     noise = np.minimum(_reading_variance(position, long, window), _reading_variance(position, short, window // 2 | 1))
     noise = np.maximum(noise, floor**2)
-    # A short piece cannot give every derivative: its weights are infinite, and no more is said about it.
-    known = np.isfinite(long[1]) & np.isfinite(short[1])
-    weights, probing = np.where(known, long[1], 0.0), np.where(known, short[1], 0.0)
-    difference = np.where(known, long[0] - short[0], 0.0) ** 2
+    # A short piece does not determine every derivative: those have infinite weights.
+    finite = np.isfinite(long[1]) & np.isfinite(short[1])
+    weights, probing = np.where(finite, long[1], 0.0), np.where(finite, short[1], 0.0)
+    difference = np.where(finite, long[0] - short[0], 0.0) ** 2
     expected = noise * np.maximum(probing**2 - weights**2, 0.0)
     corner = np.maximum(difference - 7 * expected, 0.0)
     reach = max(window // 4, 1)
-    corner = _largest(np.pad(corner, ((0, 0), (reach, reach))), 2 * reach + 1)
-    errors: Array = np.where(known, np.sqrt(noise * weights**2 + corner), np.inf)
+    corner = _running_maximum(np.pad(corner, ((0, 0), (reach, reach))), 2 * reach + 1)
+    errors: Array = np.where(finite, np.sqrt(noise * weights**2 + corner), np.inf)
     return errors
 
 
-def _largest(rows: Array, width: int) -> Array:
-    """Return the largest of every ``width`` neighbours, (3, n - width + 1), by ever longer runs of them."""
+def _running_maximum(rows: Array, width: int) -> Array:
+    """Return the maximum of every ``width`` neighbours, (3, n - width + 1), from maxima of runs that double."""
     done = 1
     while 2 * done <= width:
         rows = np.maximum(rows[:, :-done], rows[:, done:])
@@ -81,5 +79,5 @@ def _reading_variance(position: Array, fitted: tuple[Array, Array], window: int)
     window = min(window, position.size)
     residual = (position - fitted[0][0]) ** 2 / np.maximum(1 - fitted[1][0] ** 2, 1e-3)
     total = np.concatenate(([0.0], np.cumsum(residual)))
-    first = uneven.starts(position.size, window)
+    first = uneven.window_starts(position.size, window)
     return np.asarray(np.maximum(total[first + window] - total[first], 0.0) / window)

@@ -1,4 +1,4 @@
-"""Least-squares polynomials on each window's own sample times: Savitzky-Golay without an even grid.
+"""Least-squares polynomials on the sample times of each window: Savitzky-Golay without an even grid.
 
 For every sample the window's own orthogonal polynomials are built by Forsythe's three-term recurrence on its
 abscissae u = (t_j - t_i)/(half window) (`processing.polynomial.local_kernel`):
@@ -6,8 +6,8 @@ abscissae u = (t_j - t_i)/(half window) (`processing.polynomial.local_kernel`):
     p_{k+1}(u) = (u - a_k) p_k(u) - b_k p_{k-1}(u),
     a_k = <u p_k, p_k>/<p_k, p_k>,   b_k = <p_k, p_k>/<p_{k-1}, p_{k-1}>
 
-so no normal equations are formed and any spacing is welcome.  The fit is evaluated at u = 0, the sample itself.
-Near the ends of a piece the window stops at the end and the fit becomes one-sided: nothing special is done for it.
+so no normal equations are formed and any spacing is allowed.  The fit is evaluated at u = 0, the sample itself.
+Near the ends of a piece the window stops at the end and the fit becomes one-sided, without a special case.
 
 Source: G. E. Forsythe, J. SIAM 5 (1957) 74.
 """
@@ -21,22 +21,18 @@ from stickslip.compute.compile import compiled
 KERNELS = ("processing.polynomial.local_kernel",)
 
 
-def starts(n: int, window: int) -> Integers:
-    """Return the first sample of every sample's window: centred, or up against the end of the piece."""
+def window_starts(n: int, window: int) -> Integers:
+    """Return the first sample of the window of every sample: centred, or ending with the piece."""
     return np.clip(np.arange(n) - window // 2, 0, n - window)
 
 
 def fit(time: Array, position: Array, window: int, order: int) -> tuple[Array, Array]:
-    """Fit a polynomial around every sample of one piece.
+    """Fit a polynomial around every sample of one piece; return x, v, a (3, n) and the norms of their weights (3, n).
 
-    time, position: s, increasing, and m.
-    window: Samples per fit, at most n; even is allowed here, since the abscissae are explicit.
-    order: Degree, below the window.
-    Returns: Position, velocity, acceleration at the samples; a derivative above the order is zero.
-    Returns: Root sum of squares of the weights: times the reading error it is the standard error.
+    A norm times the reading error is the standard error.  Derivatives above the order are zero; the window may be even.
     """
     n = time.size
-    first = starts(n, window)
+    first = window_starts(n, window)
     span = (time[-1] - time[0]) / (n - 1) * max(window // 2, 1) if n > 1 else 1.0
     span = 2.0 ** round(np.log2(span))  # a power of two: the same for a part of the record as for the whole
     values, norms = np.empty((3, n)), np.empty((3, n))

@@ -1,4 +1,4 @@
-"""A contradiction or a fault that a record shows: what it shows beside what was expected."""
+"""A contradiction or a fault in a record: the value that it shows and the expected one."""
 
 import math
 from dataclasses import dataclass
@@ -6,11 +6,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding."""
-
     code: str  # name for programs, in words joined by hyphens: "belt-speed", "spikes"
     text: str  # a sentence for a person, with both numbers and their unit
-    # what the record shows, and what was stated or would be sound, in SI units; NaN where there is no such number
-    value: float = math.nan
-    expected: float = math.nan
-    sigmas: float = math.nan  # standard deviations between both; NaN where the finding is no matter of scatter
+    value: float = math.nan  # what the record shows, in SI units; NaN without a number
+    expected: float = math.nan  # what was stated or would be sound
+    sigmas: float = math.nan  # standard deviations between both; NaN without a scatter

@@ -1,4 +1,4 @@
-"""The motion behind a run: position, velocity and acceleration with errors, and where the mass stuck and slipped.
+"""The motion of a run: position, velocity and acceleration with errors, and where the mass stuck and slipped.
 
 `processing.smoothing` makes a `Kinematics` of a recording, `processing.stage` keeps it in the run file.  How it was
 made is a `SmoothingHeader`; a record too long for memory yields a `SmoothingSummary`, which has no arrays.
@@ -15,7 +15,7 @@ import numpy as np
 
 from processing.polynomial.even_grid import is_even
 from processing.record.finding import Finding
-from processing.record.motion import Corner, Fault, Phase, VelocityStep, mask_of
+from processing.record.motion import Corner, Fault, Phase, VelocityStep, mask_ranges
 from processing.record.position_steps import PositionStep, step_offsets
 from stickslip.compute.arrays import Array, Mask
 from stickslip.output.lengths import format_length, shown_speed
@@ -34,37 +34,36 @@ DERIVATIVES = {"position": "", "velocity": "_per_s", "acceleration": "_per_s2"}
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SmoothingHeader:
-    """How a motion was made and what was found in it.
+    """How a motion was computed, and its sticks, slips and faults.
 
     Attributes
     ----------
     method : str
         "segment", "rts", "sg" or "fd": what `auto` chose, never "auto" itself.
     window, order : int
-        Samples in the smoothing window (2 for finite differences) and degree of its polynomial.  A smoother has no
-        window: that of the equivalent Savitzky-Golay filter of order 4 is stated; "segment" blurs less.
+        Samples in the smoothing window (2 for finite differences) and degree of its polynomial.  For a smoother, the
+        window of the equivalent Savitzky-Golay filter of order 4; "segment" blurs less.
     times : str
         "recorded" or "nominal".
     belt_speed : float
-        m/s, signed; with a belt channel the belt's median speed while the mass is in motion, unless one was stated;
-        NaN when the record shows no stick and none was stated.
+        m/s, signed; with a belt channel the belt's median speed while the mass is in motion, unless a speed was
+        stated; NaN if the record shows no stick and no speed was stated.
     phases : tuple of Phase
         Sticks and slips in order of time; rest before the belt starts belongs to neither.
     losses : tuple of PositionStep
-        Where the position steps: ten or more counts went missing, or the datum moved
-        (`processing.defects.faults`).
+        Steps of the position: ten or more counts went missing, or the datum moved (`processing.defects.faults`).
     kicks : tuple of VelocityStep
-        Where the velocity stepped (`processing.defects.faults`); marked, and smoothed over.
+        Steps of the velocity (`processing.defects.faults`); marked, and smoothed over.
     corners : tuple of Corner
-        Where the velocity has a corner, as the method fitted it: landings, break-aways, the mass overtaking the belt;
-        empty where the method models none ("rts", "sg", "fd").
+        Fitted corners of the velocity: landings, break-aways, the mass overtaking the belt; empty for methods
+        without corners ("rts", "sg", "fd").
     faults : tuple of Fault
-        Samples that are no positions (`processing.defects.faults`), left out of the smoothing: the motion there
+        Samples left out of the smoothing as spikes or frozen values (`processing.defects.faults`): the motion there
         is estimated from the samples on either side, with its errors.
     dropped_frames : int
         Frames lost among even times (`processing.defects.frames`), as counted or estimated; the times are as recorded.
     repaired : bool
-        Whether these steps were taken out of the position.
+        Whether the steps of the position were removed from it.
     noise : float
         Standard deviation of one position, m (or counts), from the record itself (`processing.record.noise`).
     findings : tuple of Finding
@@ -75,8 +74,8 @@ class SmoothingHeader:
         m/s: common speed of the plateaus, whatever the belt's nominal speed; NaN without plateaus, or when the
         motion was read back from a file.
     model : mapping
-        What was learned from the record and applied to it (`processing.blocks.MotionModel`), as numbers by name and
-        such of its parts; empty when the motion was read back from a file that does not hold it.
+        Model learned from the record and applied to it (`processing.blocks.MotionModel`): numbers by name, and nested
+        mappings for its parts; empty when the motion was read back from a file without a model.
     """
 
     method: str
@@ -99,12 +98,10 @@ class SmoothingHeader:
 
     @property
     def sticks(self) -> tuple[Phase, ...]:
-        """The sticks, in order of time."""
         return tuple(phase for phase in self.phases if phase.kind == "stick")
 
     @property
     def slips(self) -> tuple[Phase, ...]:
-        """The slips, in order of time."""
         return tuple(phase for phase in self.phases if phase.kind == "slip")
 
     @property
@@ -119,7 +116,7 @@ class SmoothingHeader:
 
     @property
     def lost_counts(self) -> int:
-        """How many times counts went missing."""
+        """Number of times that counts went missing."""
         return sum(step.counts != 0 for step in self.losses)
 
 
@@ -127,27 +124,28 @@ class SmoothingHeader:
 class SmoothingSummary(SmoothingHeader):
     """A motion that was written block by block into its run file."""
 
-    samples: int  # how many samples there are
+    samples: int
     span: float  # from the first sample to the last, s
-    unit: str  # unit of the position: "m", or "count"
+    unit: str  # of the position: "m" or "count"
     plateau_fraction: float  # share of the samples in sticks, 0 to 1
-    belt_counted: bool = False  # whether the belt has an encoder of its own
+    belt_counted: bool = False  # whether the belt has an encoder
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Kinematics(SmoothingHeader):
-    """The motion rebuilt from a recording, every array of shape (n,).
+    """The motion estimated from a recording; every array has shape (n,).
 
     Attributes
     ----------
     recording : Recording
-        What it was made from.
+        The recording that was smoothed.
     time : array
         s; the recorded times, or the even grid when `times` is "nominal".
     position, velocity, acceleration : array
         m, m/s, m/s^2; positive towards +x.  In counts instead of metres for a rig without a calibration.
     position_errors, velocity_errors, acceleration_errors : array
-        One standard error each; infinite where a derivative cannot be known (a lone sample between two gaps).
+        One standard error each; infinite where the samples do not determine a derivative (a single sample between two
+        gaps).
     belt_velocity, belt_velocity_errors : array or None
         m/s, signed, and one standard error, only with a belt channel: the belt's counts through the same filter.
     """
@@ -165,55 +163,49 @@ class Kinematics(SmoothingHeader):
 
     @cached_property
     def stick(self) -> Mask:
-        """True in sticks, (n,)."""
-        return mask_of(self.sticks, self.samples)
+        return mask_ranges(self.sticks, self.samples)
 
     @cached_property
     def missing(self) -> Mask:
         """True for the samples that were left out of the smoothing, (n,)."""
-        return mask_of(self.faults, self.samples)
+        return mask_ranges(self.faults, self.samples)
 
     @property
     def belt_counted(self) -> bool:
-        """Whether the belt has an encoder of its own."""
         return self.belt_velocity is not None
 
     @property
     def samples(self) -> int:
-        """How many samples there are."""
         return int(self.time.size)
 
     @property
     def even_times(self) -> bool:
-        """Whether the times lie on an even grid: they then do not show where a frame is missing."""
+        """Whether the times lie on an even grid, which hides missing frames."""
         return is_even(self.time)
 
     @property
     def span(self) -> float:
-        """From the first sample to the last, s."""
+        """Time from the first sample to the last, s."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def unit(self) -> str:
-        """Unit of the position: "m", or "count"."""
+        """Unit of the position: "m" or "count"."""
         return self.recording.unit
 
     @cached_property
     def offset(self) -> Array:
-        """By how much steps of the position put each recorded position off, m, (n,)."""
+        """Error of each recorded position due to steps of the position, m."""
         return step_offsets(self.recording.segment, self.losses)
 
     @property
     def steady_position(self) -> Array:
-        """Smoothed position without the steps, whether they were taken out of it or not, m, (n,)."""
+        """Smoothed position without the steps, whether `repaired` or not, m."""
         return self.position if self.repaired else self.position - self.offset
 
     @property
     def measured(self) -> Array:
-        """The recorded positions, m, (n,); without their steps where these were taken out.
-
-        Where samples are `missing` it is the smoothed position.
-        """
+        """The recorded positions, m, without steps if `repaired`; the smoothed position where samples are `missing`."""
         recording = self.recording
         recorded = recording.position
         if self.repaired:
@@ -253,8 +245,8 @@ class Kinematics(SmoothingHeader):
             columns[f"belt_velocity_{self.unit}_per_s"] = self.belt_velocity
             columns[f"belt_velocity_error_{self.unit}_per_s"] = self.belt_velocity_errors
         phase = np.full(self.samples, "rest", dtype="U5")
-        for found in self.phases:
-            phase[found.first : found.last + 1] = found.kind
+        for interval in self.phases:
+            phase[interval.first : interval.last + 1] = interval.kind
         return pd.DataFrame(columns | {"phase": phase, "segment": self.recording.segment})
 
     def plot(self, ax: "Axes | None" = None) -> "Figure":
@@ -270,9 +262,9 @@ class Kinematics(SmoothingHeader):
         matplotlib Figure
             Three axes; sticks are shaded.  ``figure.savefig(path)`` writes it, a notebook shows it.
         """
-        from processing.record.plot import figure_of
+        from processing.record.plot import draw_figure
 
-        return figure_of(self.drawing(), ax)
+        return draw_figure(self.drawing(), ax)
 
     def drawing(self) -> "DrawnMotion":
         """Return what `plot` shows."""
@@ -295,10 +287,10 @@ class Kinematics(SmoothingHeader):
         )
 
     def facts(self) -> dict[str, str]:
-        """Return what a person wants to see first, in words, by name."""
+        """Return the summary of `__repr__` as text by name."""
         belt = f"{self.belt_speed:.5g} {shown_speed(self.unit)}" if math.isfinite(self.belt_speed) else "unknown"
         window = "" if self.method == "fd" else f", window {self.window}, order {self.order}"
-        found = {
+        texts = {
             "samples": str(self.samples),
             "duration": f"{self.span:.4g} s",
             "method": f"{self.method}{window}, {self.times} times",
@@ -311,7 +303,7 @@ class Kinematics(SmoothingHeader):
             "samples left out": str(int(self.missing.sum())) if self.faults else "",
             "findings": "; ".join(finding.text for finding in self.findings),
         }
-        return {name: text for name, text in found.items() if text}
+        return {name: text for name, text in texts.items() if text}
 
     def __repr__(self) -> str:
         facts = self.facts()

@@ -1,4 +1,4 @@
-"""Values made from a record: its motion, switching times, phases, the belt's motion, and steps of the velocity."""
+"""Values computed from a record: its motion, switching times, phases, the belt's motion, and steps of the velocity."""
 
 import math
 from collections.abc import Iterable
@@ -16,20 +16,18 @@ ROWS = (*DERIVATIVES, *(f"{name}_errors" for name in DERIVATIVES))
 
 @dataclass(frozen=True)
 class Corner:
-    """A corner of the velocity: its estimated time and standard deviation, s, and what happens there.
+    """A corner of the velocity."""
 
-    ``what`` is "land" (slip to stick), "leave" (stick to slip), "start" (from rest), "stop" (to rest), "overtake" (the
-    mass comes up to the belt and runs ahead of it) or "kick" (a step of the velocity).
-    """
-
-    time: float
-    sd: float
+    time: float  # s
+    sd: float  # standard deviation of the time, s
+    # "land" (slip to stick), "leave" (stick to slip), "start" (from rest), "stop" (to rest), "overtake" (the mass
+    # reaches the belt's speed and runs ahead of it) or "kick" (a step of the velocity)
     what: str
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a method returns: x, v, a (m, m/s, m/s^2) with one standard error each, all of shape (n,)."""
+    """Result of a method: x, v, a (m, m/s, m/s^2) with one standard error each, all of shape (n,)."""
 
     position: Array
     velocity: Array
@@ -37,12 +35,10 @@ class Motion:
     position_errors: Array
     velocity_errors: Array
     acceleration_errors: Array
-    # samples in the smoothing window, or in that of the equivalent Savitzky-Golay filter, and polynomial degree
-    window: int
-    order: int
+    window: int  # samples in the smoothing window, or in that of the equivalent Savitzky-Golay filter
+    order: int  # polynomial degree
     method: str  # the method that was run, never "auto"
-    # those that the method fitted, in order of time; empty for methods that model no corners
-    corners: tuple[Corner, ...] = ()
+    corners: tuple[Corner, ...] = ()  # fitted ones, in order of time; empty for methods without corners
 
     @classmethod
     def from_rows(
@@ -56,10 +52,7 @@ class Motion:
         method: str,
         corners: tuple[Corner, ...] = (),
     ) -> Self:
-        """Return the motion whose x (without the origin of ``series``), v and a are the rows of ``values``.
-
-        ``values`` and ``errors``, the standard errors of the same three, are of shape (3, n).
-        """
+        """Return the motion with the rows x (from the origin of ``series``), v and a of ``values``, (3, n)."""
         return cls(
             position=series.origin + values[0],
             velocity=values[1],
@@ -73,16 +66,14 @@ class Motion:
             corners=corners,
         )
 
-    def rows(self) -> Array:
-        """Return x, v, a and their standard errors, a copy of shape (6, n)."""
+    def as_rows(self) -> Array:
+        """Return a copy of x, v, a and their standard errors, (6, n)."""
         return np.array([getattr(self, name) for name in ROWS])
 
-    def taken(self, kept: Mask) -> Self:
-        """Return the samples ``kept``, (n,)."""
-        return self.with_rows(self.rows()[:, kept])
+    def select(self, kept: Mask) -> Self:
+        return self.with_rows(self.as_rows()[:, kept])
 
     def with_rows(self, rows: Array) -> Self:
-        """Return the motion with other `rows`."""
         return replace(self, **dict(zip(ROWS, rows, strict=True)))
 
 
@@ -91,18 +82,18 @@ class Phase:
     """One stick or slip."""
 
     kind: Literal["stick", "slip"]
-    start: float  # Times, s, on the recording's axis; they lie between samples
+    start: float  # times, s, on the recording's axis, between samples
     end: float
     first: int  # first and last sample inside (both included)
     last: int
-    # standard deviations of the times, s; infinite where they were not fitted, or where a gap or an end of the record
-    # cuts the phase off
+    # standard deviations of the times, s; infinite where not fitted, or where a gap or an end of the record cuts the
+    # phase off
     start_sd: float = math.inf
     end_sd: float = math.inf
 
     @property
     def duration(self) -> float:
-        """Length of the phase, s."""
+        """End minus start, s."""
         return self.end - self.start
 
 
@@ -120,26 +111,23 @@ class SampleRange(Protocol):
 
 @dataclass(frozen=True)
 class Fault:
-    """Samples ``first`` to ``last`` (both included) that a sensor got wrong, left out of the smoothing.
-
-    ``kind`` is "spike" (out of line with the samples on either side) or "frozen" (one value held while the mass moved).
-    """
+    """Samples that a sensor read wrong, left out of the smoothing."""
 
     first: int
-    last: int
+    last: int  # included
+    # "spike": out of line with the samples on either side; "frozen": one value held while the mass moved
     kind: Literal["spike", "frozen"]
 
     @property
     def samples(self) -> int:
-        """How many samples there are."""
         return self.last - self.first + 1
 
 
-def mask_of(ranges: Iterable[SampleRange], n: int) -> Mask:
-    """Return a mask of n samples, True inside the ranges (phases, faults)."""
+def mask_ranges(ranges: Iterable[SampleRange], n: int) -> Mask:
+    """Return a mask of n samples, True inside the ranges."""
     mask = np.zeros(n, bool)
-    for own in ranges:
-        mask[own.first : own.last + 1] = True
+    for interval in ranges:
+        mask[interval.first : interval.last + 1] = True
     return mask
 
 
@@ -149,27 +137,26 @@ class PhaseSegmentation:
 
     belt_speed: float  # m/s, signed; NaN when unknown
     phases: tuple[Phase, ...]  # in order of time
-    # common speed of the plateaus, m/s, whatever the belt's nominal speed is; NaN without plateaus
-    plateau_speed: float
+    plateau_speed: float  # common speed of the plateaus, m/s, whatever the belt's nominal speed; NaN without plateaus
 
 
 @dataclass(frozen=True, eq=False)
 class BeltMotion:
     """The motion of a belt with an encoder, arrays of shape (n,)."""
 
-    velocity: Array  # of the belt, m/s, signed, and one standard error
+    velocity: Array  # of the belt, m/s, signed
     velocity_errors: Array
-    series: Series  # the mass relative to the belt: x less the belt's travel, and its motion
-    motion: Motion
+    series: Series  # of the mass relative to the belt: x less the belt's travel
+    motion: Motion  # of the same
 
     def speed(self, moving: Mask) -> float:
-        """Return the belt's median speed where ``moving`` (n,) is True, m/s, signed; NaN when it never is."""
+        """Return the belt's median speed where ``moving`` is True, m/s, signed; NaN if it never is."""
         return float(np.median(self.velocity[moving])) if moving.any() else math.nan
 
 
 @dataclass(frozen=True)
 class VelocityStep:
-    """The velocity stepped by ``step`` (m/s) just before sample ``sample``."""
+    """A step of the velocity."""
 
-    sample: int
-    step: float
+    sample: int  # the first one after it
+    step: float  # m/s

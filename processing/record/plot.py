@@ -24,85 +24,78 @@ SHADE, MOTION, STICK, BELT = "#f3e6c8", "#0072B2", "#E69F00", "#D55E00"
 
 @dataclass(frozen=True, eq=False)
 class DrawnMotion:
-    """What the picture shows of a motion."""
-
     caption: str
-    time: Array  # (n,) s; in ``unit``, and that per second; the number of each sample's segment
-    position: Array
-    velocity: Array
-    segment: NDArray[np.uint16] | NDArray[np.uint32]
+    time: Array  # s
+    position: Array  # in ``unit``
+    velocity: Array  # in ``unit``/s
+    segment: NDArray[np.uint16] | NDArray[np.uint32]  # number of each sample's segment
     unit: str  # "m" or "count"
     sticks: tuple[Phase, ...]
     cycles: int  # complete cycles
-    belt_speed: float  # in ``unit``/s; NaN where it is not known
-    markers: tuple[tuple[float, str], ...] = ()  # Time, s, and words
+    belt_speed: float  # in ``unit``/s; NaN when unknown
+    markers: tuple[tuple[float, str], ...] = ()  # time, s, and text
 
 
-def figure_of(motion: DrawnMotion, axes: "Axes | None" = None) -> "Figure":
-    """Return the motion as a figure of its own; where there are axes, theirs, with the phase portrait in them."""
+def draw_figure(motion: DrawnMotion, axes: "Axes | None" = None) -> "Figure":
+    """Draw the motion in a new figure, or only its phase portrait into ``axes``, and return the figure."""
     with mpl.rc_context(fname=STYLE):
         if axes is not None:
-            _portrait(axes, motion)
+            _draw_portrait(axes, motion)
             return axes.figure.figure
-        drawn = figure(11.5, 5.6)
-        draw_motion(drawn, drawn.add_gridspec(1, 1)[0], motion)
-    return drawn
+        picture = figure(11.5, 5.6)
+        draw_motion(picture, picture.add_gridspec(1, 1)[0], motion)
+    return picture
 
 
-def draw_motion(drawn: "Figure", cell: "SubplotSpec", motion: DrawnMotion) -> None:
-    """Draw a motion into a cell of a figure, with its caption above.
-
-    Left: position (mm) and velocity (m/s) against time (s), sticks shaded, with the markers that a person set, from the
-    beginning over at most `CYCLES` cycles.  Right: the phase portrait of the whole record.  In counts for a rig without
-    a calibration.
-    """
+def draw_motion(picture: "Figure", cell: "SubplotSpec", motion: DrawnMotion) -> None:
+    """Draw position and velocity over the first `CYCLES` cycles, and the phase portrait of the whole record."""
     grid = cell.subgridspec(2, 2, width_ratios=(1.35, 1.0), hspace=0.04, wspace=0.05)
-    above = drawn.add_subplot(grid[0, 0])
-    below = drawn.add_subplot(grid[1, 0], sharex=above)
-    _against_time(above, below, motion)
-    _portrait(drawn.add_subplot(grid[:, 1]), motion)
-    drawn.suptitle(motion.caption, parse_math=False, x=0.01, ha="left", fontsize=11.5)
+    position_axes = picture.add_subplot(grid[0, 0])
+    velocity_axes = picture.add_subplot(grid[1, 0], sharex=position_axes)
+    _draw_against_time(position_axes, velocity_axes, motion)
+    _draw_portrait(picture.add_subplot(grid[:, 1]), motion)
+    picture.suptitle(motion.caption, parse_math=False, x=0.01, ha="left", fontsize=11.5)
 
 
-def _last_shown(motion: DrawnMotion) -> float:
+def _end_of_cycles(motion: DrawnMotion) -> float:
     sticks = motion.sticks
     return sticks[CYCLES].start if len(sticks) > CYCLES else float(motion.time[-1])
 
 
-def _pieces(motion: DrawnMotion, own: slice) -> tuple[slice, ...]:
-    """Return the stretches without a gap: a line across one would draw a motion that nobody measured."""
-    time = motion.time[own]
+def _split_at_gaps(motion: DrawnMotion, samples: slice) -> tuple[slice, ...]:
+    """Return the stretches without a gap, since a line across one would show motion that was not measured."""
+    time = motion.time[samples]
     interval = float(np.median(np.diff(time)))
-    return pieces(time, motion.segment[own], interval)
+    return pieces(time, motion.segment[samples], interval)
 
 
-def _against_time(above: "Axes", below: "Axes", motion: DrawnMotion) -> None:
+def _draw_against_time(position_axes: "Axes", velocity_axes: "Axes", motion: DrawnMotion) -> None:
     factor, unit = shown_length(motion.unit)
-    until = _last_shown(motion)
-    own = slice(0, int(np.searchsorted(motion.time, until, side="right")))
-    time = motion.time[own]
-    for axes, values in ((above, factor * motion.position), (below, motion.velocity)):
-        shown = values[own]
+    until = _end_of_cycles(motion)
+    samples = slice(0, int(np.searchsorted(motion.time, until, side="right")))
+    time = motion.time[samples]
+    for axes, values in ((position_axes, factor * motion.position), (velocity_axes, motion.velocity)):
+        drawn = values[samples]
         for k, stick in enumerate(phase for phase in motion.sticks if phase.start < until):
             label = "stick" if k == 0 else None
             axes.axvspan(stick.start, min(stick.end, until), color=SHADE, lw=0, zorder=0, label=label)
-        for k, part in enumerate(_pieces(motion, own)):
-            axes.plot(time[part], shown[part], color=MOTION, lw=1.0, label="mass" if k == 0 else None)
+        for k, part in enumerate(_split_at_gaps(motion, samples)):
+            axes.plot(time[part], drawn[part], color=MOTION, lw=1.0, label="mass" if k == 0 else None)
         axes.margins(x=0.01)
-    draw_markers(above, [marker for marker in motion.markers if marker[0] <= until])
+    draw_markers(position_axes, [marker for marker in motion.markers if marker[0] <= until])
     if np.isfinite(motion.belt_speed):
-        below.axhline(motion.belt_speed, color=BELT, lw=1.0, ls=(0, (5, 3)), label="belt")
-    shown_part = "" if own.stop >= motion.time.size else f", first {time[-1] - time[0]:.3g} s of the run"
-    above.set_title(f"position{shown_part}")
-    below.set_title("velocity")
-    above.set_ylabel(f"x ({unit})")
-    below.set_ylabel(f"v ({shown_speed(motion.unit)})")
-    below.set_xlabel("time (s)")
-    above.tick_params(labelbottom=False)
-    handles, labels = below.get_legend_handles_labels()
+        velocity_axes.axhline(motion.belt_speed, color=BELT, lw=1.0, ls=(0, (5, 3)), label="belt")
+    shown_part = "" if samples.stop >= motion.time.size else f", first {time[-1] - time[0]:.3g} s of the run"
+    position_axes.set_title(f"position{shown_part}")
+    velocity_axes.set_title("velocity")
+    position_axes.set_ylabel(f"x ({unit})")
+    velocity_axes.set_ylabel(f"v ({shown_speed(motion.unit)})")
+    velocity_axes.set_xlabel("time (s)")
+    position_axes.tick_params(labelbottom=False)
+    handles, labels = velocity_axes.get_legend_handles_labels()
     if len(labels) > 1:
-        # Beside the title: inside the axes it would cover the motion.
-        below.legend(
+        # Next to the title: inside the axes it would cover the motion.
+        velocity_axes.legend(
             handles,
             labels,
             loc="lower right",
@@ -114,14 +107,14 @@ def _against_time(above: "Axes", below: "Axes", motion: DrawnMotion) -> None:
         )
 
 
-def _portrait(axes: "Axes", motion: DrawnMotion) -> None:
+def _draw_portrait(axes: "Axes", motion: DrawnMotion) -> None:
     (factor, unit), per_second = shown_length(motion.unit), shown_speed(motion.unit)
     x, v = factor * motion.position, motion.velocity
-    for piece in _pieces(motion, slice(0, x.size)):
+    for piece in _split_at_gaps(motion, slice(0, x.size)):
         axes.plot(x[piece], v[piece], color=MOTION, lw=0.7, alpha=0.75)
     for k, phase in enumerate(motion.sticks):
-        own = slice(phase.first, phase.last + 1)
-        axes.plot(x[own], v[own], color=STICK, lw=1.8, label="stick" if k == 0 else None)
+        samples = slice(phase.first, phase.last + 1)
+        axes.plot(x[samples], v[samples], color=STICK, lw=1.8, label="stick" if k == 0 else None)
     axes.plot([], [], color=MOTION, lw=0.9, label="slip" if motion.sticks else "mass")
     if np.isfinite(motion.belt_speed):
         speed = motion.belt_speed

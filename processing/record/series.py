@@ -1,4 +1,4 @@
-"""A record made ready for smoothing: positions from the first sample on, the time axis asked for, cut at its gaps.
+"""A record prepared for smoothing: positions relative to the first sample, on the chosen time axis, cut at its gaps.
 
 Rules: counts are subtracted as whole numbers before they become metres, so an offset of 2^60 costs no digit; a hole
 of more than `HOLE` (`stickslip.compute.arrays`) sample intervals ends a piece, and so does a new segment; nothing is
@@ -40,12 +40,9 @@ class Series:
     interval: float  # median sample interval, s
     pieces: tuple[slice, ...]  # stretches without a gap, in order; together they are the record
     source: str = ""  # the file, for messages
-    # (float, float) when the first motion of the record begins and the last one ends, s, where that is known from all
-    # of it
-    moving: tuple[float, float] | None = None
+    moving: tuple[float, float] | None = None  # start of the first motion of the record and end of the last, s
 
     def in_units(self, units: Units) -> "Series":
-        """Return the record in the units of a record, one that is in SI units."""
         length, time = units.length_unit, units.time_unit
         return replace(
             self,
@@ -56,49 +53,49 @@ class Series:
             interval=self.interval / time,
         )
 
-    def taken(self, kept: Mask) -> "Series":
-        """Return the samples ``kept``, (n,); a hole that is left ends a piece where it is longer than `HOLE`."""
-        own = np.flatnonzero(kept)
-        time = self.time[own]
-        cut = (np.diff(own) > 1) & (np.diff(time) > HOLE * self.interval)
-        starts = {int(np.searchsorted(own, piece.start)) for piece in self.pieces}
-        edges = sorted({0, own.size} | starts | set((np.flatnonzero(cut) + 1).tolist()))
+    def select(self, kept: Mask) -> "Series":
+        """Return the samples ``kept``; a hole longer than `HOLE` intervals ends a piece."""
+        samples = np.flatnonzero(kept)
+        time = self.time[samples]
+        cut = (np.diff(samples) > 1) & (np.diff(time) > HOLE * self.interval)
+        starts = {int(np.searchsorted(samples, piece.start)) for piece in self.pieces}
+        edges = sorted({0, samples.size} | starts | set((np.flatnonzero(cut) + 1).tolist()))
         taken = tuple(slice(i, j) for i, j in pairwise(edges))
-        return replace(self, time=time, position=self.position[own], pieces=taken)
+        return replace(self, time=time, position=self.position[samples], pieces=taken)
 
-    def readings(self) -> "Series":
-        """Return the record without the samples whose reading is missing (NaN)."""
-        known = ~np.isnan(self.position)
-        return self if known.all() else self.taken(known)
+    def drop_missing(self) -> "Series":
+        """Return the record without missing readings (NaN)."""
+        present = ~np.isnan(self.position)
+        return self if present.all() else self.select(present)
 
-    def parted(self, longest: float) -> "Series":
-        """Return the record with pieces that end at holes of missing readings (NaN) longer than ``longest``, s.
+    def cut_at_holes(self, longest: float) -> "Series":
+        """Return the record with pieces cut at holes of missing readings (NaN) longer than ``longest``, s.
 
-        Samples in such holes, and missing ones at the ends of a piece, are in no piece.
+        Samples in such holes, and missing ones at the ends of a piece, belong to no piece.
         """
-        known = np.flatnonzero(~np.isnan(self.position))
-        if known.size == self.time.size:
+        present = np.flatnonzero(~np.isnan(self.position))
+        if present.size == self.time.size:
             return self
         parts = []
         for piece in self.pieces:
-            own = known[np.searchsorted(known, piece.start) : np.searchsorted(known, piece.stop)]
-            cut = np.flatnonzero((np.diff(own) > 1) & (np.diff(self.time[own]) > longest)) + 1
-            for first, last in pairwise([0, *cut.tolist(), own.size]):
-                parts.append(slice(int(own[first]), int(own[last - 1]) + 1))
+            samples = present[np.searchsorted(present, piece.start) : np.searchsorted(present, piece.stop)]
+            cut = np.flatnonzero((np.diff(samples) > 1) & (np.diff(self.time[samples]) > longest)) + 1
+            for first, last in pairwise([0, *cut.tolist(), samples.size]):
+                parts.append(slice(int(samples[first]), int(samples[last - 1]) + 1))
         return replace(self, pieces=tuple(parts))
 
 
 def computed_once(function: Callable[[Series], Result]) -> Callable[[Series], Result]:
-    """Return ``function``, whose result is kept for as long as the series it was computed from exists."""
-    found: WeakKeyDictionary[Series, Result] = WeakKeyDictionary()
+    """Cache the result of ``function`` for as long as its series exists."""
+    results: WeakKeyDictionary[Series, Result] = WeakKeyDictionary()
 
     @wraps(function)
-    def kept(series: Series) -> Result:
-        if series not in found:
-            found[series] = function(series)
-        return found[series]
+    def compute(series: Series) -> Result:
+        if series not in results:
+            results[series] = function(series)
+        return results[series]
 
-    return kept
+    return compute
 
 
 def from_recording(
@@ -108,16 +105,11 @@ def from_recording(
     grid: Array | None = None,
     start: "Recording | None" = None,
 ) -> Series:
-    """Return the series of a recording.
+    """Return the series of a recording; InputError for samples that are too few, not finite or not increasing in time.
 
-    recording: The run.
-    times: The board's sample times, or an even grid at the nominal rate that starts with each segment.
-    anchor: (float, int) Time and number of the sample at which the first segment's even grid starts; by default the
-        first.
-    grid: The even grid itself, where it follows from more than this recording.
-    start: Begins with the record's first sample, from which positions are seen; by default ``recording``.
-    Raises InputError: for an unknown time axis, fewer than 5 samples, a position or time that is not finite, or times
-        that are repeated or decrease; the message names the sample.
+    For "nominal" times, ``anchor`` is time and number of the sample at which the grid of the first segment starts (by
+    default the first one), and ``grid`` the whole grid if already known.  Positions are relative to the first sample of
+    ``start``, by default of ``recording``.
     """
     where = recording.where
     if times not in TIMES:
@@ -126,8 +118,8 @@ def from_recording(
     if recorded.size < LEAST:
         raise InputError(f"holds {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
     segment = recording.segment
-    time = recorded if times == "recorded" else nominal(recording, anchor) if grid is None else grid
-    check(time, positions, where)
+    time = recorded if times == "recorded" else nominal_times(recording, anchor) if grid is None else grid
+    check_numbers(time, positions, where)
     pitch, start = 0.0, recording if start is None else start
     if recording.count is not None and start.count is not None:
         metres = recording.rig.metres_per_count
@@ -148,7 +140,7 @@ def from_recording(
     )
 
 
-def check(time: Array, position: Array, where: str) -> None:
+def check_numbers(time: Array, position: Array, where: str) -> None:
     """Raise InputError, naming the sample, unless times increase and every number is finite."""
     for name, values in (("time", time), ("position", position)):
         finite = np.isfinite(values)
@@ -166,33 +158,33 @@ def check(time: Array, position: Array, where: str) -> None:
         )
 
 
-def nominal(recording: "Recording", anchor: "tuple[float, int] | None" = None) -> Array:
+def nominal_times(recording: "Recording", anchor: "tuple[float, int] | None" = None) -> Array:
     """Return an even grid, s: the first recorded time of each segment plus sample number over rate.
 
-    Lost samples keep their place, by the sequence number where there is one, else by the length of the hole.
+    Lost samples keep their place, by sequence number if recorded, else by the length of the hole.
     """
     recorded = recording.time
     time = np.empty_like(recorded)
     edges = [0, *(np.flatnonzero(np.diff(recording.segment.astype(np.int64)) != 0) + 1).tolist(), recorded.size]
     for first, last in pairwise(edges):
-        own = slice(first, last)
+        samples = slice(first, last)
         if recording.raw is not None:
             step = 1.0 / recording.rate_hz
-            number = recording.raw.sample[own].astype(np.int64)
+            number = recording.raw.sample[samples].astype(np.int64)
             start, zero = (recorded[first], number[0]) if anchor is None or first else anchor
-            time[own] = start + (number - zero) * step
+            time[samples] = start + (number - zero) * step
             continue
         else:
-            gaps = np.diff(recorded[own])
+            gaps = np.diff(recorded[samples])
             step = float(np.median(gaps)) if gaps.size else 1.0 / recording.rate_hz
             # Interval by interval: over a long record a small error of the step would add up to samples.
-            number = np.concatenate(([0], np.cumsum(interval_numbers(gaps, step))))
+            number = np.concatenate(([0], np.cumsum(count_intervals(gaps, step))))
             if gaps.size:
                 step = float(recorded[last - 1] - recorded[first]) / float(number[-1])
-        time[own] = recorded[first] + number * step
+        time[samples] = recorded[first] + number * step
     return time
 
 
-def interval_numbers(gaps: Array, step: float) -> Integers:
-    """Return how many steps each interval takes, at least one."""
+def count_intervals(gaps: Array, step: float) -> Integers:
+    """Return how many steps each gap is long, at least one."""
     return np.asarray(np.maximum(np.rint(gaps / step), 1).astype(np.int64))

@@ -1,4 +1,4 @@
-"""What was asked of a method: window, order and belt speed, as a person types them and as a method takes them."""
+"""The setting of a method: window, order and belt speed, parsed from what a person types."""
 
 import math
 import re
@@ -8,31 +8,27 @@ from processing.record.series import Series
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
-HIGHEST_ORDER = 20  # of a window given by a person; coefficients are tested to this degree (`polynomial.even_fit`)
-# Of a stated belt speed, sticks that may be its own: on a ramp they creep, by up to its half-width.  Sticks outside
-# are used instead of the statement; whether that is a contradiction, the fitted belt speed decides.
+HIGHEST_ORDER = 20  # polynomial degree to which coefficients are tested (`polynomial.even_fit`)
+# Of a stated belt speed: range of stick speeds compatible with it, since sticks creep on a ramp; other sticks are used
+# instead of the stated speed.
 SLOWEST_STICKS, FASTEST_STICKS = 0.8, 1.05
-DEFAULT_ORDER = 4  # beside a window that was given: as in the thesis's own filter class, it keeps the curvature of v
+DEFAULT_ORDER = 4  # for a window without an order: it keeps the curvature of v, as in the thesis
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Samples in the window, degree of the polynomial, belt speed (m/s, signed); None lets the method choose."""
+    """None lets the method choose."""
 
-    window: int | None = None
-    order: int | None = None
-    belt_speed: float | None = None
+    window: int | None = None  # samples
+    order: int | None = None  # degree of the polynomial
+    belt_speed: float | None = None  # m/s, signed
 
 
 def parse_window(window: int | str, order: int | None, series: Series) -> Setting:
-    """Read a window as a person gives it.
+    """Parse a window: an odd number of samples, "auto", or a duration ("20ms", "500us"), rounded to odd samples.
 
-    window: Odd number of samples; "auto"; or a duration with its unit ("20ms", "0.02 s", "500us"), rounded to the odd
-        number of samples that spans it.
-    order: Degree of the polynomial.
-    series: For the sample interval and the longest stretch.
-    Raises InputError: for text that is none of these, an even window, one that does not exceed the order or that is
-        longer than the record's longest stretch, or an order outside 1 to 20.
+    InputError for other text, an even window, one that does not exceed the order or is longer than the longest stretch,
+    or an order outside 1 to 20.
     """
     if order is not None and not 1 <= order <= HIGHEST_ORDER:
         raise InputError(f"order is {order}", "--order", f"give 1 to {HIGHEST_ORDER}")
@@ -78,7 +74,7 @@ def _parse_samples(text: str, series: Series) -> int:
 
 
 def longest_piece(series: Series) -> int:
-    """Return how many samples the longest stretch without a gap has."""
+    """Return the number of samples of the longest stretch without a gap."""
     return int(max(piece.stop - piece.start for piece in series.pieces))
 
 
@@ -92,14 +88,14 @@ def check_window(window: int, order: int) -> None:
         )
 
 
-def refuse_window(setting: Setting, method: str, why: str) -> None:
-    """Raise InputError, saying ``why``, when a window or an order was asked of a method that has none."""
+def reject_window(setting: Setting, method: str, why: str) -> None:
+    """Raise InputError, with the text ``why``, if a window or an order was given to a method without one."""
     if setting.window is not None or setting.order is not None:
         raise InputError(why, f"--method {method}", "leave out --window and --order, or take --method sg")
 
 
 def parse_belt_speed(belt_speed: float | str) -> float | None:
-    """Return the belt speed that a person states, m/s, or None for "auto"; InputError unless it is a finite number."""
+    """Return the stated belt speed, m/s, or None for "auto"; InputError unless it is a finite number."""
     if belt_speed == "auto":
         return None
     try:
@@ -111,9 +107,9 @@ def parse_belt_speed(belt_speed: float | str) -> float | None:
     return value
 
 
-def is_possible_speed(stated: Measured, seen: float) -> bool:
-    """Return whether sticks at the speed ``seen``, m/s, may be those of a belt that runs at the stated speed."""
-    if stated.value == 0 or not math.isfinite(seen):
+def is_possible_speed(stated: Measured, stick_speed: float) -> bool:
+    """Return whether sticks at ``stick_speed``, m/s, are compatible with the stated belt speed."""
+    if stated.value == 0 or not math.isfinite(stick_speed):
         return stated.value != 0
     slack = 4 * stated.sd / abs(stated.value)
-    return SLOWEST_STICKS - slack < seen / stated.value < FASTEST_STICKS + slack
+    return SLOWEST_STICKS - slack < stick_speed / stated.value < FASTEST_STICKS + slack

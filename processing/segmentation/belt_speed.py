@@ -14,52 +14,47 @@ from processing.record.setting import is_possible_speed
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
-# Of the belt's speed: the most that a plateau may differ from it.  Under friction with a ramp the mass creeps by up to
-# the ramp's half-width d, so sticks are found for d up to 0.4 belt speeds and missed above.
-SAME_SPEED = 0.4
+SAME_SPEED = 0.4  # of the belt's speed: largest difference of a plateau, which a ramp can cause by its half-width
 QUARTER = 8  # samples in a quarter of a stick, at least
-FEWEST = 8  # sticks that creep is judged by
-CREEP = 0.02  # of the belt's speed: what the last quarter of a stick must lose; an even belt loses less than 0.001
-LEVEL = 1 / 3  # of that loss: the most that the first two quarters may differ by; 1/2 under friction with a ramp
+FEWEST = 8  # sticks that are needed to detect creep
+CREEP = 0.02  # of the belt's speed: least loss of the last quarter of a stick; an even belt loses less than 0.001
+LEVEL = 1 / 3  # of that loss: largest difference of the first two quarters; 1/2 under friction with a ramp
 
 
 def common_speed(motion: Motion, plateaus: list[tuple[int, int]]) -> float:
-    """Return the plateaus' common speed, m/s: the half-sample mode, then the mean of what lies about it; else NaN."""
+    """Return the common speed of the plateaus, m/s: the mean near the half-sample mode, or NaN."""
     if not plateaus:
         return math.nan
     velocity = np.concatenate([motion.velocity[i : j + 1] for i, j in plateaus])
     error = median_value(np.concatenate([motion.velocity_errors[i : j + 1] for i, j in plateaus]))
     mode = half_sample_mode(velocity[:: max(velocity.size // 2**12, 1)])
-    about = np.abs(velocity - mode) <= 3 * error
-    return float(velocity[about].mean()) if about.any() else mode
+    near_mode = np.abs(velocity - mode) <= 3 * error
+    return float(velocity[near_mode].mean()) if near_mode.any() else mode
 
 
 def speed_before_creep(velocity: list[Array], window: int, common: float) -> float:
     """Return the speed of the first halves of the sticks where the mass creeps before break-away, else ``common``.
 
-    Paper, rubber and polymers slide ever faster before they break away, and a stick's mean speed is then below the
-    belt's.  In every quarter of a stick the median speed is taken, and of the sticks the median: creep shows where the
-    last quarter is slower than the second, and the first two differ by far less.  (Under friction with a ramp the
-    speed falls evenly through all of a stick.)
-
-    velocity: Velocities in each stick, m/s.
-    window: Samples that the velocity is smoothed over: a quarter of less than two shows what lies beside the stick,
-        too.
-    common: Their common speed, m/s.
+    Paper, rubber and polymers slide ever faster before they break away, and the mean speed of a stick is then below the
+    belt's.  Creep is detected in the median speeds of the quarters: the last is slower than the second, and the first
+    two differ by far less.  (Under friction with a ramp the speed falls evenly through a stick.)  A quarter must be
+    longer than two ``window`` lengths of the smoother, else it contains motion outside the stick.
     """
-    long = [own for own in velocity if own.size >= 4 * max(2 * window, QUARTER)]
-    if len(long) < FEWEST:
+    sticks = [stick for stick in velocity if stick.size >= 4 * max(2 * window, QUARTER)]
+    if len(sticks) < FEWEST:
         return common
-    quarters = np.array([_medians_of_quarters(own) for own in long]) / common
+    quarters = np.array([_median_quarters(stick) for stick in sticks]) / common
     first, second, _, last = np.median(quarters, axis=0)
     scatter = float(np.median(np.abs(quarters[:, 1] - quarters[:, 3] - (second - last)))) / 0.6745
-    if second - last < max(CREEP, 4 * scatter / math.sqrt(len(long))) or abs(first - second) > LEVEL * (second - last):
+    if second - last < max(CREEP, 4 * scatter / math.sqrt(len(sticks))) or abs(first - second) > LEVEL * (
+        second - last
+    ):
         return common
     return float(common * (first + second) / 2)
 
 
-def _medians_of_quarters(values: Array) -> list[float]:
-    """Return the median values of four parts as long, but for a value."""
+def _median_quarters(values: Array) -> list[float]:
+    """Return the medians of four parts of equal length, to one value."""
     least, more = divmod(values.size, 4)
     edges = [k * least + min(k, more) for k in range(5)]
     return [median_value(values[i:j]) for i, j in pairwise(edges)]
@@ -74,35 +69,30 @@ def half_sample_mode(values: Array) -> float:
     while x.size > 3:
         half = (x.size + 1) // 2
         widths = x[half - 1 :] - x[: x.size - half + 1]
-        at = int(np.argmin(widths))
-        x = x[at : at + half]
+        first = int(np.argmin(widths))
+        x = x[first : first + half]
     if x.size == 3:
         x = x[:2] if x[1] - x[0] <= x[2] - x[1] else x[1:]
     return float(x.mean())
 
 
 def median_value(values: Array) -> float:
-    """Return the middle one of the values; of very many, of some spread over them."""
-    some = values[:: max(values.size // 2**8, 1)].copy()
-    some.partition(some.size // 2)
-    return float(some[some.size // 2])
+    """Return the median; of very many values, that of some spread over them."""
+    thinned = values[:: max(values.size // 2**8, 1)].copy()
+    thinned.partition(thinned.size // 2)
+    return float(thinned[thinned.size // 2])
 
 
-def reported_speed(stated: float | None, measured: Measured | None, common: float, stuck: bool) -> float:
+def reported_speed(stated: float | None, measured: Measured | None, stick_speed: float, stuck: bool) -> float:
     """Return the belt speed to report, m/s; NaN when unknown.
 
-    stated, measured: What a person stated, and what the rig's calibration holds.
-    common: Common speed of the plateaus.
-    stuck: Whether the record shows a stick.
-
-    Notes
-    -----
-    A calibrated speed that the sticks contradict is not used.
+    A speed ``stated`` by a person comes first, then one ``measured`` in the rig's calibration, unless the sticks
+    contradict it.
     """
     if stated is not None:
         return stated
-    if measured is None or (stuck and not is_possible_speed(measured, common)):
-        return common if stuck else math.nan
-    if stuck and abs(common - measured.value) <= max(4 * measured.sd, 0.02 * abs(measured.value)):
-        return common
+    if measured is None or (stuck and not is_possible_speed(measured, stick_speed)):
+        return stick_speed if stuck else math.nan
+    if stuck and abs(stick_speed - measured.value) <= max(4 * measured.sd, 0.02 * abs(measured.value)):
+        return stick_speed
     return measured.value

@@ -1,7 +1,7 @@
 """Noise levels of a motion that sticks and slips: process noise of each part, readings, and resets at corners.
 
-Each level is brought to its greatest likelihood by a fixed point of its own, which the smoother's backward pass yields
-(`processing.kalman.stick_slip`).
+Each level is brought to its greatest likelihood by a fixed-point iteration, whose sums the backward pass of the
+smoother computes (`processing.kalman.stick_slip`).
 """
 
 import math
@@ -27,7 +27,7 @@ from processing.kalman.stick_slip import (
     STICK,
     STORED,
     NoiseLevels,
-    summed_by_jump,
+    sum_by_jump,
 )
 from processing.record.motion import Motion
 from processing.record.series import Series
@@ -36,41 +36,39 @@ from processing.segmentation.switching_times import (
     FilterStretch,
     Labels,
     SwitchingTimes,
-    fit_stretches,
-    without,
+    drop_corners,
+    pick_fit_stretches,
 )
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 
 UNEVEN = [RIDE, MET, LEAVING]  # labels of a stick on a belt that does not run evenly
-# Labels that share one reading variance: slips, sticks on an even belt (whose counts round alike), uneven ones.
+# Labels that share one reading variance: slips, sticks on an even belt (whose counts round equally), uneven ones.
 READING_GROUPS = ([label for label in range(LABELS) if label not in (STICK, REST, *UNEVEN)], [STICK], UNEVEN)
-# Of the largest reading variance: the least of another label.  One sensor read all of them, and where a slip at few
-# samples takes 0.8 mm of misfit for noise, a stick read to a nanometre, 1e-12 of that variance, leaves only rounding of
-# the covariance that it takes over from the slip.  Of 150 records without noise that made variances negative in 9; at
-# 1e-11 in 2, from 1e-10 to 1e-6 in none.
+# Of the largest reading variance: the least of another label, since one sensor read all of them; below 1e-10 rounding
+# can make the covariance of a stick negative.
 DIGITS = 1e-8
 UNSCORED = np.empty((0, 2 + 2 * len(SNAP)))
 
 
 class Workspace:
-    """Memory for what the filters write down, used again and again: fresh pages cost more than filtering."""
+    """Memory for the stored predictions of the filters, reused because new pages cost more than filtering."""
 
     def __init__(self) -> None:
-        self._held = np.empty(0)
+        self._buffer = np.empty(0)
 
     def array(self, n: int, columns: int) -> Array:
-        """Return an array (n, columns) of any content; the one returned before is overwritten."""
-        if self._held.size < n * columns:
-            self._held = np.empty(n * columns)
-        return self._held[: n * columns].reshape(n, columns)
+        """Return an uninitialised array (n, columns), which overwrites the one returned before."""
+        if self._buffer.size < n * columns:
+            self._buffer = np.empty(n * columns)
+        return self._buffer[: n * columns].reshape(n, columns)
 
 
-def first_levels(series: Series, noise: white_jerk.Noise, pilot: Motion, unit: float) -> NoiseLevels:
-    """Guess the levels; all are re-estimated from the record.
+def guess_levels(series: Series, noise: white_jerk.Noise, pilot: Motion, unit: float) -> NoiseLevels:
+    """Guess the levels, all of which are re-estimated later.
 
-    Near a landing the snap is as strong as a white jerk of the first motion's density makes it at the smoother's own
-    bandwidth, and weaker by powers of e away from it, about as the levels fitted on the bench of docs/velocity.md.
+    Near a landing the snap has the strength of the white jerk of the first motion at the bandwidth of its smoother, and
+    is weaker by powers of e away from it, like the levels fitted on the bench of docs/velocity.md.
     """
     rate = (noise.jerk / (noise.reading * series.interval)) ** (1 / 6)
     rough = noise.jerk * rate**2
@@ -88,28 +86,29 @@ def first_levels(series: Series, noise: white_jerk.Noise, pilot: Motion, unit: f
 
 
 def label_stretch(series: Series, times: SwitchingTimes, stretch: FilterStretch) -> Labels:
-    """Return the part of the motion that each sample of a stretch lies in."""
-    time, label = series.time[stretch.own], np.empty(stretch.own.stop - stretch.own.start, np.uint8)
-    at, kind = times.at[stretch.corners], times.kind[stretch.corners]
-    compiled(corner_kernel.label_samples, KERNELS)(time, at, kind, stretch.first, times.unit, label)
+    time, label = series.time[stretch.samples], np.empty(stretch.samples.stop - stretch.samples.start, np.uint8)
+    corner_times, kind = times.time[stretch.corners], times.kind[stretch.corners]
+    compiled(corner_kernel.label_samples, KERNELS)(time, corner_times, kind, stretch.first, times.unit, label)
     return label
 
 
 def filter_stretch(
     series: Series, times: SwitchingTimes, levels: NoiseLevels, stretch: FilterStretch, workspace: Workspace
 ) -> tuple[Labels, Array]:
-    """Filter a stretch of n samples; return its labels, (n,), and what was expected of each sample, (n, STORED)."""
-    time, position = series.time[stretch.own], series.position[stretch.own]
-    at, kind = times.at[stretch.corners], times.kind[stretch.corners]
+    """Filter a stretch of n samples; return its labels, (n,), and the predictions, (n, STORED)."""
+    time, position = series.time[stretch.samples], series.position[stretch.samples]
+    corner_times, kind = times.time[stretch.corners], times.kind[stretch.corners]
     label, stored = label_stretch(series, times, stretch), workspace.array(time.size, STORED)
-    known = 1 if stretch.first in (STICK, REST) else 3
-    state = first_state(time, position, float(levels.reading_variance[stretch.first]), known)
-    compiled(motion_kernel.forward, KERNELS)(SNAP, time, position, label, at, kind, levels.process, state, stored)
+    derivatives = 1 if stretch.first in (STICK, REST) else 3
+    state = first_state(time, position, float(levels.reading_variance[stretch.first]), derivatives)
+    compiled(motion_kernel.forward, KERNELS)(
+        SNAP, time, position, label, corner_times, kind, levels.process, state, stored
+    )
     return label, stored
 
 
 def log_likelihood(s: Array, scaled: Array) -> Array:
-    """Return the log likelihood of each sample, up to a constant, from 1/s and e/s, (n,); of a missing reading 0."""
+    """Return the log likelihood of each sample, up to a constant, from 1/s and e/s, (n,); 0 for a missing reading."""
     if not (s > 0).all():
         s = np.where(s > 0, s, 1.0)
     return np.asarray(0.5 * (np.log(s) - scaled**2 / s))
@@ -123,21 +122,31 @@ def smooth_stretch(
     workspace: Workspace,
     motion: Array | None = None,
 ) -> tuple[Labels, Array, Array]:
-    """Filter a stretch of n samples and smooth it.
-
-    motion: Gets x, v, a and their variances of the stretch.
-    Returns: Sums that tell how well each noise level fits (`processing.kalman.motion_kernel.backward`).
-    """
+    """Filter and smooth a stretch, into ``motion`` if given; return its labels and the sums for noise and jumps."""
     label, stored = filter_stretch(series, times, levels, stretch, workspace)
-    at, kind = times.at[stretch.corners], times.kind[stretch.corners]
+    corner_times, kind = times.time[stretch.corners], times.kind[stretch.corners]
     noise, steps = np.zeros((LABELS, 4)), np.zeros((KINDS, len(SNAP), 2))
     wanted = 0 if motion is None else label.size
     if motion is None:
         motion = np.empty((6, 0))
-    back, time = compiled(motion_kernel.backward, KERNELS), series.time[stretch.own]
-    known = levels.process
-    back(SNAP, time, label, at, kind, known, stored, wanted, motion, stretch.own.start, noise, steps, UNSCORED)
-    return label, noise, summed_by_jump(steps)
+    back, time = compiled(motion_kernel.backward, KERNELS), series.time[stretch.samples]
+    process = levels.process
+    back(
+        SNAP,
+        time,
+        label,
+        corner_times,
+        kind,
+        process,
+        stored,
+        wanted,
+        motion,
+        stretch.samples.start,
+        noise,
+        steps,
+        UNSCORED,
+    )
+    return label, noise, sum_by_jump(steps)
 
 
 def reestimate_noise(
@@ -149,22 +158,21 @@ def reestimate_noise(
     *,
     null_model: bool = False,
 ) -> NoiseLevels:
-    """Return noise levels under which the record is more likely.
+    """Return noise levels under which the record, or one without corners (``null_model``), is more likely.
 
-    iterations: Of the fixed point: filter, smooth, and multiply each level by its `_ratio`.
-    null_model: As if the record had no corners.
+    Each iteration filters, smooths, and multiplies each level by its `_ratio`.
     """
-    used = fit_stretches(series, times)
+    used = pick_fit_stretches(series, times)
     if null_model:
-        times = without(times, np.ones(times.at.size, bool))
-        used = [FilterStretch(stretch.own, SLIP, slice(0, 0)) for stretch in used]
+        times = drop_corners(times, np.ones(times.time.size, bool))
+        used = [FilterStretch(stretch.samples, SLIP, slice(0, 0)) for stretch in used]
     least = 0.25 * white_jerk.least_variance(series)
     for _ in range(iterations):
         noise, steps = np.zeros((LABELS, 4)), np.zeros((JUMPS, 2))
         for stretch in used:
-            own = smooth_stretch(series, times, levels, stretch, workspace)
-            noise += own[1]
-            steps += own[2]
+            sums = smooth_stretch(series, times, levels, stretch, workspace)
+            noise += sums[1]
+            steps += sums[2]
         density = levels.process_density * _ratio(levels.process_density, noise[:, 0], noise[:, 1])
         density[CUT : CUT + 4] = density[LANDING : LANDING + 4]
         reading = levels.reading_variance.copy()
@@ -178,10 +186,7 @@ def reestimate_noise(
 
 
 def _ratio(level: Array, square: Array, expected: Array) -> Array:
-    """Return the factor that brings a level nearer to its greatest likelihood.
-
-    MacKay's fixed point under a Gamma prior of half a degree of freedom: 1 where a label has no samples.
-    """
+    """Return the factor of MacKay's fixed point under a Gamma prior of half a degree of freedom; 1 without samples."""
     ratio = (level * square + 0.5) / (level * expected + 0.5)
     return np.asarray(np.clip(ratio, 1e-4, 1e4))
 
@@ -196,8 +201,8 @@ def null_model(levels: NoiseLevels) -> NoiseLevels:
     )
 
 
-def merged(even: NoiseLevels, riding: NoiseLevels) -> NoiseLevels:
-    """Return the levels of sticks on an even belt with those of sticks on a belt that does not run evenly."""
+def merge_levels(even: NoiseLevels, riding: NoiseLevels) -> NoiseLevels:
+    """Return the levels ``even`` with those of sticks on an uneven belt from ``riding``."""
     density, reading, reset = even.process_density.copy(), even.reading_variance.copy(), even.reset_variance.copy()
     density[UNEVEN], reading[UNEVEN] = riding.process_density[UNEVEN], riding.reading_variance[UNEVEN]
     reset[2:4] = riding.reset_variance[2:4]

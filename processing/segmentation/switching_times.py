@@ -20,43 +20,37 @@ Labels = NDArray[np.uint8]
 
 KERNELS = ("processing.kalman.motion_kernel", "processing.kalman.stick_slip", "processing.kalman.corner_kernel")
 TIED = 1e-6  # sample intervals: a corner nearer to a sample is on it
-# Samples the noise levels are fitted to: about a dozen slips of the bench.  With half and twice the laws found are the
-# same on 26 records; with half the parameters of one move by 1.4 standard errors, with twice none by more than 0.2.
-FIT_SAMPLES = 9_000
+FIT_SAMPLES = 9_000  # samples that the noise levels are fitted to: about a dozen slips of the bench
 
 
 @dataclass(frozen=True, eq=False)
 class SwitchingTimes:
-    """Corners in order of time: when (s), how uncertain (s), what (of `processing.kalman.stick_slip`), (c,) each.
+    """Corners in order of time, arrays of shape (c,)."""
 
-    ``first`` is the label that every piece begins with, ``unit`` the usual length of a slip, s.
-    """
+    time: Array  # s
+    sd: Array  # standard deviation of the time, s
+    kind: Labels  # of `processing.kalman.stick_slip`
+    first: tuple[int, ...]  # label that each piece begins with
+    unit: float  # usual length of a slip, s
 
-    at: Array
-    sd: Array
-    kind: Labels
-    first: tuple[int, ...]
-    unit: float
-
-    def is_as(self, other: "SwitchingTimes") -> bool:
-        """Return whether these are the same numbers."""
-        pairs = (self.at, other.at), (self.sd, other.sd), (self.kind, other.kind)
-        alike = all(np.array_equal(one, two) for one, two in pairs)
-        return alike and self.first == other.first and self.unit == other.unit
+    def equals(self, other: "SwitchingTimes") -> bool:
+        pairs = (self.time, other.time), (self.sd, other.sd), (self.kind, other.kind)
+        same_arrays = all(np.array_equal(mine, theirs) for mine, theirs in pairs)
+        return same_arrays and self.first == other.first and self.unit == other.unit
 
 
 @dataclass(frozen=True, eq=False)
 class FilterStretch:
-    """Samples filtered in one go, the label they begin with, and the corners among them."""
+    """Samples that are filtered in one go."""
 
-    own: slice
-    first: int
-    corners: slice
+    samples: slice
+    first: int  # label that they begin with
+    corners: slice  # among them
 
 
 def initial_switching_times(series: Series, phases: Sequence[Phase]) -> SwitchingTimes:
-    """Return the corners of the phases: those that begin and end within a piece."""
-    at: list[float] = []
+    """Return the corners of the phases that begin and end within a piece."""
+    corner_times: list[float] = []
     kind: list[int] = []
     first = []
     lengths, rides = [], []
@@ -69,10 +63,10 @@ def initial_switching_times(series: Series, phases: Sequence[Phase]) -> Switchin
             begins = STICK
         if inside and inside[0].start > begin + 4 * series.interval:
             begins = REST
-            at.append(inside[0].start)
+            corner_times.append(inside[0].start)
             kind.append(START)
             if inside[0].kind == "stick":
-                at.append(inside[0].start + 2 * series.interval)
+                corner_times.append(inside[0].start + 2 * series.interval)
                 kind.append(LAND)
         for phase in inside:
             if phase.kind == "slip":
@@ -81,96 +75,102 @@ def initial_switching_times(series: Series, phases: Sequence[Phase]) -> Switchin
                 continue
             rides.append(phase.duration)
             if phase.start > begin and phase is not inside[0]:
-                at.append(phase.start)
+                corner_times.append(phase.start)
                 kind.append(LAND)
             if phase.end < end:
-                at.append(phase.end)
+                corner_times.append(phase.end)
                 kind.append(LEAVE)
         if inside and inside[-1].end < end - 4 * series.interval and inside[-1].kind == "slip":
-            at.append(inside[-1].end)
+            corner_times.append(inside[-1].end)
             kind.append(STOP)
         first.append(begins)
     unit = float(np.median(lengths or rides or [(time[-1] - time[0]) / 4]))
-    order = np.argsort(at, kind="stable")
-    ordered = np.array(at, float)[order]
-    behind = np.clip(np.searchsorted(time, ordered), 1, time.size - 1)
-    apart = np.minimum(np.abs(time[behind] - ordered), np.abs(time[behind - 1] - ordered))
-    ordered[apart < TIED * series.interval] -= BETWEEN * series.interval
+    order = np.argsort(corner_times, kind="stable")
+    ordered = np.array(corner_times, float)[order]
+    next_sample = np.clip(np.searchsorted(time, ordered), 1, time.size - 1)
+    distance = np.minimum(np.abs(time[next_sample] - ordered), np.abs(time[next_sample - 1] - ordered))
+    ordered[distance < TIED * series.interval] -= BETWEEN * series.interval
     return SwitchingTimes(
         ordered, np.full(ordered.size, series.interval), np.array(kind, np.uint8)[order], tuple(first), unit
     )
 
 
-def stretches(series: Series, times: SwitchingTimes) -> list[FilterStretch]:
-    """Return the pieces, with their corners."""
-    made = []
+def split_stretches(series: Series, times: SwitchingTimes) -> list[FilterStretch]:
+    """Return the pieces with their corners, without those too short to filter."""
+    parts = []
     for piece, first in zip(series.pieces, times.first, strict=True):
-        ends = np.searchsorted(times.at, (series.time[piece.start], series.time[piece.stop - 1]), side="right")
-        made.append(FilterStretch(piece, first, slice(int(ends[0]), int(ends[1]))))
-    return [own for own in made if own.own.stop - own.own.start >= white_jerk.SHORT]
+        ends = np.searchsorted(times.time, (series.time[piece.start], series.time[piece.stop - 1]), side="right")
+        parts.append(FilterStretch(piece, first, slice(int(ends[0]), int(ends[1]))))
+    return [stretch for stretch in parts if stretch.samples.stop - stretch.samples.start >= white_jerk.SHORT]
 
 
-def state_after(kind: int) -> int:
-    """Return the label of the part behind a corner."""
+def label_after(kind: int) -> int:
+    """Return the label of the part after a corner."""
     return {LAND: STICK, MEET: RIDE, STOP: REST}.get(kind, SLIP)
 
 
-def fit_stretches(series: Series, times: SwitchingTimes) -> list[FilterStretch]:
-    """Return the stretches that noise is learned from: of a long record a dozen slips and their surroundings."""
-    whole = stretches(series, times)
-    if sum(own.own.stop - own.own.start for own in whole) <= FIT_SAMPLES:
-        return whole
-    around = []
-    for stretch in whole:
-        at, kinds = times.at[stretch.corners], times.kind[stretch.corners]
+def pick_fit_stretches(series: Series, times: SwitchingTimes) -> list[FilterStretch]:
+    """Return the stretches that noise is fitted to: about a dozen slips of a long record, with their surroundings."""
+    all_stretches = split_stretches(series, times)
+    if sum(stretch.samples.stop - stretch.samples.start for stretch in all_stretches) <= FIT_SAMPLES:
+        return all_stretches
+    landings = []
+    for stretch in all_stretches:
+        corner_times, kinds = times.time[stretch.corners], times.kind[stretch.corners]
         for k, kind in enumerate(kinds.tolist()):
             if kind in (LAND, MEET, STOP):
-                begun = at[k - 1] if k else series.time[stretch.own.start]
-                around.append((stretch, max(begun, at[k] - 3 * times.unit) - times.unit / 4, at[k] + times.unit / 4))
-    if not around:
-        return whole
+                slip_start = corner_times[k - 1] if k else series.time[stretch.samples.start]
+                landings.append(
+                    (
+                        stretch,
+                        max(slip_start, corner_times[k] - 3 * times.unit) - times.unit / 4,
+                        corner_times[k] + times.unit / 4,
+                    )
+                )
+    if not landings:
+        return all_stretches
     most = max(int(FIT_SAMPLES * series.interval / (1.5 * times.unit)), 3)
-    picked = [around[i] for i in np.unique(np.linspace(0, len(around) - 1, most).astype(int))]
-    made = []
+    picked = [landings[i] for i in np.unique(np.linspace(0, len(landings) - 1, most).astype(int))]
+    parts = []
     for stretch, begin, end in picked:
-        own = series.time[stretch.own]
-        i, j = stretch.own.start + np.searchsorted(own, (begin, end))
+        time = series.time[stretch.samples]
+        i, j = stretch.samples.start + np.searchsorted(time, (begin, end))
         if j - i < 2 * white_jerk.SHORT:
             continue
-        c, d = np.searchsorted(times.at, (series.time[i], series.time[j - 1]), side="right")
-        first = state_after(int(times.kind[c - 1])) if c > stretch.corners.start else stretch.first
-        made.append(FilterStretch(slice(int(i), int(j)), first, slice(int(c), int(d))))
-    return made
+        c, d = np.searchsorted(times.time, (series.time[i], series.time[j - 1]), side="right")
+        first = label_after(int(times.kind[c - 1])) if c > stretch.corners.start else stretch.first
+        parts.append(FilterStretch(slice(int(i), int(j)), first, slice(int(c), int(d))))
+    return parts
 
 
-def without(times: SwitchingTimes, gone: Mask) -> SwitchingTimes:
-    """Return the switching times without those that are ``gone`` (c,); what they parted is slip."""
+def drop_corners(times: SwitchingTimes, gone: Mask) -> SwitchingTimes:
+    """Return the switching times without the ``gone`` ones, (c,); if all are gone, everything is slip."""
     return replace(
         times,
-        at=times.at[~gone],
+        time=times.time[~gone],
         sd=times.sd[~gone],
         kind=times.kind[~gone],
         first=tuple(SLIP for _ in times.first) if gone.all() else times.first,
     )
 
 
-def sticks_of(times: SwitchingTimes) -> list[list[int]]:
-    """Return the corners of every stick and ride: the one it begins with and the one it ends with, where it has any."""
-    found: list[list[int]] = []
+def group_by_stick(times: SwitchingTimes) -> list[list[int]]:
+    """Return the indices of the corners of every stick and ride: that of its start and of its end, if it has both."""
+    sticks: list[list[int]] = []
     for k, kind in enumerate(times.kind.tolist()):
         if kind in (LAND, MEET):
-            ends = k + 1 < times.kind.size and times.kind[k + 1] == LEAVE
-            found.append([k, k + 1] if ends else [k])
+            complete = k + 1 < times.kind.size and times.kind[k + 1] == LEAVE
+            sticks.append([k, k + 1] if complete else [k])
         elif kind == LEAVE and (k == 0 or times.kind[k - 1] not in (LAND, MEET)):
-            found.append([k])
-    return found
+            sticks.append([k])
+    return sticks
 
 
-def spans_of(series: Series, times: SwitchingTimes, sticks: list[list[int]]) -> Integers:
-    """Return the samples by which each stick is judged, its own and some to either side; and last, all: (s + 1, 2)."""
+def span_sticks(series: Series, times: SwitchingTimes, sticks: list[list[int]]) -> Integers:
+    """Return the spans of samples, (s + 1, 2), that decide on each stick, with some on either side; the last is all."""
     spans = []
     for stick in sticks:
-        begin = times.at[stick[0]] if times.kind[stick[0]] != LEAVE else times.at[stick[0]] - times.unit
-        end = times.at[stick[-1]] if times.kind[stick[-1]] == LEAVE else times.at[stick[-1]] + times.unit
+        begin = times.time[stick[0]] if times.kind[stick[0]] != LEAVE else times.time[stick[0]] - times.unit
+        end = times.time[stick[-1]] if times.kind[stick[-1]] == LEAVE else times.time[stick[-1]] + times.unit
         spans.append(np.searchsorted(series.time, (begin - times.unit / 16, end + times.unit / 8)))
     return np.array([*spans, (0, series.time.size)], np.int64)

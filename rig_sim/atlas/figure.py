@@ -11,10 +11,10 @@ Style = Literal["line", "thick", "thin", "dashed", "points", "dots", "filled", "
 
 @dataclass(frozen=True)
 class Trace:
-    """Points (x, y), each (n,), and how to draw them.
+    """Points (x, y), each (n,), and their style.
 
     ``style``: 'line', 'thick', 'thin', 'dashed'; 'points' and 'dots' (of a diagram with many points: the smallest);
-    'filled' and 'open' circles, 'cross' for single places.  ``colour``: place in the cycle of colours, None for grey,
+    'filled' and 'open' circles, 'cross' for single places.  ``colour``: index in the cycle of colours, None for grey,
     -1 for black.  ``label``: for the legend; empty for none.  ``z``: the third coordinate, in a panel that has one.
     """
 
@@ -28,7 +28,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Label:
-    """Words at a place (x, y) of a panel."""
+    """Words at a position (x, y) of a panel."""
 
     x: float
     y: float
@@ -39,7 +39,8 @@ class Label:
 class Panel:
     """Axes with their curves.
 
-    ``x``, ``y`` and, in space, ``z`` name what the axes show, with the unit; ranges None: as the data demand.
+    ``x``, ``y`` and, in space, ``z`` are the quantities on the axes, with the unit; a range of None is that of the
+    data.
     """
 
     x: str
@@ -55,9 +56,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class StatementCheck:
-    """One row of a table: what the thesis says of a quantity, what is computed, and, where they differ, why.
+    """One row of a table: a statement of the thesis, its computed counterpart, and, where they differ, the reason.
 
-    ``value`` is the number computed, None where the statement is no number.
+    ``value`` is the computed number, None where the statement is not a number.
     """
 
     quantity: str
@@ -70,48 +71,29 @@ class StatementCheck:
 
 @dataclass(frozen=True)
 class Computed:
-    """What a chapter computes of a figure; `rig_sim.atlas.statements` joins it with the words.
+    """The computed part of a figure; `rig_sim.atlas.statements` joins it with the words."""
 
-    Attributes
-    ----------
-    panels : tuple of Panel
-        Filled into rows of ``columns`` panels.
-    numbers : mapping
-        Numbers, words and verdicts, by the names that the words use.
-    columns : int
-    """
-
-    panels: tuple[Panel, ...]
+    panels: tuple[Panel, ...]  # filled into rows of ``columns`` panels
+    # Numbers, words and verdicts, by the names in the words
     numbers: Mapping[str, Any] = field(default_factory=dict)
     columns: int = 1
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """What `rig-sim atlas` makes of a figure.
+    """A figure for `rig-sim atlas`."""
 
-    Attributes
-    ----------
-    sentence : str
-        What it shows.
-    panels : tuple of Panel
-        Filled into rows of ``columns`` panels.
-    table : tuple of StatementCheck
-        Empty where the thesis states nothing about the figure that can be computed.
-    choices : str
-        What the thesis does not state and was chosen here; empty for nothing.
-    """
-
-    sentence: str
-    panels: tuple[Panel, ...]
+    sentence: str  # its description
+    panels: tuple[Panel, ...]  # filled into rows of ``columns`` panels
+    # empty where the thesis has no computable statement about the figure
     table: tuple[StatementCheck, ...] = ()
     columns: int = 1
-    choices: str = ""
+    choices: str = ""  # parameters that the thesis does not state
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A figure of the thesis: its number, its subject, and the function that computes it anew."""
+    """A figure of the thesis: its number, its subject, and the function that recomputes it."""
 
     number: str
     title: str

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 STYLE = Path(__file__).with_name("atlas.mplstyle")
-COLOURS = 64  # colours of a picture: with 24 the edges of thin lines show steps, with 128 a file is a third larger
+COLOURS = 64  # colours of a picture: with fewer the edges of thin lines show steps
 # Width of the picture, and height of a row by the number of panels in it, inches.
 WIDTH, HEIGHT = 7.2, {1: 2.15, 2: 3.0, 3: 2.35}
 ALONE = 4.1  # height of a panel that is the only one
@@ -39,8 +39,8 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 
 
-def picture(entry: Entry, drawing: Drawing) -> bytes:
-    """Return a figure as PNG: its number and subject above, its panels, and what it shows below."""
+def render_picture(entry: Entry, drawing: Drawing) -> bytes:
+    """Return a figure as PNG: its number and subject above, its panels, and its sentence below."""
     with mpl.rc_context(fname=STYLE):
         rows = -(-len(drawing.panels) // drawing.columns)
         words = textwrap.wrap(drawing.sentence, LETTERS)
@@ -50,10 +50,12 @@ def picture(entry: Entry, drawing: Drawing) -> bytes:
         figure = Figure(figsize=(WIDTH, height), layout=ConstrainedLayoutEngine(rect=inside))
         figure.text(0.012, 1.0 - 0.1 / height, f"Thesis figure {entry.number}: {entry.title}", va="top", weight="bold")
         figure.text(0.012, 0.07 / height, "\n".join(words), va="bottom", color="#333333", fontsize=8.5)
-        explained: set[str] = set()  # names in the legends so far
-        for place, panel in enumerate(drawing.panels, 1):
-            draw(
-                figure.add_subplot(rows, drawing.columns, place, projection="3d" if panel.z else None), panel, explained
+        legend_names: set[str] = set()  # names in the legends so far
+        for index, panel in enumerate(drawing.panels, 1):
+            draw_panel(
+                figure.add_subplot(rows, drawing.columns, index, projection="3d" if panel.z else None),
+                panel,
+                legend_names,
             )
         full = io.BytesIO()
         figure.savefig(full, format="png")
@@ -64,12 +66,12 @@ def picture(entry: Entry, drawing: Drawing) -> bytes:
     return small.getvalue()
 
 
-def draw(axes: "Axes", panel: Panel, explained: set[str]) -> None:
-    """Draw a panel; its legend holds the names that are not yet explained."""
+def draw_panel(axes: "Axes", panel: Panel, explained: set[str]) -> None:
+    """Draw a panel; its legend has the names that are not yet explained."""
     for curve in panel.curves:
-        look = LOOKS[curve.style] | {"color": colour(curve)}
-        places = (curve.x, curve.y) if curve.z is None else (curve.x, curve.y, curve.z)
-        axes.plot(*places, label=curve.label or None, **look)
+        look = LOOKS[curve.style] | {"color": choose_colour(curve)}
+        coordinates = (curve.x, curve.y) if curve.z is None else (curve.x, curve.y, curve.z)
+        axes.plot(*coordinates, label=curve.label or None, **look)
     for text in panel.texts:
         axes.annotate(text.words, (text.x, text.y), xytext=(5, 3), textcoords="offset points", fontsize=8)
     axes.set(xlabel=panel.x, ylabel=panel.y, title=panel.title, **({"zlabel": panel.z} if panel.z else {}))
@@ -89,8 +91,7 @@ def draw(axes: "Axes", panel: Panel, explained: set[str]) -> None:
                 handle.set(marker=".", markersize=7.0)  # of the size of a drawn point its colour could not be seen
 
 
-def colour(curve: Trace) -> str:
-    """Return the colour of a curve."""
+def choose_colour(curve: Trace) -> str:
     if curve.colour is None:
         return "0.6"
     return "black" if curve.colour < 0 else f"C{curve.colour}"

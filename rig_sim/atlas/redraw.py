@@ -20,58 +20,41 @@ the last digit counts as agreement.  Quantities are dimensionless (m = k = Fs = 
 
 @dataclass(frozen=True)
 class Redrawn:
-    """A figure with its drawing and the file that holds it."""
+    """A figure with its drawing and its file."""
 
     entry: Entry
     drawing: Drawing
     file: Path
 
 
-def chosen(asked: Iterable[str] | None) -> list[str]:
-    """Return the numbers of the figures asked for: '2.7', or '2' for a chapter; all of them for none.
-
-    Raises
-    ------
-    InputError
-        A number that is no figure of the atlas.
-    """
-    known = sorted([*ENTRIES, *NOT_REDRAWN], key=order)
+def select_figures(requested: Iterable[str] | None) -> list[str]:
+    """Return the numbers of the requested figures: '2.7', or '2' for a chapter; all of them for None."""
+    all_numbers = sorted([*ENTRIES, *NOT_REDRAWN], key=sort_key)
     figures: list[str] = []
-    for name in asked or [number.partition(".")[0] for number in known]:
-        numbers = [number for number in known if name in (number, number.partition(".")[0])]
+    for name in requested or [number.partition(".")[0] for number in all_numbers]:
+        numbers = [number for number in all_numbers if name in (number, number.partition(".")[0])]
         if not numbers:
-            raise InputError(f"no figure {name!r} in the atlas", "FIGURE", nearest(name, known))
+            raise InputError(f"no figure {name!r} in the atlas", "FIGURE", nearest(name, all_numbers))
         figures += [number for number in numbers if number not in figures]
-    return sorted(figures, key=order)
+    return sorted(figures, key=sort_key)
 
 
-def order(number: str) -> tuple[int, ...]:
-    """Return what sorts figures as the thesis does: 2.9 before 2.10."""
+def sort_key(number: str) -> tuple[int, ...]:
+    """Return the key that sorts figures as in the thesis: 2.9 before 2.10."""
     return tuple(int(part) for part in number.split("."))
 
 
 def redraw(
-    numbers: Iterable[str], folder: Path, *, force: bool = False, progress: Callable[[float], None] = lambda done: None
+    numbers: Iterable[str],
+    folder: Path,
+    *,
+    force: bool = False,
+    progress: Callable[[float], None] = lambda redrawn: None,
 ) -> list[Redrawn]:
-    """Redraw figures into a folder, which is made where it does not exist.
+    """Redraw figures into a folder, as ``figure-2.7.png`` ... and ``atlas.md``; the folder is made if missing.
 
-    Parameters
-    ----------
-    numbers : iterable of str
-        From `chosen`; those that are not redrawn are listed on the page with the reason.
-    folder : Path
-        Where ``figure-2.7.png`` ... and ``atlas.md`` go.
-    force : bool
-        Replace files that exist.
-    progress : callable
-        Called with the number of figures done.
-
-    Raises
-    ------
-    InputError
-        A file that exists, or a folder whose own folder does not.
-    RefusedError
-        The disk refuses.
+    The page lists ``numbers`` that are not redrawn with the reason.  ``force`` replaces files that exist; ``progress``
+    is called with the number of figures done.
     """
     numbers = list(numbers)
     files = {number: folder / f"figure-{number}.png" for number in numbers if number in ENTRIES}
@@ -82,42 +65,42 @@ def redraw(
     for file in (*files.values(), folder / PAGE):
         if folder.exists():
             atomic.refuse_existing(file, force)
-    from rig_sim.atlas.plot import picture
+    from rig_sim.atlas.plot import render_picture
 
     folder.mkdir(exist_ok=True)
-    done: list[Redrawn] = []
+    redrawn: list[Redrawn] = []
     for number, file in files.items():
         entry = ENTRIES[number]
         drawing = entry.draw()
         with atomic.replacing(file, force) as temporary:
-            temporary.write_bytes(picture(entry, drawing))
-        done.append(Redrawn(entry, drawing, file))
-        progress(len(done))
+            temporary.write_bytes(render_picture(entry, drawing))
+        redrawn.append(Redrawn(entry, drawing, file))
+        progress(len(redrawn))
     missing = {number: NOT_REDRAWN[number] for number in numbers if number in NOT_REDRAWN}
     with atomic.replacing(folder / PAGE, force) as temporary:
-        shown = [(each.entry, each.drawing, each.file.name) for each in done]
-        temporary.write_text(page(shown, missing), encoding="utf-8")
-    return done
+        page_entries = [(each.entry, each.drawing, each.file.name) for each in redrawn]
+        temporary.write_text(format_page(page_entries, missing), encoding="utf-8")
+    return redrawn
 
 
-def page(drawn: Iterable[tuple[Entry, Drawing, str]], not_redrawn: Mapping[str, str]) -> str:
+def format_page(drawn: Iterable[tuple[Entry, Drawing, str]], not_redrawn: Mapping[str, str]) -> str:
     """Return the page of figures, each with the name of its picture, and of the reasons why others are not redrawn."""
     drawn = list(drawn)
-    parts = [HEAD, differences(drawn)]
+    parts = [HEAD, format_differences(drawn)]
     for entry, drawing, picture in drawn:
         parts += [f"## Figure {entry.number}: {entry.title}\n", f"![Figure {entry.number}]({picture})\n"]
         parts.append(drawing.sentence + "\n")
         if drawing.choices:
             parts.append(f"Chosen here, as the thesis does not state it: {drawing.choices}\n")
         if drawing.table:
-            parts.append(table(drawing.table))
+            parts.append(format_table(drawing.table))
     if not_redrawn:
         parts.append("## Not redrawn\n")
         parts.append("\n".join(f"- {number}: {why}" for number, why in not_redrawn.items()) + "\n")
     return "\n".join(part for part in parts if part)
 
 
-def differences(drawn: Iterable[tuple[Entry, Drawing, str]]) -> str:
+def format_differences(drawn: Iterable[tuple[Entry, Drawing, str]]) -> str:
     """Return the list of the statements that do not hold."""
     rows = [(entry, row) for entry, drawing, _ in drawn for row in drawing.table if not row.agrees]
     if not rows:
@@ -128,8 +111,7 @@ def differences(drawn: Iterable[tuple[Entry, Drawing, str]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def table(rows: Iterable[StatementCheck]) -> str:
-    """Return a table of comparisons."""
+def format_table(rows: Iterable[StatementCheck]) -> str:
     lines = ["| quantity | thesis says | computed | why they differ |", "| --- | --- | --- | --- |"]
     for row in rows:
         why = "they agree" if row.agrees else row.why or "not explained"

@@ -39,69 +39,65 @@ LINE_BREAK = re.compile(r"\s*\n\s*")
 MULTIPLE_OF_PI = re.compile(r"(\d*) ?pi(?:/(\d+))?")
 
 
-def entries(file: str, figures: Mapping[str, Callable[[], Computed]]) -> tuple[Entry, ...]:
+def read_entries(file: str, figures: Mapping[str, Callable[[], Computed]]) -> tuple[Entry, ...]:
     """Return figures of a chapter, each with the function that computes it and its words in the chapter's file."""
-    held = figures_of(file)
-    words = held.get(WORDS, {})
+    tables = read_tables(file)
+    words = tables.get(WORDS, {})
     return tuple(
         Entry(
-            number, held[number]["title"], partial(drawing, f"figure {number} in {file}", held[number], words, compute)
+            number,
+            tables[number]["title"],
+            partial(compute_drawing, f"figure {number} in {file}", tables[number], words, compute),
         )
         for number, compute in figures.items()
     )
 
 
 @cache
-def figures_of(file: str) -> dict[str, Any]:
-    """Return the tables of a chapter's file by the figures' numbers, each with what it takes from another one."""
-    held: dict[str, Any] = on_one_line(toml.parsed((CHAPTERS / file).read_text(encoding="utf-8"), file))
-    for figure in held.values():
-        like = held.get(figure.pop("like", ""), {})
+def read_tables(file: str) -> dict[str, Any]:
+    """Return the tables of a chapter's file by the figures' numbers, completed from the figure named by ``like``."""
+    tables: dict[str, Any] = join_lines(toml.parsed((CHAPTERS / file).read_text(encoding="utf-8"), file))
+    for figure in tables.values():
+        like = tables.get(figure.pop("like", ""), {})
         figure |= {key: value for key, value in like.items() if key not in figure}
-    return held
+    return tables
 
 
-def on_one_line(value: Any) -> Any:
+def join_lines(value: Any) -> Any:
     """Return a text with a space for each line break, or a list or table of such texts."""
     if isinstance(value, dict):
-        return {key: on_one_line(item) for key, item in value.items()}
+        return {key: join_lines(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [on_one_line(item) for item in value]
+        return [join_lines(item) for item in value]
     return LINE_BREAK.sub(" ", value) if isinstance(value, str) else value
 
 
-def drawing(
+def compute_drawing(
     where: str, figure: Mapping[str, Any], words: Mapping[str, str], compute: Callable[[], Computed]
 ) -> Drawing:
-    """Compute a figure, and return it with its words and its table.
-
-    Raises
-    ------
-    InputError
-        The words name a number that the chapter does not compute.
-    """
-    found = compute()
-    numbers = {**words, **found.numbers}
+    """Compute a figure, and return it with its words and its table."""
+    computed = compute()
+    numbers = {**words, **computed.numbers}
     try:
-        sentence, choices = (in_words(figure.get(key, ""), numbers) for key in ("shows", "choices"))
-        table = tuple(checked(row, numbers) for row in figure.get("says", ()))
+        sentence, choices = (format_text(figure.get(key, ""), numbers) for key in ("shows", "choices"))
+        table = tuple(check_row(row, numbers) for row in figure.get("says", ()))
     except KeyError as error:
         name = str(error.args[0])
         raise InputError(f"no number {name!r} is computed", where, nearest(name, list(numbers))) from None
-    return Drawing(sentence, found.panels, table, found.columns, choices)
+    return Drawing(sentence, computed.panels, table, computed.columns, choices)
 
 
-def in_words(text: str, numbers: Mapping[str, Any]) -> str:
+def format_text(text: str, numbers: Mapping[str, Any]) -> str:
     """Return a text with its numbers; a verdict is 'yes' or 'no'."""
     return text.format_map(
         {name: ("yes" if value else "no") if isinstance(value, bool) else value for name, value in numbers.items()}
     )
 
 
-def checked(row: list[Any], numbers: Mapping[str, Any]) -> StatementCheck:
-    """Return a row, compared with what the figure computes."""
+def check_row(row: list[Any], numbers: Mapping[str, Any]) -> StatementCheck:
+    """Return a row, compared with the computed figure."""
     options = row[-1] if isinstance(row[-1], dict) else {}
-    quantity, printed, computed, *rest = (in_words(part, numbers) for part in row if part is not options)
+    quantity, printed, computed, *rest = (format_text(part, numbers) for part in row if part is not options)
     if "{" not in row[2]:
         return compare(quantity, printed, numbers[computed], *rest, **options)
     verdict, why = (*rest, "", "")[:2]
@@ -112,24 +108,14 @@ def checked(row: list[Any], numbers: Mapping[str, Any]) -> StatementCheck:
 def compare(
     quantity: str, printed: str, value: float | None, why: str = "", *, within: float | None = None
 ) -> StatementCheck:
-    """Return the comparison of a printed number with a computed one.
+    """Return the comparison of a printed number (a decimal, or a multiple of pi such as '3 pi/2') with a computed one.
 
-    Parameters
-    ----------
-    quantity : str
-        What the number is.
-    printed : str
-        As the thesis prints it: a decimal, or a multiple of pi such as '3 pi/2'.
-    value : float or None
-        Computed; None or NaN agrees with nothing.
-    why : str
-        Why they differ; shown only where they do.
-    within : float, optional
-        How far apart they may lie; default one unit of the last digit printed, of a multiple of pi 0.
+    A value of None or NaN agrees with nothing.  ``why`` is shown only where they differ; ``within`` is the tolerance,
+    by default one unit of the last printed digit, for a multiple of pi 0.
     """
     of_pi = MULTIPLE_OF_PI.fullmatch(printed)
     number = int(of_pi[1] or 1) * math.pi / int(of_pi[2] or 1) if of_pi else float(printed)
     unit = 0.0 if of_pi else 10.0 ** -len(printed.partition(".")[2])
-    found = math.nan if value is None else float(value)
-    agrees = math.isfinite(found) and abs(found - number) <= (unit if within is None else within) * (1.0 + 1e-9)
-    return StatementCheck(quantity, printed, f"{found:.8g}", agrees, "" if agrees else why, found)
+    computed = math.nan if value is None else float(value)
+    agrees = math.isfinite(computed) and abs(computed - number) <= (unit if within is None else within) * (1.0 + 1e-9)
+    return StatementCheck(quantity, printed, f"{computed:.8g}", agrees, "" if agrees else why, computed)

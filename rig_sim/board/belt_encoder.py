@@ -28,32 +28,19 @@ from stickslip.compute.arrays import Array
 
 
 class BeltEncoder:
-    """The belt's encoder at work; its travel is carried from one stretch of motion to the next.
-
-    Parameters
-    ----------
-    scene : Scene
-        With a belt and an encoder.
-
-    Attributes
-    ----------
-    delta : float
-        Metres of belt per count.
-    travel : float
-        How far the belt has run since t = 0, m, signed.
-    """
+    """The belt's encoder at work; its travel is carried from one stretch of motion to the next."""
 
     def __init__(self, scene: Scene) -> None:
         if scene.belt is None or scene.encoder is None:
             raise ValueError("a belt channel needs a belt and an encoder")
-        self.delta = scene.encoder.metres_per_count
-        self.travel = 0.0
+        self.delta = scene.encoder.metres_per_count  # metres of belt per count
+        self.travel = 0.0  # of the belt since t = 0, m, signed
         self._belt: Belt = scene.belt
         self._drive = scene.drive
         self._origin = 0
 
     def restart(self) -> None:
-        """Let the counter begin at 0 where the belt is now."""
+        """Restart the counter at 0 from the belt's present position."""
         self._origin = math.floor(self.travel / self.delta)
 
     def read(self, path: Trajectory) -> NDArray[np.int64]:
@@ -63,14 +50,14 @@ class BeltEncoder:
         ends = [first for first, _ in path.flows[1:]] + [len(nodes.t) - 1]
         for (first, flow), last in zip(path.flows, ends, strict=True):
             piece = slice(first, last + 1)
-            steps[first + 1 : last + 1] = self._steps(flow, nodes.t[piece], nodes.x[piece], nodes.v[piece])
+            steps[first + 1 : last + 1] = self._travel_steps(flow, nodes.t[piece], nodes.x[piece], nodes.v[piece])
         travel = self.travel + np.cumsum(steps)
         self.travel = float(travel[-1])
         counts: NDArray[np.int64] = np.floor(travel[path.samples] / self.delta).astype(np.int64) - self._origin
         return counts
 
-    def _steps(self, flow: Flow, t: Array, x: Array, v: Array) -> Array:
-        """Return how far the belt runs from node to node (m) while one flow holds."""
+    def _travel_steps(self, flow: Flow, t: Array, x: Array, v: Array) -> Array:
+        """Return the travel of the belt (m) from node to node under one flow."""
         h = np.diff(t)
         steps: Array = flow.v_belt * h
         if flow.v_belt != 0.0 and self._belt.ripple and self._belt.ripple_hz:
@@ -79,14 +66,14 @@ class BeltEncoder:
         if flow.droop > 0.0:
             area = h * (x[1:] + x[:-1]) / 2.0 - h * h * np.diff(v) / 12.0
             impulse = flow.m * np.diff(v) + flow.c * np.diff(x) + flow.k * (area - flow.x0 * h)
-            impulse[h == 0.0] = 0.0  # a kick is no friction
+            impulse[h == 0.0] = 0.0  # a kick is not friction
             if self._drive is not None:
-                impulse -= _drive_impulse(self._drive, t)
+                impulse -= integrate_drive(self._drive, t)
             steps = steps - flow.droop / (flow.factor * flow.Fs) * impulse
         return steps
 
 
-def _drive_impulse(drive: Drive, t: Array) -> Array:
+def integrate_drive(drive: Drive, t: Array) -> Array:
     """Return the integral of u0 cos(omega t) from node to node, N s."""
     if drive.omega == 0.0:
         return drive.u0 * np.diff(t)

@@ -38,25 +38,14 @@ MAX_RATE_HZ = 100_000
 MAX_EDGE_RATE_HZ = 1_000_000_000  # the simulated decoder misses nothing
 LONGEST_DT = 0xFFFF  # ticks between two samples of one frame
 
-# Relative standard deviations of what the lab measured; the datum's is a fraction of the cog's circumference (0.5 mm on
-# `rig`), the damping's a fraction of critical damping, as a ring-down gives it.
+# Relative standard deviations of the lab's measurements; the datum's is a fraction of the cog's circumference (0.5 mm
+# on `rig`), the damping's a fraction of critical damping, as from a ring-down.
 CONFIG_SD = {"metres_per_count": 2e-4, "mass": 1e-3, "datum": 0.004, "damping": 1e-3, "belt_speed": 0.01}
 BELT_PITCH_SD = 2e-4  # relative, of the metres per belt count
 
 
 class SimulatedBoard:
-    """A board that samples a simulated scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        Must have an encoder.
-
-    Raises
-    ------
-    InputError
-        The scene has no encoder.
-    """
+    """A board that samples a simulated scene, which must have an encoder."""
 
     def __init__(self, scene: Scene) -> None:
         if scene.encoder is None:
@@ -100,7 +89,7 @@ class SimulatedBoard:
         self._line = b""
 
     def power_up(self) -> bytes:
-        """Return what the board sends at power-up: its identification."""
+        """Return the identification that the board sends at power-up."""
         return wire.encode_ident(self._ident())
 
     def write(self, data: bytes) -> bytes:
@@ -111,31 +100,31 @@ class SimulatedBoard:
     def samples(self, count: int) -> bytes:
         """Take the next ``count`` samples and return the frames they fill; none unless started.
 
-        A motion that cannot go on (friction that changes its sign, say) stops the sampling with a NOTICE that gives the
+        A motion that cannot continue (friction that changes its sign, say) stops the sampling with a NOTICE of the
         reason.
         """
         if not self.running or count <= 0:
             return b""
-        instants = self._instants(count)
+        instants = self._next_instants(count)
         path = self._motion.follow(instants, forces=self._sends_truth)
-        nodes = path.nodes if self._cog is None else self._cog.seen(path.nodes, path.samples, 1 / self.rate_hz)
+        nodes = path.nodes if self._cog is None else self._cog.apply_losses(path.nodes, path.samples, 1 / self.rate_hz)
         counts = self._encoder.read(nodes, path.samples)
-        taken = len(path.samples)
-        ticks = _ticks(instants[:taken])
+        reached = len(path.samples)
+        ticks = round_to_ticks(instants[:reached])
         status = counts.levels
         columns = [ticks, counts.up & 0xFFFF, counts.down & 0xFFFF, status]
         if self._belt is not None:
             columns.append(self._belt.read(path) & 0xFFFF)
         rows = zip(*(column.tolist() for column in columns), strict=True)
-        truth = _truth_rows(path) if self._sends_truth else []
-        self._sample -= count - taken
-        frames = self._sent(list(rows), truth, instants[:taken].tolist())
-        if taken == count:
+        truth = read_truth(path) if self._sends_truth else []
+        self._sample -= count - reached
+        frames = self._frame_samples(list(rows), truth, instants[:reached].tolist())
+        if reached == count:
             return b"".join(frames)
         self.running = False
-        ended = self._motion.outcome
-        notice = f"the motion ended at {self._motion.t:.6g} s: {ended.name}; {ended.advice}"
-        return b"".join(frames + self._full_frames(flush=True)) + wire.encode_notice(notice)
+        outcome = self._motion.outcome
+        notice = f"the motion ended at {self._motion.t:.6g} s: {outcome.name}; {outcome.advice}"
+        return b"".join(frames + self._take_frames(flush=True)) + wire.encode_notice(notice)
 
     @property
     def _sends_truth(self) -> bool:
@@ -144,10 +133,10 @@ class SimulatedBoard:
     def _command(self, line: str) -> bytes:
         word, _, argument = line.partition(" ")
         if word == "I":
-            return wire.encode_ident(self._ident()) + wire.encode_config(calibration(self.scene, self._encoder))
+            return wire.encode_ident(self._ident()) + wire.encode_config(format_calibration(self.scene, self._encoder))
         if word == "X":
             self.running = False
-            return b"".join(self._full_frames(flush=True))
+            return b"".join(self._take_frames(flush=True))
         if word in ("R", "B", "M", "S") and self.running:
             return wire.encode_notice(f"{line}: sampling; stop it first with X")
         if word == "R":
@@ -165,14 +154,14 @@ class SimulatedBoard:
         )
 
     def _set_rate(self, argument: str) -> bytes:
-        rate = _whole(argument)
+        rate = parse_whole(argument)
         if rate is None or not 1 <= rate <= MAX_RATE_HZ:
             return wire.encode_notice(f"R {argument}: the rate is a whole number from 1 to {MAX_RATE_HZ} Hz")
         self.rate_hz = rate
         return b""
 
     def _set_block(self, argument: str) -> bytes:
-        block = _whole(argument)
+        block = parse_whole(argument)
         if block is None or not 1 <= block <= 255:
             return wire.encode_notice(f"B {argument}: samples per frame are 1 to 255")
         self.block = block
@@ -198,36 +187,36 @@ class SimulatedBoard:
         self.running = True
         return b""
 
-    def _instants(self, count: int) -> NDArray[np.float64]:
-        """Return the true times of the next samples: the grid plus jitter."""
+    def _next_instants(self, count: int) -> NDArray[np.float64]:
+        """Return the true times (s) of the next samples: the grid plus jitter."""
         instants = self._started + (self._sample + np.arange(count)) / self.rate_hz
         if self._jitter is not None:
-            instants += self._jitter.offsets(count, 1 / self.rate_hz, first=self._clock is None)
+            instants += self._jitter.draw_offsets(count, 1 / self.rate_hz, first=self._clock is None)
         self._sample += count
         self._clock = float(instants[-1])
         return instants
 
-    def _sent(
+    def _frame_samples(
         self, rows: list[tuple[int, ...]], truth: list[tuple[float, float, float, float]], instants: list[float]
     ) -> list[bytes]:
-        """Queue the samples that no gap swallows and return the frames they fill; a gap ends its block."""
+        """Queue the samples outside all gaps and return the frames they fill; a gap ends its block."""
         frames: list[bytes] = []
         first = 0
         sequence = self._sample - len(rows)
-        silence = self._silence
-        answered = [True] * len(rows) if silence is None else silence.sent(instants)
-        for sent, same in groupby(answered):
+        gaps = self._silence
+        is_sent = [True] * len(rows) if gaps is None else gaps.mark_sent(instants)
+        for sent, same in groupby(is_sent):
             last = first + len(list(same))
             if sent:
                 self._pending += rows[first:last]
                 self._truth += truth[first:last]
                 self._queued = sequence + last
-            frames += self._full_frames(flush=not sent)
+            frames += self._take_frames(flush=not sent)
             first = last
         return frames
 
-    def _full_frames(self, flush: bool = False) -> list[bytes]:
-        """Return the frames of the samples waiting; ``flush`` sends a last block that is not full."""
+    def _take_frames(self, flush: bool = False) -> list[bytes]:
+        """Return the frames of the waiting samples; ``flush`` also sends a last block that is not full."""
         frames: list[bytes] = []
         waiting = len(self._pending)
         sent = 0
@@ -260,18 +249,18 @@ class SimulatedBoard:
             block_size=self.block,
             max_rate_hz=MAX_RATE_HZ,
             max_edge_rate_hz=MAX_EDGE_RATE_HZ,
-            name=f"simulated rig, scene {self.scene.name}{self._cut_off()}",
+            name=f"simulated rig, scene {self.scene.name}{self._jitter_note()}",
         )
 
-    def _cut_off(self) -> str:
+    def _jitter_note(self) -> str:
         """Return a note for the board's name where jitter is clipped to keep the samples in order, else nothing."""
-        if self._jitter is None or not self._jitter.is_cut_off(1 / self.rate_hz):
+        if self._jitter is None or not self._jitter.is_clipped(1 / self.rate_hz):
             return ""
-        return f" (jitter cut off at {self._jitter.longest(1 / self.rate_hz):.2g} s)"
+        return f" (jitter cut off at {self._jitter.limit(1 / self.rate_hz):.2g} s)"
 
 
-def calibration(scene: Scene, encoder: QuadratureEncoder) -> str:
-    """Return the CONFIG text: the rig's constants with measuring errors, drawn once per seed about the true values.
+def format_calibration(scene: Scene, encoder: QuadratureEncoder) -> str:
+    """Return the CONFIG text: the rig's constants with measurement errors, drawn once per seed about the true values.
 
     Position of the mass from the spring's rest = (up - down) * metres_per_count + datum, the middle of the count.
     """
@@ -291,39 +280,39 @@ def calibration(scene: Scene, encoder: QuadratureEncoder) -> str:
     lines = [
         "[rig]",
         f'name = "simulated rig, scene {scene.name}"',
-        *_measured("mass", scene.mass.m + error["mass"], sd["mass"]),
-        *_measured("damping", damping, sd["damping"]),
+        *format_measurement("mass", scene.mass.m + error["mass"], sd["mass"]),
+        *format_measurement("damping", damping, sd["damping"]),
     ]
     if scene.belt:
-        lines += _measured("belt_speed", scene.belt.speed + error["belt_speed"], sd["belt_speed"])
+        lines += format_measurement("belt_speed", scene.belt.speed + error["belt_speed"], sd["belt_speed"])
     lines += [
         "[encoder]",
         f'decoder = "{encoder.decoder}"',
-        *_measured("metres_per_count", pitch + error["metres_per_count"], sd["metres_per_count"]),
+        *format_measurement("metres_per_count", pitch + error["metres_per_count"], sd["metres_per_count"]),
         f"counts_per_revolution = {encoder.section.lines_per_rev * 4 // EDGES_PER_COUNT[encoder.decoder]}",
         f"counter_bits = {COUNTER_BITS}",
-        *_measured("datum", encoder.origin - scene.spring.x0 + error["datum"], sd["datum"]),
+        *format_measurement("datum", encoder.origin - scene.spring.x0 + error["datum"], sd["datum"]),
     ]
     if scene.belt and scene.belt.channel:
         belt_sd = BELT_PITCH_SD * encoder.delta  # drawn last: the other five are the same without a channel
-        lines += _measured("belt_metres_per_count", encoder.delta + draw.gauss(0.0, belt_sd), belt_sd)
+        lines += format_measurement("belt_metres_per_count", encoder.delta + draw.gauss(0.0, belt_sd), belt_sd)
     return "\n".join(lines) + "\n"
 
 
-def _measured(key: str, value: float, sd: float) -> list[str]:
+def format_measurement(key: str, value: float, sd: float) -> list[str]:
     return [f"{key} = {float(value)!r}", f"{key}_sd = {float(sd)!r}"]
 
 
-def _truth_rows(path: Trajectory) -> list[tuple[float, float, float, float]]:
-    at = path.samples
-    columns = (path.nodes.t[at], path.nodes.x[at], path.nodes.v[at], path.F)
+def read_truth(path: Trajectory) -> list[tuple[float, float, float, float]]:
+    samples = path.samples
+    columns = (path.nodes.t[samples], path.nodes.x[samples], path.nodes.v[samples], path.F)
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
-def _ticks(instants: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the device times, ticks rounded down; a time of a whole number of ticks keeps that number."""
+def round_to_ticks(instants: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the device times in ticks, rounded down; a time of a whole number of ticks keeps that number."""
     return np.floor(instants * (1e9 / TICK_NS) + 1e-6).astype(np.int64)
 
 
-def _whole(text: str) -> int | None:
+def parse_whole(text: str) -> int | None:
     return int(text) if text.isdecimal() else None

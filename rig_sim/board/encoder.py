@@ -30,85 +30,52 @@ _HALVINGS = 30  # halvings of a piece: the position at a turning point is right 
 
 @dataclass(frozen=True)
 class Counts:
-    """What the board reads at s sampling instants.
+    """The board's readings at s sampling instants."""
 
-    Attributes
-    ----------
-    up, down : (s,) int64
-        The two counters, not yet wrapped to their width.
-    levels : (s,) uint8
-        A + 2 B.
-    """
-
-    up: Integers
+    up: Integers  # (s,) the two counters, not yet wrapped to their width
     down: Integers
-    levels: NDArray[np.uint8]
+    levels: NDArray[np.uint8]  # (s,) A + 2 B
 
 
 class QuadratureEncoder:
-    """The encoder and its decoder at work; the state is carried from one stretch of motion to the next.
-
-    Parameters
-    ----------
-    section : Encoder
-        The scene's encoder section.
-    x, t : float
-        Position (m) and time (s) at power-up.
-    decoder : str, optional
-        Overrides the section's decoder.
-
-    Attributes
-    ----------
-    n : int
-        The x4 count of the position now, never wrapped.
-    origin : float
-        Position (m) of the middle of the count where up - down is 0.
-    """
+    """The encoder and its decoder at work; the state is carried from one stretch of motion to the next."""
 
     def __init__(self, section: Encoder, x: float, t: float = 0.0, decoder: str | None = None) -> None:
-        self.decoder = decoder or section.decoder
+        self.decoder = decoder or section.decoder  # ``decoder`` overrides the scene's
         self.section = section
         self.delta = section.metres_per_count
         self._amplitude = section.vibration
         self._omega = 2 * math.pi * section.vibration_hz if section.vibration else 0.0
+        # The x4 count of the position now, never wrapped; x (m) and t (s) are those at power-up
         self.n = math.floor((x + self._amplitude * math.sin(self._omega * t)) / self.delta)
         # A line counts where A rises with B low, from n = 4 j to 4 j + 1, and is four counts long.
         zero = self.n - self.n % 4 + 0.5 if self.decoder == "x4" else (self.n - 1) // 4 * 4 + 3
-        self.origin = zero * self.delta
+        self.origin = zero * self.delta  # position (m) of the middle of the count where up - down is 0
         self._up = self.n % 4 if self.decoder == "x4" else 0
         self._down = 0
         self._lines = None if self.decoder == "x4" else Decoder(self.decoder, levels=int(levels_of(self.n)))
 
     def read(self, nodes: Nodes, samples: Integers) -> Counts:
-        """Follow the motion and return the counters at some of its nodes.
+        """Return the counters at the nodes numbered ``samples`` (increasing) of the motion since the last call.
 
-        Parameters
-        ----------
-        nodes : Nodes
-            The motion since the last call, its first node the last one's end.
-        samples : (s,) int64
-            Increasing indices of the nodes at which the board samples.
-
-        Raises
-        ------
-        InputError
-            The position is beyond what counts can hold, or has more edges than can be followed one by one.
+        Its first node is the last one's end.  Raises InputError where the position is beyond what counts can hold, or
+        has more edges than can be followed one by one.
         """
-        y, origin = self._monotone(nodes)
+        y, origin = self._insert_turning_points(nodes)
         if not np.abs(y).max() < LARGEST_COUNT * self.delta:
             raise InputError(f"the mass is at {float(y[-1]):g} m, beyond any encoder", "encoder", "mend the scene")
         n = np.floor(y / self.delta).astype(np.int64)
         jumps = np.diff(n, prepend=self.n)
         self.n = int(n[-1])
-        at = np.searchsorted(origin, samples)
+        indices = np.searchsorted(origin, samples)
         if self._lines is None:
             up = self._up + np.cumsum(np.maximum(jumps, 0))
             down = self._down + np.cumsum(np.maximum(-jumps, 0))
             self._up, self._down = int(up[-1]), int(down[-1])
-            return Counts(up[at], down[at], levels_of(n[at]))
+            return Counts(up[indices], down[indices], levels_of(n[indices]))
         last = np.cumsum(np.abs(jumps))  # edges up to and with each piece
         up, down = self._count_lines(n, jumps, last)
-        return Counts(up[last[at]], down[last[at]], levels_of(n[at]))
+        return Counts(up[last[indices]], down[last[indices]], levels_of(n[indices]))
 
     def _count_lines(self, n: Integers, jumps: Integers, last: Integers) -> tuple[Integers, Integers]:
         """Return both counters after 0, 1, 2 ... edges of this stretch."""
@@ -129,10 +96,10 @@ class QuadratureEncoder:
         down = before[1] + np.concatenate(([0], np.cumsum(steps.step < 0)))
         return up, down
 
-    def _monotone(self, nodes: Nodes) -> tuple[Array, Array]:
-        """Return encoder positions with the turning points between the nodes put in.
+    def _insert_turning_points(self, nodes: Nodes) -> tuple[Array, Array]:
+        """Return encoder positions with the turning points between the nodes inserted, and a number for each point.
 
-        The second array numbers the points: node i has the number i, a point between i and i + 1 one in between.
+        Node i has the number i, a point between i and i + 1 a number in between.
         """
         t, x, v = nodes.t, nodes.x, nodes.v
         origin = np.arange(len(t), dtype=np.float64)
@@ -142,7 +109,7 @@ class QuadratureEncoder:
         turns = np.flatnonzero(((rate[:-1] > 0) != (rate[1:] > 0)) & (t[1:] > t[:-1]))
         y = x + self._amplitude * np.sin(self._omega * t)
         if len(turns):
-            y_turn = self._turning_points(t, x, v, turns)
+            y_turn = self._find_turning_points(t, x, v, turns)
             y = np.insert(y, turns + 1, y_turn)
             origin = np.insert(origin, turns + 1, (origin[turns] + origin[turns + 1]) / 2)
         return y, origin
@@ -155,32 +122,32 @@ class QuadratureEncoder:
         piece = np.searchsorted(nodes.t, cuts, side="right") - 1
         inside = (cuts > nodes.t[piece]) & (piece < len(nodes.t) - 1)
         cuts, piece = cuts[inside], piece[inside]
-        cubic, s = _cubic(nodes.t, nodes.x, nodes.v, piece), cuts - nodes.t[piece]
-        x, v = _position(cubic, s), _speed(cubic, s)
-        where = piece + np.clip(s / (nodes.t[piece + 1] - nodes.t[piece]), 1e-9, 1 - 1e-9)
+        cubic, s = fit_cubic(nodes.t, nodes.x, nodes.v, piece), cuts - nodes.t[piece]
+        x, v = cubic_position(cubic, s), cubic_speed(cubic, s)
+        numbers = piece + np.clip(s / (nodes.t[piece + 1] - nodes.t[piece]), 1e-9, 1 - 1e-9)
         return (
             np.insert(nodes.t, piece + 1, cuts),
             np.insert(nodes.x, piece + 1, x),
             np.insert(nodes.v, piece + 1, v),
-            np.insert(origin, piece + 1, where),
+            np.insert(origin, piece + 1, numbers),
         )
 
-    def _turning_points(self, t: Array, x: Array, v: Array, pieces: Integers) -> Array:
+    def _find_turning_points(self, t: Array, x: Array, v: Array, pieces: Integers) -> Array:
         """Return the encoder position at the turning point of each of these pieces, by bisection."""
-        cubic = _cubic(t, x, v, pieces)
+        cubic = fit_cubic(t, x, v, pieces)
         start = t[pieces]
         low, high = np.zeros(len(pieces)), t[pieces + 1] - start
         shaking = self._amplitude * self._omega
         rising = v[pieces] + shaking * np.cos(self._omega * start) > 0
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            same = (_speed(cubic, middle) + shaking * np.cos(self._omega * (start + middle)) > 0) == rising
+            same = (cubic_speed(cubic, middle) + shaking * np.cos(self._omega * (start + middle)) > 0) == rising
             low = np.where(same, middle, low)
             high = np.where(same, high, middle)
-        return _position(cubic, low) + self._amplitude * np.sin(self._omega * (start + low))
+        return cubic_position(cubic, low) + self._amplitude * np.sin(self._omega * (start + low))
 
 
-def _cubic(t: Array, x: Array, v: Array, piece: Integers) -> Array:
+def fit_cubic(t: Array, x: Array, v: Array, piece: Integers) -> Array:
     """Return the coefficients (4, p) in the time since each piece's start, from x and v at both ends (Hermite)."""
     h = t[piece + 1] - t[piece]
     slope = (x[piece + 1] - x[piece]) / h
@@ -189,13 +156,13 @@ def _cubic(t: Array, x: Array, v: Array, piece: Integers) -> Array:
     return np.stack((x[piece], v[piece], c2, c3))
 
 
-def _position(cubic: Array, s: Array) -> Array:
+def cubic_position(cubic: Array, s: Array) -> Array:
     x, v, c2, c3 = cubic
     position: Array = x + s * (v + s * (c2 + s * c3))
     return position
 
 
-def _speed(cubic: Array, s: Array) -> Array:
+def cubic_speed(cubic: Array, s: Array) -> Array:
     _, v, c2, c3 = cubic
     speed: Array = v + s * (2 * c2 + 3 * s * c3)
     return speed

@@ -14,22 +14,14 @@ from rig_sim.scenes.sections import Gaps
 
 
 class SilentStretches:
-    """Decides for each sampling instant, in order, whether its sample is sent.
-
-    Parameters
-    ----------
-    section : Gaps
-        The scene's gaps section.
-    seed : int
-        The scene's; gaps have a stream of random numbers of their own.
-    """
+    """Decides for each sampling instant, in order, whether its sample is sent; draws from its own random numbers."""
 
     def __init__(self, section: Gaps, seed: int) -> None:
         self.section = section
         self._draw = random.Random(f"{seed}/gaps")
         self._begin = self._draw.expovariate(section.rate)
 
-    def sent(self, instants: Iterable[float]) -> list[bool]:
+    def mark_sent(self, instants: Iterable[float]) -> list[bool]:
         """Return for increasing times (s) whether each lies outside all gaps."""
         outside = []
         for t in instants:

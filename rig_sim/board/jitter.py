@@ -12,33 +12,25 @@ SELDOM = 3  # standard deviations: where the limit is farther out, at most 0.3 %
 
 
 class JitteringClock:
-    """Draws the offset of each sampling instant from its grid.
-
-    Parameters
-    ----------
-    section : Jitter
-        The scene's jitter section.
-    seed : int
-        The scene's; jitter has a stream of random numbers of its own.
-    """
+    """Draws the offset of each sampling instant from its grid; draws from its own random numbers."""
 
     def __init__(self, section: Jitter, seed: int) -> None:
         self._rms = section.rms
         self._draw = random.Random(f"{seed}/jitter")
 
-    def offsets(self, count: int, period: float, *, first: bool) -> NDArray[np.float64]:
+    def draw_offsets(self, count: int, period: float, *, first: bool) -> NDArray[np.float64]:
         """Return ``count`` offsets (s), normal and clipped; the ``first`` is 0, as it starts the clock."""
         noise = np.array([self._draw.gauss(0.0, self._rms) for _ in range(count)])
         if first:
             noise[0] = 0.0
-        longest = self.longest(period)
-        offsets: NDArray[np.float64] = np.clip(noise, -longest, longest)
+        limit = self.limit(period)
+        offsets: NDArray[np.float64] = np.clip(noise, -limit, limit)
         return offsets
 
-    def longest(self, period: float) -> float:
-        """Return the limit at which offsets are clipped (s)."""
+    def limit(self, period: float) -> float:
+        """Return the offset (s) at which offsets are clipped."""
         return LARGEST * period
 
-    def is_cut_off(self, period: float) -> bool:
+    def is_clipped(self, period: float) -> bool:
         """Return whether more than 0.3 % of the offsets are clipped."""
-        return SELDOM * self._rms > self.longest(period)
+        return SELDOM * self._rms > self.limit(period)

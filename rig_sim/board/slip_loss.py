@@ -18,59 +18,35 @@ from rig_sim.scenes.sections import SlipLoss
 
 
 class LosingCog:
-    """The slipping cog: what it has lost so far and is losing now.
-
-    Parameters
-    ----------
-    section : SlipLoss
-        The scene's slip_loss section.
-    seed : int
-        The scene's; losses have a stream of random numbers of their own.
-    metres_per_count : float
-        The x4 count, m.
-
-    Attributes
-    ----------
-    losses : list of (float, float)
-        Beginning (s) and size (m, signed: taken off the reading) of each loss that is not over yet.
-    lost : float
-        Sum of those that are, m.
-    """
+    """The slipping cog, with the losses so far and those in progress; draws from its own random numbers."""
 
     def __init__(self, section: SlipLoss, seed: int, metres_per_count: float) -> None:
         self.section = section
+        # Start (s) and size (m, signed: taken off the reading) of each loss in progress
         self.losses: list[tuple[float, float]] = []
-        self.lost = 0.0
+        self.lost = 0.0  # sum of those completed, m
         self._size = section.counts * metres_per_count
         self._draw = random.Random(f"{seed}/slip_loss")
-        self._next = self._wait()
+        self._next = self._draw_wait()
 
-    def seen(self, nodes: Nodes, samples: NDArray[np.int64], period: float) -> Nodes:
-        """Return the motion as the encoder sees it.
-
-        Parameters
-        ----------
-        nodes : Nodes
-            The motion since the last call.
-        samples : (s,) int64
-            The nodes at which the board samples, one ``period`` (s) apart.
-        """
-        for at in samples:
-            t, v = float(nodes.t[at]), float(nodes.v[at])
+    def apply_losses(self, nodes: Nodes, samples: NDArray[np.int64], period: float) -> Nodes:
+        """Return the motion since the last call as the encoder sees it, ``samples`` taken one ``period`` (s) apart."""
+        for sample in samples:
+            t, v = float(nodes.t[sample]), float(nodes.v[sample])
             if self._next <= t:  # at most one loss a sample: the cog slips or it grips
-                self._next = t + self._wait()
+                self._next = t + self._draw_wait()
                 if v != 0.0:
                     self.losses.append((t, self._size if v > 0.0 else -self._size))
         duration = self.section.samples * period
-        taken, rate = np.full_like(nodes.x, self.lost), np.zeros_like(nodes.v)
-        for begin, size in self.losses:
-            s = np.clip((nodes.t - begin) / duration, 0.0, 1.0)
-            taken += size * s * s * (3.0 - 2.0 * s)
+        shift, rate = np.full_like(nodes.x, self.lost), np.zeros_like(nodes.v)
+        for start, size in self.losses:
+            s = np.clip((nodes.t - start) / duration, 0.0, 1.0)
+            shift += size * s * s * (3.0 - 2.0 * s)
             rate += size * 6.0 * s * (1.0 - s) / duration
         end = float(nodes.t[-1])
-        self.lost += sum(size for begin, size in self.losses if begin + duration < end)
+        self.lost += sum(size for start, size in self.losses if start + duration < end)
         self.losses = [loss for loss in self.losses if loss[0] + duration >= end]
-        return Nodes(nodes.t, nodes.x - taken, nodes.v - rate)
+        return Nodes(nodes.t, nodes.x - shift, nodes.v - rate)
 
-    def _wait(self) -> float:
+    def _draw_wait(self) -> float:
         return self._draw.expovariate(self.section.rate)

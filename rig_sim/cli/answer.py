@@ -10,15 +10,15 @@ if TYPE_CHECKING:
     from rig_sim.scenes.model import Scene
 
 
-def changed(name: str, changes: list[str] | None) -> "Scene":
+def load_changed(name: str, changes: list[str] | None) -> "Scene":
     """Return a scene with the changes of ``--set``."""
     from rig_sim.scenes.scene import parse_changes, scene
 
     return scene(name, **parse_changes(changes))
 
 
-def answered(result: "Result", plot: Path | None = None, force: bool = False) -> Answer:
-    """Return a result as the command's answer; ``plot``: drawn into this file, of which the answer says so."""
+def make_answer(result: "Result", plot: Path | None = None, force: bool = False) -> Answer:
+    """Return a result as the command's answer; ``plot``: drawn into this file, which the answer names."""
     data: dict[str, Any] = result.as_json()
     lines = result.lines()
     if plot is not None and (nothing := result.undrawn()):

@@ -31,33 +31,33 @@ def scenes(*, json: Json = False) -> Answer:
 
 
 @contextmanager
-def count_finished(given: dict[str, Any]) -> Iterator[None]:
-    """Where the block is interrupted, say on stderr how many values the file of ``--resume`` has."""
+def count_finished(values: dict[str, Any]) -> Iterator[None]:
+    """Where the block is interrupted, print on stderr how many values the file of ``--resume`` has."""
     try:
         yield
     except BaseException:
-        path = given.get("resume")
+        path = values.get("resume")
         number = path.read_bytes().count(b"\n") - 1 if path is not None and path.is_file() else 0
         if number > 0:
-            from rig_sim.functions.arguments import parameter_range
+            from rig_sim.functions.arguments import parse_range
 
-            whole = parameter_range(given["over"]).number
-            application.note(f"{number} of {whole} values are in {path}: the same command continues there")
+            total = parse_range(values["over"]).number
+            application.note(f"{number} of {total} values are in {path}: the same command continues there")
         raise
 
 
 @contextmanager
-def refuse_search_plot(given: dict[str, Any]) -> Iterator[None]:
-    """Refuse a picture of the search, which `rig_sim.lock` has none of."""
-    if given.get("method") == "search" and given.get("plot") is not None:
+def refuse_search_plot(values: dict[str, Any]) -> Iterator[None]:
+    """Refuse a picture of the search, which `rig_sim.lock` does not draw."""
+    if values.get("method") == "search" and values.get("plot") is not None:
         raise InputError("draws --method=ogy alone", "--plot", "drop one of the two")
     yield
 
 
 @contextmanager
-def refuse_nothing(given: dict[str, Any]) -> Iterator[None]:
-    """Refuse a map of which nothing is asked."""
-    if given.get("d") is None and not given.get("periodic") and given.get("plot") is None:
+def refuse_empty_request(values: dict[str, Any]) -> Iterator[None]:
+    """Refuse a map of which nothing is requested."""
+    if values.get("d") is None and not values.get("periodic") and values.get("plot") is None:
         raise InputError("nothing to do", "--d", "give --d, --periodic or --plot")
     yield
 
@@ -74,7 +74,7 @@ for command in (
         "rig-sim continue damped --over damper.c=0.3:0.6",
         "rig-sim continue fitted.toml --over belt.speed=0.1:1 --draws 200",
     ),
-    derive("map", "rig-sim map two-mass --d 0.05,0.1,0.15 --iterate 2", plots=True, within=refuse_nothing),
+    derive("map", "rig-sim map two-mass --d 0.05,0.1,0.15 --iterate 2", plots=True, within=refuse_empty_request),
     derive(
         "sweep",
         "rig-sim sweep two-mass --over belt.speed=0.08:0.2:400 --jobs 2 --plot bifurcations.png",

@@ -27,10 +27,10 @@ def atlas(
 
     Example: rig-sim atlas 2.7 4 -o atlas
     """
-    from rig_sim.atlas.redraw import PAGE, chosen, redraw
+    from rig_sim.atlas.redraw import PAGE, redraw, select_figures
     from rig_sim.atlas.registry import NOT_REDRAWN
 
-    numbers = chosen(figures)
+    numbers = select_figures(figures)
     missing = {number: NOT_REDRAWN[number] for number in numbers if number in NOT_REDRAWN}
     with application.progress("drawing", len(numbers) - len(missing)) as show:
         done = redraw(numbers, output, force=force, progress=show)

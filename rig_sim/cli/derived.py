@@ -14,14 +14,14 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter, Token
 
 from rig_sim import HOMES
-from rig_sim.cli.answer import answered, changed
+from rig_sim.cli.answer import load_changed, make_answer
 from stickslip.console import application, flags
 from stickslip.console.application import Answer, Json, SetChanges
 from stickslip.console.flags import Force, Plot, check_plot
 from stickslip.errors import InputError
 
 ENTRY = re.compile(r"^(\w+) : .*\n((?:    .*\n?)+)", re.MULTILINE)  # of a section Parameters
-IN_PYTHON = re.compile(r" In Python .*?\.(?= |$)")  # a sentence that no command line needs
+IN_PYTHON = re.compile(r" In Python .*?\.(?= |$)")  # a sentence that only Python needs
 CHOICES = re.compile(r"^(\w+) = (Literal\[.*\])$", re.MULTILINE)
 COMMAND_NAME = re.compile(r": ``rig-sim [\w-]+``(?=\.$)", re.MULTILINE)  # at the end of a summary
 
@@ -36,16 +36,18 @@ def derive(
     """Return the command of the function ``name``; ``within`` takes the flags, and is open while the function runs."""
     definition = read_definition(name)
     words, helps = read_help(definition)
-    given = list(read_parameters(definition, helps, required))
-    names = {parameter.name for parameter in given}
+    derived = list(read_parameters(definition, helps, required))
+    names = {parameter.name for parameter in derived}
     takes_scene, shows_progress = "scene" in names, "progress" in {each.arg for each in definition.args.kwonlyargs}
     more: dict[str, Any] = {"plot": (Plot, None)} if plots else {}
     more |= {"force": (Force, False)} if plots or "force" in names else {}
     more |= {"set_": (SetChanges, None)} if takes_scene else {}
     more |= {"json": (Json, False)}
     keyword = inspect.Parameter.KEYWORD_ONLY
-    parameters = [parameter for parameter in given if parameter.name != "force"]
-    parameters += [inspect.Parameter(flag, keyword, default=off, annotation=kind) for flag, (kind, off) in more.items()]
+    parameters = [parameter for parameter in derived if parameter.name != "force"]
+    parameters += [
+        inspect.Parameter(flag, keyword, default=default, annotation=kind) for flag, (kind, default) in more.items()
+    ]
 
     def command(*scenes: str, json: bool = False, set_: list[str] | None = None, **values: Any) -> Answer:
         import rig_sim
@@ -57,8 +59,8 @@ def derive(
             check_plot(plot, force)
             with application.progress(name, None) as bar:
                 values |= {"progress": bar.stage} if shows_progress else {}
-                result = getattr(rig_sim, name)(*(changed(scene, set_) for scene in scenes), **values)
-        return answered(result, plot, force)
+                result = getattr(rig_sim, name)(*(load_changed(scene, set_) for scene in scenes), **values)
+        return make_answer(result, plot, force)
 
     command.__name__ = name
     command.__doc__ = "\n\n".join([words, *(f"Example: {example}" for example in examples)])
@@ -78,7 +80,7 @@ def read_definition(name: str) -> ast.FunctionDef:
 
 
 def read_help(definition: ast.FunctionDef) -> tuple[str, dict[str, str]]:
-    """Return a docstring's words before its sections, and those about each parameter, as a command line says them."""
+    """Return a docstring's text before its sections, and that of each parameter, as a command line shows them."""
     words, _, sections = (ast.get_docstring(definition) or "").partition("\n\nParameters\n----------\n")
     entries = ENTRY.findall(sections.partition("\n\n")[0] + "\n")
     helps = {name: IN_PYTHON.sub("", " ".join(text.split())) for name, text in entries}
@@ -90,11 +92,11 @@ def read_help(definition: ast.FunctionDef) -> tuple[str, dict[str, str]]:
 
 
 def read_parameters(definition: ast.FunctionDef, helps: dict[str, str], required: str) -> Iterator[inspect.Parameter]:
-    """Yield the parameters of a command: the scene by its place, all others by flags; ``required`` has no default."""
+    """Yield the parameters of a command: the scene by position, all others by flags; ``required`` has no default."""
     arguments, absent = definition.args, inspect.Parameter.empty
-    places, keywords = arguments.args, arguments.kwonlyargs
-    defaults = [None] * (len(places) - len(arguments.defaults)) + arguments.defaults + arguments.kw_defaults
-    for argument, default in zip([*places, *keywords], defaults, strict=True):
+    positional, keywords = arguments.args, arguments.kwonlyargs
+    defaults = [None] * (len(positional) - len(arguments.defaults)) + arguments.defaults + arguments.kw_defaults
+    for argument, default in zip([*positional, *keywords], defaults, strict=True):
         name = argument.arg
         if name == "progress":
             continue
@@ -105,7 +107,7 @@ def read_parameters(definition: ast.FunctionDef, helps: dict[str, str], required
 
 
 def choose_flag(name: str, annotation: ast.expr | None, text: str) -> Any:
-    """Return the type of a flag with its help: a number that may have a unit stays the word that was typed."""
+    """Return the type of a flag with its help: a number that may have a unit stays as typed."""
     stated = ast.unparse(annotation or ast.Constant("")).strip("'")
     kinds = {kind.strip() for kind in stated.split("|")}
     flag = "--" + name.replace("_", "-")
@@ -135,6 +137,6 @@ def read_numbers(type_: Any, tokens: Sequence[Token]) -> float | list[float]:
     try:
         numbers = [float(part) for part in parts]
     except ValueError:
-        what = f"{','.join(texts)!r} holds something that is no number"
-        raise InputError(what, tokens[0].keyword or "", "write 0.1,0.2") from None
+        problem = f"{','.join(texts)!r} holds something that is no number"
+        raise InputError(problem, tokens[0].keyword or "", "write 0.1,0.2") from None
     return numbers if len(parts) > 1 or "[" in texts[0] else numbers[0]

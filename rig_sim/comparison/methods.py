@@ -14,26 +14,13 @@ RK4_LONGEST = 1.0  # of sqrt(m/k): a sixth of a period; longer steps do not reso
 DOP853_RTOL = 2.3e-14  # 100 ulp: the least that scipy accepts; a larger one misses touches of the edge in laws 1 and 2
 
 
-def phases_by(
+def choose_phases(
     method: str, scene: Scene, *, step: float | None = None, rtol: float | None = None
 ) -> tuple[SamplePhase, str]:
-    """Return the function that plays one phase, and the method's setting in words.
+    """Return the function that plays one phase, and the method's setting as text.
 
-    Parameters
-    ----------
-    method : str
-        One of `METHODS`.
-    scene : Scene
-        What will be played.
-    step : float, optional
-        Of rk4-henon, in the scene's unit of time; default `RK4_STEP` x sqrt(m/k), `RK4_LONGEST` of it at most.
-    rtol : float, optional
-        Of dop853, relative and absolute; default and least `DOP853_RTOL`.
-
-    Raises
-    ------
-    InputError
-        An unknown method, a setting that the method does not have or that is out of range.
+    ``step``, of rk4-henon, is in the scene's unit of time: default `RK4_STEP` x sqrt(m/k), at most `RK4_LONGEST` of it.
+    ``rtol``, of dop853, is relative and absolute: default and least `DOP853_RTOL`.
     """
     if method not in METHODS:
         raise InputError(f"unknown method {method!r}", "--method", f"take one of {', '.join(METHODS)}")
@@ -46,20 +33,20 @@ def phases_by(
     from rig_sim.comparison.stepping import sample_phase as sample_by
 
     if method == "rk4-henon":
-        from rig_sim.comparison.rk4_henon import by_steps
+        from rig_sim.comparison.rk4_henon import make_rk4_solver
 
         h = RK4_STEP * math.sqrt(scene.mass.m / scene.spring.k) if step is None else step
         if not (math.isfinite(h) and h > 0.0):
             raise InputError(f"is {h:g}", "--step", "give a positive number")
         unit = math.sqrt(scene.mass.m / scene.spring.k)
         if h > RK4_LONGEST * unit:
-            what = f"is {h:g}, and the period of the mass is {2 * math.pi * unit:.4g}: too long a step to follow it"
+            problem = f"is {h:g}, and the period of the mass is {2 * math.pi * unit:.4g}: too long a step to follow it"
             do = f"give {RK4_LONGEST * unit:.4g} (a sixth of it) or less; the default is {RK4_STEP * unit:.4g}"
-            raise InputError(what, "--step", do)
-        return partial(sample_by, by_steps(h)), f"h {h:g}"
-    from rig_sim.comparison.solve_ivp import by_solver
+            raise InputError(problem, "--step", do)
+        return partial(sample_by, make_rk4_solver(h)), f"h {h:g}"
+    from rig_sim.comparison.solve_ivp import make_ivp_solver
 
     tolerance = DOP853_RTOL if rtol is None else rtol
     if not DOP853_RTOL <= tolerance < 1.0:
         raise InputError(f"is {tolerance:g}", "--rtol", f"give at least {DOP853_RTOL} and less than 1, such as 1e-9")
-    return partial(sample_by, by_solver("dop853", tolerance, dense=True)), f"rtol {tolerance:g}"
+    return partial(sample_by, make_ivp_solver("dop853", tolerance, dense=True)), f"rtol {tolerance:g}"

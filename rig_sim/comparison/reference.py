@@ -20,7 +20,7 @@ from rig_sim.friction.curve import HYPERBOLIC, LINEAR, MEASURED
 
 DIGITS = 40
 ORDER = 44
-TOUCH = 1e-26  # how near an edge counts as on it
+TOUCH = 1e-26  # distance from an edge within which a value is on it
 PLACES = 32
 STEEP = 60.0
 STEPS_ALLOWED = 200_000
@@ -34,19 +34,13 @@ class Uncovered(Exception):  # noqa: N818  # an answer, not an error
 
 
 def events(flow: Flow, x: float, v: float, t_max: float) -> list[Event]:
-    """Return (time, kind, position) of the events from t = 0 up to t_max, to more than 30 digits of t_max.
-
-    Raises
-    ------
-    Uncovered
-        For a driven ramp that is steep, or a run of too many steps.
-    """
+    """Return (time, kind, position) of the events from t = 0 up to t_max, to more than 30 digits of t_max."""
     with mpmath.workdps(DIGITS):
         return _Rig(flow, x, v).run(mpmath.mpf(t_max))
 
 
 class _Rig:
-    """One motion: its constants and its state, in multi-precision."""
+    """One motion in multi-precision: its constants and its state."""
 
     def __init__(self, flow: Flow, x: float, v: float) -> None:
         mpf = mpmath.mpf
@@ -70,7 +64,7 @@ class _Rig:
         self.mode = self.first_mode()
 
     def load(self) -> Number:
-        """Return what friction must hold in stick, less the break-away level."""
+        """Return the force that friction must balance in stick, less the break-away level."""
         return self.k * self.y + self.c * self.V - self.u0 * mpmath.cos(self.omega * self.t + self.phase) - self.B
 
     def first_mode(self) -> str:
@@ -87,43 +81,43 @@ class _Rig:
         return "N" if self.load() > 0 else "P" if self.load() < -2 * self.B else "S"
 
     def run(self, t_max: Number) -> list[Event]:
-        found: list[Event] = []
-        begun = -1  # the event at which an undriven jump law began to slip from its slip point
+        events: list[Event] = []
+        first_slip = -1  # the event at which an undriven jump law began to slip from its slip point
         for _i in range(STEPS_ALLOWED):
             if self.t >= t_max:
-                return found
-            stayed = self.t
+                return events
+            stick_start = self.t
             steep = self.mode == "R" and self.B / self.d / self.m > STEEP
-            side = self.ramp() if steep else self.series(t_max)
+            side = self.cross_ramp() if steep else self.step_series(t_max)
             if side == 0:
                 if steep:
-                    return found
+                    return events
                 continue
             if self.t > t_max:
-                return found
-            was, self.mode = self.mode, self.landing(side)
-            found.append((self.t, self.named(was) + ">" + self.named(self.mode), self.x0 + self.sign * self.y))
-            if self.u0 == 0 and was == "S" and side > 0 and (self.t > stayed or abs(self.load()) < TOUCH):
+                return events
+            previous, self.mode = self.mode, self.enter(side)
+            events.append((self.t, self.letter(previous) + ">" + self.letter(self.mode), self.x0 + self.sign * self.y))
+            if self.u0 == 0 and previous == "S" and side > 0 and (self.t > stick_start or abs(self.load()) < TOUCH):
                 self.y, self.w = (self.B - self.c * self.V) / self.k, mpmath.mpf(0)
-                if begun >= 0 and self.t > found[begun][0]:
-                    return self.repeat(found, begun, t_max)
-                begun = len(found) - 1
+                if first_slip >= 0 and self.t > events[first_slip][0]:
+                    return self.repeat(events, first_slip, t_max)
+                first_slip = len(events) - 1
         raise Uncovered(f"a run of more than {STEPS_ALLOWED} steps")
 
-    def repeat(self, found: list[Event], begun: int, t_max: Number) -> list[Event]:
-        """Return the list with its last cycle repeated: every slip of an undriven jump law begins at one point."""
-        cycle = found[begun + 1 :]
-        period = cycle[-1][0] - found[begun][0]
-        for turn in range(1, int((t_max - found[begun][0]) / period) + 1):
-            found += [(t + turn * period, kind, x) for t, kind, x in cycle if t + turn * period <= t_max]
-        return found
+    def repeat(self, events: list[Event], first_slip: int, t_max: Number) -> list[Event]:
+        """Return the list with its last cycle repeated: every slip of an undriven jump law starts at one point."""
+        cycle = events[first_slip + 1 :]
+        period = cycle[-1][0] - events[first_slip][0]
+        for turn in range(1, int((t_max - events[first_slip][0]) / period) + 1):
+            events += [(t + turn * period, kind, x) for t, kind, x in cycle if t + turn * period <= t_max]
+        return events
 
-    def named(self, mode: str) -> str:
+    def letter(self, mode: str) -> str:
         if mode == "R":
             return "S"
         return {"N": "P", "P": "N"}.get(mode, mode) if self.sign < 0 else mode
 
-    def landing(self, side: int) -> str:
+    def enter(self, side: int) -> str:
         if self.mode in ("R", "S"):
             return "N" if (side < 0) == (self.mode == "R") else "P"
         if self.d > 0:
@@ -134,7 +128,7 @@ class _Rig:
         return "N" if load > TOUCH else "S"
 
     def expand(self) -> tuple[list[Number], list[Number], list[Number]]:
-        """Return the Taylor coefficients of y, w and of what the edges bound (w, or in stick the load)."""
+        """Return the Taylor coefficients of y, w and of the quantity that the edges bound (w, or in stick the load)."""
         theta = self.omega * self.t + self.phase
         drive = [mpmath.mpf(0)] * (ORDER + 1)
         if self.u0 != 0:
@@ -153,7 +147,7 @@ class _Rig:
         out = 1 if self.mode == "P" else -1  # s = out w - d
         s, q = [out * self.w - self.d], [1 / (1 + self.gamma * (out * self.w - self.d))]
         if self.begins and self.mode != "R":
-            return self.on_cubic(y, w, s, out, drive)
+            return self.expand_on_cubic(y, w, s, out, drive)
         for n in range(ORDER):
             if self.mode == "R":
                 force = -self.B / self.d * w[n]
@@ -169,10 +163,10 @@ class _Rig:
                 q.append(-self.gamma * q[0] * mpmath.fdot(zip(s[1:], reversed(q), strict=True)))
         return y, w, w
 
-    def on_cubic(
+    def expand_on_cubic(
         self, y: list[Number], w: list[Number], s: list[Number], out: int, drive: list[Number]
     ) -> tuple[list[Number], list[Number], list[Number]]:
-        """Return what `expand` does, for slip on the measured curve's cubic that the slip speed is in or enters."""
+        """Return the same as `expand`, for slip on the measured curve's cubic at, or entered at, the slip speed."""
         for i in range(len(self.begins)):
             if self.begins[i] - TOUCH > s[0]:
                 break
@@ -196,8 +190,8 @@ class _Rig:
             z.append(out * w[n + 1])
         return y, w, w
 
-    def series(self, t_max: Number) -> int:
-        """Go one step, or to the edge within it; return the side left at, 0 inside."""
+    def step_series(self, t_max: Number) -> int:
+        """Advance one step, or to the edge within it; return the side of the exit, 0 inside."""
         y, w, bounded = self.expand()
         h = t_max - self.t
         size = max(abs(bounded[0]), abs(bounded[1]), abs(y[0]), mpmath.mpf(10) ** -20)
@@ -212,18 +206,18 @@ class _Rig:
         first: tuple[int, Number] = (0, h)
         for side, edge in ((1, hi), (-1, lo)):
             if not mpmath.isinf(edge):
-                at = crossing([side * bounded[0] - side * edge, *(side * c for c in bounded[1:])], first[1])
-                if at is not None:
-                    first = (side, at)
+                tau_edge = find_crossing([side * bounded[0] - side * edge, *(side * c for c in bounded[1:])], first[1])
+                if tau_edge is not None:
+                    first = (side, tau_edge)
         if self.begins and self.mode in ("N", "P"):
             out = 1 if self.mode == "P" else -1
             slip = [out * bounded[0] - self.d, *(out * c for c in bounded[1:])]
             ends = [(-1, self.begins[self.cubic])] if self.cubic else []
             ends += [(1, self.begins[self.cubic + 1])] if self.cubic + 1 < len(self.begins) else []
             for side, edge in ends:
-                at = crossing([side * slip[0] - side * edge, *(side * c for c in slip[1:])], first[1])
-                if at is not None and at > 0:
-                    first = (0, at)
+                tau_edge = find_crossing([side * slip[0] - side * edge, *(side * c for c in slip[1:])], first[1])
+                if tau_edge is not None and tau_edge > 0:
+                    first = (0, tau_edge)
         side, tau = first
         self.y, self.w = horner(y, tau), horner(w, tau)
         self.t += tau
@@ -231,8 +225,8 @@ class _Rig:
             self.w = hi if side > 0 else lo
         return side
 
-    def ramp(self) -> int:
-        """Go to the end of an undriven steep ramp; return the side left at, 0 when it is never left."""
+    def cross_ramp(self) -> int:
+        """Advance to the end of an undriven steep ramp; return the side of the exit, 0 without one."""
         if self.u0 != 0:
             raise Uncovered("a driven ramp with a fast root")
         b = (self.c + self.B / self.d) / self.m
@@ -253,7 +247,7 @@ class _Rig:
                 continue
             for side, edge in ((1, self.d), (-1, -self.d)):
                 if side * (w(end) - edge) > 0:
-                    tau = bisected(lambda tau: side * (w(tau) - edge), start, end)  # noqa: B023
+                    tau = bisect(lambda tau: side * (w(tau) - edge), start, end)  # noqa: B023
                     self.y, self.w = rest + P * mpmath.exp(r1 * tau) + Q * mpmath.exp(r2 * tau), edge
                     self.t += tau
                     return side
@@ -261,7 +255,7 @@ class _Rig:
         return 0
 
 
-def bisected(function: Callable[[Number], Number], inside: Number, outside: Number) -> Number:
+def bisect(function: Callable[[Number], Number], inside: Number, outside: Number) -> Number:
     """Return where the function, negative inside, turns positive on a monotone piece."""
     for _i in range(400):
         middle = (inside + outside) / 2
@@ -274,9 +268,9 @@ def bisected(function: Callable[[Number], Number], inside: Number, outside: Numb
     return outside
 
 
-def crossing(g: list[Number], end: Number) -> Number | None:
+def find_crossing(g: list[Number], end: Number) -> Number | None:
     """Return the first tau in [0, end] where the polynomial rises above 0 or touches it; it is <= 0 inside."""
-    while abs(g[0]) < TOUCH:  # on the edge: what counts is the next root
+    while abs(g[0]) < TOUCH:  # on the edge: take the next root
         g = g[1:]
         if len(g) < 3:
             return None
@@ -291,20 +285,20 @@ def crossing(g: list[Number], end: Number) -> Number | None:
         xi = i / PLACES
         g_here, slope_here = horner(rough, xi), horner(rough_slope, xi)
         if g_here > 0.0:
-            return polished(g, slope, before * scale, xi * scale)
+            return polish(g, slope, before * scale, xi * scale)
         if not falling and slope_here <= 0.0:  # a maximum between: does it reach the edge?
             curvature = [j * c for j, c in enumerate(slope)][1:]
-            top = polished([-c for c in slope], [-c for c in curvature], before * scale, xi * scale)
+            top = polish([-c for c in slope], [-c for c in curvature], before * scale, xi * scale)
             height = horner(g, top)
             if abs(height) <= TOUCH:
                 return top
             if height > 0:
-                return polished(g, slope, before * scale, float(top))
+                return polish(g, slope, before * scale, float(top))
         before, falling = xi, slope_here <= 0.0
     return None
 
 
-def polished(g: list[Number], slope: list[Number], inside: float, outside: float) -> Number:
+def polish(g: list[Number], slope: list[Number], inside: float, outside: float) -> Number:
     """Return the root between: bisection, then Newton's steps in full precision."""
     low, high = mpmath.mpf(inside), mpmath.mpf(outside)
     for _i in range(24):
@@ -322,9 +316,9 @@ def polished(g: list[Number], slope: list[Number], inside: float, outside: float
     return tau
 
 
-def horner(c: list[Number], at: Number) -> Number:
+def horner(c: list[Number], x: Number) -> Number:
     """Return the polynomial with coefficients ``c``, lowest power first, in floats or multi-precision."""
     total = 0 * c[0]
     for number in reversed(c):
-        total = total * at + number
+        total = total * x + number
     return total

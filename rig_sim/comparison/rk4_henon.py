@@ -34,7 +34,7 @@ def rk4(slopes: Slopes, s: float, a: float, b: float, h: float) -> tuple[float, 
     return a + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0, b + h * (b1 + 2.0 * b2 + 2.0 * b3 + b4) / 6.0
 
 
-def to_the_edge(slopes: Slopes, t: float, p: float, w: float, edge: float, h: float) -> tuple[float, float]:
+def step_to_edge(slopes: Slopes, t: float, p: float, w: float, edge: float, h: float) -> tuple[float, float]:
     """Return (t, p) where w reaches ``edge`` within the step h: one step with w as the independent variable."""
 
     def exchanged(w: float, t: float, p: float) -> tuple[float, float]:
@@ -68,14 +68,14 @@ def slide(
         h *= 0.5
     if w == edge:  # left at once
         return side, t, p, w
-    t_edge, p_edge = to_the_edge(slopes, t, p, w, edge, h)
+    t_edge, p_edge = step_to_edge(slopes, t, p, w, edge, h)
     return side, t_edge, p_edge, edge
 
 
 def solve_phase(
     step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Work
 ) -> PhaseResult:
-    """Go through a slip or ramp by steps of ``step`` (s)."""
+    """Follow a slip or ramp by steps of ``step`` (s)."""
     slopes = right_hand_side(fr, mode)
     lo, hi = mode_bounds(fr, mode)
     grid = [t]
@@ -100,14 +100,8 @@ def solve_phase(
         states.append((p, w))
 
 
-def by_steps(step: float) -> PhaseSolver:
-    """Return the method with steps of ``step`` (s).
-
-    Raises
-    ------
-    ValueError
-        For a step that is not positive.
-    """
+def make_rk4_solver(step: float) -> PhaseSolver:
+    """Return the method with steps of ``step`` (s)."""
     if not (math.isfinite(step) and step > 0.0):
         raise ValueError(f"step is {step}; need a positive number")
     return partial(solve_phase, step)

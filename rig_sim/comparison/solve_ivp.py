@@ -35,7 +35,7 @@ def solve_phase(
     t_max: float,
     work: Work,
 ) -> PhaseResult:
-    """Go through a slip or ramp: one call of the solver; STEPS counts evaluations."""
+    """Follow a slip or ramp in one call of the solver; ``work`` counts evaluations."""
     slopes = right_hand_side(fr, mode)
 
     def rates(tau: float, y: Any) -> tuple[float, float]:
@@ -82,14 +82,8 @@ def solve_phase(
     return PhaseResult(modes.COMPLETED, 0, t_max, float(solution.y[0][-1]), float(solution.y[1][-1]), at)
 
 
-def by_solver(method: str, rtol: float, *, dense: bool) -> PhaseSolver:
-    """Return the method: a key of `SOLVERS` at relative tolerance ``rtol``; ``dense`` where times between are wanted.
-
-    Raises
-    ------
-    ValueError
-        For an unknown method, or a tolerance that is not positive.
-    """
+def make_ivp_solver(method: str, rtol: float, *, dense: bool) -> PhaseSolver:
+    """Return the method: a key of `SOLVERS` at relative tolerance ``rtol``; ``dense`` for states at times between."""
     if method not in SOLVERS:
         raise ValueError(f"method is {method!r}; need one of {', '.join(SOLVERS)}")
     if not (math.isfinite(rtol) and rtol > 0.0):

@@ -12,28 +12,32 @@ from typing import NamedTuple
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import transition
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.frame import Frame, curve_deficit, drive, frame, linear_terms, mirrored, position
+from rig_sim.flow.frame import Frame, curve_deficit, drive, frame, linear_terms, mirror_mode, position
 from rig_sim.integrate.driven import driven_stick_exit
 from rig_sim.integrate.linear import stick_exit
-from rig_sim.integrate.phases import RAPID_ALLOWED, RAPID_TIME, Samples, State, in_frame, outside, unmirrored_kind
+from rig_sim.integrate.phases import (
+    RAPID_ALLOWED,
+    RAPID_TIME,
+    Samples,
+    State,
+    enter_frame,
+    leave_frame,
+    unmirrored_kind,
+)
 from rig_sim.integrate.work import Work
 
 Slopes = Callable[[float, float, float], tuple[float, float]]
 
 
 class PhaseResult(NamedTuple):
-    """A phase, or as much of it as the steps allowed.
+    """A phase, or as much of it as the steps allowed."""
 
-    ``end`` is COMPLETED, STEP_LIMIT or NOT_FINITE; ``side`` -1, +1 at the phase's lower, upper edge, 0 elsewhere; then
-    the state there; ``at`` gives (p, w) at any time from the phase's start to t.
-    """
-
-    end: int
-    side: int
-    t: float
+    end: int  # COMPLETED, STEP_LIMIT or NOT_FINITE
+    side: int  # -1, +1 at the phase's lower, upper edge, 0 elsewhere
+    t: float  # of the end, with the state there
     p: float
     w: float
-    at: Callable[[float], tuple[float, float]]
+    state_at: Callable[[float], tuple[float, float]]  # (p, w) at any time from the phase's start to t
 
 
 PhaseSolver = Callable[[Frame, int, float, float, float, float, Work], PhaseResult]
@@ -51,7 +55,7 @@ def right_hand_side(fr: Frame, mode: int) -> Slopes:
 
 
 def solve_stick(fr: Frame, t: float, p: float, t_max: float, work: Work) -> PhaseResult:
-    """Return a stick phase: closed form, as for the exact method."""
+    """Return a stick phase in closed form, as for the exact method."""
     work.steps += 1.0
     rest = t_max - t
     side, tau = driven_stick_exit(fr, p, t, rest) if fr.u0 != 0.0 else stick_exit(fr, p, rest)
@@ -59,62 +63,52 @@ def solve_stick(fr: Frame, t: float, p: float, t_max: float, work: Work) -> Phas
     return PhaseResult(modes.COMPLETED, side, t_end, p + fr.v * tau, 0.0, lambda t_at: (p + fr.v * (t_at - t), 0.0))
 
 
-def solve_part(
+def solve_checked(
     solver: PhaseSolver, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Work
 ) -> PhaseResult:
     """Return the phase from (t, p, w) to its end, to t_max or to where the solver stops."""
-    here = PhaseResult(modes.COMPLETED, 0, t, p, w, lambda _: (p, w))
+    start = PhaseResult(modes.COMPLETED, 0, t, p, w, lambda _: (p, w))
     if not math.isfinite(p + w + t_max - t):
-        return here._replace(end=modes.NOT_FINITE)
+        return start._replace(end=modes.NOT_FINITE)
     if t >= t_max:
-        return here
+        return start
     if work.steps >= work.steps_allowed:
-        return here._replace(end=modes.STEP_LIMIT)
-    found = solve_stick(fr, t, p, t_max, work) if mode == modes.STICK else solver(fr, mode, t, p, w, t_max, work)
-    return found if math.isfinite(found.t + found.p + found.w) else here._replace(end=modes.NOT_FINITE)
+        return start._replace(end=modes.STEP_LIMIT)
+    result = solve_stick(fr, t, p, t_max, work) if mode == modes.STICK else solver(fr, mode, t, p, w, t_max, work)
+    return result if math.isfinite(result.t + result.p + result.w) else start._replace(end=modes.NOT_FINITE)
 
 
 def sample_phase(
-    solver: PhaseSolver, flow: Flow, at: State, t_max: float, samples: Samples, i: int, work: Work
+    solver: PhaseSolver, flow: Flow, state: State, t_max: float, samples: Samples, i: int, work: Work
 ) -> tuple[int, State, int]:
-    """Go to the next event, or to t_max, storing the motion: as `rig_sim.integrate.phases.sample_phase`.
+    """Continue to the next event, or to t_max, storing the motion: as `rig_sim.integrate.phases.sample_phase`.
 
-    Parameters
-    ----------
-    solver : PhaseSolver
-        The method.
-    flow, at, t_max, samples, i, work
-        As there; ``work`` counts the method's steps, or its evaluations of the right-hand side.
-
-    Returns
-    -------
-    (kind, at, i)
-        As there.
+    ``work`` counts the method's steps, or its evaluations of the right-hand side.
     """
     fr = frame(flow)
-    own, p, w, t, _ = in_frame(fr, at)
-    begun, kind = t, -1
+    mode, p, w, t, _ = enter_frame(fr, state)
+    phase_start, kind = t, -1
     while kind < 0:
-        part = solve_part(solver, fr, own, t, p, w, t_max, work)
-        while part.end != modes.NOT_FINITE and i < samples.n and samples.t[i] <= part.t:
-            p_at, w_at = (p, w) if samples.t[i] <= t else part.at(samples.t[i])
+        result = solve_checked(solver, fr, mode, t, p, w, t_max, work)
+        while result.end != modes.NOT_FINITE and i < samples.n and samples.t[i] <= result.t:
+            p_at, w_at = (p, w) if samples.t[i] <= t else result.state_at(samples.t[i])
             samples.x[i] = position(fr, p_at)
             samples.v[i] = fr.mirror * (w_at + fr.v)
-            samples.mode[i] = float(mirrored(fr, own))
+            samples.mode[i] = float(mirror_mode(fr, mode))
             i += 1
-        p, w, t = part.p, part.w, part.t
-        if part.end != modes.COMPLETED:
-            kind = part.end
-        elif part.side != 0:
-            entered = transition(fr, own, part.side, p, t)
+        p, w, t = result.p, result.w, result.t
+        if result.end != modes.COMPLETED:
+            kind = result.end
+        elif result.side != 0:
+            entered = transition(fr, mode, result.side, p, t)
             if entered >= modes.FORCE_REVERSAL:
                 kind = entered
             else:
-                rapid = (t - begun) * fr.omega0 <= RAPID_TIME
+                rapid = (t - phase_start) * fr.omega0 <= RAPID_TIME
                 work.rapid = work.rapid + 1.0 if rapid else 0.0
-                kind = modes.EVENT_RATE if work.rapid > RAPID_ALLOWED else 4 * own + entered
-                own = entered
+                kind = modes.EVENT_RATE if work.rapid > RAPID_ALLOWED else 4 * mode + entered
+                mode = entered
         elif t >= t_max:
             work.rapid = 0.0
             kind = modes.COMPLETED
-    return unmirrored_kind(fr, kind), outside(fr, State(own, p, w, t)), i
+    return unmirrored_kind(fr, kind), leave_frame(fr, State(mode, p, w, t)), i

@@ -19,22 +19,12 @@ from rig_sim.flow.flow import Flow
 
 
 class SwingingBelt:
-    """The swing of a belt's position about its steady run, and the drive that stands for it.
-
-    Parameters
-    ----------
-    amplitude : float
-        Of the speed, m/s.
-    frequency_hz : float
-        Hz, above 0.
-    start : float
-        When the belt starts, with phase 0, s.
-    """
+    """The swing of a belt's position about its steady run, and the equivalent drive."""
 
     def __init__(self, amplitude: float, frequency_hz: float, start: float) -> None:
-        self._speed = amplitude
+        self._speed = amplitude  # m/s
         self._omega = 2.0 * math.pi * frequency_hz
-        self._start = start
+        self._start = start  # s, phase 0
 
     def position(self, t: float) -> float:
         """Return b (m) at time t (s)."""
@@ -44,8 +34,8 @@ class SwingingBelt:
         """Return b' (m/s) at time t (s)."""
         return self._speed * math.sin(self._omega * (t - self._start))
 
-    def driven(self, flow: Flow) -> Flow:
-        """Return the flow of xi."""
+    def drive(self, flow: Flow) -> Flow:
+        """Return the flow of xi, driven by the ripple."""
         omega = self._omega
         u = complex(flow.k / omega - flow.m * omega, flow.c) * self._speed * cmath.exp(-1j * omega * self._start)
         return flow._replace(u0=abs(u), omega=omega, phase=cmath.phase(u))

@@ -4,20 +4,12 @@ import random
 
 
 class ScatteredLevel:
-    """Draws the factor on the friction curve, one for each landing.
-
-    Parameters
-    ----------
-    sd : float
-        Standard deviation of the factor, a fraction of Fs.
-    seed : int
-        The scene's; scatter has a stream of random numbers of its own.
-    """
+    """Draws the factor on the friction curve, of standard deviation ``sd`` about 1, from its own random numbers."""
 
     def __init__(self, sd: float, seed: int) -> None:
         self._sd = sd
         self._draw = random.Random(f"{seed}/scatter")
 
     def factor(self) -> float:
-        """Return 1 + sd g, g drawn from the normal distribution; may be negative: the caller sets a lower limit."""
+        """Return 1 + sd g with g standard normal; may be negative: the caller sets a lower limit."""
         return 1.0 + self._draw.gauss(0.0, self._sd)

@@ -39,13 +39,10 @@ CREEP = 0.1  # frequency over abs(delta): a slower oscillation is over, or grown
 NO_SHIFT = 1e-5  # rad
 
 
-def controlled(flow: Flow, a: float, phi: float) -> Flow:
-    """Return the flow with a shaker of amplification ``a`` (N s/m) and phase lead ``phi`` (rad) at work.
+def add_shaker(flow: Flow, a: float, phi: float) -> Flow:
+    """Return the flow with a shaker of amplification ``a`` (N s/m) and phase lead ``phi`` (rad).
 
-    Raises
-    ------
-    ValueError
-        The belt is at rest under a jump law, where friction has no slope; or the mass would creep, not oscillate.
+    Raises ValueError where the belt is at rest under a jump law (friction has no slope there), or the mass would creep.
     """
     if a == 0.0:  # nothing, whatever the belt does
         return flow

@@ -2,7 +2,7 @@
 
 from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirrored
+from rig_sim.flow.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirror_mode
 from rig_sim.friction.curve import MEASURED
 
 
@@ -58,17 +58,17 @@ def initial_mode(flow: Flow, x: float, v: float, t: float) -> int:
     slip point itself it sticks for zero time.
     """
     fr = frame(flow)
-    return mirrored(fr, classify(fr, displacement(fr, x), fr.mirror * (v - flow.v_belt), t))
+    return mirror_mode(fr, classify(fr, displacement(fr, x), fr.mirror * (v - flow.v_belt), t))
 
 
 def force(flow: Flow, mode: int, x: float, w: float, t: float) -> float:
     """Return the friction force on the mass (N, along x) in the given mode; in stick the force that holds it."""
     fr = frame(flow)
     p = displacement(fr, x)
-    own = mirrored(fr, mode)
-    if own == modes.STICK:
+    frame_mode = mirror_mode(fr, mode)
+    if frame_mode == modes.STICK:
         return fr.mirror * (fr.B + fr.k * p - drive(fr, t))
     sliding = fr.mirror * w
-    C, e = linear_terms(fr, own)
+    C, e = linear_terms(fr, frame_mode)
     # m w' = -c v - k x + F + drive: F is what the two terms add to -c w, relative to the slip point's B
-    return fr.mirror * (-(C - fr.c) * sliding + e + fr.B + curve_deficit(fr, own, sliding))
+    return fr.mirror * (-(C - fr.c) * sliding + e + fr.B + curve_deficit(fr, frame_mode, sliding))

@@ -8,54 +8,32 @@ from rig_sim.friction.spline import NO_TABLE, Table, steepest_fall_between
 
 
 class Flow(NamedTuple):
-    """Everything the motion between events depends on; the defaults are the dimensionless base case, law 5.
+    """All parameters of the motion between events; the defaults are the dimensionless base case, law 5.
 
-    Parameters
-    ----------
-    m, k, x0, c : float
-        Mass (kg, > 0), spring (N/m, > 0), the spring's rest position (m), viscous damping (N s/m).
-    v_belt : float
-        Belt velocity, m/s, either sign or 0.
-    curve, ramp : int
-        `rig_sim.friction.curve` code; 1 for a ramp contact, 0 for a jump.
-    Fs, static, factor : float
-        Level at rest (N, >= 0), break-away level / Fs (>= 1), scatter (multiplies the whole curve, d unchanged).
-    G_slip, gamma, d : float
-        N s/m, s/m, m/s; those the law does not use are ignored.
-    u0, omega, phase : float
-        Drive u0 cos(omega t + phase): N, rad/s, rad.
-    droop : float
-        Speed drop of the belt at the load Fs, m/s (>= 0); the drive's compliance is droop/Fs, m/s per N.
-    pieces, table : int, tuple of float
-        Of a measured curve, as `rig_sim.friction.spline.spline_table` gives them; Fs is then the curve's friction at
-        rest.  Compiled kernels take the table as an array: `rig_sim.integrate.compiled.for_kernels`.
-
-    Notes
-    -----
-    Pass floats as floats and ints as ints: compiled kernels are specialised on the types.
-    With a ramp, static > 1 makes the ramp's peak static Fs, dropping to the curve at its edge.
-    Kernels trust their flow; `validate` checks one.
+    Pass floats as floats and ints as ints: compiled kernels are specialised on the types.  With a ramp, static > 1
+    makes the ramp's peak static Fs, dropping to the curve at its edge.  Kernels trust their flow; `validate` checks
+    one.
     """
 
-    m: float = 1.0
-    k: float = 1.0
-    x0: float = 0.0
-    c: float = 0.0
-    v_belt: float = 0.5
-    curve: int = HYPERBOLIC
-    ramp: int = 0
-    Fs: float = 1.0
-    static: float = 1.0
-    factor: float = 1.0
-    G_slip: float = 0.05
-    gamma: float = 3.0
-    d: float = 0.2
-    u0: float = 0.0
-    omega: float = 0.0
-    phase: float = 0.0
-    droop: float = 0.0
-    pieces: int = 0
-    table: Table = NO_TABLE
+    m: float = 1.0  # mass, kg, > 0
+    k: float = 1.0  # spring, N/m, > 0
+    x0: float = 0.0  # rest position of the spring, m
+    c: float = 0.0  # viscous damping, N s/m
+    v_belt: float = 0.5  # belt velocity, m/s, either sign or 0
+    curve: int = HYPERBOLIC  # code of `rig_sim.friction.curve`
+    ramp: int = 0  # 1 for a ramp contact, 0 for a jump
+    Fs: float = 1.0  # level at rest, N, >= 0; of a measured curve its friction at rest
+    static: float = 1.0  # break-away level / Fs, >= 1
+    factor: float = 1.0  # scatter: multiplies the whole curve, d unchanged
+    G_slip: float = 0.05  # slope of the linear curve, N s/m
+    gamma: float = 3.0  # rate of the hyperbolic curve, s/m
+    d: float = 0.2  # half-width of the ramp, m/s
+    u0: float = 0.0  # drive u0 cos(omega t + phase), N
+    omega: float = 0.0  # rad/s
+    phase: float = 0.0  # rad
+    droop: float = 0.0  # speed drop of the belt at the load Fs, m/s, >= 0: its compliance is droop/Fs, m/s per N
+    pieces: int = 0  # of a measured curve, with its table, as of `rig_sim.friction.spline.spline_table`
+    table: Table = NO_TABLE  # an array for compiled kernels: `rig_sim.integrate.compiled.for_kernels`
 
 
 SMALLEST, LARGEST = 1e-100, 1e100  # sizes of any number but 0: products of three stay finite
@@ -64,14 +42,11 @@ NON_NEGATIVE_FIELDS = ("Fs", "factor", "gamma", "d", "droop")
 
 
 def validate(flow: Flow) -> None:
-    """Refuse a flow that is not physical.
+    """Raise ValueError, naming the field, for a flow that is not physical.
 
-    Raises
-    ------
-    ValueError
-        Naming the field: not finite; above `LARGEST`; m or k not above 0, or below `SMALLEST`; Fs, factor, gamma, d or
-        droop below 0; static below 1; droop with static above 1, without friction, or with friction that falls faster
-        than the belt yields.
+    A number is not finite or above `LARGEST`; m or k is not above 0, or below `SMALLEST`; Fs, factor, gamma, d or droop
+    is below 0; static is below 1; droop comes with static above 1, without friction, or with friction that falls faster
+    than the belt yields.
     """
     for name, number in flow._asdict().items():
         if name == "table":

@@ -10,41 +10,33 @@ from rig_sim.friction.spline import Table, about, piece_of, steepest_fall_betwee
 
 
 class Frame(NamedTuple):
-    """A Flow as the kernels use it: belt forwards, slip point and levels worked out, the curve simplified.
+    """A Flow in the form of the kernels: belt forwards, slip point and levels computed, the curve simplified."""
 
-    ``mirror`` is -1 when the belt runs backwards (x, velocities, drive and modes are mirrored), else 1; ``A`` and ``B``
-    are the kinetic and the break-away friction level (N); ``d`` (m/s) is 0 for a jump; ``G`` (N s/m) the linear curve's
-    slope with the scatter; ``s_max`` (m/s) the relative speed of force reversal, or where the curve ends;
-    ``omega2`` = k/m = omega0^2 (1/s^2); ``slip`` = x_slip - x0 (m, mirrored); ``lag`` = droop gamma on the hyperbola,
-    else 0; ``pieces`` and ``table`` are those of a curve of cubics.
-    """
-
-    mirror: float
+    mirror: float  # -1 when the belt runs backwards (x, velocities, drive and modes are mirrored), else 1
     x0: float
-    slip: float
+    slip: float  # x_slip - x0, m, mirrored
     m: float
     k: float
     c: float
     v: float
     curve: int
-    A: float
-    B: float
-    G: float
+    A: float  # kinetic friction level, N
+    B: float  # break-away friction level, N
+    G: float  # slope of the linear curve with the scatter, N s/m
     gamma: float
-    d: float
-    s_max: float
+    d: float  # m/s; 0 for a jump
+    s_max: float  # relative speed of force reversal, or where the curve ends, m/s
     u0: float
     omega: float
     phase: float
-    omega2: float
-    omega0: float
-    lag: float
-    pieces: int
+    omega2: float  # k/m, 1/s^2
+    omega0: float  # sqrt(k/m), 1/s
+    lag: float  # droop gamma on the hyperbola, else 0
+    pieces: int  # of a curve of cubics, with its table
     table: Table
 
 
 def frame(flow: Flow) -> Frame:
-    """Return the flow as the kernels use it."""
     mirror = -1.0 if flow.v_belt < 0.0 else 1.0
     v = abs(flow.v_belt)
     A = flow.factor * flow.Fs
@@ -102,7 +94,7 @@ def position(fr: Frame, p: float) -> float:
     return fr.x0 + fr.mirror * (fr.slip + p)
 
 
-def mirrored(fr: Frame, mode: int) -> int:
+def mirror_mode(fr: Frame, mode: int) -> int:
     """Exchange NEGATIVE and POSITIVE when the frame is mirrored; its own inverse."""
     if fr.mirror < 0.0 and (mode == modes.NEGATIVE or mode == modes.POSITIVE):
         return modes.NEGATIVE + modes.POSITIVE - mode
@@ -176,7 +168,7 @@ def steepest_slope(fr: Frame, low: float, high: float) -> float:
     """Return the largest dF/dw (N s/m) of slip at relative speeds from low to high (m/s, beyond the contact's edge)."""
     if fr.curve == MEASURED:
         return fr.A * steepest_fall_between(fr.table, fr.pieces, max(low - fr.d, 0.0), max(high - fr.d, 0.0))
-    # the hyperbola is steepest where it begins; no other curve bends
+    # the hyperbola is steepest at its start; the other curves are straight
     return friction_slope(fr, modes.NEGATIVE, -max(low, fr.d))
 
 
@@ -193,7 +185,7 @@ def acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
     """Return w' (m/s^2) in the given mode; on the mode's edge it never points out of the mode."""
     if mode == modes.STICK:
         return 0.0
-    return kept_inside(fr, mode, w, free_acceleration(fr, mode, p, w, t))
+    return keep_inside(fr, mode, w, free_acceleration(fr, mode, p, w, t))
 
 
 def free_acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
@@ -202,7 +194,7 @@ def free_acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> flo
     return (-C * w - fr.k * p + e + curve_deficit(fr, mode, w) + drive(fr, t)) / fr.m
 
 
-def kept_inside(fr: Frame, mode: int, w: float, a: float) -> float:
+def keep_inside(fr: Frame, mode: int, w: float, a: float) -> float:
     """Return the acceleration ``a``, or 0 where it would leave the mode from the mode's own edge."""
     lo, hi = mode_bounds(fr, mode)
     if w == hi and mode != modes.POSITIVE:

@@ -75,7 +75,7 @@ RAMP_TO_NEGATIVE = 4 * RAMP + NEGATIVE
 
 
 class Outcome(NamedTuple):
-    """How a run ended: its name, and what to do about it."""
+    """How a run ended, and what to do about it."""
 
     name: str
     advice: str

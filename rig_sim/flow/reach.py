@@ -19,21 +19,10 @@ def largest_slip_speed(
 ) -> float:
     """Return the largest slip speed abs(x' - v_belt), m/s, of a mass that starts at ``y`` and ``v``.
 
-    Parameters
-    ----------
-    m, k, c : float
-        kg, N/m, N s/m.
-    v_belt : float
-        Largest speed of the belt, m/s, either sign.
-    friction : float
-        Largest friction up to the slip speed ``v_belt``, the break-away level included, N.
-    y, v : float
-        Start: distance from the spring's rest (m), and velocity (m/s).
-    push : float
-        Amplitude of a drive, N: it counts as a steady force.
+    ``v_belt`` is the largest speed of the belt (m/s, either sign), ``friction`` the largest friction up to the slip
+    speed ``v_belt``, break-away level included (N); ``y`` is the distance from the spring's rest (m).  ``push``, the
+    amplitude of a drive (N), counts as a steady force.
 
-    Notes
-    -----
     Not covered: resonance with a drive, forces that feed energy in, and kicks.
     """
     speed = abs(v_belt)

@@ -27,13 +27,7 @@ class TwoMassFlow(NamedTuple):
 
 
 def validate_two_masses(flow: TwoMassFlow) -> None:
-    """Refuse two masses that are not physical, or not modelled.
-
-    Raises
-    ------
-    ValueError
-        As `rig_sim.flow.flow.validate`; a or b below 0 or not finite; a ramp contact, a drive or a compliant belt.
-    """
+    """Raise ValueError for two masses that are not physical, or not modelled (ramp contact, drive, compliant belt)."""
     validate(flow.mass)
     for name, number in (("a", flow.a), ("b", flow.b)):
         if not 0.0 <= number <= LARGEST:
@@ -57,10 +51,7 @@ def largest_stretch(flow: TwoMassFlow) -> float:
 def slip_start(flow: TwoMassFlow, d: float) -> tuple[float, float]:
     """Return (x1, x2), m, where a global stick with the stretch d = x2 - x1 (m) ends: on the failure locus.
 
-    Raises
-    ------
-    ValueError
-        No global stick has this stretch; or the belt is at rest, so that it would not end.
+    Raises ValueError where no global stick has this stretch, or on a belt at rest, where it would not end.
     """
     mass = flow.mass
     if not abs(d) <= largest_stretch(flow):

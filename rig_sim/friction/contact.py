@@ -19,30 +19,13 @@ def force(
     static: float = 1.0,
     factor: float = 1.0,
 ) -> Real:
-    """Return the friction force on the mass (N, positive along x).
+    """Return the friction force on the mass (N, positive along x) at relative velocity w = x' - v_belt (m/s).
 
-    Parameters
-    ----------
-    law : Law
-        One of `rig_sim.friction.law.LAWS`.
-    w : float or array
-        Relative velocity x' - v_belt, m/s.
-    Fs, G_slip, gamma, d : float
-        N, N s/m, s/m, m/s (half-width of the ramp, d = static Fs/abs(G_stick)); those that the law does not name are
-        not used.
-    static : float
-        Break-away level / Fs; it shows in the ramp alone (its peak is static Fs, then the force drops to the curve).
-    factor : float
-        Scatter: multiplies the whole curve; d is unchanged.
+    d is the half-width of the ramp (m/s), static Fs/abs(G_stick); parameters that the law does not name are not used.
+    static, the break-away level over Fs, enters only the ramp: its peak is static Fs, then the force drops to the
+    curve. The scatter ``factor`` multiplies the whole curve; d is unchanged.
 
-    Raises
-    ------
-    ValueError
-        For a ramp law whose d is not positive.
-
-    Notes
-    -----
-    In stick a jump law's force is whatever balances the rest: `rig_sim.flow.contact_state.force` knows the state.
+    In stick a jump law's force balances all others: see `rig_sim.flow.contact_state.force`.
     """
     velocity: float = w  # type: ignore[assignment]  # arithmetic is the same for arrays
     sign = (velocity > 0) * 1.0 - (velocity < 0) * 1.0

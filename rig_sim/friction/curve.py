@@ -17,30 +17,13 @@ CURVES = {"constant": CONSTANT, "linear": LINEAR, "hyperbolic": HYPERBOLIC, "mea
 
 
 def magnitude(curve: int, s: Real, Fs: float, G_slip: float = 0.0, gamma: float = 0.0) -> Real:
-    """Return the friction force (N, >= 0 in its physical range) at slip speed ``s``.
+    """Return the friction force (N, >= 0 in its physical range) at slip speed ``s`` (m/s, >= 0).
 
-    Parameters
-    ----------
-    curve : int
-        CONSTANT, LINEAR or HYPERBOLIC.
-    s : float or array
-        Slip speed, m/s, >= 0.
-    Fs : float
-        Level at s = 0, N.
-    G_slip : float
-        Slope of the linear curve, N s/m, > 0 for falling friction.
-    gamma : float
-        Of the hyperbolic curve, s/m.
+    Fs is the level at s = 0 (N), G_slip the slope of the linear curve (N s/m, > 0 for falling friction), gamma the rate
+    of the hyperbolic one (s/m).  The linear curve changes sign beyond s = Fs/G_slip (`reversal_speed`); the formula is
+    returned unchanged.
 
-    Notes
-    -----
-    The linear curve changes sign beyond s = Fs/G_slip (`reversal_speed`); the formula is returned as it stands.
     Not modelled: rise at high speed (viscous), memory, dependence on normal force or temperature.
-
-    Raises
-    ------
-    ValueError
-        For an unknown curve.
     """
     speed: float = s  # type: ignore[assignment]  # arithmetic is the same for arrays
     if curve == CONSTANT:

@@ -19,27 +19,13 @@ from rig_sim.friction.curve import CURVES
 
 @dataclass(frozen=True)
 class Law:
-    """One friction law.
+    """One friction law."""
 
-    Parameters
-    ----------
-    number : int
-        1 to 6; 0 for a measured curve.
-    name : str
-        The law in words.
-    curve : str
-        'constant', 'linear' or 'hyperbolic': see `rig_sim.friction.curve`; 'measured': see `rig_sim.friction.spline`.
-    contact : str
-        'jump' (set-valued at rest) or 'ramp' (F proportional to w for abs(w) <= d): see `rig_sim.friction.contact`.
-    parameters : tuple of str
-        What the law needs: Fs (N), G_slip (N s/m), gamma (s/m), d (m/s).
-    """
-
-    number: int
+    number: int  # 1 to 6; 0 for a measured curve
     name: str
-    curve: str
-    contact: str
-    parameters: tuple[str, ...]
+    curve: str  # 'constant', 'linear', 'hyperbolic': `rig_sim.friction.curve`; 'measured': `rig_sim.friction.spline`
+    contact: str  # 'jump' (set-valued at rest) or 'ramp' (F proportional to w): `rig_sim.friction.contact`
+    parameters: tuple[str, ...]  # of Fs (N), G_slip (N s/m), gamma (s/m), d (m/s)
 
     @property
     def curve_code(self) -> int:
@@ -65,7 +51,7 @@ LAWS = {
 }
 
 
-def _limits(law: Law) -> tuple[int, ...]:
+def find_limits(law: Law) -> tuple[int, ...]:
     """Return the laws that this one becomes in a limit: without its fall, with a ramp of no width, or both."""
     others = [
         other
@@ -75,9 +61,9 @@ def _limits(law: Law) -> tuple[int, ...]:
     return tuple(sorted((other.number for other in others), reverse=True))
 
 
-NESTED = {law.number: _limits(law) for law in LAWS.values()}  # the laws that are a limit of each
+NESTED = {law.number: find_limits(law) for law in LAWS.values()}  # the laws that are a limit of each
 
-MEASURED_CURVE = Law(0, "measured curve", "measured", "jump", ("curve",))  # no law: what a scene's points say
+MEASURED_CURVE = Law(0, "measured curve", "measured", "jump", ("curve",))  # the points of a scene
 
 
 def law_or_curve(number: int) -> Law:

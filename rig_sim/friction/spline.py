@@ -20,7 +20,7 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
-NO_TABLE = (0.0,)  # of the other curves: never read, and typed like a table
+NO_TABLE = (0.0,)  # of the other curves: never read
 Table = Any  # tuple of floats (interpreted) or one-dimensional float64 array (compiled)
 
 
@@ -39,10 +39,10 @@ def piece_of(begins: Table, pieces: int, s: float) -> int:
 def about(table: Table, pieces: int, i: int, s: float) -> tuple[float, float, float, float]:
     """Return the powers 0 to 3 of piece i about the slip speed s (m/s), over the friction at rest."""
     z = s - table[i]
-    at = pieces + 4 * i
-    c1, c2, c3 = table[at + 1], table[at + 2], table[at + 3]
+    start = pieces + 4 * i
+    c1, c2, c3 = table[start + 1], table[start + 2], table[start + 3]
     return (
-        table[at] + z * (c1 + z * (c2 + z * c3)),
+        table[start] + z * (c1 + z * (c2 + z * c3)),
         c1 + z * (2.0 * c2 + z * 3.0 * c3),
         c2 + 3.0 * z * c3,
         c3,
@@ -52,7 +52,7 @@ def about(table: Table, pieces: int, i: int, s: float) -> tuple[float, float, fl
 def steepest_fall_between(table: Table, pieces: int, low: float, high: float) -> float:
     """Return the largest fall of the curve per speed (s/m, over the friction at rest) from slip speed low to high."""
     first, last = piece_of(table, pieces, low), piece_of(table, pieces, high)
-    # an orbit asks thousands of times, and a formula has hundreds of pieces: those between are looked at once
+    # cached: an orbit calls this thousands of times, and a formula has hundreds of pieces
     between = _steepest_falls(table, pieces)[first + 1 : last]
     return max(*(_steepest_fall(table, pieces, i, low, high) for i in (first, last)), *between)
 
@@ -79,13 +79,10 @@ def _steepest_fall(table: Table, pieces: int, i: int, low: float, high: float) -
 def spline_table(points: tuple[tuple[float, float], ...]) -> tuple[int, tuple[float, ...]]:
     """Return (pieces, table) of the spline through points (slip speed m/s, friction N), as the module describes it.
 
-    Raises
-    ------
-    ValueError
-        Fewer than two points; a first speed other than 0; speeds that do not increase; a friction that is not above 0,
-        or a number that is not finite.
+    Raises ValueError for fewer than two points; a first speed other than 0; speeds that do not increase; a friction
+    that is not above 0, or a number that is not finite.
     """
-    problem = refused(points)
+    problem = find_problem(points)
     if problem:
         raise ValueError(problem)
     from scipy.interpolate import PPoly, make_interp_spline
@@ -94,37 +91,32 @@ def spline_table(points: tuple[tuple[float, float], ...]) -> tuple[int, tuple[fl
     rest = points[0][1]
     degree = min(3, len(points) - 1)
     spline = make_interp_spline(speeds, [F / rest for _, F in points], k=degree)
-    whole = PPoly.from_spline((spline.t, spline.c, spline.k))
+    polynomials = PPoly.from_spline((spline.t, spline.c, spline.k))
     rows = []
-    for begin, end, powers in zip(whole.x[:-1], whole.x[1:], whole.c[::-1].T, strict=True):
+    for begin, end, powers in zip(polynomials.x[:-1], polynomials.x[1:], polynomials.c[::-1].T, strict=True):
         if end > begin:
             rows.append((float(begin), *powers.tolist(), *[0.0] * (3 - degree)))
     rows[0] = (0.0, 1.0, *rows[0][2:])
-    return table_of(rows, speeds[-1], ends=False)
+    return make_table(rows, speeds[-1], ends=False)
 
 
-def table_of(rows: Sequence[tuple[float, ...]], last: float, *, ends: bool) -> tuple[int, tuple[float, ...]]:
+def make_table(rows: Sequence[tuple[float, ...]], last: float, *, ends: bool) -> tuple[int, tuple[float, ...]]:
     """Return (pieces, table) of cubics, as the module describes it.
 
-    Parameters
-    ----------
-    rows : sequence of (begin, c0, c1, c2, c3)
-        Where each cubic begins (m/s), from 0 on, and its powers over the friction at rest.
-    last : float
-        Where the last one ends, m/s; from there the curve has constant slope.
-    ends : bool
-        Whether the curve is unknown beyond ``last``.  It is then not negative before, and its zeros are not searched.
+    ``rows`` are the start of each cubic (m/s), from 0 on, and its powers over the friction at rest.  Beyond ``last``,
+    the end of the last one (m/s), the curve has constant slope; or, with ``ends``, it is unknown, is not negative
+    before, and its zeros are not searched.
     """
     begin, c0, c1, c2, c3 = rows[-1]
     z = last - begin
     value, slope = c0 + z * (c1 + z * (c2 + z * c3)), c1 + z * (2.0 * c2 + z * 3.0 * c3)
     rows = [*rows, (last, value, slope, 0.0, 0.0)]
     table = [row[0] for row in rows] + [power for row in rows for power in row[1:]]
-    return len(rows), (*table, *((math.inf, last) if ends else (_first_zero(rows), math.inf)))
+    return len(rows), (*table, *((math.inf, last) if ends else (find_first_zero(rows), math.inf)))
 
 
-def refused(points: Sequence[Sequence[float]]) -> str:
-    """Return what is wrong with the points of a curve; empty where nothing is."""
+def find_problem(points: Sequence[Sequence[float]]) -> str:
+    """Return the fault of the points of a curve; empty without one."""
     if len(points) < 2:
         return f"the curve has {len(points)} point{'s' * (len(points) != 1)}; need two or more"
     for s, F in points:
@@ -144,10 +136,10 @@ def refused(points: Sequence[Sequence[float]]) -> str:
     return ""
 
 
-CLOSEST = 1e-9  # of the last slip speed: points closer together leave no digits to the slope between them
+CLOSEST = 1e-9  # of the last slip speed: between points closer together the slope has no digits
 
 
-def _first_zero(rows: Sequence[tuple[float, ...]]) -> float:
+def find_first_zero(rows: Sequence[tuple[float, ...]]) -> float:
     """Return the lowest slip speed at which the pieces reach 0, or infinity."""
     import numpy as np
 

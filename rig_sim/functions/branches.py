@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rig_sim.functions.arguments import ParameterRange, SceneLike, parameter_range, scene_of, whole
+from rig_sim.functions.arguments import ParameterRange, SceneLike, load_scene, parse_range, parse_whole
 from rig_sim.functions.result import PALE, STABLE, UNIT, UNSTABLE, Result
-from rig_sim.functions.systems import SweptScene, stick_map
+from rig_sim.functions.systems import SweptScene, make_stick_map
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError
 
@@ -25,7 +25,7 @@ STEPS_PER_VALUE = 1_000_000  # integrator steps of two masses; those of the thes
 
 @dataclass(frozen=True)
 class Draws:
-    """Where draws of a fit's parameters put the special points: ``intervals``, and how many draws were no rig."""
+    """Special points over draws of a fit's parameters: ``intervals``, and the number of draws that are not a rig."""
 
     number: int
     refused: int
@@ -70,8 +70,14 @@ class Continuation(Result):
         ]
         data: dict[str, Any] = {"parameter": self.parameter, "branches": branches, "points": points}
         if self.draws is not None:
-            for row, one in zip(points, self.draws.intervals, strict=True):
-                row |= {"lo": one.lo, "hi": one.hi, "draws": one.found, "below": one.below, "above": one.above}
+            for row, interval in zip(points, self.draws.intervals, strict=True):
+                row |= {
+                    "lo": interval.lo,
+                    "hi": interval.hi,
+                    "draws": interval.inside,
+                    "below": interval.below,
+                    "above": interval.above,
+                }
             data |= {"draws": self.draws.number, "refused": self.draws.refused, "seed": self.draws.seed}
         return data
 
@@ -104,13 +110,13 @@ class Continuation(Result):
             for branch in self.branches
         ]
         if self.draws is None:
-            places = [f"{point.kind}: {self.parameter} = {point.value:.12g}" for point in self.points]
-            return lines + (places or ["no special point"])
-        places = [
-            f"{point.kind}: {self.parameter} = {point.value:.6g}, 95 % interval {interval_text(one)}"
-            for point, one in zip(self.points, self.draws.intervals, strict=True)
+            point_lines = [f"{point.kind}: {self.parameter} = {point.value:.12g}" for point in self.points]
+            return lines + (point_lines or ["no special point"])
+        point_lines = [
+            f"{point.kind}: {self.parameter} = {point.value:.6g}, 95 % interval {format_interval(interval)}"
+            for point, interval in zip(self.points, self.draws.intervals, strict=True)
         ]
-        lines += places or ["no special point: none to find again in the draws"]
+        lines += point_lines or ["no special point: none to find again in the draws"]
         number, refused = self.draws.number, self.draws.refused
         return lines + ([f"{refused} of {number} draws are no rig and were left out"] if refused else [])
 
@@ -119,17 +125,17 @@ class Continuation(Result):
         for branch in self.branches:
             values = [row.value for row in branch.rows]
             colour, line = (STABLE, "-") if branch.stable else (UNSTABLE, "--")
-            for heights in zip(*(_heights(row.state) for row in branch.rows), strict=True):
+            for heights in zip(*(list_heights(row.state) for row in branch.rows), strict=True):
                 ax.plot(values, heights, line if len(values) > 1 else ".", color=colour, lw=1.3)
         for point in self.points:
             ax.axvline(point.value, color=PALE, lw=0.8, ls=":")
-            place = {"xycoords": ("data", "axes fraction"), "rotation": 90, "va": "top", "ha": "right"}
-            ax.annotate(point.kind, (point.value, 0.98), **place)  # type: ignore[arg-type]
+            style = {"xycoords": ("data", "axes fraction"), "rotation": 90, "va": "top", "ha": "right"}
+            ax.annotate(point.kind, (point.value, 0.98), **style)  # type: ignore[arg-type]
         ax.set(xlabel=f"{self.parameter} {UNIT}", ylabel=f"x {UNIT}", title=f"{self.name}; dashed: unstable")
 
 
-def _heights(state: Any) -> tuple[float, ...]:
-    """Return what is drawn of a state: a fixed point's position, an orbit's extremes, the points of a map's orbit."""
+def list_heights(state: Any) -> tuple[float, ...]:
+    """Return the drawn values of a state: a fixed point's position, an orbit's extremes, a map's periodic points."""
     if hasattr(state, "points"):
         return tuple(sorted(state.points))
     return (state.x,) if hasattr(state, "x") else (state.x_min, state.x_max)
@@ -181,93 +187,96 @@ def continue_(
     >>> [(point.kind, round(point.value, 6)) for point in found.points]
     [('hopf', 0.382653), ('fold', 0.556168)]
     """
-    if draws is not None and not 2 <= whole(draws, "--draws") <= MOST_DRAWS:
+    if draws is not None and not 2 <= parse_whole(draws, "--draws") <= MOST_DRAWS:
         raise InputError(f"is {draws}", "--draws", f"give 2 to {MOST_DRAWS}")
     if callable(scene):
-        return _of_own(scene, parameter_range(over, of_scene=False), draws, progress)
-    span = parameter_range(over)
-    found = scene_of(scene)
-    swept = SweptScene(found, span.key)
-    first = swept.at(span.start)
+        return follow_custom_system(scene, parse_range(over, of_scene=False), draws, progress)
+    span = parse_range(over)
+    loaded = load_scene(scene)
+    swept = SweptScene(loaded, span.key)
+    first = swept.with_value(span.start)
     if first.coupling is not None:
         if draws is not None:
             raise InputError("--draws with two masses", "--draws", "leave it out")
-        return _of_two_masses(SweptScene(first, span.key), span, progress)
+        return follow_two_masses(SweptScene(first, span.key), span, progress)
     from rig_sim.dynamics.limit_cycles.branches import continuation
 
-    drawn = None
+    changes = None
     if draws is not None:
-        from rig_sim.scenes.draws import drawn_changes
+        from rig_sim.scenes.draws import draw_changes
 
-        drawn = drawn_changes(first, draws, first.name)
-    followed = continuation(swept.flow, span.values(), progress=_stage("following", span.number, progress))
-    parts = (span.key, followed.branches, followed.points)
-    if drawn is None:
+        changes = draw_changes(first, draws, first.name)
+    result = continuation(swept.flow, span.values(), progress=report_to("following", span.number, progress))
+    parts = (span.key, result.branches, result.points)
+    if changes is None:
         return Continuation(*parts, name=first.name)
-    intervals, refused = point_intervals(swept, followed.points, span, drawn, progress)
-    return Continuation(*parts, Draws(len(drawn), refused, first.seed, intervals), first.name)
+    intervals, refused = find_point_intervals(swept, result.points, span, changes, progress)
+    return Continuation(*parts, Draws(len(changes), refused, first.seed, intervals), first.name)
 
 
-def _stage(name: str, whole_: int, progress: Stages) -> Callable[[float], None]:
-    return lambda done: progress(name, done, whole_)
+def report_to(name: str, total: int, progress: Stages) -> Callable[[float], None]:
+    return lambda done: progress(name, done, total)
 
 
-def _of_two_masses(swept: SweptScene, span: ParameterRange, progress: Stages) -> Continuation:
+def follow_two_masses(swept: SweptScene, span: ParameterRange, progress: Stages) -> Continuation:
     from rig_sim.dynamics.return_maps.stick import STEPS_IN_ALL
     from rig_sim.dynamics.system.step_budget import StepBudget
 
     budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_VALUE * span.number))
-    return _of_maps(lambda value: stick_map(swept.at(value), budget), span, swept.scene.name, progress)
+    return follow_maps(lambda value: make_stick_map(swept.with_value(value), budget), span, swept.scene.name, progress)
 
 
-def _of_own(
+def follow_custom_system(
     system_at: "Callable[[float], FormulaMap]", span: ParameterRange, draws: int | None, progress: Stages
 ) -> Continuation:
-    from rig_sim.functions.systems import on_interval
+    from rig_sim.functions.systems import require_interval
 
     if draws is not None:
         raise InputError("--draws of a system of one's own", "--draws", "leave it out")
     name = type(system_at(span.start)).__name__
-    return _of_maps(lambda value: on_interval(system_at(value)), span, name, progress)
+    return follow_maps(lambda value: require_interval(system_at(value)), span, name, progress)
 
 
-def _of_maps(map_at: Callable[[float], Any], span: ParameterRange, name: str, progress: Stages) -> Continuation:
+def follow_maps(map_at: Callable[[float], Any], span: ParameterRange, name: str, progress: Stages) -> Continuation:
     from rig_sim.dynamics.analyses.map_branches import map_continuation
 
-    show = _stage("following", span.number, progress)
-    found: Found = map_continuation(map_at, span.values().tolist(), progress=show)
-    return Continuation(span.key, found.branches, found.points, name=name)
+    report = report_to("following", span.number, progress)
+    result: Found = map_continuation(map_at, span.values().tolist(), progress=report)
+    return Continuation(span.key, result.branches, result.points, name=name)
 
 
-def point_intervals(
+def find_point_intervals(
     swept: SweptScene,
     points: "Sequence[SpecialPoint]",
     span: ParameterRange,
-    drawn: list[dict[str, object]],
+    draws: list[dict[str, object]],
     progress: Stages = silent,
 ) -> "tuple[tuple[PointInterval, ...], int]":
-    """Return the interval of each special point, and how many draws were no rig."""
-    from rig_sim.dynamics.limit_cycles.point_draws import MovingPoint, interval
+    """Return the interval of each special point over the draws, and the number of draws that are not a rig."""
+    from rig_sim.dynamics.limit_cycles.point_draws import MovingPoint, estimate_interval
 
-    moving = [MovingPoint(point, swept.flow, span.values()) for point in points]
-    places: list[list[float]] = [[] for _ in moving]
+    moving_points = [MovingPoint(point, swept.flow, span.values()) for point in points]
+    values_of_points: list[list[float]] = [[] for _ in moving_points]
     refused = 0
-    for done, changes in enumerate(drawn, start=1):
+    for done, changes in enumerate(draws, start=1):
         try:
-            found = [one.for_draw(lambda value, changes=changes: swept.at(value, **changes).flow()) for one in moving]  # type: ignore[misc]
+            values = [
+                point.locate(lambda value, changes=changes: swept.with_value(value, **changes).flow())  # type: ignore[misc]
+                for point in moving_points
+            ]
         except (InputError, ValueError):
             refused += 1
             continue
-        for mine, value in zip(places, found, strict=True):
-            mine.append(value)
-        progress("drawing", float(done), len(drawn))
-    return tuple(interval(mine) for mine in places), refused
+        for point_values, value in zip(values_of_points, values, strict=True):
+            point_values.append(value)
+        progress("drawing", float(done), len(draws))
+    return tuple(estimate_interval(point_values) for point_values in values_of_points), refused
 
 
-def interval_text(one: "PointInterval") -> str:
-    """Return an interval in words, with the draws that put the point beyond the values followed."""
-    lo, hi = ("beyond" if end is None else f"{end:.6g}" for end in (one.lo, one.hi))
-    beyond = [f"{count} {name} the first value" for name, count in (("below", one.below),) if count]
-    beyond += [f"{one.above} above the last value"] if one.above else []
+def format_interval(interval: "PointInterval") -> str:
+    """Return an interval as text, with the draws whose point lies beyond the followed values."""
+    lo, hi = ("beyond" if end is None else f"{end:.6g}" for end in (interval.lo, interval.hi))
+    beyond = [f"{count} {name} the first value" for name, count in (("below", interval.below),) if count]
+    beyond += [f"{interval.above} above the last value"] if interval.above else []
     outside = f"; of the draws {', '.join(beyond)}" if beyond else ""
-    return f"{lo} to {hi} ({one.found} draws{outside})"
+    return f"{lo} to {hi} ({interval.inside} draws{outside})"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from rig_sim.dynamics.control.dither import Quench as Quenching
 from rig_sim.dynamics.system.formula import FormulaMap
 from rig_sim.flow.flow import LARGEST, SMALLEST
-from rig_sim.functions.arguments import SceneLike, number, plain_number, scene_of, whole
+from rig_sim.functions.arguments import SceneLike, load_scene, parse_number, parse_plain_number, parse_whole
 from rig_sim.functions.result import Result
-from rig_sim.functions.systems import landing_map, with_period
+from rig_sim.functions.systems import make_landing_map, require_period
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError, check_known
 
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from stickslip.compute.arrays import Array
 
 METHODS = ("ogy", "search")
-MOST_PERIOD = 100  # longest period of a search; the multipliers of longer orbits leave no digit of a motion
+MOST_PERIOD = 100  # longest period of a search; the multipliers of longer orbits are beyond the digits of a motion
 MOST_EVENTS = 10_000_000
-# Integrator steps of a lock, 5 s, or so many for each event asked for.  Of the thesis's motions periods 1 to 5 take 5e5
-# and 100 takes 6e6; an event takes 80.  Where every close return is tried in vain a search took 24 s and more.
+# Integrator steps of a lock, 5 s, or of each requested event.  Of the thesis's motions periods 1 to 5 take 5e5 and
+# period 100 takes 6e6; an event takes 80.
 STEPS_IN_ALL, STEPS_PER_EVENT = 10_000_000, 200
 SHOWN = 5  # orbits, and positions of an orbit, in the text
 
@@ -142,15 +142,15 @@ class Lock(Result):
     def to_dataframe(self) -> "pd.DataFrame":
         """Return a row for each landing under control: t within the drive's period, x, and the change of the amplitude.
 
-        Of a system of one's own: each coordinate of the state, and the change of the parameter.  Empty where there was
+        Of a custom system: each coordinate of the state, and the change of the parameter.  Empty where there was
         no motion under control.
         """
         import numpy as np
         import pandas as pd
 
-        is_formula = not hasattr(self.system, "landing")
+        is_formula = not hasattr(self.system, "find_landing")
         d = len(self.system.scale)
-        names = [f"x{place}" for place in range(d)] if is_formula else ["t", "x"]
+        names = [f"x{i}" for i in range(d)] if is_formula else ["t", "x"]
         if self.control is None:
             return pd.DataFrame(columns=[*names, "change"], dtype=np.float64)
         changes = np.append(self.control.changes, np.nan)
@@ -163,13 +163,13 @@ class Lock(Result):
         lines = [f"outcome        {self.outcome}" + (f" ({self.advice})" if self.advice else "")]
         if self.regular_period is not None:
             lines.append(f"without control the motion settles on period {self.regular_period}")
-        for place, orbit in enumerate(self.orbits[:SHOWN] or [self.orbit]):  # type: ignore[list-item]
+        for rank, orbit in enumerate(self.orbits[:SHOWN] or [self.orbit]):  # type: ignore[list-item]
             if orbit is not None:
                 where, points = ("x at break-away", orbit["x_slip"]) if "x_slip" in orbit else ("x", orbit["x"])
                 more = " ..." if len(points) > SHOWN else ""
-                places = ", ".join(f"{x:.12g}" for x in points[:SHOWN]) + more
-                size = f", multiplier {_shown(orbit['multipliers'][0])}" if "multipliers" in orbit else ""
-                lines.append(f"{'orbit' if place == 0 else '':14} {where} {places}{size}")
+                positions = ", ".join(f"{x:.12g}" for x in points[:SHOWN]) + more
+                size = f", multiplier {format_multiplier(orbit['multipliers'][0])}" if "multipliers" in orbit else ""
+                lines.append(f"{'orbit' if rank == 0 else '':14} {where} {positions}{size}")
         lines.append(f"locked         {self.locked}")
         if self.events_to_lock is not None:
             lines.append(f"events to lock {self.events_to_lock}")
@@ -178,7 +178,7 @@ class Lock(Result):
 
     def plot(self, ax: "Axes | None" = None) -> "Figure":
         """Draw the landings; without ``ax`` also the changes of the amplitude, the phase portrait and the velocity."""
-        if ax is not None or self.control is None or not hasattr(self.system, "landing"):
+        if ax is not None or self.control is None or not hasattr(self.system, "find_landing"):
             return super().plot(ax)
         from rig_sim.dynamics.pictures.control import lock_figure
 
@@ -238,8 +238,8 @@ class Shaker(Result):
             f"omega  {self.omega:.15g} rad/s",
             f"delta  {self.delta:.15g} 1/s: the oscillation {kind}{outside}",
             f"stable {self.stable}",
-            f"stable phases at a = {self.a:g}: {_intervals(self.stable_phases)}",
-            f"stable amplifications at phi = {self.phi:g}: {_intervals(self.stable_amplifications)}",
+            f"stable phases at a = {self.a:g}: {format_intervals(self.stable_phases)}",
+            f"stable amplifications at phi = {self.phi:g}: {format_intervals(self.stable_amplifications)}",
         ]
 
     def draw(self, ax: "Axes") -> None:
@@ -284,9 +284,9 @@ def quench(scene: SceneLike, *, progress: Stages = silent) -> Quench:
     """
     from rig_sim.dynamics.control.dither import quench as find
 
-    given = scene_of(scene)
-    flow, x, v = with_period(given)
-    return Quench(**vars(find(flow, x, v, progress)), name=given.name, flow=flow, start=(x, v))
+    loaded = load_scene(scene)
+    flow, x, v = require_period(loaded)
+    return Quench(**vars(find(flow, x, v, progress)), name=loaded.name, flow=flow, start=(x, v))
 
 
 def lock(
@@ -336,24 +336,24 @@ def lock(
     >>> found.locked, found.du_max <= found.du_limit
     (True, True)
     """
-    size = plain_number(budget, "--budget")
-    _check("budget", size)
+    size = parse_plain_number(budget, "--budget")
+    check_size("budget", size)
     if size > 1.0:
         raise InputError(f"is {size:g}", "--budget", "give a fraction of drive.u0, from 0 to 1")
-    turn, most = whole(period, "--period"), whole(events, "--events")
-    if not 1 <= turn <= MOST_PERIOD:
+    orbit_period, max_events = parse_whole(period, "--period"), parse_whole(events, "--events")
+    if not 1 <= orbit_period <= MOST_PERIOD:
         raise InputError(f"is {period}", "--period", f"give 1 to {MOST_PERIOD} landings")
-    if not 1 <= most <= MOST_EVENTS:
+    if not 1 <= max_events <= MOST_EVENTS:
         raise InputError(f"is {events}", "--events", f"give 1 to {MOST_EVENTS}")
     check_known(method, METHODS, "method", "--method")
-    found, f, control, name = _locked(scene, turn, size, method, most, progress)
-    return Lock(method, turn, size, size * f.strength, **found, name=name, system=f, control=control)
+    fields, f, control, name = lock_motion(scene, orbit_period, size, method, max_events, progress)
+    return Lock(method, orbit_period, size, size * f.strength, **fields, name=name, system=f, control=control)
 
 
-def _locked(
+def lock_motion(
     scene: SceneLike | FormulaMap, period: int, budget: float, method: str, events: int, progress: Stages
 ) -> "tuple[dict[str, Any], FormulaMap, Controlling | None, str]":
-    """Return what a lock has found, the map, the motion under control, and the system's name."""
+    """Return the fields of a lock, the map, the motion under control, and the system's name."""
     from rig_sim.dynamics.control.locking import find_and_lock
     from rig_sim.dynamics.system.step_budget import StepBudget
 
@@ -361,22 +361,22 @@ def _locked(
     if isinstance(scene, FormulaMap):
         f, start, name = scene, scene.start, type(scene).__name__
     else:
-        given = scene_of(scene)
-        f = landings = landing_map(given, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
-        first = landings.first(float(given.start.x), float(given.start.v))
-        start, name = first.state, given.name
+        loaded = load_scene(scene)
+        f = landings = make_landing_map(loaded, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
+        first = landings.first_landing(float(loaded.start.x), float(loaded.start.v))
+        start, name = first.state, loaded.name
         if first.outcome != "completed":
             advice = "the motion does not reach a stick: change the drive or the belt"
             return {"outcome": first.outcome, "advice": advice}, f, None, name
     if method == "search":
-        return _searched(f, start, period, budget, progress), f, None, name
+        return search_orbit(f, start, period, budget, progress), f, None, name
     locking = find_and_lock(f, start, period, budget, events, progress)
-    return _as_fields(f, locking), f, locking.lock, name
+    return collect_fields(f, locking), f, locking.lock, name
 
 
-def _as_fields(f: FormulaMap, locking: "Locking") -> dict[str, Any]:
-    """Return what a lock has found, by the names of the result's fields."""
-    rows = [_orbit_row(f, orbit) for orbit in locking.orbits]
+def collect_fields(f: FormulaMap, locking: "Locking") -> dict[str, Any]:
+    """Return an attempt to lock as the result's fields, by name."""
+    rows = [describe_orbit(f, orbit) for orbit in locking.orbits]
     data: dict[str, Any] = {"outcome": locking.outcome, "advice": locking.advice, "orbits": rows}
     data |= {"orbit": rows[0] if rows else None, "regular_period": locking.regular}
     if locking.lock is not None:
@@ -386,13 +386,13 @@ def _as_fields(f: FormulaMap, locking: "Locking") -> dict[str, Any]:
     return data
 
 
-def _orbit_row(f: FormulaMap, orbit: "UnstableOrbit") -> dict[str, Any]:
+def describe_orbit(f: FormulaMap, orbit: "UnstableOrbit") -> dict[str, Any]:
     """Return an orbit by the names of JSON."""
     from rig_sim.dynamics.return_maps.landing import LandingMap
 
     if not isinstance(f, LandingMap):
         return {"points": orbit.points, "x": orbit.points[:, 0], "multipliers": orbit.multipliers}
-    landings = [f.landing(point) for point in orbit.points]
+    landings = [f.find_landing(point) for point in orbit.points]
     duration = math.fsum(landing.duration for landing in landings)
     return {
         "x_slip": [landing.x_slip for landing in landings],
@@ -404,8 +404,8 @@ def _orbit_row(f: FormulaMap, orbit: "UnstableOrbit") -> dict[str, Any]:
     }
 
 
-def _searched(f: FormulaMap, start: "Array", period: int, budget: float, progress: Stages) -> dict[str, Any]:
-    """Return what the thesis's search-and-lock has found, by the names of the result's fields."""
+def search_orbit(f: FormulaMap, start: "Array", period: int, budget: float, progress: Stages) -> dict[str, Any]:
+    """Return the result of the thesis's search-and-lock as the result's fields, by name."""
     from rig_sim.dynamics.control.locking import ADVICE
     from rig_sim.dynamics.control.search_and_lock import search_and_lock
     from rig_sim.dynamics.return_maps.landing import LandingMap
@@ -420,7 +420,7 @@ def _searched(f: FormulaMap, start: "Array", period: int, budget: float, progres
         return {"outcome": "not locked", "advice": advice, "events": search.events, "du_max": budget * f.strength}
     orbit: dict[str, Any] = {"points": search.points, "x": search.points[:, 0]}
     if isinstance(f, LandingMap):
-        x_slip = [f.landing(point, search.change).x_slip for point in search.points]
+        x_slip = [f.find_landing(point, search.change).x_slip for point in search.points]
         orbit = {"x_slip": x_slip, "t": search.points[:, 0], "x": search.points[:, 1]}
     data = {"orbit": orbit, "events_to_lock": search.events, "events": search.events, "kept": search.kept}
     data |= {"du_max": search.change, "du_final": 0.0, "locked": search.stays}
@@ -481,18 +481,18 @@ def shaker(
     from rig_sim.dynamics.control.stability import ShakerPlane
 
     kinds = {"m": "mass", "k": "stiffness", "c": "damping", "gamma": "damping", "a": "damping", "phi": "angle"}
-    given = {"m": m, "k": k, "c": c, "gamma": gamma, "a": a, "phi": phi}
-    value = {name: number(given[name], kinds[name], f"--{name}") for name in kinds}
-    for name, size in value.items():
-        _check(name, size, positive=name in ("m", "k"), negative=name in ("c", "gamma", "phi"))
-    passed = None if band is None else _band(band)
-    plane = ShakerPlane(value["m"], value["k"], value["gamma"] - value["c"], passed)
-    level, phase = value["a"], value["phi"]
+    arguments = {"m": m, "k": k, "c": c, "gamma": gamma, "a": a, "phi": phi}
+    values = {name: parse_number(arguments[name], kinds[name], f"--{name}") for name in kinds}
+    for name, size in values.items():
+        check_size(name, size, positive=name in ("m", "k"), negative=name in ("c", "gamma", "phi"))
+    passband = None if band is None else parse_band(band)
+    plane = ShakerPlane(values["m"], values["k"], values["gamma"] - values["c"], passband)
+    level, phase = values["a"], values["phi"]
     roots = phasor_roots(plane.m, plane.k, plane.S, level, phase)
     return Shaker(
         roots[0].real,
         roots[0].imag,
-        plane.stable(level, phase),
+        plane.is_stable(level, phase),
         roots,
         plane.band,
         plane.passes(roots[0].real),
@@ -504,43 +504,31 @@ def shaker(
     )
 
 
-def _check(name: str, value: float, *, positive: bool = False, negative: bool = False) -> None:
-    """Refuse a number that is not finite, too large or too small, or of the wrong sign.
-
-    Raises
-    ------
-    InputError
-        Naming the flag.
-    """
+def check_size(name: str, value: float, *, positive: bool = False, negative: bool = False) -> None:
+    """Refuse a number that is not finite, too large or too small, or of the wrong sign."""
     if not math.isfinite(value) or abs(value) > LARGEST or 0.0 < abs(value) < SMALLEST:
         raise InputError(f"is {value:g}", f"--{name}", f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}")
     if (positive and value <= 0.0) or (not negative and value < 0.0):
         raise InputError(f"is {value:g}", f"--{name}", "give a number above 0" if positive else "give 0 or more")
 
 
-def _band(given: "str | tuple[float, float]") -> tuple[float, float]:
-    """Return the two frequencies of a band, rad/s.
-
-    Raises
-    ------
-    InputError
-        Another form, or not 0 <= LOW < HIGH.
-    """
+def parse_band(band: "str | tuple[float, float]") -> tuple[float, float]:
+    """Return the two frequencies of a band, rad/s."""
     do, python = "write LOW:HIGH in rad/s, as in 0.9:1.1", "give (low, high) in rad/s, as in (0.9, 1.1)"
-    ends: Sequence[Any] = given.split(":") if isinstance(given, str) else given
+    ends: Sequence[Any] = band.split(":") if isinstance(band, str) else band
     try:
         first, last = ends
     except (TypeError, ValueError):
-        raise InputError(f"{given!r} is no band", "--band", do, python=python) from None
-    low, high = (number(end, "angular frequency", "--band") for end in (first, last))
+        raise InputError(f"{band!r} is no band", "--band", do, python=python) from None
+    low, high = (parse_number(end, "angular frequency", "--band") for end in (first, last))
     if not 0.0 <= low < high < math.inf:
-        raise InputError(f"{given!r} is no band", "--band", "give 0 <= LOW < HIGH, in rad/s")
+        raise InputError(f"{band!r} is no band", "--band", "give 0 <= LOW < HIGH, in rad/s")
     return low, high
 
 
-def _intervals(intervals: list[tuple[float, float]]) -> str:
+def format_intervals(intervals: list[tuple[float, float]]) -> str:
     return ", ".join(f"{low:.6g} to {high:.6g}" for low, high in intervals) or "none"
 
 
-def _shown(value: complex) -> str:
+def format_multiplier(value: complex) -> str:
     return f"{value.real:.10g}" if value.imag == 0.0 else f"{value:.10g}"

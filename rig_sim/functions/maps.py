@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rig_sim.dynamics.system.formula import FormulaMap
-from rig_sim.functions.arguments import SceneLike, scene_of, whole
+from rig_sim.functions.arguments import SceneLike, load_scene, parse_whole
 from rig_sim.functions.result import PALE, STABLE, Result
-from rig_sim.functions.systems import driven_map, on_interval, stick_map
+from rig_sim.functions.systems import make_driven_map, make_stick_map, require_interval
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000
-STEPS_PER_EVENT = 1000  # of basins and of lyapunov, whose slopes take four events more; the thesis's take 30 each
-MANY_EVENTS = 500  # interpreted some seconds; above, compiled code is faster with its compilation
-ROTATIONS = 2000  # landings over which the mean time between two is taken
+STEPS_PER_EVENT = 1000  # of basins and of lyapunov, whose slopes take four more events; the thesis's take 30 each
+MANY_EVENTS = 500  # interpreted a few seconds; above, compiled code is faster including its compilation
+ROTATIONS = 2000  # landings in the mean time between two
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,7 +56,7 @@ class Map(Result):
     advice: tuple[str, ...]
     periodic: "tuple[PeriodicPoint, ...] | None" = None
     several: bool = field(default=True, repr=False, compare=False)
-    asked: bool = field(default=True, repr=False, compare=False)
+    has_places: bool = field(default=True, repr=False, compare=False)
     iterate: int = field(default=1, repr=False, compare=False)
     name: str = field(default="", repr=False, compare=False)
     system: Any = field(default=None, repr=False, compare=False)
@@ -67,7 +67,7 @@ class Map(Result):
     def as_json(self) -> dict[str, Any]:
         """Return what the command prints with ``--json``."""
         data: dict[str, Any] = {}
-        if self.asked:
+        if self.has_places:
             names = ("d", "f", "word", "duration", "outcome", "advice")
             data = {name: list(getattr(self, name)) for name in names}
             if not self.several:
@@ -79,18 +79,18 @@ class Map(Result):
         return data
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """Return a row for each place; where only periodic orbits were asked for, one for each of these."""
-        if not self.asked:
+        """Return a row for each place; where only periodic orbits were requested, one for each of these."""
+        if not self.has_places:
             return self.as_json().get("periodic", [])  # type: ignore[no-any-return]
         columns = {name: getattr(self, name) for name in ("d", "f", "word", "duration", "outcome", "advice")}
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def lines(self) -> list[str]:
         """Return a line for each place and each periodic orbit."""
-        lines = [f"{'d':>22} {'f(d)':>22}  word"] if self.asked else []
+        lines = [f"{'d':>22} {'f(d)':>22}  word"] if self.has_places else []
         for d, f, word, outcome, advice in zip(self.d, self.f, self.word, self.outcome, self.advice, strict=True):
             end = "" if outcome == "completed" else f"  {outcome} ({advice})"
-            lines.append(f"{d:22.15g} {_finite(f, '.15g'):>22}  {word}{end}")
+            lines.append(f"{d:22.15g} {format_finite(f, '.15g'):>22}  {word}{end}")
         if self.periodic is not None:
             lines += [
                 f"period {orbit.period}, {'stable' if orbit.stable else 'unstable'}, slope {orbit.slope:.12g}: "
@@ -145,7 +145,7 @@ class Basins(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """Return a row for each attractor."""
-        return [{"attractor": number, **asdict(one)} for number, one in enumerate(self.attractors, 1)]
+        return [{"attractor": number, **asdict(attractor)} for number, attractor in enumerate(self.attractors, 1)]
 
     def lines(self) -> list[str]:
         """Return a line for each attractor."""
@@ -204,11 +204,10 @@ class Exponent(Result):
         return data
 
     def lines(self) -> list[str]:
-        """Return the exponent in one line."""
         if self.outcome != "completed":
             return [f"{self.outcome}: {self.advice}"]
         orbit = f"period {self.period}, exact" if self.period else f"over {self.events} {self.per}s"
-        return [f"{with_error(self.exponent, self.stderr)} per {self.per} ({orbit})"]
+        return [f"{format_with_error(self.exponent, self.stderr)} per {self.per} ({orbit})"]
 
     def draw(self, ax: "Axes") -> None:
         """Draw the exponent with its standard error, and 0, above which the motion is chaotic."""
@@ -260,36 +259,39 @@ def map(
     0  0.05  0.142806  12 21
     1  0.10  0.123401  21 21
     """
-    count = whole(iterate, "--iterate")
+    count = parse_whole(iterate, "--iterate")
     if count < 1:
         raise InputError(f"is {iterate}", "--iterate", "give 1 or more")
     is_formula = isinstance(scene, FormulaMap)
-    name = type(scene).__name__ if isinstance(scene, FormulaMap) else scene_of(scene).name
-    f: Any = on_interval(scene) if isinstance(scene, FormulaMap) else stick_map(scene_of(scene))
+    name = type(scene).__name__ if isinstance(scene, FormulaMap) else load_scene(scene).name
+    f: Any = require_interval(scene) if isinstance(scene, FormulaMap) else make_stick_map(load_scene(scene))
     several = not (d is None or isinstance(d, int | float))
-    places = _numbers(d)
-    chains = [_images(f, place, count) if is_formula else _events(f, place, count, len(places)) for place in places]
+    starts = parse_places(d)
+    chains = [
+        map_place(f, d_start, count) if is_formula else follow_events(f, d_start, count, len(starts))
+        for d_start in starts
+    ]
     orbits = None
     if periodic:
-        from rig_sim.dynamics.analyses.periodic_points import periodic_points
+        from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
 
-        orbits = periodic_points(f, count)
+        orbits = find_periodic_orbits(f, count)
     columns: list[Any] = list(zip(*chains, strict=True)) or [()] * 5
     images, word, duration, outcome, advice = columns
     parts = (word, duration, outcome, advice, orbits, several, d is not None, count, name, f)
-    return Map(tuple(places), images, *parts)
+    return Map(tuple(starts), images, *parts)
 
 
-def _numbers(d: Any) -> list[float]:
+def parse_places(d: Any) -> list[float]:
     try:
-        return [] if d is None else [float(d)] if isinstance(d, int | float) else [float(place) for place in d]
+        return [] if d is None else [float(d)] if isinstance(d, int | float) else [float(number) for number in d]
     except (TypeError, ValueError):
-        what = f"{d!r:.60} holds something that is no number"
-        raise InputError(what, "--d", "write 0.1,0.2", python="give a number, or several") from None
+        problem = f"{d!r:.60} holds something that is no number"
+        raise InputError(problem, "--d", "write 0.1,0.2", python="give a number, or several") from None
 
 
-def _events(f: "StickMap", d: float, times: int, places: int) -> tuple[float, str, float, str, str]:
-    """Return d, word, duration, outcome and advice after so many events that follow a global stick."""
+def follow_events(f: "StickMap", d: float, times: int, places: int) -> tuple[float, str, float, str, str]:
+    """Return d, word, duration, outcome and advice after ``times`` events that follow a global stick."""
     chain: list[StickEvent] = []
     for _ in range(times):
         chain.append(f.event(d, compiled=places * times > MANY_EVENTS))
@@ -301,12 +303,12 @@ def _events(f: "StickMap", d: float, times: int, places: int) -> tuple[float, st
     return last.d, word, duration, last.outcome, last.advice
 
 
-def _images(f: FormulaMap, x: float, times: int) -> tuple[float, str, float, str, str]:
+def map_place(f: FormulaMap, x: float, times: int) -> tuple[float, str, float, str, str]:
     import numpy as np
 
     image = float(f.images(np.array([x]), times)[0])
-    there = math.isfinite(image)
-    end = ("completed", "") if there else ("outside", f"the map is defined from {f.lo:g} to {f.hi:g}")
+    is_defined = math.isfinite(image)
+    end = ("completed", "") if is_defined else ("outside", f"the map is defined from {f.lo:g} to {f.hi:g}")
     return (image, "", float(times), *end)
 
 
@@ -343,23 +345,23 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
     """
     from rig_sim.dynamics.analyses.basins import basins as find
 
-    number = whole(cells, "--cells")
+    number = parse_whole(cells, "--cells")
     if not 2 <= number <= MOST_CELLS:
         raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
-    name = type(scene).__name__ if isinstance(scene, FormulaMap) else scene_of(scene).name
-    f: Any = on_interval(scene) if isinstance(scene, FormulaMap) else _with_steps(scene_of(scene), number)
+    name = type(scene).__name__ if isinstance(scene, FormulaMap) else load_scene(scene).name
+    f: Any = require_interval(scene) if isinstance(scene, FormulaMap) else make_stick_map_for(load_scene(scene), number)
     result = find(f, number, progress)
     shares = tuple(attractor.share for attractor in result.attractors)
     parts = ((f.lo, f.hi), shares, result.attractors, result.nowhere, number, result.cycles)
     return Basins(*parts, result.centres, result.fate, name)
 
 
-def _with_steps(scene: "Scene", events: int) -> "StickMap":
-    """Return the map of two masses with integrator steps for an analysis or, if more, for ``events``."""
+def make_stick_map_for(scene: "Scene", events: int) -> "StickMap":
+    """Return the map of two masses with the default integrator steps or, if more, those for ``events``."""
     from rig_sim.dynamics.return_maps.stick import STEPS_IN_ALL
     from rig_sim.dynamics.system.step_budget import StepBudget
 
-    return stick_map(scene, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
+    return make_stick_map(scene, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
 
 
 def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: Stages = silent) -> Exponent:
@@ -398,53 +400,53 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
 
     from rig_sim.dynamics.analyses.exponent import BLOCKS, exponent
 
-    number = whole(events, "--events")
+    number = parse_whole(events, "--events")
     if not BLOCKS <= number <= MOST_EVENTS:
         raise InputError(f"is {events}", "--events", f"give {BLOCKS} to {MOST_EVENTS}")
     if isinstance(scene, FormulaMap):
         result = exponent(scene.motion(scene.start), number, progress)
         advice = "no exponent; take another start or other parameters"
         return Exponent(**vars(result), per="step", name=type(scene).__name__, advice=advice)
-    given = scene_of(scene)
-    if given.coupling is None:
-        return _driven_lyapunov(given, number, progress)
-    from rig_sim.motion.two_masses import stretch
+    loaded = load_scene(scene)
+    if loaded.coupling is None:
+        return _driven_lyapunov(loaded, number, progress)
+    from rig_sim.motion.two_masses import find_stretch
 
-    f, start = _with_steps(given, number), stretch(given)
+    f, start = make_stick_map_for(loaded, number), find_stretch(loaded)
     if not abs(start) <= f.hi:
         raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
     result = exponent(f.motion(np.array([start])), number, progress)
     advice = "the motion stops sticking; list its events instead"
-    return Exponent(**vars(result), per="event", name=given.name, advice=advice)
+    return Exponent(**vars(result), per="event", name=loaded.name, advice=advice)
 
 
-def _driven_lyapunov(given: "Scene", events: int, progress: Stages) -> Exponent:
+def _driven_lyapunov(loaded: "Scene", events: int, progress: Stages) -> Exponent:
     """Return the exponent of a driven mass per landing, or per drive period where it does not stick."""
     from rig_sim.dynamics.analyses.exponent import exponent, rotation_number
 
     per = "landing"
-    f, start = driven_map(given, "landing")
+    f, start = make_driven_map(loaded, "landing")
     motion = f.motion(start)
     result = exponent(motion, events, progress)
     if result.outcome == "no stick":
         per = "drive period"
-        f, start = driven_map(given, "poincare")
+        f, start = make_driven_map(loaded, "poincare")
         motion = f.motion(start)
         result = exponent(motion, events, progress)
     rotation = None
     if per == "landing" and result.outcome == "completed":
         rotation = rotation_number(motion.follow(ROTATIONS))
     advice = "no exponent; list the events instead"
-    return Exponent(**vars(result), per=per, drive_periods_per_landing=rotation, name=given.name, advice=advice)
+    return Exponent(**vars(result), per=per, drive_periods_per_landing=rotation, name=loaded.name, advice=advice)
 
 
-def with_error(value: float, stderr: float) -> str:
-    """Return a value with the digits that its standard error, given to two, leaves: "0.865 +- 0.013"."""
+def format_with_error(value: float, stderr: float) -> str:
+    """Return a value with the digits significant for its standard error (two digits): "0.865 +- 0.013"."""
     if not (math.isfinite(stderr) and stderr > 0.0):
         return f"{value:.8g} +- {stderr:.2g}"
     decimals = max(0, 1 - math.floor(math.log10(stderr)))
     return f"{value:.{decimals}f} +- {stderr:.2g}"
 
 
-def _finite(value: float, form: str) -> str:
+def format_finite(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "-"

@@ -6,8 +6,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from rig_sim.functions.arguments import SceneLike, number, scene_of, whole
-from rig_sim.functions.result import UNIT, Result, ended
+from rig_sim.functions.arguments import SceneLike, load_scene, parse_number, parse_whole
+from rig_sim.functions.result import UNIT, Result, format_outcome
 from rig_sim.motion import play
 from stickslip.compute.stages import Stages, silent
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rig_sim.motion.two_masses import TwoMassEvent
     from stickslip.compute.arrays import Array
 
-MARKS = {"N": "v", "P": "^", "S": "s"}  # in a picture, of the contact that an event enters
-BELOW_ROUNDING = 1e-17  # where a picture puts an error of 0
+MARKS = {"N": "v", "P": "^", "S": "s"}  # of the contact that an event enters
+BELOW_ROUNDING = 1e-17  # drawn in place of an error of 0
 Method = Literal["exact", "rk4-henon", "dop853"]
 
 
@@ -53,7 +53,6 @@ class Events(Result):
         return super().as_json() | {"events": self.rows()}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """Return a row for each event."""
         return [asdict(event) for event in self.events]
 
     def to_dataframe(self) -> "pd.DataFrame":
@@ -72,18 +71,19 @@ class Events(Result):
         for event in self.events:
             places = [f"{getattr(event, name):24.16g}" for name in self.positions]
             lines.append(f"{' '.join([f'{event.t:22.15g}', *places])}  {event.kind}")
-        end = ended(self.outcome, self.advice)
+        end = format_outcome(self.outcome, self.advice)
         return [*lines, f"{len(self.events)} events, {self.steps} steps, outcome: {end}"]
 
     def __repr__(self) -> str:
         kinds = ", ".join(event.kind for event in self.events[:5]) + (" ..." if len(self.events) > 5 else "")
-        return f"<Events of {self.name}\n {len(self.events)} events: {kinds}\n {ended(self.outcome, self.advice)}>"
+        end = format_outcome(self.outcome, self.advice)
+        return f"<Events of {self.name}\n {len(self.events)} events: {kinds}\n {end}>"
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the positions at the events over time; the marks say which contact an event enters."""
+        """Draw the positions at the events over time; the marks show the contact that an event enters."""
         t, kinds = [event.t for event in self.events], [event.kind for event in self.events]
-        for place, name in enumerate(self.positions):
-            x, colour = [getattr(event, name) for event in self.events], f"C{place}"
+        for number, name in enumerate(self.positions):
+            x, colour = [getattr(event, name) for event in self.events], f"C{number}"
             ax.plot(t, x, lw=0.6, color=colour, label=name)
             for letter, mark in MARKS.items():
                 entered = [i for i, kind in enumerate(kinds) if kind[-1] == letter]
@@ -119,7 +119,7 @@ class Motion(Result):
     steps: int
     name: str = field(default="", repr=False, compare=False)
     names: tuple[str, ...] = field(default=("t", "x", "v", "F"), repr=False, compare=False)
-    held: "tuple[Array, ...]" = field(default=(), repr=False, compare=False)
+    stored: "tuple[Array, ...]" = field(default=(), repr=False, compare=False)
 
     UNITS: ClassVar[Mapping[str, str]] = {
         "t": "s",
@@ -133,7 +133,7 @@ class Motion(Result):
     def columns(self) -> "dict[str, Array]":
         """The columns by name, (n,) each: t, x, v, F, or of two masses t, x1, v1, F1, x2, v2, F2."""
         if self.file is None:
-            return dict(zip(self.names, self.held, strict=True))
+            return dict(zip(self.names, self.stored, strict=True))
         from rig_sim.motion import file
 
         return file.read(self.file, self.names)
@@ -146,19 +146,19 @@ class Motion(Result):
     @property
     def x(self) -> "Array":
         """Positions (m), (n,); of two masses (n, 2)."""
-        return self._of("x")
+        return self._stack_masses("x")
 
     @property
     def v(self) -> "Array":
         """Velocities (m/s), (n,); of two masses (n, 2)."""
-        return self._of("v")
+        return self._stack_masses("v")
 
     @property
     def F(self) -> "Array":
         """Friction forces on the mass (N), positive towards +x, (n,); of two masses (n, 2)."""
-        return self._of("F")
+        return self._stack_masses("F")
 
-    def _of(self, quantity: str) -> "Array":
+    def _stack_masses(self, quantity: str) -> "Array":
         import numpy as np
 
         if quantity in self.columns:
@@ -166,9 +166,9 @@ class Motion(Result):
         return np.column_stack([self.columns[f"{quantity}1"], self.columns[f"{quantity}2"]])
 
     def lines(self) -> list[str]:
-        """Return how many samples there are, and how the motion ended."""
-        place = f"{self.file}: " if self.file is not None else ""
-        return [f"{place}{self.samples} samples of t, x, v, F; outcome: {ended(self.outcome, self.advice)}"]
+        """Return the number of samples, and how the motion ended."""
+        prefix = f"{self.file}: " if self.file is not None else ""
+        return [f"{prefix}{self.samples} samples of t, x, v, F; outcome: {format_outcome(self.outcome, self.advice)}"]
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return a row for each sample: t, x, v, F, or of two masses t, x1, v1, F1, x2, v2, F2."""
@@ -223,7 +223,7 @@ class Comparison(Result):
         return [asdict(row) for row in self.results]
 
     def lines(self) -> list[str]:
-        """Return a line for each method and setting, and what the errors are against."""
+        """Return a line for each method and setting, and the reference of the errors."""
         errors = [row.note if row.error is None else f"{row.error:.1e}" for row in self.results]
         width = max(map(len, errors))
         lines = [f"{'method':11} {'setting':13} {'error':>{width}} {'CPU s':>9} {'us/cycle':>10}"]
@@ -237,7 +237,7 @@ class Comparison(Result):
         ]
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the error over the CPU time, both logarithmic; a method has a line where it finds the right events."""
+        """Draw the error over the CPU time, both logarithmic; only where a method finds the right events."""
         for method in dict.fromkeys(row.method for row in self.results):
             rows = [row for row in self.results if row.method == method and row.error is not None]
             rows.sort(key=lambda row: row.cpu_s)
@@ -284,16 +284,16 @@ def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, ma
     >>> [(round(event.t, 3), event.kind) for event in found.events]
     [(0.974, 'N>S'), (2.533, 'S>N'), (7.05, 'N>S')]
     """
-    played = scene_of(scene)
-    end, begin = number(until, "time", "--until"), number(since, "time", "--since")
-    steps = whole(max_steps, "--max-steps")
-    if played.coupling is None:
-        one = play.events(played, end, since=begin, max_steps=steps)
-        return Events(one.events, one.outcome, one.advice, one.steps, played.name)
+    loaded = load_scene(scene)
+    end, start = parse_number(until, "time", "--until"), parse_number(since, "time", "--since")
+    steps = parse_whole(max_steps, "--max-steps")
+    if loaded.coupling is None:
+        one_mass = play.events(loaded, end, since=start, max_steps=steps)
+        return Events(one_mass.events, one_mass.outcome, one_mass.advice, one_mass.steps, loaded.name)
     from rig_sim.motion.two_masses import two_mass_events
 
-    two = two_mass_events(played, end, since=begin, max_steps=steps)
-    return Events(two.events, two.outcome, two.advice, two.steps, played.name, ("x1", "x2"))
+    two_masses = two_mass_events(loaded, end, since=start, max_steps=steps)
+    return Events(two_masses.events, two_masses.outcome, two_masses.advice, two_masses.steps, loaded.name, ("x1", "x2"))
 
 
 def run(
@@ -353,25 +353,27 @@ def run(
     500  5.00  0.4193 -1.1287  0.1699
     501  5.01  0.4080 -1.1311  0.1697
     """
-    from rig_sim.comparison.methods import phases_by
+    from rig_sim.comparison.methods import choose_phases
     from rig_sim.motion import file
 
-    played = scene_of(scene)
-    time_step = None if step is None else number(step, "time", "--step")
-    phases, setting = phases_by(method, played, step=time_step, rtol=rtol)
-    wanted: dict[str, Any] = {
-        "until": number(until, "time", "--until"),
-        "rate": number(rate, "rate", "--rate"),
+    loaded = load_scene(scene)
+    time_step = None if step is None else parse_number(step, "time", "--step")
+    phases, setting = choose_phases(method, loaded, step=time_step, rtol=rtol)
+    arguments: dict[str, Any] = {
+        "until": parse_number(until, "time", "--until"),
+        "rate": parse_number(rate, "rate", "--rate"),
         "phases": phases,
-        "max_steps": whole(max_steps, "--max-steps"),
+        "max_steps": parse_whole(max_steps, "--max-steps"),
     }
-    names = file.names(played)
+    names = file.column_names(loaded)
     if output is None:
-        columns, done = file.sampled(played, **wanted)
-        return Motion(None, done.samples, method, done.outcome, done.advice, done.steps, played.name, names, columns)
+        columns, written = file.sample_scene(loaded, **arguments)
+        return Motion(
+            None, written.samples, method, written.outcome, written.advice, written.steps, loaded.name, names, columns
+        )
     path = Path(output)
-    done = file.write(played, path, method=f"{method} {setting}".strip(), force=force, **wanted)
-    return Motion(path, done.samples, method, done.outcome, done.advice, done.steps, played.name, names)
+    written = file.write(loaded, path, method=f"{method} {setting}".strip(), force=force, **arguments)
+    return Motion(path, written.samples, method, written.outcome, written.advice, written.steps, loaded.name, names)
 
 
 def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) -> Comparison:
@@ -408,6 +410,8 @@ def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) 
     """
     from rig_sim.comparison.error_vs_time import compare as measure
 
-    played = scene_of(scene)
-    found = measure(played, number(until, "time", "--until"), progress=lambda done: progress("measuring", done, 100.0))
-    return Comparison(found.rows, found.reference, found.compile_s, found.cycles, played.name)
+    loaded = load_scene(scene)
+    comparison = measure(
+        loaded, parse_number(until, "time", "--until"), progress=lambda done: progress("measuring", done, 100.0)
+    )
+    return Comparison(comparison.rows, comparison.reference, comparison.compile_s, comparison.cycles, loaded.name)

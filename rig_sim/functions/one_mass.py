@@ -8,8 +8,8 @@ from rig_sim.dynamics.limit_cycles import fixed_point as fixed
 from rig_sim.dynamics.limit_cycles import floquet as multipliers
 from rig_sim.dynamics.limit_cycles import limit_cycle
 from rig_sim.flow.modes import NEGATIVE, POSITIVE
-from rig_sim.functions.arguments import SceneLike, scene_of
-from rig_sim.functions.result import PALE, STABLE, UNIT, Result, table_lines
+from rig_sim.functions.arguments import SceneLike, load_scene
+from rig_sim.functions.result import PALE, STABLE, UNIT, Result, format_table
 from rig_sim.integrate.phases import State
 from rig_sim.scenes.model import Scene
 from stickslip.errors import check_known
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ORBITS = ("stable", "unstable")
-POINTS = 2000  # points of an orbit that is drawn
+POINTS = 2000  # of a drawn orbit
 
 
 @dataclass(frozen=True, repr=False)
@@ -39,13 +39,13 @@ class Cycle(Result, limit_cycle.Orbit):
 
     def lines(self) -> list[str]:
         """Return a line for every number."""
-        return table_lines(self.as_json())
+        return format_table(self.as_json())
 
     def draw(self, ax: "Axes") -> None:
         """Draw the orbit in the phase plane, velocity over position."""
         import numpy as np
 
-        from rig_sim.integrate.sampled import sampled
+        from rig_sim.integrate.sampled import sample_motion
 
         ax.set(xlabel=f"x {UNIT}", ylabel=f"v {UNIT}", title=f"{self.name}: {self.outcome}")
         if self.period is None or self.x_slip is None or self.scene is None:
@@ -54,7 +54,7 @@ class Cycle(Result, limit_cycle.Orbit):
         edge = -math.copysign(flow.d, flow.v_belt) if flow.ramp else 0.0
         mode = NEGATIVE if flow.v_belt > 0.0 else POSITIVE
         times = np.linspace(0.0, self.period, POINTS)
-        x, v = sampled(flow, State(mode, self.x_slip, edge, 0.0), times)
+        x, v = sample_motion(flow, State(mode, self.x_slip, edge, 0.0), times)
         ax.plot(x, v, color=STABLE)
         ax.axhline(flow.v_belt, color=PALE, lw=0.8, ls="--")
 
@@ -70,7 +70,7 @@ class FixedPoint(Result, fixed.FixedPoint):
 
     def lines(self) -> list[str]:
         """Return a line for every number."""
-        return table_lines(self.as_json())
+        return format_table(self.as_json())
 
     def draw(self, ax: "Axes") -> None:
         """Draw the eigenvalues in the complex plane; left of the line a motion decays."""
@@ -103,7 +103,7 @@ class FloquetOrbit(Result, multipliers.FloquetOrbit):
 
     def lines(self) -> list[str]:
         """Return a line for every number."""
-        return table_lines(self.as_json())
+        return format_table(self.as_json())
 
     def draw(self, ax: "Axes") -> None:
         """Draw the multipliers in the complex plane; outside the unit circle a deviation grows."""
@@ -142,8 +142,8 @@ def cycle(scene: SceneLike) -> Cycle:
     >>> orbit.outcome, orbit.sequence, round(orbit.period, 3)
     ('cycle', 'NS', 6.338)
     """
-    found = scene_of(scene)
-    return Cycle(**vars(limit_cycle.cycle(found)), name=found.name, scene=found)
+    loaded = load_scene(scene)
+    return Cycle(**vars(limit_cycle.cycle(loaded)), name=loaded.name, scene=loaded)
 
 
 def fixed_point(scene: SceneLike) -> FixedPoint | TwoMassFixedPoint:
@@ -172,10 +172,10 @@ def fixed_point(scene: SceneLike) -> FixedPoint | TwoMassFixedPoint:
     >>> rest.stable, round(rest.eigenvalues[0].real, 4)
     (True, -0.0337)
     """
-    found = scene_of(scene)
-    if found.coupling is None:
-        return FixedPoint(**vars(fixed.fixed_point(found.flow())), name=found.name)
-    return TwoMassFixedPoint(**vars(fixed.two_mass_fixed_point(found.two_mass_flow())), name=found.name)
+    loaded = load_scene(scene)
+    if loaded.coupling is None:
+        return FixedPoint(**vars(fixed.fixed_point(loaded.flow())), name=loaded.name)
+    return TwoMassFixedPoint(**vars(fixed.two_mass_fixed_point(loaded.two_mass_flow())), name=loaded.name)
 
 
 def floquet(scene: SceneLike, orbit: Literal["stable", "unstable"] = "stable") -> FloquetOrbit:
@@ -208,5 +208,5 @@ def floquet(scene: SceneLike, orbit: Literal["stable", "unstable"] = "stable") -
     1.692648
     """
     check_known(orbit, ORBITS, "orbit", "--orbit")
-    found = scene_of(scene)
-    return FloquetOrbit(**vars(multipliers.floquet(found.flow(), orbit)), name=found.name)
+    loaded = load_scene(scene)
+    return FloquetOrbit(**vars(multipliers.floquet(loaded.flow(), orbit)), name=loaded.name)

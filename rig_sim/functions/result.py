@@ -11,16 +11,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-UNIT = "(the scene's unit)"  # beside the name of an axis
+UNIT = "(the scene's unit)"  # after the name of an axis
 PALE, STABLE, UNSTABLE = "0.5", "#0072B2", "#D55E00"  # colours of pictures
-LINES = 6  # of a result's words that its short text shows
-ROWS = 12  # of a result's table that a notebook shows
+LINES = 6  # of a result in its short text
+ROWS = 12  # of a result's table in a notebook
 
 
 class Result:
     """A result; ``print(result)`` prints what the command prints.
 
-    A subclass is a frozen dataclass with ``repr=False``.  Fields with ``repr=False`` are what a picture needs besides.
+    A subclass is a frozen dataclass with ``repr=False``.  Fields with ``repr=False`` are only for pictures.
     """
 
     UNITS: ClassVar[Mapping[str, str]] = {}  # of columns, in a scene in SI; else the scene's own
@@ -94,31 +94,33 @@ class Result:
         rows = list(self.rows())
         title = f"{type(self).__name__} of {self.name}"
         if len(rows) == 1:
-            return notebook.table(title, [[name, shown(value)] for name, value in rows[0].items() if _there(value)])
+            return notebook.table(
+                title, [[name, format_value(value)] for name, value in rows[0].items() if has_value(value)]
+            )
         header = list(rows[0]) if rows else []
-        cells = [[shown(value) for value in row.values()] for row in rows[:ROWS]]
+        cells = [[format_value(value) for value in row.values()] for row in rows[:ROWS]]
         return notebook.table(title, cells + ([["..."] * len(header)] if len(rows) > ROWS else []), header)
 
 
-def table_lines(data: Mapping[str, Any]) -> list[str]:
-    """Return a line for every entry that is there."""
-    return [f"{key:11} {shown(value, 15)}" for key, value in data.items() if _there(value)]
+def format_table(data: Mapping[str, Any]) -> list[str]:
+    """Return a line for every entry that has a value."""
+    return [f"{key:11} {format_value(value, 15)}" for key, value in data.items() if has_value(value)]
 
 
-def _there(value: Any) -> bool:
+def has_value(value: Any) -> bool:
     return not (value is None or (isinstance(value, str | tuple | list) and len(value) == 0))
 
 
-def shown(value: Any, digits: int = 6) -> str:
-    """Return a value as text; numbers to so many digits."""
+def format_value(value: Any, digits: int = 6) -> str:
+    """Return a value as text; numbers to ``digits`` digits."""
     if isinstance(value, tuple | list):
-        return ", ".join(shown(item, digits) for item in value)
+        return ", ".join(format_value(item, digits) for item in value)
     if isinstance(value, complex):
         sign = "-" if value.imag < 0 else "+"
         return f"{value.real:.{digits}g} {sign} {abs(value.imag):.{digits}g}i"
     return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
-def ended(outcome: str, advice: str) -> str:
-    """Return how a motion ended, with what to do about it."""
+def format_outcome(outcome: str, advice: str) -> str:
+    """Return the outcome of a motion with its advice."""
     return f"{outcome} ({advice})" if advice else outcome

@@ -10,15 +10,15 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from rig_sim.functions.arguments import ParameterRange, SceneLike, parameter_range, scene_of, whole
+from rig_sim.functions.arguments import ParameterRange, SceneLike, load_scene, parse_range, parse_whole
 from rig_sim.functions.result import Result
 from rig_sim.functions.systems import (
+    CustomAttractors,
     DrivenAttractors,
-    OwnAttractors,
     SweptScene,
     TwoMassAttractors,
-    driven_start,
-    stick_map,
+    load_driven_start,
+    make_stick_map,
 )
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError, check_known
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Section = Literal["poincare", "map", "slip"]
 SECTIONS = ("poincare", "map", "slip")
-ORDINATES = {  # what is drawn, by the section and whether the mass is driven
+ORDINATES = {  # drawn quantity, by the section and whether the mass is driven
     ("poincare", False): "x1 where the first mass turns forwards",
     ("map", False): "d = x2 - x1 in global stick",
     ("poincare", True): "x at phase 0 of the drive",
@@ -168,36 +168,40 @@ def sweep(
     1      0.165          2       2
     2      0.175          1       2
     """
-    if whole(jobs, "--jobs") < 1:
+    if parse_whole(jobs, "--jobs") < 1:
         raise InputError(f"is {jobs}", "--jobs", "give 1 or more")
     check_known(section, SECTIONS, "section", "--section")
-    own = callable(scene)
-    span = parameter_range(over, of_scene=not own)
+    is_custom = callable(scene)
+    span = parse_range(over, of_scene=not is_custom)
     find: Find
     if callable(scene):
-        find, name, ordinate = OwnAttractors(scene), type(scene(span.start)).__name__, "first coordinate of the state"
+        find, name, ordinate = (
+            CustomAttractors(scene),
+            type(scene(span.start)).__name__,
+            "first coordinate of the state",
+        )
         content: dict[str, Any] = {"name": name}
         if jobs > 1 or scheduler is not None:
             from stickslip.compute.cluster import check_sendable
 
             check_sendable(find)
     else:
-        find, name, ordinate, content = _of_scene(scene, span, section)
+        find, name, ordinate, content = prepare_scene(scene, span, section)
     if resume is None:
-        rows = _swept(find, span, jobs, scheduler, None, progress)
+        rows = sweep_values(find, span, jobs, scheduler, None, progress)
     else:
-        from rig_sim.functions.resume import resuming
+        from rig_sim.functions.resume import open_resume_file
 
         path = Path(resume)
-        with resuming(path, _header(content, span, section)) as file:
-            rows = _swept(find, span, jobs, scheduler, file, progress)
+        with open_resume_file(path, make_header(content, span, section)) as file:
+            rows = sweep_values(find, span, jobs, scheduler, file, progress)
     return Sweep(span.key, section, tuple(rows), name, ordinate)
 
 
-def _of_scene(given: SceneLike, span: ParameterRange, section: str) -> tuple[Find, str, str, dict[str, Any]]:
-    """Return what finds the attractors, the scene's name, what is drawn, and what a file of ``resume`` says of it."""
-    swept = SweptScene(scene_of(given), span.key)
-    ends = swept.at(span.start), swept.at(span.stop)
+def prepare_scene(source: SceneLike, span: ParameterRange, section: str) -> tuple[Find, str, str, dict[str, Any]]:
+    """Return the search for attractors, the scene's name, the drawn quantity, and the content of a ``resume`` file."""
+    swept = SweptScene(load_scene(source), span.key)
+    ends = swept.with_value(span.start), swept.with_value(span.stop)
     first = ends[0]
     coupled = first.coupling is not None
     swept = SweptScene(first, span.key)
@@ -207,15 +211,15 @@ def _of_scene(given: SceneLike, span: ParameterRange, section: str) -> tuple[Fin
         raise InputError("is slip, which is for a driven mass", "--section", "give poincare or map")
     for end in ends:
         if coupled:
-            stick_map(end)
+            make_stick_map(end)
         else:
-            driven_start(end)
+            load_driven_start(end)
     find: Find = TwoMassAttractors(swept, section) if coupled else DrivenAttractors(swept, section)
     content = first.model_dump(exclude={"name", "title"}, exclude_unset=True)
     return find, first.name, ORDINATES[section, not coupled], content
 
 
-def _swept(
+def sweep_values(
     find: Find,
     span: ParameterRange,
     jobs: int,
@@ -223,13 +227,13 @@ def _swept(
     file: "ResumeFile | None",
     progress: Stages,
 ) -> "list[AttractorAt]":
-    """Return the attractors at every value, those taken from the file that are there; the others go there."""
+    """Return the attractors at every value: those in the file are read, the others are appended to it."""
     from rig_sim.dynamics.analyses.sweep import sweep as follow
     from stickslip.compute.workers import workers
     from stickslip.console.application import plain
 
     values = span.values().tolist()
-    finished = _finished(file) if file is not None else {}
+    finished = read_finished(file) if file is not None else {}
 
     def keep(value: float, rows: "list[AttractorAt]") -> None:
         if file is not None:
@@ -248,35 +252,35 @@ def _swept(
         )
 
 
-def _header(content: dict[str, Any], span: ParameterRange, section: str) -> dict[str, Any]:
-    """Return what the attractors depend on, for the first line of the file of ``resume``."""
+def make_header(content: dict[str, Any], span: ParameterRange, section: str) -> dict[str, Any]:
+    """Return everything that the attractors depend on, for the first line of the file of ``resume``."""
     from stickslip.console.application import plain
     from stickslip.version import VERSION
 
     over: dict[str, Any] = {"key": span.key, "start": span.start, "stop": span.stop, "number": span.number}
-    over |= {"values": list(span.given)} if span.given else {}
+    over |= {"values": list(span.uneven)} if span.uneven else {}
     return {"command": "rig-sim sweep", "version": VERSION, "over": over, "section": section, "scene": plain(content)}
 
 
-def _finished(file: "ResumeFile") -> "dict[float, list[AttractorAt]]":
+def read_finished(file: "ResumeFile") -> "dict[float, list[AttractorAt]]":
     """Return the attractors by value from the file of ``resume``."""
     from rig_sim.dynamics.analyses.sweep import AttractorAt
 
     nan = float("nan")
-    found = {}
+    finished = {}
     try:
         for row in file.rows:
-            found[row["value"]] = [
+            finished[row["value"]] = [
                 AttractorAt(
-                    **kept
+                    **stored
                     | {
-                        "points": tuple(kept["points"]),
-                        "extent": tuple(nan if end is None else end for end in kept["extent"]),
-                        "share": nan if kept["share"] is None else kept["share"],
+                        "points": tuple(stored["points"]),
+                        "extent": tuple(nan if end is None else end for end in stored["extent"]),
+                        "share": nan if stored["share"] is None else stored["share"],
                     }
                 )
-                for kept in row["attractors"]
+                for stored in row["attractors"]
             ]
     except (KeyError, TypeError):
         raise InputError("holds a row that is not of a sweep", str(file.path), "name another file") from None
-    return found
+    return finished

@@ -20,41 +20,31 @@ if TYPE_CHECKING:
     from stickslip.compute.arrays import Array
 
 CHANGE_IT = "change that value with --set"
-STARTS = 8  # starts on a user's map of an interval: fewer miss attractors with small basins, more cost in proportion
-OFFSET = 0.6180339887498949  # of a start in its part of the interval: no simple fraction, as unstable orbits may be
+STARTS = 8  # starts on a user's map of an interval; fewer miss attractors with small basins
+OFFSET = (
+    0.6180339887498949  # of a start in its part of the interval: not a simple fraction, where unstable orbits may lie
+)
 
 
-def not_physical(scene: Scene, error: ValueError) -> InputError:
-    """Return the error that refuses a scene whose numbers are not physical, or not modelled."""
+def reject_scene(scene: Scene, error: ValueError) -> InputError:
+    """Return the error for a scene whose numbers are not physical, or not modelled."""
     python = f"change that value: {change_in_python(scene.name, 'section.key', 'VALUE')}"
     return InputError(str(error), f"scene {scene.name}", CHANGE_IT, python=python)
 
 
-def stick_map(scene: Scene, budget: "StepBudget | None" = None) -> "StickMap":
-    """Return the map of a scene of two masses, with integrator steps of its own or from a ``budget`` that maps share.
-
-    Raises
-    ------
-    InputError
-        One mass, masses that are not physical, or a belt at rest.
-    """
+def make_stick_map(scene: Scene, budget: "StepBudget | None" = None) -> "StickMap":
+    """Return the map of a scene of two masses, with its own integrator steps or from a ``budget`` that maps share."""
     from rig_sim.dynamics.return_maps.stick import StickMap
 
     flow = scene.two_mass_flow()
     try:
         return StickMap(flow, budget=budget)
     except ValueError as error:
-        raise not_physical(scene, error) from None
+        raise reject_scene(scene, error) from None
 
 
-def driven_start(scene: Scene) -> "tuple[Flow, float, float]":
-    """Return the flow and the start (x, v) of a scene of one driven mass.
-
-    Raises
-    ------
-    InputError
-        Two masses, no drive, or numbers that are not physical.
-    """
+def load_driven_start(scene: Scene) -> "tuple[Flow, float, float]":
+    """Return the flow and the start (x, v) of a scene of one driven mass."""
     from rig_sim.flow.flow import validate
 
     if scene.drive is None:
@@ -65,38 +55,32 @@ def driven_start(scene: Scene) -> "tuple[Flow, float, float]":
     try:
         validate(flow)
     except ValueError as error:
-        raise not_physical(scene, error) from None
+        raise reject_scene(scene, error) from None
     return flow, float(scene.start.x), float(scene.start.v)
 
 
-def with_period(scene: Scene) -> "tuple[Flow, float, float]":
-    """Return flow and start as `driven_start`, or refuse a drive without a period."""
-    flow, x, v = driven_start(scene)
+def require_period(scene: Scene) -> "tuple[Flow, float, float]":
+    """Return flow and start as `load_driven_start`, or refuse a drive without a period."""
+    flow, x, v = load_driven_start(scene)
     if flow.omega == 0.0:
         python = change_in_python(scene.name, "drive.omega", "1.6")
-        what = "drive.omega is 0: there is no drive period"
-        raise InputError(what, f"scene {scene.name}", "set drive.omega", python=f"write {python}")
+        problem = "drive.omega is 0: there is no drive period"
+        raise InputError(problem, f"scene {scene.name}", "set drive.omega", python=f"write {python}")
     return flow, x, v
 
 
-def driven_map(scene: Scene, section: str) -> "tuple[DrivenMap, Array]":
-    """Return a driven mass as a system, and the scene's own start; errors as `with_period`."""
+def make_driven_map(scene: Scene, section: str) -> "tuple[DrivenMap, Array]":
+    """Return a driven mass as a system, and the scene's own start; errors as `require_period`."""
     import numpy as np
 
     from rig_sim.dynamics.return_maps.driven import DrivenMap
 
-    flow, x, v = with_period(scene)
+    flow, x, v = require_period(scene)
     return DrivenMap(flow, section), np.array([x, v])
 
 
-def landing_map(scene: Scene, budget: "StepBudget") -> "LandingMap":
-    """Return the map from landing to landing of a scene of one driven mass.
-
-    Raises
-    ------
-    InputError
-        Two masses, no drive, or numbers that are not physical.
-    """
+def make_landing_map(scene: Scene, budget: "StepBudget") -> "LandingMap":
+    """Return the map from landing to landing of a scene of one driven mass."""
     from rig_sim.dynamics.return_maps.landing import LandingMap
 
     flow = scene.flow()
@@ -107,35 +91,28 @@ def landing_map(scene: Scene, budget: "StepBudget") -> "LandingMap":
     try:
         return LandingMap(flow, budget=budget)
     except ValueError as error:
-        raise not_physical(scene, error) from None
+        raise reject_scene(scene, error) from None
 
 
 @dataclass(frozen=True)
 class SweptScene:
-    """A scene with one key left open, whole, as a process is handed it: a worker elsewhere may not have its file.
-
-    Attributes
-    ----------
-    scene : Scene
-    key : str
-        Its key that is left open, ``section.key``.
-    """
+    """A scene with one free key, complete, for processes elsewhere that may not have its file."""
 
     scene: Scene
-    key: str
+    key: str  # the free key, ``section.key``
 
-    def at(self, value: float, **changes: object) -> Scene:
+    def with_value(self, value: float, **changes: object) -> Scene:
         """Return the scene with this value of the key, and other changes."""
         return scene(self.scene, **{**changes, self.key: value})
 
     def flow(self, value: float) -> "Flow":
         """Return the flow of one mass at a value of the key."""
-        return self.at(value).flow()
+        return self.with_value(value).flow()
 
 
 @dataclass(frozen=True)
 class TwoMassAttractors:
-    """Finds the attractors of two masses at a value of one key; ``section`` is that whose points are drawn."""
+    """Finds the attractors of two masses at a value of one key; ``section`` is the one whose points are drawn."""
 
     swept: SweptScene
     section: str
@@ -144,59 +121,53 @@ class TwoMassAttractors:
         """Return the attractors, the largest basin first."""
         from rig_sim.dynamics.return_maps.section import attractors_at
 
-        return attractors_at(lambda at: self.swept.at(at).two_mass_flow(), self.section, value)
+        return attractors_at(lambda key_value: self.swept.with_value(key_value).two_mass_flow(), self.section, value)
 
 
 @dataclass(frozen=True)
 class DrivenAttractors:
-    """Finds the attractors of a driven mass at a value of one key; ``section`` is that whose points are drawn."""
+    """Finds the attractors of a driven mass at a value of one key; ``section`` is the one whose points are drawn."""
 
     swept: SweptScene
     section: str
 
     def __call__(self, value: float) -> "list[AttractorAt]":
-        """Return the attractors, the one that most starts lead to first."""
-        from rig_sim.dynamics.analyses.settling import attractors
+        """Return the attractors, the one with the most starts first."""
+        from rig_sim.dynamics.analyses.settling import find_attractors
         from rig_sim.dynamics.analyses.sweep import AttractorAt
-        from rig_sim.dynamics.return_maps.driven import with_starts
+        from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
 
-        flow, x, v = driven_start(self.swept.at(value))
+        flow, x, v = load_driven_start(self.swept.with_value(value))
         if flow.omega == 0.0:
             return [AttractorAt(value, 0, (), None, 0.0, (math.nan, math.nan), None, "no drive period")]
-        rows = attractors(*with_starts(flow, x, v, self.section), value)
+        rows = find_attractors(*driven_map_with_starts(flow, x, v, self.section), value)
         if flow.u0 == 0.0:
             rows = [replace(row, outcome="no drive" if row.points else row.outcome) for row in rows]
         return rows
 
 
 @dataclass(frozen=True)
-class OwnAttractors:
-    """Finds the attractors of a system of one's own, which ``system_at`` returns for a value of its parameter."""
+class CustomAttractors:
+    """Finds the attractors of a custom system; ``system_at`` returns it for a value of its parameter."""
 
     system_at: "Callable[[float], FormulaMap]"
 
     def __call__(self, value: float) -> "list[AttractorAt]":
-        """Return the attractors that its start leads to, and starts all over its interval, the most frequent first."""
+        """Return the attractors of its start, and of starts all over its interval, the most frequent first."""
         import numpy as np
 
-        from rig_sim.dynamics.analyses.settling import attractors
+        from rig_sim.dynamics.analyses.settling import find_attractors
 
         f = self.system_at(value)
         starts = [f.start]
         if math.isfinite(f.hi - f.lo):
-            places = f.lo + (f.hi - f.lo) * (np.arange(STARTS) + OFFSET) / STARTS
-            starts += [np.array([place]) for place in places]
-        return attractors(f, starts, value)
+            positions = f.lo + (f.hi - f.lo) * (np.arange(STARTS) + OFFSET) / STARTS
+            starts += [np.array([position]) for position in positions]
+        return find_attractors(f, starts, value)
 
 
-def on_interval(f: "FormulaMap") -> "FormulaMap":
-    """Return a system of one's own that is a map of an interval.
-
-    Raises
-    ------
-    InputError
-        It has more than one coordinate, or no interval.
-    """
+def require_interval(f: "FormulaMap") -> "FormulaMap":
+    """Return a custom system that is a map of an interval; refuse one of more coordinates, or without an interval."""
     if len(f.scale) != 1 or not math.isfinite(f.hi - f.lo):
         do = "give its interval"
         python = f"write super().__init__(..., interval=(lo, hi)) in {type(f).__name__}, a map of one coordinate"

@@ -57,7 +57,7 @@ def unbox_records() -> None:
 
 
 def for_kernels(flow: Flow) -> Flow:
-    """Return the flow as compiled kernels take it: a measured curve's table is an array."""
+    """Return the flow for compiled kernels: a measured curve's table is an array."""
     if flow.pieces == 0:
         return flow
     import numpy

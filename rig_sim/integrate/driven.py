@@ -14,12 +14,12 @@ from rig_sim.flow.modes import RAMP
 from rig_sim.integrate.linear import LARGEST_EXPONENT, fundamental, roots
 from rig_sim.integrate.newton import EPS, newton_step
 
-PIECES = 500  # searched in one step of a driven ramp; the caller continues from there; not swept
+PIECES = 500  # searched in one step of a driven ramp; the caller continues from there
 STEEP = 4.0  # ratio of the ramp's fast root to the other rates above which the closed form is the cheaper one
 
 
 def is_steep(fr: Frame, mode: int) -> bool:
-    """Return whether a driven ramp is taken in closed form."""
+    """Return whether a driven ramp is solved in closed form."""
     if mode != RAMP:
         return False
     C, _ = linear_terms(fr, mode)
@@ -27,18 +27,14 @@ def is_steep(fr: Frame, mode: int) -> bool:
 
 
 class DrivenRamp(NamedTuple):
-    """A driven ramp from its start: the undriven part u, a and the driven part Re(W e^{i omega tau}), both of x'.
+    """A driven ramp from its start: the undriven part u, a and the driven part Re(W e^{i omega tau}), both of x'."""
 
-    ``p``, ``w``, ``start_a``: displacement (m), relative velocity (m/s) and w' (m/s^2) there; ``zeta`` = C/2m and
-    ``disc`` = zeta^2 - omega0^2.
-    """
-
-    p: float
-    w: float
-    start_a: float
-    zeta: float
+    p: float  # displacement at the start, m
+    w: float  # relative velocity there, m/s
+    start_a: float  # w' there, m/s^2
+    zeta: float  # C/2m, 1/s
     omega2: float
-    disc: float
+    disc: float  # zeta^2 - omega0^2
     u: float
     a: float
     W_re: float
@@ -47,7 +43,7 @@ class DrivenRamp(NamedTuple):
 
 
 def driven_ramp(fr: Frame, p: float, w: float, t: float) -> DrivenRamp:
-    """Return the driven ramp that begins in the state (p, w) at time t."""
+    """Return the driven ramp that starts in the state (p, w) at time t."""
     C, _ = linear_terms(fr, RAMP)
     zeta = 0.5 * C / fr.m
     a = acceleration(fr, RAMP, p, w, t)
@@ -142,7 +138,7 @@ def ramp_root(ramp: DrivenRamp, level: float, side: int, inside: float, outside:
 
 
 class StickLoad(NamedTuple):
-    """What a driven stick's margin k (p + v tau) - size cos(theta + omega tau) is made of, from the stick's start."""
+    """The terms of a driven stick's margin k (p + v tau) - size cos(theta + omega tau), from the stick's start."""
 
     k: float
     v: float
@@ -208,7 +204,7 @@ def driven_stick_exit(fr: Frame, p: float, t: float, tau_max: float) -> tuple[in
     lowest -= math.floor(lowest / period) * period
     falling = (math.pi - 2.0 * tilt) / omega
     climb = period - falling
-    # the first maximum, when the margin begins by rising
+    # the first maximum, when the margin rises at first
     top = margin(load, highest)
     if highest < lowest and top > 0.0:
         tau = margin_root(load, 0.0, 1, 0.0, highest)

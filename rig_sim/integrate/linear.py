@@ -26,18 +26,14 @@ NEAR_EXTREME = 1e-9  # relative distance of an extreme from an edge below which 
 
 
 class FreeMotion(NamedTuple):
-    """An undriven linear phase from its start.
+    """An undriven linear phase from its start."""
 
-    ``w``, ``a``, ``u``: relative velocity, w' and velocity over ground there (m/s, m/s^2, m/s); ``zeta`` = C/2m and
-    ``omega2`` = k/m (1/s, 1/s^2); ``disc`` = zeta^2 - omega2.
-    """
-
-    w: float
-    a: float
-    u: float
-    zeta: float
-    omega2: float
-    disc: float
+    w: float  # relative velocity at the start, m/s
+    a: float  # w' there, m/s^2
+    u: float  # velocity over ground there, m/s
+    zeta: float  # C/2m, 1/s
+    omega2: float  # k/m, 1/s^2
+    disc: float  # zeta^2 - omega2
 
 
 def fundamental(zeta: float, omega2: float, disc: float, tau: float) -> tuple[float, float, float]:
@@ -88,12 +84,12 @@ def velocity(free: FreeMotion, tau: float) -> float:
 
 
 def change(a: float, u: float, zeta: float, omega2: float, S: float, E: float) -> tuple[float, float]:
-    """Return by how much (p, w) have changed where the phase's fundamental solution is S and E."""
+    """Return the change of (p, w) where the phase's fundamental solution is S and E."""
     I = E / omega2  # noqa: E741
     return u * (S + 2.0 * zeta * I) + a * I, a * S - u * E
 
 
-def shifted(S: float, E: float, zeta: float, omega2: float, step: float) -> tuple[float, float]:
+def shift_solution(S: float, E: float, zeta: float, omega2: float, step: float) -> tuple[float, float]:
     """Return S and E a small step later, to second order."""
     slope = 1.0 - E - 2.0 * zeta * S  # S'
     later = S + step * (slope - step * (zeta * slope + 0.5 * omega2 * S))
@@ -103,17 +99,17 @@ def shifted(S: float, E: float, zeta: float, omega2: float, step: float) -> tupl
 def root(free: FreeMotion, level: float, side: int, inside: float, outside: float, guess: float, work: Work) -> float:
     """Return where w crosses ``level`` in [inside, outside], on which it is monotone: bracketed Halley from ``guess``.
 
-    The closed form there is left in ``work``: what comes after the exit needs it again.
+    The closed form there is stored in ``work`` for the calculations after the exit.
     w leaves through the level upwards (``side`` +1) or downwards (-1); ``outside`` may be infinite where it does so for
     certain, with a guess beyond ``inside``.  u'' = -2 zeta u' - omega0^2 u gives the second
-    and third derivatives for nothing, so that the error a step leaves is known before it is taken.
+    and third derivatives at no cost, so that the remaining error of a step is known before it.
     """
     w, a, u, zeta, omega2, disc = free
     tau = guess if inside < guess < outside else 0.5 * (inside + outside)
     for _i in range(100):
         S, E, _ = fundamental(zeta, omega2, disc, tau)
-        moved = a * S - u * E
-        error = (w - level) + moved
+        increase = a * S - u * E
+        error = (w - level) + increase
         if error == 0.0:
             work.exit, work.exit_s, work.exit_e = tau, S, E
             return tau
@@ -126,17 +122,17 @@ def root(free: FreeMotion, level: float, side: int, inside: float, outside: floa
             tau *= 2.0
             continue
         if slope != 0.0:
-            bend = -2.0 * zeta - omega2 * (u + moved) / slope
+            bend = -2.0 * zeta - omega2 * (u + increase) / slope
             step = error / slope
             shrink = 1.0 - 0.5 * step * bend
             if shrink > 0.5:  # else far off: Newton
                 step /= shrink
                 following = tau - step
-                left = (0.25 * bend * bend + (2.0 * abs(zeta * bend) + omega2) / 6.0) * abs(step * step * step)
-                if inside < following < outside and left <= 0.5 * EPS * following:
+                remainder = (0.25 * bend * bend + (2.0 * abs(zeta * bend) + omega2) / 6.0) * abs(step * step * step)
+                if inside < following < outside and remainder <= 0.5 * EPS * following:
                     work.exit = following
                     work.late = (tau - following) - step
-                    work.exit_s, work.exit_e = shifted(S, E, zeta, omega2, -step)
+                    work.exit_s, work.exit_e = shift_solution(S, E, zeta, omega2, -step)
                     return following
                 slope *= shrink
         if math.isinf(outside) and tau - error / slope > 4.0 * tau:

@@ -4,7 +4,7 @@ EPS = 2.0**-52
 
 
 def newton_step(tau: float, error: float, slope: float, inside: float, outside: float) -> tuple[float, bool]:
-    """Return the next iterate, and whether it is the last: the root to two ulp, or a bracket with nothing left in it.
+    """Return the next iterate, and whether it is the last: the root to two ulp, or an empty bracket.
 
     ``error`` and ``slope`` are the function and its derivative at ``tau``; the root lies between ``inside`` and
     ``outside`` (the larger), one of which is ``tau`` already.  A step that would leave the bracket goes to its middle,

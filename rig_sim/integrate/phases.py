@@ -27,9 +27,9 @@ from rig_sim.flow.frame import (
     displacement,
     frame,
     is_curved,
-    kept_inside,
+    keep_inside,
     linear_terms,
-    mirrored,
+    mirror_mode,
     mode_bounds,
     position,
 )
@@ -39,12 +39,12 @@ from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.taylor import changes, series_exit
 from rig_sim.integrate.work import Buffer, Work, unboxed
 
-RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit; not swept
+RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit
 RAPID_TIME = 1e-12  # x sqrt(m/k)
 
 
 class State(NamedTuple):
-    """A motion: mode, position, relative velocity, time, and what t cannot hold of it (m, m/s, s).
+    """A motion: mode, position (m), relative velocity (m/s), time (s), and the part of t below its last digit (s).
 
     Within the frame ``x`` is the displacement p, and w and the mode are mirrored.
     """
@@ -57,7 +57,7 @@ class State(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """``n`` sorted times (s) at which a motion is stored, and where: x (m), velocity over ground (m/s), mode.
+    """``n`` sorted times (s), and the motion stored there: x (m), velocity over ground (m/s), mode.
 
     Times earlier than the motion get its first state.
     """
@@ -70,7 +70,7 @@ class Samples(NamedTuple):
 
 
 class Lists(NamedTuple):
-    """Where events are listed: time (s), what that cannot hold of it, position (m), kind; ``capacity`` of them."""
+    """The lists of up to ``capacity`` events: time (s), the part of it below its last digit, position (m), kind."""
 
     t: Buffer
     carry: Buffer
@@ -91,9 +91,9 @@ def is_series(fr: Frame, mode: int) -> bool:
 def phase_exit(
     fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Work
 ) -> tuple[int, float]:
-    """Return (side, tau): w leaves [lo, hi] after tau at its lower (-1) or upper (+1) end, or (0, tau) passed inside.
+    """Return (side, tau): w leaves [lo, hi] after tau at its lower (-1) or upper (+1) end, or (0, tau) stays inside.
 
-    Without an exit, tau is ``tau_max`` but in phases stepped by series, where it may be less: call again from there.
+    Without an exit, tau is ``tau_max`` except in phases stepped by series, where it may be less: call again from there.
     """
     work.late = 0.0
     if mode == modes.STICK:
@@ -110,7 +110,7 @@ def phase_exit(
     C, e = linear_terms(fr, mode)
     zeta = 0.5 * C / fr.m
     disc = (zeta - fr.omega0) * (zeta + fr.omega0)
-    a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e) / fr.m)
+    a = keep_inside(fr, mode, w, (-C * w - fr.k * p + e) / fr.m)
     work.zeta = zeta
     work.start = a
     touch = 0.0 if fr.d > 0.0 else 4.0 * EPS
@@ -135,21 +135,21 @@ def increments(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, w
 
 
 def sum_of(value: float, rest: float, increase: float) -> tuple[float, float]:
-    """Return value + rest + increase as the nearest number and what that cannot hold (Neumaier)."""
+    """Return value + rest + increase as the nearest number and its rounding error (Neumaier)."""
     increase += rest
     total = value + increase
     return total, (value - total) + increase if abs(value) >= abs(increase) else (increase - total) + value
 
 
-def phase(fr: Frame, at: State, t_max: float, samples: Samples, i: int, work: Work) -> tuple[int, State, int]:
-    """Go to the next event or to t_max within the frame, storing samples from the i-th on; return (kind, state, i).
+def run_phase(fr: Frame, state: State, t_max: float, samples: Samples, i: int, work: Work) -> tuple[int, State, int]:
+    """Continue to the next event or to t_max in the frame, storing samples from the i-th on; return (kind, state, i).
 
-    p, w and t are summed by Neumaier's rule with what ``work`` and ``carry`` hold: many steps lose no more than one.
+    p, w and t are summed by Neumaier's rule with the rests in ``work`` and ``carry``: many steps lose no more than one.
     """
-    mode, p, w, t, carry = at
+    mode, p, w, t, carry = state
     lo, hi = mode_bounds(fr, mode)
     if not math.isfinite(p + w + (t_max - t)):
-        return modes.NOT_FINITE, at, i
+        return modes.NOT_FINITE, state, i
     while True:
         rest = (t_max - t) - carry
         side = 0
@@ -162,7 +162,7 @@ def phase(fr: Frame, at: State, t_max: float, samples: Samples, i: int, work: Wo
         if not math.isfinite(rest + tau):
             return modes.NOT_FINITE, State(mode, p, w, t, carry), i
         if i < samples.n:
-            i = stored(fr, State(mode, p, w, t, carry), tau, samples, i, work)
+            i = store_samples(fr, State(mode, p, w, t, carry), tau, samples, i, work)
         if tau > 0.0:
             dp, dw = increments(fr, mode, p, w, t, tau, work)
             p, work.p_rest = sum_of(p, work.p_rest, dp)
@@ -180,13 +180,13 @@ def phase(fr: Frame, at: State, t_max: float, samples: Samples, i: int, work: Wo
             if mode == modes.STICK and side > 0 and fr.u0 == 0.0 and tau > 0.0:
                 p = 0.0
             w = 0.0 if mode == modes.STICK else (hi if side > 0 else lo)
-            kind, entered = passed(fr, mode, side, p, t, at.t, work)
+            kind, entered = pass_edge(fr, mode, side, p, t, state.t, work)
             return kind, State(entered, p, w, t, carry), i
 
 
-def stored(fr: Frame, at: State, tau: float, samples: Samples, i: int, work: Work) -> int:
+def store_samples(fr: Frame, state: State, tau: float, samples: Samples, i: int, work: Work) -> int:
     """Store the samples within ``tau`` of a step, from the i-th on; return the first one beyond."""
-    mode, p, w, t, carry = at
+    mode, p, w, t, carry = state
     while i < samples.n:
         dt = (samples.t[i] - t) - carry
         if dt > tau:
@@ -194,20 +194,20 @@ def stored(fr: Frame, at: State, tau: float, samples: Samples, i: int, work: Wor
         dp, dw = (0.0, 0.0) if dt <= 0.0 else increments(fr, mode, p, w, t, dt, work)
         samples.x[i] = position(fr, p + dp)
         samples.v[i] = fr.mirror * (w + dw + fr.v)
-        samples.mode[i] = float(mirrored(fr, mode))
+        samples.mode[i] = float(mirror_mode(fr, mode))
         i += 1
     return i
 
 
-def passed(fr: Frame, mode: int, side: int, p: float, t: float, begun: float, work: Work) -> tuple[int, int]:
+def pass_edge(fr: Frame, mode: int, side: int, p: float, t: float, phase_start: float, work: Work) -> tuple[int, int]:
     """Return the kind of the event by which ``mode`` is left, and the mode entered; an outcome where motion ends."""
     work.w_rest = 0.0
-    if mode == modes.STICK or mode == modes.RAMP:  # so that slip begins in p alone, and a recurrence can be recognised
+    if mode == modes.STICK or mode == modes.RAMP:  # so that slip starts in p alone, and a recurrence can be recognised
         work.p_rest = 0.0
     entered = transition(fr, mode, side, p, t)
     if entered >= modes.FORCE_REVERSAL:
         return entered, mode
-    if (t - begun) * fr.omega0 > RAPID_TIME:
+    if (t - phase_start) * fr.omega0 > RAPID_TIME:
         work.rapid = 0.0
         return 4 * mode + entered, entered
     work.rapid += 1.0
@@ -215,87 +215,60 @@ def passed(fr: Frame, mode: int, side: int, p: float, t: float, begun: float, wo
 
 
 def unmirrored_kind(fr: Frame, kind: int) -> int:
-    """Return a kind found in the frame as it is outside: transitions of a mirrored frame are mirrored."""
+    """Return the kind outside a mirrored frame of a kind within it."""
     if fr.mirror > 0.0 or kind == modes.COMPLETED or kind >= modes.FORCE_REVERSAL:
         return kind
-    return 4 * mirrored(fr, kind // 4) + mirrored(fr, kind % 4)
+    return 4 * mirror_mode(fr, kind // 4) + mirror_mode(fr, kind % 4)
 
 
-def in_frame(fr: Frame, at: State) -> State:
-    """Return a state as it is within the frame."""
-    return State(mirrored(fr, at.mode), displacement(fr, at.x), fr.mirror * at.w, at.t, at.carry)
+def enter_frame(fr: Frame, state: State) -> State:
+    return State(mirror_mode(fr, state.mode), displacement(fr, state.x), fr.mirror * state.w, state.t, state.carry)
 
 
-def outside(fr: Frame, at: State) -> State:
-    """Return a state of the frame as it is outside."""
-    return State(mirrored(fr, at.mode), position(fr, at.x), fr.mirror * at.w, at.t, at.carry)
+def leave_frame(fr: Frame, state: State) -> State:
+    return State(mirror_mode(fr, state.mode), position(fr, state.x), fr.mirror * state.w, state.t, state.carry)
 
 
-def sample_phase(flow: Flow, at: State, t_max: float, samples: Samples, i: int, work: Work) -> tuple[int, State, int]:
-    """Go to the next event, or to t_max, storing the motion on the way.
+def sample_phase(
+    flow: Flow, state: State, t_max: float, samples: Samples, i: int, work: Work
+) -> tuple[int, State, int]:
+    """Continue from a state to the next event, or to t_max (s, finite), storing samples from the i-th on.
 
-    Parameters
-    ----------
-    flow, at
-        The flow and the state to start from; its ``carry`` counts as 0.
-    t_max : float
-        Where to stop when no event comes first, s; finite.
-    samples : Samples
-        Those from the i-th on are still to be served.
-    work : Work
-        From `new_work`.
-
-    Returns
-    -------
-    (kind, at, i)
-        ``at`` is the state entered, with ``carry`` 0; ``i`` the first sample not yet served (those at the event itself
-        are).
+    The state's carry counts as 0.  Returns the kind, the state entered, with carry 0, and the first sample not yet
+    reached (those at the event itself are).
     """
     fr = frame(flow)
     work.p_rest = 0.0
     work.w_rest = 0.0
-    kind, end, i = phase(fr, in_frame(fr, State(at.mode, at.x, at.w, at.t, 0.0)), t_max, samples, i, work)
-    mode, x, w, t, carry = outside(fr, end)
+    kind, end, i = run_phase(
+        fr, enter_frame(fr, State(state.mode, state.x, state.w, state.t, 0.0)), t_max, samples, i, work
+    )
+    mode, x, w, t, carry = leave_frame(fr, end)
     return unmirrored_kind(fr, kind), State(mode, x, w, t + carry, 0.0), i
 
 
-def next_event(flow: Flow, at: State, t_max: float, work: Work) -> tuple[int, State]:
+def next_event(flow: Flow, state: State, t_max: float, work: Work) -> tuple[int, State]:
     """Return the kind and the state of the next event, or of t_max with the kind COMPLETED."""
     none = work.w
-    kind, at, _ = sample_phase(flow, at, t_max, Samples(none, none, none, none, 0), 0, work)
-    return kind, at
+    kind, state, _ = sample_phase(flow, state, t_max, Samples(none, none, none, none, 0), 0, work)
+    return kind, state
 
 
-def run(flow: Flow, at: State, t_max: float, lists: Lists, recur: int, work: Work) -> tuple[int, int, int, State]:
-    """List the events up to t_max; return (outcome, count, first, at).
+def run(flow: Flow, state: State, t_max: float, lists: Lists, recur: int, work: Work) -> tuple[int, int, int, State]:
+    """List the events up to t_max (s) into ``lists``; return (outcome, count, first, state).
 
-    Parameters
-    ----------
-    flow, at
-        The flow and the state to start from.
-    t_max : float
-        Where to stop, s.
-    recur : int
-        1 to stop, with the outcome RECURRED, as soon as the motion is known to repeat; 0 to step every cycle.
-    work : Work
-        From `new_work`.
+    With ``recur`` 1 the outcome is RECURRED as soon as the motion is known to repeat: the events after ``first`` up to
+    the last are one cycle, and repeat with the time between these two added.  With LIST_FULL, store the ``count``
+    events and call again with the returned state.
 
-    Returns
-    -------
-    outcome, count, first, at
-        LIST_FULL: store the ``count`` events and call again with the returned state.  RECURRED: the events after
-        ``first`` up to the last are one cycle, and follow again and again with the time between these two added.
-
-    Notes
-    -----
-    Without a drive the future of a state does not depend on the time: a state that slip began from, met again bit for
-    bit, repeats for ever what followed it.  A jump law begins every slip in the same state, its first two do; a ramp
-    law's return map contracts until rounding closes it, perhaps over several turns, hence Brent's search for the
-    period: the state to compare with is renewed after 1, 2, 4 ... beginnings of slip.
+    Without a drive the future of a state does not depend on the time: a state from which slip started, met again bit
+    for bit, repeats its future.  A jump law starts every slip in the same state, already its first two; a ramp law's
+    return map contracts until rounding closes it, perhaps over several turns, hence Brent's search for the period: the
+    state to compare with is renewed after 1, 2, 4 ... starts of slip.
     """
     work = unboxed(work)
     fr = frame(flow)
-    at = in_frame(fr, at)
+    state = enter_frame(fr, state)
     work.p_rest = 0.0
     work.w_rest = 0.0
     none = work.w
@@ -306,17 +279,17 @@ def run(flow: Flow, at: State, t_max: float, lists: Lists, recur: int, work: Wor
     turns = 0
     patience = 1
     outcome = modes.LIST_FULL
-    times, carries, places, kinds, capacity = lists
+    times, carries, positions, kinds, capacity = lists
     while count < capacity:
-        kind, at, _ = phase(fr, at, t_max, unsampled, 0, work)
+        kind, state, _ = run_phase(fr, state, t_max, unsampled, 0, work)
         if kind == modes.COMPLETED or kind >= modes.FORCE_REVERSAL:
             outcome = kind
             break
-        _, p, _, t, carry = at
+        _, p, _, t, carry = state
         total = t + carry
         times[count] = total
         carries[count] = (t - total) + carry
-        places[count] = position(fr, p)
+        positions[count] = position(fr, p)
         kinds[count] = float(unmirrored_kind(fr, kind))
         count += 1
         if recur == 0 or fr.u0 != 0.0 or (kind != modes.STICK_TO_NEGATIVE and kind != modes.RAMP_TO_NEGATIVE):
@@ -331,4 +304,4 @@ def run(flow: Flow, at: State, t_max: float, lists: Lists, recur: int, work: Wor
             p_first = p
             turns = 0
             patience *= 2
-    return outcome, count, first, outside(fr, at)
+    return outcome, count, first, leave_frame(fr, state)

@@ -10,7 +10,7 @@ from rig_sim.integrate.newton import EPS, newton_step
 from rig_sim.integrate.work import Series
 
 SHORTEST_PIECE = 1e-9  # share of a step: over it a parabola stays within rounding
-PIECES = 300  # three times what halving down to the shortest piece on both sides of a tangency takes
+PIECES = 300  # three times the halvings down to the shortest piece on both sides of a tangency
 
 
 def value(c: Series, degree: int, xi: float) -> float:
@@ -21,7 +21,7 @@ def value(c: Series, degree: int, xi: float) -> float:
     return float(total)
 
 
-def deflated(c: Series, degree: int, zeros: int, level: float, xi: float) -> tuple[float, float]:
+def deflate(c: Series, degree: int, zeros: int, level: float, xi: float) -> tuple[float, float]:
     """Return value and slope of (polynomial - level) / xi^zeros, whose ``zeros`` lowest coefficients vanish."""
     total = c[degree]
     slope = 0.0
@@ -33,8 +33,8 @@ def deflated(c: Series, degree: int, zeros: int, level: float, xi: float) -> tup
     return total, slope
 
 
-def spread(c: Series, degree: int, xi: float) -> float:
-    """Return a bound on how far a polynomial strays from its first term over [0, xi]."""
+def bound_spread(c: Series, degree: int, xi: float) -> float:
+    """Return a bound on the distance of a polynomial from its first term over [0, xi]."""
     even = odd = 0.0
     square = xi * xi
     last = degree
@@ -47,8 +47,8 @@ def spread(c: Series, degree: int, xi: float) -> float:
     return float((even * xi + odd) * xi)
 
 
-def rise(c: Series, degree: int, zeros: int, side: int, xi: float) -> float:
-    """Return a bound on how far ``side`` times `deflated` rises above its first term over [0, xi]."""
+def bound_rise(c: Series, degree: int, zeros: int, side: int, xi: float) -> float:
+    """Return a bound on the rise of ``side`` times the deflated polynomial above its first term over [0, xi]."""
     even = odd = 0.0  # twice the terms above 0; powers apart: two chains of sums that do not wait for each other
     square = xi * xi
     last = degree
@@ -62,7 +62,7 @@ def rise(c: Series, degree: int, zeros: int, side: int, xi: float) -> float:
 
 
 def survey(c: Series, degree: int, zeros: int, level: float, xi: float) -> tuple[float, float, float]:
-    """Return what `deflated` does, and a bound on the second derivative over [0, xi]."""
+    """Return value and slope as `deflate`, and a bound on the second derivative over [0, xi]."""
     total = c[degree]
     slope = 0.0
     n = degree - zeros
@@ -98,7 +98,7 @@ def first_root(c: Series, degree: int, level: float, side: int, xi_end: float) -
             return 0.0
         if lead == 0.0:
             return -1.0
-    if lead > rise(c, degree, zeros, side, xi_end):
+    if lead > bound_rise(c, degree, zeros, side, xi_end):
         return -1.0
     rounding = EPS * (lead if zeros > 0 else max(abs(level), abs(c[0])))
     total, slope, bound = survey(c, degree, zeros, level, xi_end)
@@ -122,9 +122,9 @@ def first_root(c: Series, degree: int, level: float, side: int, xi_end: float) -
             margin = rest
         else:
             end = start + 0.5 * h
-        total, slope = deflated(c, degree, zeros, level, end)
-    # only a polynomial that hugs its level for the whole step comes here: its end decides
-    total, slope = deflated(c, degree, zeros, level, xi_end)
+        total, slope = deflate(c, degree, zeros, level, end)
+    # only for a polynomial that stays at its level for the whole step: its end decides
+    total, slope = deflate(c, degree, zeros, level, xi_end)
     if side * total < 0.0:
         return -1.0
     return polish(c, degree, zeros, level, side, start, xi_end, 0.5 * (start + xi_end))
@@ -135,7 +135,7 @@ def polish(
 ) -> float:
     """Return the root between ``inside`` and ``outside``: Newton from ``xi``, kept in its bracket."""
     for _i in range(100):
-        total, slope = deflated(c, degree, zeros, level, xi)
+        total, slope = deflate(c, degree, zeros, level, xi)
         if total == 0.0:
             return xi
         if side * total > 0.0:

@@ -13,41 +13,34 @@ from rig_sim.integrate.work import Work, new_work, unboxed
 from stickslip.compute.arrays import Array
 
 
-def sampled(flow: Flow, at: State, times: Array, *, compiled: bool = False) -> tuple[Array, Array]:
-    """Return x (m) and v (m/s), (n,) each, at increasing times (s) of a motion; fewer where it ends.
+def sample_motion(flow: Flow, state: State, times: Array, *, compiled: bool = False) -> tuple[Array, Array]:
+    """Return x (m) and v (m/s), (n,) each, at increasing times (s, none before the state); fewer where the motion ends.
 
-    Parameters
-    ----------
-    flow, at
-        What moves, and from where; no time is before that of the state.
-    times : (n,) float64
-    compiled : bool
-        Use numba: worth its start-up above some 10^4 events.
+    ``compiled`` uses numba: worth its start-up above about 10^4 events.
     """
     samples = new_samples(times if compiled else times.tolist(), compiled=compiled)
     if compiled:
         from rig_sim.integrate.compiled import for_kernels
 
-        served = _compiled()(for_kernels(flow), at, samples, new_work(compiled=True))
+        reached = compiled_store_motion()(for_kernels(flow), state, samples, new_work(compiled=True))
     else:
-        served = follow(flow, at, samples, new_work())
-    return np.asarray(samples.x[:served]), np.asarray(samples.v[:served])
+        reached = store_motion(flow, state, samples, new_work())
+    return np.asarray(samples.x[:reached]), np.asarray(samples.v[:reached])
 
 
-def follow(flow: Flow, at: State, wanted: Samples, work: Work) -> int:
-    """Store the motion at the times wanted; return how many it comes to."""
+def store_motion(flow: Flow, state: State, samples: Samples, work: Work) -> int:
+    """Store the motion at the times of ``samples``; return how many are reached."""
     work = unboxed(work)
     i = 0
-    while i < wanted.n:
-        kind, at, i = sample_phase(flow, at, wanted.t[wanted.n - 1], wanted, i, work)
+    while i < samples.n:
+        kind, state, i = sample_phase(flow, state, samples.t[samples.n - 1], samples, i, work)
         if kind >= FORCE_REVERSAL:
             break
     return i
 
 
 @cache
-def _compiled() -> Callable[..., int]:
-    """Return `follow` as machine code."""
+def compiled_store_motion() -> Callable[..., int]:
     from rig_sim.integrate.compiled import compiled
 
-    return compiled(follow)
+    return compiled(store_motion)

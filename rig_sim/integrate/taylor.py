@@ -15,7 +15,7 @@ An event is the first root of w - level on the step (`rig_sim.integrate.polynomi
 
 import math
 
-from rig_sim.flow.frame import Frame, curve_deficit, drive, is_curved, kept_inside, linear_terms, slip_speed
+from rig_sim.flow.frame import Frame, curve_deficit, drive, is_curved, keep_inside, linear_terms, slip_speed
 from rig_sim.flow.modes import NEGATIVE
 from rig_sim.friction.curve import MEASURED
 from rig_sim.friction.spline import about, piece_of
@@ -28,13 +28,14 @@ SETTLED = 64.0 * EPS  # speed and force, relative, at which a stable fixed point
 ROUNDING_SIZE = -53.0  # log2 of half an ulp
 LOG_2 = math.log(2.0)
 LARGEST_STEP_SIZE = 2.0  # log2 of the longest step in scaled time: beyond, terms far above their sum cancel
-# Terms of the series on a measured curve: few where they reach the end of the piece.  On 14 and 31 points over a fall
-# to a seventh, 8 or 12 and 20 cost up to a quarter more, 16 and 24 the same.
+# Terms of the series on a measured curve: few where they reach the end of the piece.
 FEW_TERMS, MANY_TERMS = 14, 22
 THIRD = 1.0 / 3.0
-AT_KNOT = 16.0 * EPS  # share of the speeds: as near to a knot as this, a slip speed is on it
-OFF_KNOT = 1e-3  # share of the scaled time: w, which turns there, changes by some 1e-6, and friction by its third power
-NO_SIZE = -1e6  # stands for log2 of 0
+AT_KNOT = 16.0 * EPS  # share of the speeds: a slip speed as near to a knot is on it
+OFF_KNOT = (
+    1e-3  # share of the scaled time: w, which turns there, changes by about 1e-6, and friction by its third power
+)
+NO_SIZE = -1e6  # in place of log2 of 0
 SMALLEST = 2.0**-1022  # the smallest number of full precision
 
 
@@ -47,7 +48,7 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> fl
     fall = curve_deficit(fr, mode, w)
     driven = fr.u0 != 0.0
     push = drive(fr, t) if driven else 0.0
-    a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e + fall + push) / fr.m)
+    a = keep_inside(fr, mode, w, (-C * w - fr.k * p + e + fall + push) / fr.m)
     u = w + fr.v
     curved = is_curved(fr, mode)
     measured = curved and fr.curve == MEASURED
@@ -58,7 +59,7 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> fl
     cubic = (0.0, 0.0, 0.0, 0.0)
     if measured:
         s = -sign * w - fr.d
-        i = piece_entered(fr, s, -sign * a, sign * fr.k * u)
+        i = find_entered_piece(fr, s, -sign * a, sign * fr.k * u)
         cubic = about(fr.table, fr.pieces, i, s)
         work.piece = float(i)
         slope = -fr.A * cubic[1]
@@ -136,18 +137,18 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> fl
             total = 0.0
             i = n - 1
             more = (n - 1) % 4
-            whole = n - more
-            for j in range(1, whole, 4):
+            unrolled = n - more
+            for j in range(1, unrolled, 4):
                 total += (work.q[j] * work.d[i] + work.q[j + 1] * work.d[i - 1]) + (
                     work.q[j + 2] * work.d[i - 2] + work.q[j + 3] * work.d[i - 3]
                 )
                 i -= 4
             if more > 0:
-                total += work.q[whole] * work.d[i]
+                total += work.q[unrolled] * work.d[i]
                 if more > 1:
-                    total += work.q[whole + 1] * work.d[i - 1]
+                    total += work.q[unrolled + 1] * work.d[i - 1]
                     if more > 2:
-                        total += work.q[whole + 2] * work.d[i - 2]
+                        total += work.q[unrolled + 2] * work.d[i - 2]
             following = n + 1
             share = INVERSE[following]
             pull = -(total + q_n * level)
@@ -199,13 +200,13 @@ def expand_drooping(
         straight = bend * work.w[n]
         total = straight * level
         i = n - 1
-        whole = n - (n - 1) % 4
-        for j in range(1, whole, 4):  # as in `expand`
+        unrolled = n - (n - 1) % 4
+        for j in range(1, unrolled, 4):  # as in `expand`
             total += (work.q[j] * work.d[i] + work.q[j + 1] * work.d[i - 1]) + (
                 work.q[j + 2] * work.d[i - 2] + work.q[j + 3] * work.d[i - 3]
             )
             i -= 4
-        for j in range(whole, n):
+        for j in range(unrolled, n):
             total += work.q[j] * work.d[i]
             i -= 1
         pull = -total * gain
@@ -218,8 +219,8 @@ def expand_drooping(
         work.p[n + 1] = T * work.w[n] * INVERSE[n + 1]
 
 
-def piece_entered(fr: Frame, s: float, rate: float, turn: float) -> int:
-    """Return the piece of a measured curve that the slip speed s (m/s) is in or, from between two, enters.
+def find_entered_piece(fr: Frame, s: float, rate: float, turn: float) -> int:
+    """Return the piece of a measured curve that contains the slip speed s (m/s) or, from between two, is entered.
 
     ``rate`` is s' (m/s^2), and ``turn`` has the sign of s'' where s' is 0.
     """
@@ -296,7 +297,7 @@ def reach(work: Work, c0: float, c1: float, degree: int) -> float:
 
 
 def changes(work: Work, xi: float) -> tuple[float, float]:
-    """Return by how much (p, w) have changed at scaled time ``xi``: two chains that do not wait for each other."""
+    """Return the change of (p, w) at scaled time ``xi``: two chains that do not wait for each other."""
     w = work.w[ORDER]
     p = work.p[ORDER]
     for j in range(ORDER - 1, 0, -1):
@@ -311,10 +312,10 @@ def series_exit(
     """Return (side, tau) of one Taylor step: the first exit of w from [lo, hi] on it, or (0, its length)."""
     step = expand(fr, mode, p, w, t, work)
     scale = float(work.time_scale)
-    if not scale > 0.0:  # the rate overflowed: `phase` calls that not finite
+    if not scale > 0.0:  # the rate overflowed: `run_phase` calls that not finite
         return 0, math.inf
-    whole = tau_max / scale
-    xi_end = min(step, whole)
+    xi_max = tau_max / scale
+    xi_end = min(step, xi_max)
     if math.isinf(step):
         return 0, tau_max
     degree = ORDER
@@ -348,6 +349,6 @@ def series_exit(
             end = xi
     if side == 0 and end == 0.0:  # w turns on a knot: off it on this step
         end = min(xi_end, OFF_KNOT)
-    if side == 0 and end == whole:  # whole * scale may be an ulp less than tau_max, and so may what is left, for ever
+    if side == 0 and end == xi_max:  # xi_max * scale may be an ulp below tau_max, again and again
         return 0, tau_max
     return side, min(end * scale, tau_max)

@@ -17,65 +17,45 @@ from rig_sim.flow.modes import EVENT_RATE, FORCE_REVERSAL, NEGATIVE, NOT_FINITE,
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.phases import RAPID_ALLOWED, RAPID_TIME
-from rig_sim.integrate.polynomial import first_root, spread
+from rig_sim.integrate.polynomial import bound_spread, first_root
 from rig_sim.integrate.taylor import INVERSE
 from rig_sim.integrate.work import COEFFICIENTS, Series, new_record
 
-LAST = COEFFICIENTS - 1  # place of the friction's first coefficient
+LAST = COEFFICIENTS - 1  # index of the friction's first coefficient
 
-# Events besides the end of the time allowed: which mass, times the side its velocity or load leaves by
+# Events other than the end of time: the mass, times the side by which its velocity or load leaves
 FIRST, SECOND, CROSSING = 1, 2, 3  # CROSSING: the first mass's velocity over ground passes 0
-ROUNDING = 16.0 * EPS  # share of the largest term of a force within which it counts as at its level; not swept
-BEYOND = 1e-300  # m/s: next to nothing
+ROUNDING = 16.0 * EPS  # share of the largest term of a force within which it counts as at its level
+BEYOND = 1e-300  # m/s: not 0, but negligible
 LONGEST = 4.0  # length of a step in units of TIME_SCALE, as in `rig_sim.integrate.taylor`
-# Of TIME_SCALE, sqrt(m/k).  Masses that have come to rest exactly take steps each LONGEST times as long as the one
-# before, up to this one, as nothing but overflow would end them; steps of a motion are a billion times shorter.
+# Of TIME_SCALE, sqrt(m/k): largest step of masses exactly at rest, whose steps grow by LONGEST each.
 LONGEST_SCALE = 1e9
 
 
 @dataclass(slots=True)
 class Pair:
-    """The record of two masses.
+    """The record of two masses."""
 
-    Attributes
-    ----------
-    w1, w2, y1, y2 : Series
-        Relative velocities (m/s) and positions (m); their first coefficients are the state.
-    load : Series
-        Load on the contact of the mass that sticks, N.
-    f1, f2 : Series
-        Friction over the mass, m/s in a unit of the series' time; coefficient n stands n places before the last one.
-    mode1, mode2, time : float
-        Modes, and time (s).
-    steps, steps_allowed : float
-        Steps taken and allowed.
-    rapid : float
-        Events in a row without time passing.
-    time_scale : float
-        Unit of time of the last step, s.
-    section : float
-        1 where the section's crossings are wanted.
-    """
-
-    w1: Series
+    w1: Series  # relative velocities, m/s; the first coefficients are the state
     w2: Series
-    y1: Series
+    y1: Series  # positions, m
     y2: Series
-    load: Series
+    load: Series  # load on the contact of the mass that sticks, N
+    # friction over the mass, m/s per unit of the series' time; coefficient n is n places before the last one
     f1: Series
     f2: Series
     mode1: float
     mode2: float
-    time: float
+    time: float  # s
     steps: float
     steps_allowed: float
-    rapid: float
-    time_scale: float
-    section: float
+    rapid: float  # events in a row without time passing
+    time_scale: float  # unit of time of the last step, s
+    section: float  # 1 if the section's crossings are requested
 
 
 def new_pair(max_steps: int, *, compiled: bool = False) -> Pair:
-    """Return the record of two masses, for interpreted or for compiled calls, which may take ``max_steps``."""
+    """Return the record of two masses, for interpreted or for compiled calls, with ``max_steps`` allowed."""
     pair = new_record(Pair, compiled=compiled)
     pair.steps_allowed = float(max_steps)
     return pair
@@ -100,8 +80,8 @@ def contact_mode(fr: Frame, ratio: float, a: float, y: float, other: float, w: f
     return POSITIVE if L < -level - rounding else STICK
 
 
-def place(fr: Frame, a: float, b: float, y1: float, w1: float, y2: float, w2: float, t: float, work: Pair) -> None:
-    """Put both masses into a state (m and m/s, mirrored) at time t (s)."""
+def set_state(fr: Frame, a: float, b: float, y1: float, w1: float, y2: float, w2: float, t: float, work: Pair) -> None:
+    """Set both masses to a state (m and m/s, mirrored) at time t (s)."""
     work.y1[0], work.w1[0], work.y2[0], work.w2[0], work.time = y1, w1, y2, w2, t
     work.mode1 = float(contact_mode(fr, 1.0, a, y1, y2, w1))
     work.mode2 = float(contact_mode(fr, b, a, y2, y1, w2))
@@ -128,10 +108,12 @@ def begin_slip(
         bend = -sign * fr.gamma * steepness
     elif fr.curve == LINEAR:
         damping -= ratio * fr.G
-    held = fr.k * (1.0 + a) * y_s[0]
-    pulled = fr.k * a * other[0]
-    balance = force - fr.c * fr.v - damping * w - held + pulled
-    if w == 0.0 and (sign * balance > 0.0 or abs(balance) <= ROUNDING * (abs(force) + abs(held) + abs(pulled))):
+    spring_pull = fr.k * (1.0 + a) * y_s[0]
+    coupling_pull = fr.k * a * other[0]
+    balance = force - fr.c * fr.v - damping * w - spring_pull + coupling_pull
+    if w == 0.0 and (
+        sign * balance > 0.0 or abs(balance) <= ROUNDING * (abs(force) + abs(spring_pull) + abs(coupling_pull))
+    ):
         balance = 0.0
     f_s[LAST] = force * inertia
     w_s[1] = balance * inertia
@@ -141,13 +123,13 @@ def begin_slip(
 def inner_terms(w: Series, f: Series, n: int) -> float:
     """Return the sum of w_j F_(n - j) over j from 2 to n - 1, for n of 2 and more.
 
-    The terms w_1 F_(n - 1) and w_n F_0 are left to the caller: their newest factors are known last, and no longer sum
-    has to wait for them.
+    The caller adds the terms w_1 F_(n - 1) and w_n F_0: their newest factors are known last, and no longer sum has to
+    wait for them.
     """
     even = odd = 0.0
     i = LAST - n + 2
-    whole = n - n % 2
-    for j in range(2, whole, 2):
+    even_end = n - n % 2
+    for j in range(2, even_end, 2):
         even += w[j] * f[i]
         odd += w[j + 1] * f[i + 1]
         i += 2
@@ -186,12 +168,12 @@ def expand(fr: Frame, a: float, b: float, degree: int, tolerance: float, work: P
     curved = fr.curve == HYPERBOLIC
     damping1 = (fr.c - fr.G if fr.curve == LINEAR else fr.c) * inertia
     damping2 = (fr.c - b * fr.G if fr.curve == LINEAR else fr.c) * inertia
-    own = fr.k * (1.0 + a) * inertia
+    spring = fr.k * (1.0 + a) * inertia
     coupling = fr.k * a * inertia
     for n in range(1, degree):
         share = INVERSE[n + 1]
-        sum1 = coupling * y2 - own * y1 - damping1 * w1
-        sum2 = coupling * y1 - own * y2 - damping2 * w2
+        sum1 = coupling * y2 - spring * y1 - damping1 * w1
+        sum2 = coupling * y1 - spring * y2 - damping2 * w2
         y1 = y2 = 0.0
         if mode1 != STICK:
             y1 = T * w1 * share
@@ -222,7 +204,7 @@ def expand(fr: Frame, a: float, b: float, degree: int, tolerance: float, work: P
 
 
 def allowance(fr: Frame, w: Series, degree: int, tolerance: float) -> float:
-    """Return by how much the terms of highest degree may grow until ``tolerance`` of the first ones is reached.
+    """Return the factor by which the terms of highest degree may grow until ``tolerance`` of the first ones is reached.
 
     The larger of the last two coefficients is compared with the belt's speed or the largest of the first three.
     """
@@ -231,15 +213,17 @@ def allowance(fr: Frame, w: Series, degree: int, tolerance: float) -> float:
     return tolerance * first / last if last > 0.0 else math.inf
 
 
-def fill_load(fr: Frame, a: float, ratio: float, own: Series, other: Series, degree: int, work: Pair) -> None:
-    """Fill in the series of the load on the mass that sticks; within rounding of a level it is on it."""
+def fill_load(
+    fr: Frame, a: float, ratio: float, position: Series, other_position: Series, degree: int, work: Pair
+) -> None:
+    """Fill in the series of the load on the mass that sticks; within rounding of a level it is set to it."""
     stiff = fr.k * (1.0 + a)
     coupling = fr.k * a
     for j in range(degree + 1):
-        work.load[j] = stiff * own[j] - coupling * other[j]
+        work.load[j] = stiff * position[j] - coupling * other_position[j]
     work.load[0] += fr.c * fr.v
     level = ratio * fr.B
-    rounding = ROUNDING * (level + stiff * abs(own[0]) + coupling * abs(other[0]))
+    rounding = ROUNDING * (level + stiff * abs(position[0]) + coupling * abs(other_position[0]))
     if abs(work.load[0] - level) <= rounding:
         work.load[0] = level
     elif abs(work.load[0] + level) <= rounding:
@@ -256,31 +240,31 @@ def first_event(fr: Frame, a: float, b: float, degree: int, end: float, work: Pa
     elif mode2 == STICK:
         fill_load(fr, a, b, work.y2, work.y1, degree, work)
         level = b * fr.B
-    if level < math.inf and abs(work.load[0]) + spread(work.load, degree, end) < level:
+    if level < math.inf and abs(work.load[0]) + bound_spread(work.load, degree, end) < level:
         level = math.inf
     event = 0
     for candidate in range(7):
-        series, side, which, edge = work.w1, 0, 0, 0.0
+        series, side, mass, edge = work.w1, 0, 0, 0.0
         if candidate < 2:
             if mode1 != STICK and (candidate == 0 or not math.isinf(fr.s_max)):
-                which, side = FIRST, slip_side(mode1, candidate)
+                mass, side = FIRST, slip_side(mode1, candidate)
                 edge = 0.0 if candidate == 0 else side * fr.s_max
         elif candidate < 4:
             if mode2 != STICK and (candidate == 2 or not math.isinf(fr.s_max)):
-                series, which, side = work.w2, SECOND, slip_side(mode2, candidate - 2)
+                series, mass, side = work.w2, SECOND, slip_side(mode2, candidate - 2)
                 edge = 0.0 if candidate == 2 else side * fr.s_max
         elif candidate < 6:
             if not math.isinf(level):
-                series, which, side = work.load, (FIRST if mode1 == STICK else SECOND), 9 - 2 * candidate
+                series, mass, side = work.load, (FIRST if mode1 == STICK else SECOND), 9 - 2 * candidate
                 edge = side * level
         elif work.section == 1.0 and mode1 == NEGATIVE:
             edge = -fr.v
-            which, side = CROSSING, -1 if work.w1[0] > edge or (work.w1[0] == edge and work.w1[1] > 0.0) else 1
+            mass, side = CROSSING, -1 if work.w1[0] > edge or (work.w1[0] == edge and work.w1[1] > 0.0) else 1
         if side == 0:
             continue
         xi = first_root(series, degree, edge, side, end)
         if xi >= 0.0:
-            event, end = side * which, xi
+            event, end = side * mass, xi
     return event, end
 
 
@@ -300,20 +284,20 @@ def move(degree: int, xi: float, work: Pair) -> None:
         w2 = w2 * xi + work.w2[j]
     work.y1[0], work.y2[0] = y1, y2
     if slips1:
-        work.w1[0] = arrived(int(work.mode1), w1, xi)
+        work.w1[0] = avoid_zero(int(work.mode1), w1, xi)
     if slips2:
-        work.w2[0] = arrived(int(work.mode2), w2, xi)
+        work.w2[0] = avoid_zero(int(work.mode2), w2, xi)
 
 
-def arrived(mode: int, w: float, xi: float) -> float:
-    """Return a slip's w after a step: one that has come to exactly 0 just beyond it, as 0 is a slip that begins."""
+def avoid_zero(mode: int, w: float, xi: float) -> float:
+    """Return a slip's w after a step: just beyond 0 instead of exactly 0, which would be a slip that starts."""
     if w != 0.0 or xi == 0.0:
         return w
     return BEYOND if mode == NEGATIVE else -BEYOND
 
 
 def global_stick(fr: Frame, a: float, b: float, tau_max: float, work: Pair) -> tuple[int, float]:
-    """Go on in global stick to its end or by tau_max (s); return the event and the time it took."""
+    """Continue in global stick to its end or by tau_max (s); return the event and the elapsed time."""
     y1, y2 = work.y1[0], work.y2[0]
     L1, L2 = load(fr, a, y1, y2), load(fr, a, y2, y1)
     rounding = ROUNDING * fr.k * (1.0 + a) * (abs(y1) + abs(y2))
@@ -324,34 +308,34 @@ def global_stick(fr: Frame, a: float, b: float, tau_max: float, work: Pair) -> t
     margin = min(fr.B - L1, b * fr.B - L2)
     if fr.v == 0.0 and margin >= 0.0:
         return 0, tau_max
-    which = FIRST if fr.B - L1 <= b * fr.B - L2 else SECOND
+    mass = FIRST if fr.B - L1 <= b * fr.B - L2 else SECOND
     tau = max(0.0, margin / (fr.k * fr.v)) if margin > 0.0 else 0.0
     if tau > tau_max:
-        which, tau = 0, tau_max
+        mass, tau = 0, tau_max
     work.y1[0] = y1 + fr.v * tau
     work.y2[0] = y2 + fr.v * tau
-    return which, tau
+    return mass, tau
 
 
 def enter(fr: Frame, a: float, b: float, event: int, work: Pair) -> int:
-    """Let an event change the mode of its mass; return 0, or the outcome FORCE_REVERSAL."""
-    which = abs(event)
+    """Apply an event to the mode of its mass; return 0, or the outcome FORCE_REVERSAL."""
+    mass = abs(event)
     side = 1 if event > 0 else -1
-    if which == CROSSING:
+    if mass == CROSSING:
         work.w1[0] = -fr.v
         return 0
-    mode = int(work.mode1 if which == FIRST else work.mode2)
+    mode = int(work.mode1 if mass == FIRST else work.mode2)
     entered = NEGATIVE if side > 0 else POSITIVE
     if mode != STICK:
         if (mode == NEGATIVE) != (side > 0):
             return FORCE_REVERSAL
-        if which == FIRST:
+        if mass == FIRST:
             entered = contact_mode(fr, 1.0, a, work.y1[0], work.y2[0], 0.0)
         else:
             entered = contact_mode(fr, b, a, work.y2[0], work.y1[0], 0.0)
         if entered == mode:
             entered = STICK
-    if which == FIRST:
+    if mass == FIRST:
         work.w1[0] = 0.0
         work.mode1 = float(entered)
     else:
@@ -363,8 +347,8 @@ def enter(fr: Frame, a: float, b: float, event: int, work: Pair) -> int:
 def pair_event(
     fr: Frame, a: float, b: float, t_max: float, degree: int, tolerance: float, work: Pair
 ) -> tuple[int, int]:
-    """Go on to the next event, or to t_max (s); return (event, outcome): (0, 0) when t_max was reached first."""
-    begun = work.time
+    """Continue to the next event, or to t_max (s); return (event, outcome): (0, 0) when t_max was reached first."""
+    start = work.time
     while True:
         rest = t_max - work.time
         if rest <= 0.0:
@@ -393,7 +377,7 @@ def pair_event(
         if event == 0:
             continue
         outcome = enter(fr, a, b, event, work)
-        if (work.time - begun) * fr.omega0 > RAPID_TIME:
+        if (work.time - start) * fr.omega0 > RAPID_TIME:
             work.rapid = 0.0
         else:
             work.rapid += 1.0

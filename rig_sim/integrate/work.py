@@ -22,48 +22,28 @@ _TYPES: dict[Any, Any] = {}
 
 @dataclass(slots=True)
 class Work:
-    """The record of one mass.
+    """The record of one mass."""
 
-    Attributes
-    ----------
-    w, p, q, d, u : Series
-        Of the last Taylor step: relative velocity, displacement, 1/q0 of the hyperbola's denominator (the square of w
-        on a measured curve), the hyperbola's fall, the drive.
-    steps, steps_allowed : float
-        Steps taken, and after how many a kernel ends in the outcome `step limit`.
-    rapid : float
-        Events in a row without time passing.
-    time_scale : float
-        Unit of time of the last Taylor step, s.
-    zeta, start, exit, exit_s, exit_e : float
-        The closed form's damping and acceleration at its start, when it was left, and its solution there.
-    late : float
-        How much later than its duration says a phase was left, s.
-    p_rest, w_rest : float
-        What compensated summation holds below the last digits of p and w.
-    piece, degree : float
-        Of the last Taylor step on a measured curve: its piece, and the number of terms.
-    """
-
-    w: Series
-    p: Series
-    q: Series
-    d: Series
-    u: Series
+    # Of the last Taylor step:
+    w: Series  # relative velocity
+    p: Series  # displacement
+    q: Series  # 1/q0 of the hyperbola's denominator; on a measured curve the square of w
+    d: Series  # the hyperbola's fall
+    u: Series  # the drive
     steps: float
-    steps_allowed: float
-    rapid: float
-    time_scale: float
-    zeta: float
-    start: float
-    exit: float
-    exit_s: float
+    steps_allowed: float  # a kernel that would exceed them ends in the outcome `step limit`
+    rapid: float  # events in a row without time passing
+    time_scale: float  # unit of time of the last Taylor step, s
+    zeta: float  # damping of the closed form, 1/s
+    start: float  # its acceleration at the start
+    exit: float  # time of its exit, s
+    exit_s: float  # its solution S and E there
     exit_e: float
-    late: float
-    p_rest: float
+    late: float  # rounding error of a phase's duration, s
+    p_rest: float  # rests of compensated summation below the last digits of p and w
     w_rest: float
-    piece: float
-    degree: float
+    piece: float  # of the last Taylor step on a measured curve
+    degree: float  # number of its terms
 
 
 def new_work(max_steps: float = 1_000_000, *, compiled: bool = False) -> Work:
@@ -79,7 +59,7 @@ def new_work(max_steps: float = 1_000_000, *, compiled: bool = False) -> Work:
 
 
 def zeros(number: int, *, compiled: bool) -> Buffer:
-    """Return a buffer of so many zeros, for interpreted or for compiled calls."""
+    """Return a buffer of zeros, for interpreted or for compiled calls."""
     if not compiled:
         return [0.0] * number
     import numpy
@@ -90,37 +70,36 @@ def zeros(number: int, *, compiled: bool) -> Buffer:
 def new_record(kind: type[R], *, compiled: bool) -> R:
     """Return a record of zeros with the fields of ``kind``, a dataclass of numbers and series."""
     if not compiled:
-        return kind(*([0.0] * COEFFICIENTS if is_series else 0.0 for is_series in _shapes(kind).values()))
+        return kind(*([0.0] * COEFFICIENTS if is_series else 0.0 for is_series in list_fields(kind).values()))
     import numpy
 
-    return numpy.zeros((), _as_numpy(kind)).view(numpy.recarray)  # type: ignore[return-value]  # has the fields
+    return numpy.zeros((), numpy_type(kind)).view(numpy.recarray)  # type: ignore[return-value]  # has the fields
 
 
 def unboxed(record: R) -> R:
-    """Return the record that a kernel reads and writes; compiled, what `new_record` has put into an array."""
+    """Return the record that a kernel reads and writes; in compiled code, taken out of the array of `new_record`."""
     return record
 
 
-def _shapes(kind: type[Any]) -> dict[str, bool]:
+def list_fields(kind: type[Any]) -> dict[str, bool]:
     """Return the names of a record's fields, and whether each is a series."""
     if kind not in _SHAPES:
         _SHAPES[kind] = {field.name: field.type is Series for field in fields(kind)}
     return _SHAPES[kind]
 
 
-def _as_numpy(kind: type[Any]) -> Any:
-    """Return numpy's type of a record."""
+def numpy_type(kind: type[Any]) -> Any:
     if kind not in _TYPES:
         import numpy
 
-        shapes = {name: (COEFFICIENTS,) if is_series else () for name, is_series in _shapes(kind).items()}
+        shapes = {name: (COEFFICIENTS,) if is_series else () for name, is_series in list_fields(kind).items()}
         _TYPES[kind] = numpy.dtype([(name, "f8", shape) for name, shape in shapes.items()], align=True)
     return _TYPES[kind]
 
 
-def for_compiled(record: R) -> R:
-    """Return an interpreted record's numbers as the record that compiled kernels take."""
-    made = new_record(type(record), compiled=True)
-    for name in _shapes(type(record)):
-        setattr(made, name, getattr(record, name))
-    return made
+def copy_for_compiled(record: R) -> R:
+    """Return an interpreted record's numbers as a record for compiled kernels."""
+    copy = new_record(type(record), compiled=True)
+    for name in list_fields(type(record)):
+        setattr(copy, name, getattr(record, name))
+    return copy

@@ -40,7 +40,7 @@ _COLUMNS = {
 
 @dataclass(frozen=True)
 class WrittenMotion:
-    """What went into the file: ``samples`` rows, how the motion ended, and the steps it took."""
+    """The content of a file: ``samples`` rows, the outcome of the motion, and the steps taken."""
 
     samples: int
     outcome: str
@@ -61,83 +61,60 @@ def write(
 ) -> WrittenMotion:
     """Play a scene and write t = 0, 1/rate ... up to ``until``; the file appears whole or not at all.
 
-    Parameters
-    ----------
-    scene : Scene
-        What to play.
-    path : Path
-        Ends in .h5 or .csv.
-    until, rate : float
-        End of the run, and samples per unit of time.
-    phases : callable
-        Plays one phase; other methods than the exact one come from `rig_sim.comparison.methods.phases_by`.
-    method : str
-        The method's name and setting, stored in the file.
-    max_steps : int
-        Of the integrator (of dop853: evaluations of the right-hand side); a run that needs more ends early, and its
-        outcome says so.
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    InputError
-        Another ending of ``path``, a file that exists, a folder that does not, or a time or rate that is not positive.
-    RefusedError
-        The disk refuses.
+    The suffix of ``path`` decides between HDF5 and CSV.  ``phases`` plays one phase: methods other than the exact one
+    come from `rig_sim.comparison.methods.choose_phases`, and ``method`` is stored with the file.  A run that takes more
+    than ``max_steps`` (of dop853: evaluations of the right-hand side) ends early, and its outcome says so.
     """
     form = suffix.chosen(path, FORMS, "--output")
     atomic.refuse_existing(path, force)
-    samples = _number(until, rate)
-    player = _player(scene, phases, max_steps)
+    samples = count_samples(until, rate)
+    player = make_player(scene, phases, max_steps)
     with atomic.replacing(path, force) as temporary:
         if form == "csv":
-            written = _write_csv(player, temporary, samples, rate)
+            rows = _write_csv(player, temporary, samples, rate)
         else:
-            written = _write_h5(player, temporary, samples, rate, method)
-    return WrittenMotion(written, player.outcome.name, player.outcome.advice, player.steps)
+            rows = _write_h5(player, temporary, samples, rate, method)
+    return WrittenMotion(rows, player.outcome.name, player.outcome.advice, player.steps)
 
 
-def sampled(
+def sample_scene(
     scene: Scene, *, until: float, rate: float, phases: SamplePhase = sample_phase, max_steps: int = DEFAULT_MAX_STEPS
 ) -> tuple[tuple[NDArray[np.float64], ...], WrittenMotion]:
     """Play a scene and return its columns, (n,) each, in memory; parameters and errors as those of `write`."""
-    samples = _number(until, rate)
-    player = _player(scene, phases, max_steps)
-    parts = list(zip(*_stretches(player, samples, rate), strict=True))
+    samples = count_samples(until, rate)
+    player = make_player(scene, phases, max_steps)
+    parts = list(zip(*play_stretches(player, samples, rate), strict=True))
     columns = tuple(np.concatenate(part) for part in parts)
     return columns, WrittenMotion(len(columns[0]), player.outcome.name, player.outcome.advice, player.steps)
 
 
-def names(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's columns."""
-    return tuple(_columns(scene))
+def column_names(scene: Scene) -> tuple[str, ...]:
+    return tuple(describe_columns(scene))
 
 
 def read(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """Return the columns of a file that `write` has written."""
     if suffix.chosen(path, FORMS) == "csv":
         rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
-        return {name: rows[:, place] for place, name in enumerate(names)}
+        return {name: rows[:, column] for column, name in enumerate(names)}
     import h5py
 
     with h5py.File(path) as file:
         return {name: file[f"entry/motion/{name}"][:] for name in names}
 
 
-def _number(until: float, rate: float) -> int:
-    """Return how many samples there are up to a time, checked."""
+def count_samples(until: float, rate: float) -> int:
     for name, value in (("--until", until), ("--rate", rate)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"is {value:g}", name, "give a positive number")
     if until * rate > MOST_SAMPLES:
-        what = f"{until * rate:.3g} samples, more than the {MOST_SAMPLES} a file may hold"
-        raise InputError(what, "--rate", "lower --rate or --until")
+        problem = f"{until * rate:.3g} samples, more than the {MOST_SAMPLES} a file may hold"
+        raise InputError(problem, "--rate", "lower --rate or --until")
     return math.floor(until * rate * (1 + 1e-15)) + 1
 
 
 class _Player(Protocol):
-    """What plays a scene into columns: one mass or two."""
+    """Plays a scene of one mass or two into columns."""
 
     scene: Scene
     outcome: Outcome
@@ -148,7 +125,7 @@ class _Player(Protocol):
     def columns(self, instants: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]: ...
 
 
-def _player(scene: Scene, phases: SamplePhase, max_steps: int) -> _Player:
+def make_player(scene: Scene, phases: SamplePhase, max_steps: int) -> _Player:
     if scene.coupling is None:
         return ScenePlayer(scene, max_steps=max_steps, phases=phases)
     if phases is not sample_phase:
@@ -156,25 +133,25 @@ def _player(scene: Scene, phases: SamplePhase, max_steps: int) -> _Player:
     return TwoMassPlayer(scene, max_steps=max_steps)
 
 
-def _columns(scene: Scene) -> dict[str, tuple[str, str]]:
+def describe_columns(scene: Scene) -> dict[str, tuple[str, str]]:
     return _COLUMNS if scene.coupling is None else TWO_MASS_COLUMNS
 
 
-def _stretches(player: _Player, samples: int, rate: float) -> Iterator[tuple[NDArray[np.float64], ...]]:
-    """Yield the columns until all samples are there or the motion ends early."""
+def play_stretches(player: _Player, samples: int, rate: float) -> Iterator[tuple[NDArray[np.float64], ...]]:
+    """Yield the columns, stretch by stretch, until all samples are there or the motion ends early."""
     for first in range(0, samples, SAMPLES_AT_ONCE):
-        wanted = np.arange(first, min(first + SAMPLES_AT_ONCE, samples)) / rate
-        columns = player.columns(wanted)
+        instants = np.arange(first, min(first + SAMPLES_AT_ONCE, samples)) / rate
+        columns = player.columns(instants)
         yield columns
-        if len(columns[0]) < len(wanted):
+        if len(columns[0]) < len(instants):
             return
 
 
 def _write_csv(player: _Player, target: Path, samples: int, rate: float) -> int:
     rows = 0
     with target.open("w", encoding="ascii") as file:
-        file.write(",".join(_columns(player.scene)) + "\n")
-        for columns in _stretches(player, samples, rate):
+        file.write(",".join(describe_columns(player.scene)) + "\n")
+        for columns in play_stretches(player, samples, rate):
             lists = [column.tolist() for column in columns]
             file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*lists, strict=True))
             rows += len(lists[0])
@@ -192,7 +169,7 @@ def _write_h5(player: _Player, target: Path, samples: int, rate: float, method: 
         simulation = nexus.group(entry, "simulation", "NXcollection")
         nexus.field(simulation, "scene", json.dumps(player.scene.model_dump(exclude_none=True)))
         nexus.field(simulation, "method", method)
-        _, signal, *others = columns = _columns(player.scene)
+        _, signal, *others = columns = describe_columns(player.scene)
         group = nexus.group(entry, "motion", "NXdata", signal=signal, axes="t", t_indices=0)
         group.attrs["auxiliary_signals"] = others
         fields = [
@@ -200,7 +177,7 @@ def _write_h5(player: _Player, target: Path, samples: int, rate: float, method: 
             for name, (text, units) in columns.items()
         ]
         rows = 0
-        for stretch in _stretches(player, samples, rate):
+        for stretch in play_stretches(player, samples, rate):
             for field, column in zip(fields, stretch, strict=True):
                 field.resize(rows + len(column), axis=0)
                 field[rows:] = column

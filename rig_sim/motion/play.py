@@ -41,18 +41,16 @@ if TYPE_CHECKING:
     from rig_sim.motion.trajectory import Trajectory
 
 DEFAULT_MAX_STEPS = 1_000_000
-INTERPRETED_STEPS = 50_000  # some 1 to 2 s of CPU; a motion that needs more starts again in compiled code
-# Of one stretch of motion that an encoder reads: 80 MB a column.  A scene's own stretches have some thousand; half
-# refuses none of them, double takes a gigabyte before it refuses.
-MOST_NODES = 10_000_000
-MOST_EVENTS = 1_000_000  # in a list, which repeats without steps
+INTERPRETED_STEPS = 50_000  # 1 to 2 s of CPU; a motion that takes more is restarted in compiled code
+MOST_NODES = 10_000_000  # of one stretch of motion that an encoder reads: 80 MB a column
+MOST_EVENTS = 1_000_000  # of a list: repeated cycles are listed without integrator steps
 SamplePhase = Callable[..., Any]  # the signature of `rig_sim.integrate.phases.sample_phase`
 LEAST_FACTOR = 0.05  # share of Fs: lower limit of the factor; scatter of 30 % reaches it at 3.2 standard deviations
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """At time t (s) and position x (m) the mass went from one kind of contact to another.
+    """At time t (s) and position x (m) the mass passed from one kind of contact to another.
 
     ``kind`` is 'N>S', 'S>N', 'N>P' ...: N slip slower than the belt, P faster, S stick or ramp; 'kick' where the belt's
     joint passed.
@@ -65,10 +63,10 @@ class Event:
 
 @dataclass(frozen=True)
 class Events:
-    """The events of one run, in order, and how it ended.
+    """The events of one run, in order, and its end.
 
-    ``outcome`` is 'completed' or the named reason why it ended early, ``advice`` what to do about it; ``steps`` counts
-    the integrator's steps.
+    ``outcome`` is 'completed' or the reason why it ended early, with ``advice``; ``steps`` counts the integrator's
+    steps.
     """
 
     events: tuple[Event, ...]
@@ -80,36 +78,20 @@ class Events:
 class ScenePlayer:
     """Plays a scene forwards in time: the state of the mass, and what changes between phases.
 
-    Parameters
-    ----------
-    scene : Scene
-        What to play, from t = 0.
-    max_steps : float
-        Integrator steps after which the motion ends with the outcome 'step limit'; infinite for a board.
-    phases : callable, optional
-        What plays one phase; another than the exact method's comes from `rig_sim.comparison.methods.phases_by`.
-
-    Attributes
-    ----------
-    t, x, v : float
-        The present state: s, m, m/s.
-    outcome : Outcome
-        'completed' while the motion continues; else why it ended, and what to do.
-    events : list of Event or None
-        Set to a list to collect the events in it; None collects nothing.
+    ``max_steps`` integrator steps end the motion with the outcome 'step limit'.
     """
 
     def __init__(self, scene: Scene, *, max_steps: float = math.inf, phases: SamplePhase = sample_phase) -> None:
         self.scene = scene
         self._phases = phases
-        self.t = 0.0
+        self.t = 0.0  # s
         self.outcome: modes.Outcome = modes.OUTCOMES[modes.COMPLETED]
-        self.events: list[Event] | None = None
+        self.events: list[Event] | None = None  # set to a list to collect the events
         self.flow: Flow = scene.flow(belt_running=not (scene.belt and scene.belt.start > 0))
         self._belt_waits = scene.belt is not None and scene.belt.start > 0
         self._swing: SwingingBelt | None = None
-        self._enter(float(scene.start.x), float(scene.start.v))
-        self._flows: list[tuple[int, Flow]] = []  # of this stretch: after how many corners each begins
+        self._store_state(float(scene.start.x), float(scene.start.v))
+        self._flows: list[tuple[int, Flow]] = []  # of this stretch, each with the number of corners before it
         self._kicks = 0
         self._scatter = None
         if scene.scatter is not None:
@@ -131,8 +113,8 @@ class ScenePlayer:
         v = self._w + self.flow.v_belt
         return v if self._swing is None else v + self._swing.speed(self.t)
 
-    def _enter(self, x: float, v: float) -> None:
-        """Take the state as the flow of this moment sees it: on a belt that ripples, from coordinates that swing along.
+    def _store_state(self, x: float, v: float) -> None:
+        """Store the state in the coordinates of the present flow: on a belt that ripples, those that swing with it.
 
         The relative velocity w is kept, not v: on a ramp's edge it is d to the last bit.
         """
@@ -153,41 +135,35 @@ class ScenePlayer:
         return self.outcome.name == modes.OUTCOMES[modes.COMPLETED].name
 
     def follow(self, instants: "NDArray[np.float64]", *, forces: bool = False) -> "Trajectory":
-        """Play through increasing times (s, none before ``t``) and return the motion.
-
-        Parameters
-        ----------
-        instants : (s,) float64
-            Times to sample at; the first may be ``t`` itself.
-        forces : bool
-            Whether the friction force is wanted too.
-        """
+        """Play through increasing times (s, from ``t`` itself on) and return the motion; ``forces`` adds friction."""
         import numpy as np
 
         from rig_sim.motion.trajectory import Nodes, Trajectory
 
-        times, asked = _refined(np.concatenate(([self.t], instants)), self._spacing())
-        wanted: list[float] = times.tolist()
+        times, sample_indices = refine_times(np.concatenate(([self.t], instants)), self._node_spacing())
+        requested: list[float] = times.tolist()
         corners: list[tuple[int, float, float, float]] = []
         self._flows = [(0, self.flow)]
-        x, v, F, served = self._play(wanted, corners, forces=forces)
+        x, v, F, reached = self._play(requested, corners, forces=forces)
         before = np.array([corner[0] for corner in corners], dtype=np.int64)
         t_corner, x_corner, v_corner = np.array([corner[1:] for corner in corners], dtype=np.float64).reshape(-1, 3).T
         nodes = Nodes(
-            np.maximum.accumulate(np.insert(times[:served], before, t_corner)),
-            np.insert(np.array(x[:served]), before, x_corner),
-            np.insert(np.array(v[:served]), before, v_corner),
+            np.maximum.accumulate(np.insert(times[:reached], before, t_corner)),
+            np.insert(np.array(x[:reached]), before, x_corner),
+            np.insert(np.array(v[:reached]), before, v_corner),
         )
-        at = asked[1:][asked[1:] < served]
-        friction = np.array(F)[at] if forces else np.empty(0)
+        reached_samples = sample_indices[1:][sample_indices[1:] < reached]
+        friction = np.array(F)[reached_samples] if forces else np.empty(0)
         flows = tuple((int(before[corner - 1]) + corner - 1 if corner else 0, flow) for corner, flow in self._flows)
-        return Trajectory(nodes, at + np.searchsorted(before, at, side="right"), friction, flows)
+        return Trajectory(
+            nodes, reached_samples + np.searchsorted(before, reached_samples, side="right"), friction, flows
+        )
 
     def columns(self, instants: "NDArray[np.float64]") -> "tuple[NDArray[np.float64], ...]":
         """Play through increasing times (s) and return t, x, v, F there, each (n,): fewer where the motion ends."""
         path = self.follow(instants, forces=True)
-        at = path.samples
-        return path.nodes.t[at], path.nodes.x[at], path.nodes.v[at], path.F
+        samples = path.samples
+        return path.nodes.t[samples], path.nodes.x[samples], path.nodes.v[samples], path.F
 
     def _play(
         self,
@@ -196,42 +172,42 @@ class ScenePlayer:
         *,
         forces: bool = False,
     ) -> tuple[list[float], list[float], list[float], int]:
-        """Go through ``times``; return x, v, F there and how many were reached.
+        """Play through ``times``; return x, v, F there and how many were reached.
 
-        Each event adds (how many times are before it, t, x, v) to ``corners``; a kick adds two.
+        Each event appends (number of times before it, t, x, v) to ``corners``; a kick appends two.
         """
         n = len(times)
         x, v, F = [0.0] * n, [0.0] * n, [0.0] * n
-        samples, served = Samples(times, x, v, [0.0] * n, n), 0
+        samples, reached = Samples(times, x, v, [0.0] * n, n), 0
         while self.outcome.name == modes.OUTCOMES[modes.COMPLETED].name:
             end = min(times[-1], self._next_change())
-            first, was = served, self._mode
-            at = State(was, self._xi, self._w, self.t)
-            kind, at, served = self._phases(self.flow, at, end, samples, served, self._work)
-            self._mode, self._xi, self._w, self.t, _ = at
+            first, previous_mode = reached, self._mode
+            state = State(previous_mode, self._xi, self._w, self.t)
+            kind, state, reached = self._phases(self.flow, state, end, samples, reached, self._work)
+            self._mode, self._xi, self._w, self.t, _ = state
             if forces:
-                for i in range(first, served):
-                    F[i] = force(self.flow, was, x[i], v[i] - self.flow.v_belt, times[i])
+                for i in range(first, reached):
+                    F[i] = force(self.flow, previous_mode, x[i], v[i] - self.flow.v_belt, times[i])
             if self._swing is not None:
-                for i in range(first, served):
+                for i in range(first, reached):
                     x[i] += self._swing.position(times[i])
                     v[i] += self._swing.speed(times[i])
             if kind >= modes.FORCE_REVERSAL:
                 self.outcome = modes.OUTCOMES[kind]
             elif kind != modes.COMPLETED:
-                corners.append((served, self.t, self.x, self.v))
-                self._note(modes.KINDS[kind])
+                corners.append((reached, self.t, self.x, self.v))
+                self._record_event(modes.KINDS[kind])
                 if self._landings_matter and self._mode in (modes.STICK, modes.RAMP):
-                    self._set_factor(self._factor())
+                    self._set_factor(self._draw_factor())
                     self._flows.append((len(corners), self.flow))
             elif self.t >= self._next_change():
-                self._change(served, corners)
-            elif served == n:
+                self._apply_change(reached, corners)
+            elif reached == n:
                 break
-        return x, v, F, served
+        return x, v, F, reached
 
     def _next_change(self) -> float:
-        """Return when the belt starts or its joint passes next (s)."""
+        """Return the time (s) of the belt's start or of the joint's next passage."""
         belt = self.scene.belt
         if belt is None:
             return math.inf
@@ -243,27 +219,27 @@ class ScenePlayer:
 
         return passing_time(self._kicks + 1, belt.start, belt.length, belt.speed)
 
-    def _change(self, served: int, corners: list[tuple[int, float, float, float]]) -> None:
+    def _apply_change(self, reached: int, corners: list[tuple[int, float, float, float]]) -> None:
         """Start the belt, or kick the mass."""
-        corners.append((served, self.t, self.x, self.v))
-        was = self._mode
+        corners.append((reached, self.t, self.x, self.v))
+        previous_mode = self._mode
         if self._belt_waits:
             self._belt_waits = False
             x, v = self.x, self.v
             self._set_flow(self.flow.factor)
             self._flows.append((len(corners), self.flow))
-            self._enter(x, v)
+            self._store_state(x, v)
         elif self.scene.joint is not None:
             self._kicks += 1
             self._w += self.scene.joint.kick
-            corners.append((served, self.t, self.x, self.v))
-            self._note("kick")
+            corners.append((reached, self.t, self.x, self.v))
+            self._record_event("kick")
         self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
-        if modes.LETTERS[self._mode] != modes.LETTERS[was]:
-            self._note(f"{modes.LETTERS[was]}>{modes.LETTERS[self._mode]}")
+        if modes.LETTERS[self._mode] != modes.LETTERS[previous_mode]:
+            self._record_event(f"{modes.LETTERS[previous_mode]}>{modes.LETTERS[self._mode]}")
 
     def _set_factor(self, factor: float) -> None:
-        """Set the factor on the friction curve; a shaker is tuned again to it."""
+        """Set the factor on the friction curve, and tune the shaker to it again."""
         if self.scene.shaker is None:
             self.flow = self.flow._replace(factor=factor)
         else:
@@ -276,23 +252,23 @@ class ScenePlayer:
         except ValueError as error:
             self.outcome = modes.Outcome("shaker out of tune", f"{error}: lower shaker.a, wear or scatter")
 
-    def _factor(self) -> float:
+    def _draw_factor(self) -> float:
         """Return the factor on the friction curve from this landing on."""
         factor = 1.0
         if self.scene.wear is not None:
-            from rig_sim.effects.wear import remaining_level
+            from rig_sim.effects.wear import wear_factor
 
-            factor = remaining_level(self.scene.wear.rate, self.t)
+            factor = wear_factor(self.scene.wear.rate, self.t)
         if self._scatter is not None:
             factor *= self._scatter.factor()
         return max(LEAST_FACTOR, factor)
 
-    def _note(self, kind: str) -> None:
+    def _record_event(self, kind: str) -> None:
         if self.events is not None:
             self.events.append(Event(self.t, self.x, kind))
 
-    def _spacing(self) -> float:
-        """Return how far apart nodes may lie for the cubic between them to be much finer than an encoder's count."""
+    def _node_spacing(self) -> float:
+        """Return the spacing of nodes (s) at which the cubic between them is much finer than an encoder's count."""
         if self.scene.encoder is None:
             return math.inf
         rate = math.sqrt(self.flow.k / self.flow.m) + (self.flow.gamma * self.flow.Fs + self.flow.G_slip) / self.flow.m
@@ -303,45 +279,29 @@ class ScenePlayer:
         return 0.05 / rate
 
 
-def _refined(times: "NDArray[np.float64]", spacing: float) -> "tuple[NDArray[np.float64], NDArray[np.int64]]":
-    """Return times with points put in where two lie further apart than ``spacing``, and the given ones' places."""
+def refine_times(times: "NDArray[np.float64]", spacing: float) -> "tuple[NDArray[np.float64], NDArray[np.int64]]":
+    """Return times with points inserted where gaps exceed ``spacing``, and the indices of the given times."""
     import numpy as np
 
     gaps = np.diff(times)
-    wanted = np.maximum(1, np.ceil(gaps / spacing))
-    if not wanted.sum() <= MOST_NODES:
-        what = f"the motion changes within {spacing:.2g} s, too fast to be followed in steps of {gaps.max():.2g} s"
-        raise InputError(what, "scene", "raise mass.m, or lower spring.k, friction.Fs or friction.gamma")
-    parts = wanted.astype(np.int64)
-    asked = np.concatenate(([0], np.cumsum(parts)))
-    if asked[-1] == len(gaps):
-        return times, asked
-    within = np.arange(asked[-1]) - np.repeat(asked[:-1], parts)
+    counts = np.maximum(1, np.ceil(gaps / spacing))
+    if not counts.sum() <= MOST_NODES:
+        problem = f"the motion changes within {spacing:.2g} s, too fast to be followed in steps of {gaps.max():.2g} s"
+        raise InputError(problem, "scene", "raise mass.m, or lower spring.k, friction.Fs or friction.gamma")
+    parts = counts.astype(np.int64)
+    indices = np.concatenate(([0], np.cumsum(parts)))
+    if indices[-1] == len(gaps):
+        return times, indices
+    within = np.arange(indices[-1]) - np.repeat(indices[:-1], parts)
     fine = np.repeat(times[:-1], parts) + np.repeat(gaps / parts, parts) * within
-    return np.append(fine, times[-1]), asked
+    return np.append(fine, times[-1]), indices
 
 
 def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = DEFAULT_MAX_STEPS) -> Events:
-    """Return when and where the mass sticks and slips, from t = 0 to ``until`` (s).
+    """Return when and where the mass sticks and slips, from t = 0 to ``until`` (s); only those from ``since`` on.
 
-    A motion that repeats bit for bit is integrated once and listed as often as it repeats: at most `MOST_EVENTS`
+    A motion that repeats bit for bit is integrated once and its cycle listed again and again: at most `MOST_EVENTS`
     events, then the outcome is 'event limit'.
-
-    Parameters
-    ----------
-    scene : Scene
-        From `rig_sim.scene`.
-    until : float
-        Time to end at.
-    since : float
-        List only events at or after this time.
-    max_steps : int
-        Integrator steps after which the run ends with the outcome 'step limit'.
-
-    Raises
-    ------
-    InputError
-        ``until`` is not a positive number, ``since`` is none, or ``max_steps`` is below 1.
     """
     if not (math.isfinite(until) and until > 0):
         raise InputError(f"is {until:g}", "--until", "give a positive number")
@@ -349,16 +309,16 @@ def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = D
         raise InputError(f"is {since:g}", "--since", "give a number")
     if max_steps < 1:
         raise InputError(f"is {max_steps}", "--max-steps", "give a positive number")
-    if flow_never_changes(scene):
+    if is_flow_constant(scene):
         x, v = float(scene.start.x), float(scene.start.v)
-        list_them = partial(list_events, scene.flow(), x, v, until, since=since, max_events=MOST_EVENTS)
-        found = list_them(max_steps=min(max_steps, INTERPRETED_STEPS))
-        if found.outcome == modes.OUTCOMES[modes.STEP_LIMIT].name and max_steps > INTERPRETED_STEPS:
-            found = list_them(max_steps=max_steps, compiled=True)  # the same list, from the same source
+        list_run = partial(list_events, scene.flow(), x, v, until, since=since, max_events=MOST_EVENTS)
+        run = list_run(max_steps=min(max_steps, INTERPRETED_STEPS))
+        if run.outcome == modes.OUTCOMES[modes.STEP_LIMIT].name and max_steps > INTERPRETED_STEPS:
+            run = list_run(max_steps=max_steps, compiled=True)  # the same list, from the same source
     else:
-        found = play_events(scene, until, max_steps=max_steps)
-    listed = (Event(t, x, kind) for t, x, kind in zip(found.t, found.x, found.kinds, strict=True) if t >= since)
-    return Events(tuple(listed), found.outcome, found.advice, found.steps)
+        run = play_events(scene, until, max_steps=max_steps)
+    kept = (Event(t, x, kind) for t, x, kind in zip(run.t, run.x, run.kinds, strict=True) if t >= since)
+    return Events(tuple(kept), run.outcome, run.advice, run.steps)
 
 
 def play_events(scene: Scene, until: float, phases: SamplePhase = sample_phase, *, max_steps: float) -> EventList:
@@ -377,8 +337,8 @@ def play_events(scene: Scene, until: float, phases: SamplePhase = sample_phase, 
     )
 
 
-def flow_never_changes(scene: Scene) -> bool:
-    """Return whether nothing changes the flow between events: then one call of the integrator plays the whole run."""
+def is_flow_constant(scene: Scene) -> bool:
+    """Return whether nothing changes the flow between events: one call of the integrator then plays the whole run."""
     effects = (scene.wear, scene.scatter, scene.joint)
     belt_changes = scene.belt is not None and (scene.belt.start > 0 or bool(scene.belt.ripple))
     return all(effect is None for effect in effects) and not belt_changes

@@ -10,7 +10,7 @@ from stickslip.compute.arrays import Array, Integers
 class Nodes:
     """Exact motion at increasing times t (s): x (m) and v (m/s), all (n,).
 
-    Where v jumps (a kick) the time stands twice, with the velocity before and after.
+    Where v jumps (a kick) the time appears twice, with the velocity before and after.
     """
 
     t: Array
@@ -20,22 +20,10 @@ class Nodes:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The motion over a stretch of time.
+    """The motion over a stretch of time."""
 
-    Attributes
-    ----------
-    nodes : Nodes
-        t, x, v at the stretch's start, at the times asked for, at every event between them and, where these lie far
-        apart, at times in between.
-    samples : (s,) int64
-        Which nodes are the times asked for; fewer than asked for when the motion ended early.
-    F : (s,) float64
-        Friction force on the mass at these times, N; empty unless it was asked for.
-    flows : tuple of (int, Flow)
-        From which node on each flow held; the first from node 0.
-    """
-
+    # At the stretch's start, at the requested times, at every event and, where these lie far apart, in between
     nodes: Nodes
-    samples: Integers
-    F: Array
-    flows: tuple[tuple[int, Flow], ...]
+    samples: Integers  # (s,) indices of the requested times; fewer where the motion ended early
+    F: Array  # (s,) friction force on the mass at these times, N; empty unless requested
+    flows: tuple[tuple[int, Flow], ...]  # each flow with its first node; the first from node 0

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from rig_sim.flow.contact_state import force
-from rig_sim.flow.frame import mirrored
+from rig_sim.flow.frame import mirror_mode
 from rig_sim.flow.modes import EVENT_LIMIT, LETTERS, OUTCOMES, STICK
 from rig_sim.flow.two_mass import slip_start
 from rig_sim.integrate.pair_motion import EVENTS, SAMPLES, PairMotion
@@ -33,7 +33,7 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class TwoMassEvent:
-    """At time t (s) and positions x1, x2 (m) one mass went from one kind of contact to another: 'SS>SN'."""
+    """At time t (s) and positions x1, x2 (m) one mass passed from one kind of contact to another: 'SS>SN'."""
 
     t: float
     x1: float
@@ -43,7 +43,7 @@ class TwoMassEvent:
 
 @dataclass(frozen=True)
 class TwoMassEvents:
-    """The events of one run, in order; how it ended, what to do about it, and the integrator's steps."""
+    """The events of one run, in order; its outcome, advice, and the integrator's steps."""
 
     events: tuple[TwoMassEvent, ...]
     outcome: str
@@ -51,85 +51,64 @@ class TwoMassEvents:
     steps: int
 
 
-def start(scene: Scene) -> tuple[float, float, float, float]:
-    """Return x1, v1, x2, v2 (m, m/s) at t = 0.
-
-    Raises
-    ------
-    InputError
-        No global stick has the stretch ``start.d``; there is no attractor of the number ``start.attractor``.
-    """
-    begin = scene.start
-    if begin.d is None and begin.attractor is None:
-        return begin.x1 or 0.0, begin.v1 or 0.0, begin.x2 or 0.0, begin.v2 or 0.0
+def find_start(scene: Scene) -> tuple[float, float, float, float]:
+    """Return x1, v1, x2, v2 (m, m/s) at t = 0."""
+    section = scene.start
+    if section.d is None and section.attractor is None:
+        return section.x1 or 0.0, section.v1 or 0.0, section.x2 or 0.0, section.v2 or 0.0
     flow = scene.two_mass_flow()
     try:
-        x1, x2 = slip_start(flow, stretch(scene))
+        x1, x2 = slip_start(flow, find_stretch(scene))
     except ValueError as error:
         raise InputError(str(error), "start.d", "give another start.d, or start.x1, v1, x2, v2") from None
     return x1, flow.mass.v_belt, x2, flow.mass.v_belt
 
 
-def stretch(scene: Scene) -> float:
-    """Return x2 - x1 (m) of the global stick that a scene begins with.
-
-    Raises
-    ------
-    InputError
-        The scene begins otherwise; there is no attractor of the number ``start.attractor``.
-    """
-    begin = scene.start
-    if begin.d is not None:
-        return begin.d
-    if begin.attractor is None:
+def find_stretch(scene: Scene) -> float:
+    """Return x2 - x1 (m) of the global stick with which a scene starts."""
+    section = scene.start
+    if section.d is not None:
+        return section.d
+    if section.attractor is None:
         raise InputError("does not begin in a global stick", f"scene {scene.name}", "set start.d or start.attractor")
     from rig_sim.dynamics.analyses.basins import basins
     from rig_sim.dynamics.return_maps.section import CELLS
     from rig_sim.dynamics.return_maps.stick import StickMap
 
     flow = scene.two_mass_flow()
-    found = basins(StickMap(flow), CELLS).attractors if flow.mass.v_belt else ()
-    if begin.attractor > len(found):
-        what = f"start.attractor is {begin.attractor}, and the map from stick to stick has {len(found)}"
-        raise InputError(what, f"scene {scene.name}", "give another number, or start.d")
-    return found[begin.attractor - 1].points[0]
+    attractors = basins(StickMap(flow), CELLS).attractors if flow.mass.v_belt else ()
+    if section.attractor > len(attractors):
+        problem = f"start.attractor is {section.attractor}, and the map from stick to stick has {len(attractors)}"
+        raise InputError(problem, f"scene {scene.name}", "give another number, or start.d")
+    return attractors[section.attractor - 1].points[0]
 
 
 def two_mass_events(
     scene: Scene, until: float, *, since: float = 0.0, max_steps: int = DEFAULT_MAX_STEPS
 ) -> TwoMassEvents:
-    """Return when and where the masses stick and slip, from t = 0 to ``until`` (s).
-
-    Raises
-    ------
-    InputError
-        The scene has one mass, or no such start.
-    """
-    motion = PairMotion(scene.two_mass_flow(), start(scene), max_steps)
+    """Return when and where the masses stick and slip, from t = 0 to ``until`` (s)."""
+    motion = PairMotion(scene.two_mass_flow(), find_start(scene), max_steps)
     fr = motion.frame
-    found: list[TwoMassEvent] = []
+    events: list[TwoMassEvent] = []
     outcome = None
     for t, y1, _, mode1, y2, _, mode2, before1, before2 in motion.rows([until], EVENTS):
         if t < since:
             continue
-        if len(found) == MOST_EVENTS:
+        if len(events) == MOST_EVENTS:
             outcome = OUTCOMES[EVENT_LIMIT]
             break
-        old1, old2, new1, new2 = (LETTERS[mirrored(fr, int(mode))] for mode in (before1, before2, mode1, mode2))
-        found.append(TwoMassEvent(t, fr.x0 + fr.mirror * y1, fr.x0 + fr.mirror * y2, f"{old1}{old2}>{new1}{new2}"))
+        old1, old2, new1, new2 = (LETTERS[mirror_mode(fr, int(mode))] for mode in (before1, before2, mode1, mode2))
+        events.append(TwoMassEvent(t, fr.x0 + fr.mirror * y1, fr.x0 + fr.mirror * y2, f"{old1}{old2}>{new1}{new2}"))
     outcome = outcome or motion.outcome
-    return TwoMassEvents(tuple(found), outcome.name, outcome.advice, motion.steps)
+    return TwoMassEvents(tuple(events), outcome.name, outcome.advice, motion.steps)
 
 
 class TwoMassPlayer:
-    """Plays a scene of two masses forwards in time, for a file: see `rig_sim.motion.file`.
-
-    ``outcome`` and ``steps`` are those of the motion so far.
-    """
+    """Plays a scene of two masses forwards in time, for a file: see `rig_sim.motion.file`."""
 
     def __init__(self, scene: Scene, *, max_steps: int = DEFAULT_MAX_STEPS) -> None:
         self.scene = scene
-        self._motion = PairMotion(scene.two_mass_flow(), start(scene), max_steps)
+        self._motion = PairMotion(scene.two_mass_flow(), find_start(scene), max_steps)
         self.outcome = self._motion.outcome
 
     @property

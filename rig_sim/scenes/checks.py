@@ -3,13 +3,13 @@
 import math
 
 from rig_sim.flow.flow import LARGEST, SMALLEST, steepest_fall, validate
-from rig_sim.friction.spline import refused
+from rig_sim.friction.spline import find_problem
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Friction
 from stickslip.errors import InputError, nearest
 
-MOST_POINTS = 1000  # points of a measured curve: a fit gives some 16
-OWN_KEYS = {  # of the section friction, which no parameter of a formula can be; Fs, G_slip and gamma can
+MOST_POINTS = 1000  # points of a measured curve: a fit gives about 16
+OWN_KEYS = {  # of the section friction, reserved: no parameter of a formula has such a name (Fs, G_slip and gamma may)
     "law": "the law's number",
     "curve": "measured points",
     "formula": "the formula itself",
@@ -18,7 +18,7 @@ OWN_KEYS = {  # of the section friction, which no parameter of a formula can be;
     "d": "half-width of the ramp",
     "G_stick": "slope of the ramp",
 }
-TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # what two masses may have
+TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # allowed for two masses
 
 
 def check_magnitudes(scene: Scene, where: str) -> None:
@@ -26,12 +26,14 @@ def check_magnitudes(scene: Scene, where: str) -> None:
     for section, keys in scene.model_dump(exclude_none=True).items():
         for key, value in keys.items() if isinstance(keys, dict) else ():
             if isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
-                what = f"{section}.{key} is {value:g}"
-                raise InputError(what, where, f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}: choose other units")
+                problem = f"{section}.{key} is {value:g}"
+                raise InputError(
+                    problem, where, f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}: choose other units"
+                )
 
 
 def check_together(scene: Scene, where: str) -> None:
-    """Refuse what only two sections together make impossible."""
+    """Refuse combinations of sections that are impossible."""
     _check_masses(scene, where)
     friction = scene.friction
     if friction is None:
@@ -49,7 +51,7 @@ def check_together(scene: Scene, where: str) -> None:
             raise InputError("friction.law is missing", where, do, python=python)
         else:
             _check_curve(friction, where)
-        for key in friction.own_law().parameters if friction.formula is None else ():
+        for key in friction.law_record().parameters if friction.formula is None else ():
             if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
                 name = "G_stick or d" if key == "d" else key
                 raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
@@ -74,8 +76,8 @@ def check_together(scene: Scene, where: str) -> None:
         try:
             validate(scene.flow())
         except (ValueError, OverflowError) as error:
-            what = f"shaker.a = {scene.shaker.a:g}, shaker.phi = {scene.shaker.phi:g}: {error}"
-            raise InputError(what, where, "set belt.speed, a smaller shaker.a, or shaker.phi = 3.14159") from None
+            problem = f"shaker.a = {scene.shaker.a:g}, shaker.phi = {scene.shaker.phi:g}: {error}"
+            raise InputError(problem, where, "set belt.speed, a smaller shaker.a, or shaker.phi = 3.14159") from None
     for effect in ("slip_loss", "gaps"):
         if getattr(scene, effect) is not None and scene.encoder is None:
             raise InputError(f"{effect} without an encoder", where, f"add an encoder section or drop {effect}")
@@ -86,18 +88,18 @@ def check_together(scene: Scene, where: str) -> None:
 
 
 def _check_curve(friction: Friction, where: str) -> None:
-    """Refuse points that are no friction curve, and keys of a curve beside a law."""
+    """Refuse points that are not a friction curve, and keys of a curve together with a law."""
     if friction.law != 0:
         if friction.contact is not None:
-            what = f"friction.contact beside law {friction.law}, which has its own contact"
-            raise InputError(what, where, "drop it, or take law 0")
+            problem_text = f"friction.contact beside law {friction.law}, which has its own contact"
+            raise InputError(problem_text, where, "drop it, or take law 0")
         return
     do = "give friction.curve = [[0, F], [s, F], ...]: slip speed in m/s from 0, friction in N"
     if friction.curve is None:
         raise InputError("friction.curve is missing, which law 0 needs", where, do)
     if len(friction.curve) > MOST_POINTS:
         raise InputError(f"friction.curve has {len(friction.curve)} points", where, f"give {MOST_POINTS} or fewer")
-    if problem := refused(friction.curve):
+    if problem := find_problem(friction.curve):
         raise InputError(f"friction.curve: {problem}", where, do)
     for number in (number for point in friction.curve for number in point):
         if number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:
@@ -107,17 +109,17 @@ def _check_curve(friction: Friction, where: str) -> None:
 
 
 def _check_formula(friction: Friction, where: str) -> None:
-    """Refuse a formula beside a law, one whose parameters are missing, and names that the section has for itself."""
+    """Refuse a formula together with a law, missing parameters, and parameters named as keys of the section."""
     for key in ("law", "curve"):
         if getattr(friction, key) is not None:
             raise InputError(f"friction has both {key} and formula", where, "keep one")
-    formula = friction.parsed()
+    formula = friction.parse_formula()
     names = formula.parameters if formula is not None else ()
     for name in names:
         if name in OWN_KEYS:
-            what = f"friction.formula has a parameter {name}, which is the section's own: {OWN_KEYS[name]}"
-            raise InputError(what, where, "give the parameter another name")
-        if name not in friction.of_formula():
+            problem = f"friction.formula has a parameter {name}, which is the section's own: {OWN_KEYS[name]}"
+            raise InputError(problem, where, "give the parameter another name")
+        if name not in friction.formula_values():
             others = [key for key in friction.model_fields_set if key not in {*OWN_KEYS, *names}]
             close = nearest(name, others) if others else ""
             do = f"give {name}" + (f"; {close}" if close.startswith("did") else "")
@@ -127,7 +129,7 @@ def _check_formula(friction: Friction, where: str) -> None:
 
 
 def _check_formula_values(scene: Scene, where: str) -> None:
-    """Refuse a formula that is no friction curve at the slip speeds which the scene can reach."""
+    """Refuse a formula that is not a friction curve at the slip speeds which the scene can reach."""
     if scene.friction is None or scene.friction.formula is None:
         return
     try:
@@ -137,10 +139,10 @@ def _check_formula_values(scene: Scene, where: str) -> None:
 
 
 def _check_masses(scene: Scene, where: str) -> None:
-    """Refuse a start that belongs to another number of masses, and what two masses do not have."""
-    given = sorted(scene.start.model_fields_set)
+    """Refuse a start for another number of masses, and sections that are not modelled for two masses."""
+    start_keys = sorted(scene.start.model_fields_set)
     if scene.coupling is None:
-        if other := [key for key in given if key not in ("x", "v")]:
+        if other := [key for key in start_keys if key not in ("x", "v")]:
             do = "give start.x and start.v, or add coupling.a and coupling.b"
             raise InputError(f"start.{other[0]} without coupling", where, do)
         return
@@ -150,22 +152,22 @@ def _check_masses(scene: Scene, where: str) -> None:
     for key in ("start", "length", "ripple", "ripple_hz", "channel"):
         if scene.belt is not None and getattr(scene.belt, key):
             raise InputError(f"belt.{key} beside coupling: not modelled for two masses", where, f"drop belt.{key}")
-    if scene.friction is not None and scene.friction.own_law().contact != "jump":
-        what = f"friction.law is {scene.friction.law}, a ramp, which is not modelled for two masses"
-        raise InputError(what, where, "take law 1, 3 or 5")
+    if scene.friction is not None and scene.friction.law_record().contact != "jump":
+        problem = f"friction.law is {scene.friction.law}, a ramp, which is not modelled for two masses"
+        raise InputError(problem, where, "take law 1, 3 or 5")
     if scene.friction is not None and not scene.friction.law:
         key = "friction.law is 0" if scene.friction.formula is None else "friction.formula is given"
         raise InputError(f"{key}, which is not modelled for two masses", where, "take law 1, 3 or 5")
-    used = [way for way in STARTS if any(key in given for key in way)]
-    if STARTS[0] in used:
+    start_forms = [form for form in STARTS if any(key in start_keys for key in form)]
+    if STARTS[0] in start_forms:
         raise InputError("start.x or start.v beside coupling", where, "give start.x1, v1, x2, v2, or start.d")
-    if len(used) > 1:
-        what = f"start has {used[0][0]} and {used[1][0]}"
-        raise InputError(what, where, "keep one of: x1, v1, x2, v2; d; attractor")
+    if len(start_forms) > 1:
+        problem = f"start has {start_forms[0][0]} and {start_forms[1][0]}"
+        raise InputError(problem, where, "keep one of: x1, v1, x2, v2; d; attractor")
 
 
 def _check_droop(scene: Scene, fraction: float, where: str) -> None:
-    """Refuse a droop that has no single force, in the words of the scene's own keys."""
+    """Refuse a droop that leaves the force undetermined, in terms of the scene's own keys."""
     flow = scene.model_copy(update={"shaker": None}).flow()
     if flow.droop > 0.0 and flow.static != 1.0:
         raise InputError(f"droop beside friction.static = {flow.static:g}", where, "drop one: with droop it must be 1")
@@ -173,10 +175,10 @@ def _check_droop(scene: Scene, fraction: float, where: str) -> None:
         raise InputError("droop with friction.Fs = 0: nothing loads the belt", where, "give Fs, or drop droop")
     fall = steepest_fall(flow)
     if flow.droop * fall >= 1.0:
-        most = fraction / (flow.droop * fall)
-        what = f"droop.fraction is {fraction:g}: friction would fall faster than the belt gives way"
-        do = f"give less than {most:.4g}" + ("" if most >= 1e-3 else ", or drop droop")
-        raise InputError(what, where, do + ", or a slower belt, or friction that falls less (gamma, G_slip)")
+        largest = fraction / (flow.droop * fall)
+        problem = f"droop.fraction is {fraction:g}: friction would fall faster than the belt gives way"
+        do = f"give less than {largest:.4g}" + ("" if largest >= 1e-3 else ", or drop droop")
+        raise InputError(problem, where, do + ", or a slower belt, or friction that falls less (gamma, G_slip)")
     try:
         validate(flow)
     except ValueError as error:

@@ -9,32 +9,20 @@ from stickslip.errors import InputError
 if TYPE_CHECKING:
     from stickslip.compute.arrays import Array
 
-# Lower limits that are values themselves: what a draw puts below is at the limit.  A draw that breaks another limit is
-# no rig, and refused by the scene.
+# Lower limits that are physical values themselves: a draw below is set to the limit.  The scene refuses a draw that
+# breaks another limit.
 LOWEST = {"damper.c": 0.0, "droop.fraction": 0.0, "friction.static": 1.0}
 ROUNDING = 1e-6  # relative: asymmetry, or a variance below 0, that rounding may make
 CURVE = "friction.curve."
 
 
-def drawn_changes(scene: Scene, number: int, where: str) -> list[dict[str, object]]:
-    """Return ``number`` sets of changes, the same for the same seed of the scene.
+def draw_changes(scene: Scene, number: int, where: str) -> list[dict[str, object]]:
+    """Return ``number`` sets of changes, the same for the same seed of the scene; ``where`` names it in messages.
 
     A key whose value is no longer the fitted one was changed by hand, and is not drawn.
 
     The errors are normal over the root of a chi square of ``cycles - 1`` degrees of freedom, as those of Student's t:
     with few cycles the covariance itself is uncertain.
-
-    Parameters
-    ----------
-    found : Scene
-    number : int
-    where : str
-        The scene's name or file, for messages.
-
-    Raises
-    ------
-    InputError
-        The scene has no section ``fit``, or one whose parts do not belong together.
     """
     import numpy as np
 
@@ -43,7 +31,7 @@ def drawn_changes(scene: Scene, number: int, where: str) -> list[dict[str, objec
         do = "write the scene with fit-friction --save-scene"
         python = "write the scene with fitting.rank(run).save_scene(path)"
         raise InputError("has no section fit, which --draws needs", where, do, python=python)
-    names, centre, spread = fit.parameters, np.array(fit.values), _matrix(fit, where)
+    names, centre, spread = fit.parameters, np.array(fit.values), check_covariance(fit, where)
     points = len(scene.friction.curve or ()) if scene.friction is not None else 0
     curve = {f"{CURVE}{i}" for i in range(points)}
     for name in names:
@@ -57,41 +45,44 @@ def drawn_changes(scene: Scene, number: int, where: str) -> list[dict[str, objec
     root = unit[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
     rng = np.random.default_rng(scene.seed)
     normal = rng.standard_normal((number, len(names)))
-    wider = np.sqrt((fit.cycles - 1) / rng.chisquare(fit.cycles - 1, number))
-    drawn = centre + wider[:, None] * np.einsum("nk,pk->np", normal, root)
-    kept = _as_fitted(scene, fit)
-    return [{key: value for key, value in _changes(scene, names, row.tolist()).items() if key in kept} for row in drawn]
+    widening = np.sqrt((fit.cycles - 1) / rng.chisquare(fit.cycles - 1, number))
+    drawn = centre + widening[:, None] * np.einsum("nk,pk->np", normal, root)
+    fitted_keys = find_fitted_keys(scene, fit)
+    return [
+        {key: value for key, value in format_changes(scene, names, row.tolist()).items() if key in fitted_keys}
+        for row in drawn
+    ]
 
 
-def _as_fitted(scene: Scene, fit: FitSection) -> set[str]:
+def find_fitted_keys(scene: Scene, fit: FitSection) -> set[str]:
     """Return the keys whose values in the scene are those of the fit."""
-    keys = {name: _limited(name, value) for name, value in zip(fit.parameters, fit.values, strict=True)}
+    keys = {name: apply_lower_limit(name, value) for name, value in zip(fit.parameters, fit.values, strict=True)}
     curve = {name: value for name, value in keys.items() if name.startswith(CURVE)}
-    kept = {name for name, value in keys.items() if name not in curve and _value(scene, name) == value}
+    fitted = {name for name, value in keys.items() if name not in curve and read_value(scene, name) == value}
     points = (scene.friction.curve or ()) if scene.friction is not None else ()
     if curve and all(points[int(name[len(CURVE) :])][1] == value for name, value in curve.items()):
-        kept.add("friction.curve")
-    return kept
+        fitted.add("friction.curve")
+    return fitted
 
 
-def _value(scene: Scene, name: str) -> object:
+def read_value(scene: Scene, name: str) -> object:
     section, _, key = name.partition(".")
     return getattr(getattr(scene, section, None), key, None)
 
 
-def _limited(name: str, number: float) -> float:
+def apply_lower_limit(name: str, number: float) -> float:
     return max(number, LOWEST.get(name, -float("inf")))
 
 
-def _matrix(fit: FitSection, where: str) -> "Array":
+def check_covariance(fit: FitSection, where: str) -> "Array":
     """Return the covariance (n, n), checked against the names and values."""
     import numpy as np
 
     n = len(fit.parameters)
     rows = fit.covariance
     if len(fit.values) != n or len(rows) != n or any(len(row) != n for row in rows) or n == 0:
-        what = f"fit has {n} parameters, {len(fit.values)} values and {len(rows)} rows of covariance"
-        raise InputError(what, where, "give as many of each, the covariance square")
+        problem = f"fit has {n} parameters, {len(fit.values)} values and {len(rows)} rows of covariance"
+        raise InputError(problem, where, "give as many of each, the covariance square")
     matrix = np.array(rows)
     error = np.sqrt(np.abs(np.diag(matrix)))
     if np.any(np.diag(matrix) < 0) or np.any(np.abs(matrix - matrix.T) > ROUNDING * np.outer(error, error)):
@@ -99,10 +90,12 @@ def _matrix(fit: FitSection, where: str) -> "Array":
     return matrix
 
 
-def _changes(scene: Scene, names: list[str], numbers: list[float]) -> dict[str, object]:
+def format_changes(scene: Scene, names: list[str], numbers: list[float]) -> dict[str, object]:
     """Return one draw as changes: dotted keys, and the curve as a whole."""
     changes: dict[str, object] = {
-        name: _limited(name, number) for name, number in zip(names, numbers, strict=True) if not name.startswith(CURVE)
+        name: apply_lower_limit(name, number)
+        for name, number in zip(names, numbers, strict=True)
+        if not name.startswith(CURVE)
     }
     friction = scene.friction
     if friction is not None and friction.curve is not None:

@@ -15,7 +15,7 @@ from stickslip.errors import InputError
 TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper", "drive", "shaker")
 EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "output")
 SECTIONS = TERMS + EFFECTS
-STARTS = (("x", "v"), ("x1", "v1", "x2", "v2"), ("d",), ("attractor",))  # ways to begin; a change drops the others
+STARTS = (("x", "v"), ("x1", "v1", "x2", "v2"), ("d",), ("attractor",))  # forms of a start; a change drops the others
 
 
 class Scene(Section):
@@ -45,49 +45,33 @@ class Scene(Section):
     fit: sections.FitSection | None = None
 
     def terms(self) -> list[str]:
-        """Return the names of the sections the scene has, in the order of the table above."""
+        """Return the names of the sections that the scene has, in the order of `SECTIONS`."""
         return [name for name in SECTIONS if getattr(self, name) is not None]
 
     def flow(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
-        """Return the equation of motion as the integrator takes it.
+        """Return the equation of motion for the integrator; raises InputError of a scene with two masses.
 
-        A belt that ripples is there as a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.  A
-        shaker is there as another damper, spring and rest position: see `rig_sim.effects.shaker`.
-
-        Parameters
-        ----------
-        belt_running : bool
-            False before ``belt.start``: the belt is there, at rest.
-        factor : float
-            Wear times scatter: multiplies the whole friction curve, the ramp's width unchanged.
-
-        Raises
-        ------
-        InputError
-            The scene has two masses.
+        A ripple of the belt becomes a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.  A shaker
+        becomes another damper, spring and rest position: see `rig_sim.effects.shaker`.  ``belt_running`` is False
+        before ``belt.start``: the belt is at rest.  ``factor`` (wear times scatter) multiplies the friction curve; the
+        ramp's width stays.
         """
         if self.coupling:
             do = "drop the section coupling, or use events, run, fixed-point, map, sweep, basins or lyapunov"
             python = "use rig_sim.events, run, fixed_point, continue_, map, sweep, basins or lyapunov"
             raise InputError("has two masses, and this is for one", f"scene {self.name}", do, python=python)
-        return self._flow_of_one(belt_running=belt_running, factor=factor)
+        return self._one_mass_flow(belt_running=belt_running, factor=factor)
 
     def two_mass_flow(self) -> TwoMassFlow:
-        """Return the equations of motion of two masses.
-
-        Raises
-        ------
-        InputError
-            The scene has one mass.
-        """
+        """Return the equations of motion of two masses; raises InputError of a scene with one mass."""
         if self.coupling is None:
             do = "set coupling.a and coupling.b, or take the scene two-mass"
             python = f"write rig_sim.scene({self.name!r}, coupling={{'a': 1.2, 'b': 1.3}}), or take 'two-mass'"
             raise InputError("has one mass, and this is for two", f"scene {self.name}", do, python=python)
-        return TwoMassFlow(self._flow_of_one(), float(self.coupling.a), float(self.coupling.b))
+        return TwoMassFlow(self._one_mass_flow(), float(self.coupling.a), float(self.coupling.b))
 
-    def _fastest(self) -> float:
-        """Return the largest slip speed (m/s) that energy allows, for a formula; 0 of a law, which has no end."""
+    def _largest_slip_speed(self) -> float:
+        """Return the largest slip speed (m/s) that energy allows, for a formula; 0 for a law: its curve has no end."""
         if self.friction is None or self.friction.formula is None:
             return 0.0
         speed = abs(float(self.belt.speed)) + float(self.belt.ripple or 0.0) if self.belt else 0.0
@@ -96,14 +80,13 @@ class Scene(Section):
             float(self.spring.k),
             float(self.damper.c) if self.damper else 0.0,
             speed,
-            self.friction.largest(speed),
+            self.friction.largest_force(speed),
             float(self.start.x) - float(self.spring.x0),
             abs(float(self.start.v)) + (abs(float(self.joint.kick)) if self.joint else 0.0),
             abs(float(self.drive.u0)) if self.drive else 0.0,
         )
 
-    def _flow_of_one(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
-        """Return the flow of one mass, alone."""
+    def _one_mass_flow(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
         none = {"curve": CONSTANT, "ramp": 0, "Fs": 0.0, "G_slip": 0.0, "gamma": 0.0, "d": 0.0}
         flow = Flow(
             m=float(self.mass.m),
@@ -112,16 +95,16 @@ class Scene(Section):
             c=float(self.damper.c) if self.damper else 0.0,
             v_belt=float(self.belt.speed) if self.belt and belt_running else 0.0,
             factor=factor,
-            **(none | self.friction.numbers(self._fastest()) if self.friction else none),
+            **(none | self.friction.flow_fields(self._largest_slip_speed()) if self.friction else none),
             u0=float(self.drive.u0) if self.drive else 0.0,
             omega=float(self.drive.omega) if self.drive else 0.0,
             phase=0.0,
             droop=self.droop.fraction * abs(self.belt.speed) if self.droop and self.belt and belt_running else 0.0,
         )
         if self.shaker and belt_running:
-            from rig_sim.effects.shaker import controlled
+            from rig_sim.effects.shaker import add_shaker
 
-            flow = controlled(flow, float(self.shaker.a), float(self.shaker.phi))
+            flow = add_shaker(flow, float(self.shaker.a), float(self.shaker.phi))
         if self.belt and self.belt.ripple and belt_running:
-            return self.belt.swing().driven(flow)
+            return self.belt.swing().drive(flow)
         return flow

@@ -61,11 +61,10 @@ FRICTION_IS = ("friction.law", "friction.formula")
 OLD_NAMES = {"tell": "output"}  # old names of sections, still accepted
 FORM = "write section.key=value"
 IN_PYTHON = "write rig_sim.scene('rig', **{'section.key': value})"
-LARGEST_FILE = 1 << 20  # bytes of a scene; what is longer is something else, and may have no end
+LARGEST_FILE = 1 << 20  # bytes of a scene file; a longer file is not a scene, and may be endless
 
 
 def builtin_names() -> list[str]:
-    """Return the names of the built-in scenes."""
     return sorted(path.stem for path in BUILTIN_FOLDER.glob("*.toml"))
 
 
@@ -102,52 +101,44 @@ def scene(source: "str | Path | Scene", **changes: object) -> Scene:
     if isinstance(source, Scene):
         where, content = f"scene {source.name}", source.model_dump(exclude_unset=True)
     else:
-        where, content = _read(source)
+        where, content = read_source(source)
     flat: dict[str, object] = {}
     for key, value in changes.items():
         if isinstance(value, Mapping):
             flat |= {f"{key}.{inner}": item for inner, item in value.items()}
         else:
             flat[key] = value
-    # what friction is comes first: it drops the parameters of what it was, not those that come with it
+    # the law or formula comes first: it drops the parameters of the previous one, not those that come with it
     for key in sorted(flat, key=lambda name: name not in FRICTION_IS):
-        _change(content, key, flat[key], where)
-    return _checked(content, where)
+        apply_change(content, key, flat[key], where)
+    return validate_content(content, where)
 
 
 def change_in_python(name: str, key: str, value: str) -> str:
-    """Return the Python call that changes a key of a scene, as messages write it; ``name`` of a built-in one or not."""
-    given = repr(name) if name in builtin_names() else "scene"
-    return f"rig_sim.scene({given}, **{{{key!r}: {value}}})"
+    """Return the Python call that changes a key of a scene, for messages; ``name`` need not be a built-in one."""
+    source = repr(name) if name in builtin_names() else "scene"
+    return f"rig_sim.scene({source}, **{{{key!r}: {value}}})"
 
 
 def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
-    """Return ``["friction.law=3", ...]``, as ``--set`` takes them, as changes for `scene`.
-
-    Values are TOML; a bare word is a string.
-
-    Raises
-    ------
-    InputError
-        A setting without ``=``, or of several lines.
-    """
+    """Return settings such as ``friction.law=3`` (of ``--set``) as changes for `scene`: TOML or bare words."""
     changes: dict[str, object] = {}
     for setting in settings or ():
         key, equals, value = setting.partition("=")
         if not equals or not key.strip() or not value.strip() or "\n" in value.strip():
             raise InputError(f"{setting!r} is no change of a scene", "--set", FORM, python=IN_PYTHON)
-        changes[key.strip()] = _value(value.strip())
+        changes[key.strip()] = parse_value(value.strip())
     return changes
 
 
-def _value(text: str) -> object:
+def parse_value(text: str) -> object:
     import tomllib
 
     from stickslip import toml
 
     try:
-        found = tomllib.loads(f"value = {text}")["value"]
-        return float(text) if toml.has_wide_number(found) else found
+        value = tomllib.loads(f"value = {text}")["value"]
+        return float(text) if toml.has_wide_number(value) else value
     except RecursionError:
         raise InputError(f"{text[:20]}... is nested too deeply", "--set", FORM, python=IN_PYTHON) from None
     except ValueError:  # not TOML, or a number of thousands of digits
@@ -158,7 +149,7 @@ def _value(text: str) -> object:
         return {"true": True, "false": False}.get(text.lower(), text)
 
 
-def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
+def read_source(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
     name = str(name_or_path)
     path = BUILTIN_FOLDER / f"{name}.toml"
     where = f"scene {name}"
@@ -174,12 +165,14 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
         if path.exists() and not path.is_file():
             raise InputError("is a folder or a device, not a file", where, "give the path of a TOML file")
         with path.open("rb") as file:
-            held = file.read(LARGEST_FILE + 1)
-        if len(held) > LARGEST_FILE:
+            data = file.read(LARGEST_FILE + 1)
+        if len(data) > LARGEST_FILE:
             raise InputError(f"is larger than any scene: over {LARGEST_FILE} bytes", where, "give a scene's TOML file")
-        content = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in _parsed(held, where).items()}
+        content = {
+            name: dict(keys) if isinstance(keys, dict) else keys for name, keys in parse_toml(data, where).items()
+        }
     except FileNotFoundError:
-        raise InputError("no such file", where, f"check the path, or take a built-in scene: {_listed()}") from None
+        raise InputError("no such file", where, f"check the path, or take a built-in scene: {list_builtin()}") from None
     except UnicodeDecodeError:
         do = "give a scene's TOML file; of a run, fit-friction RUN.h5 --save-scene FILE.toml writes one"
         raise InputError("cannot be read: it is no text file", where, do) from None
@@ -190,24 +183,24 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
 
 
 @lru_cache(maxsize=4)  # an analysis reads a scene again for each value of a parameter, and each draw
-def _parsed(held: bytes, where: str) -> dict[str, Any]:
+def parse_toml(data: bytes, where: str) -> dict[str, Any]:
     from stickslip import toml
 
-    return toml.parsed(held.decode(), where)
+    return toml.parsed(data.decode(), where)
 
 
-def _listed() -> str:
+def list_builtin() -> str:
     return ", ".join(builtin_names())
 
 
-def _change(content: dict[str, Any], dotted: str, value: object, where: str) -> None:
+def apply_change(content: dict[str, Any], dotted: str, value: object, where: str) -> None:
     section, dot, key = dotted.partition(".")
     section = OLD_NAMES.get(section, section)
     if not dot:
         content[section] = value
         return
-    plain = section in Scene.model_fields and not _keys(section)
-    if plain or not isinstance(content.setdefault(section, {}), dict):
+    is_value = section in Scene.model_fields and not list_keys(section)
+    if is_value or not isinstance(content.setdefault(section, {}), dict):
         raise InputError(f"{section!r} is a plain value and has no key {key!r}", where, f"set {section} itself")
     content[section][key] = value
     if section == "friction" and key in ("G_stick", "d"):
@@ -215,63 +208,63 @@ def _change(content: dict[str, Any], dotted: str, value: object, where: str) -> 
     if dotted in FRICTION_IS:
         _replace_law(content[section], key)
     if section == "start":
-        for way in STARTS:
-            for other in way if key not in way else ():
+        for form in STARTS:
+            for other in form if key not in form else ():
                 content[section].pop(other, None)
 
 
 def _replace_law(friction: dict[str, Any], key: str) -> None:
-    """Drop what a law or a formula that was named takes the place of: the parameters of a formula are its own."""
+    """Drop the parameters of the previous law or formula: a formula's parameters are its own."""
     if key == "formula":
         for other in ("law", "curve", "contact", "G_stick", "d"):
             friction.pop(other, None)
     elif friction.pop("formula", None) is not None:
-        for other in [name for name in friction if name not in _keys("friction")]:
+        for other in [name for name in friction if name not in list_keys("friction")]:
             del friction[other]
 
 
-def _checked(content: dict[str, Any], where: str) -> Scene:
+def validate_content(content: dict[str, Any], where: str) -> Scene:
     _refuse_unknown(content, where)
     name = str(content.get("name", ""))
     try:
-        found = Scene.model_validate(content)
+        validated = Scene.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "missing":
-            do, python = f"give it, or --set {_first_key(key)}=...", change_in_python(name, _first_key(key), "VALUE")
+            do, python = f"give it, or --set {example_key(key)}=...", change_in_python(name, example_key(key), "VALUE")
             raise InputError(f"{key} is missing", where, do, python=f"write {python}") from None
         if first["type"] == "model_type":
             do = f"write --set {key}.KEY=VALUE, or a table [{key}]"
             python = change_in_python(name, f"{key}.KEY", "VALUE")
-            what = f"{key} is {first['input']!r:.60}, but it is a section"
-            raise InputError(what, where, do, python=f"write {python}") from None
+            problem = f"{key} is {first['input']!r:.60}, but it is a section"
+            raise InputError(problem, where, do, python=f"write {python}") from None
         reason = (first["msg"][0].lower() + first["msg"][1:]).replace("input should", "it should")
         raise InputError(
             f"{key} is {first['input']!r:.60}", where, reason.replace("input should", "it should")
         ) from None
-    check_magnitudes(found, where)
-    check_together(found, where)
-    return found
+    check_magnitudes(validated, where)
+    check_together(validated, where)
+    return validated
 
 
-def _first_key(key: str) -> str:
+def example_key(key: str) -> str:
     return {"mass": "mass.m", "spring": "spring.k"}.get(key, key)
 
 
 def _refuse_unknown(content: Mapping[str, Any], where: str) -> None:
     for section, keys in content.items():
         if section not in Scene.model_fields:
-            what = "section" if isinstance(keys, dict) else "key"
-            raise InputError(f"unknown {what} {section!r}", where, nearest(section, list(Scene.model_fields)))
+            kind = "section" if isinstance(keys, dict) else "key"
+            raise InputError(f"unknown {kind} {section!r}", where, nearest(section, list(Scene.model_fields)))
         if not isinstance(keys, dict):
             continue
-        known = _keys(section)
+        known_keys = list_keys(section)
         if section == "friction" and isinstance(keys.get("formula"), str):
-            known = list(dict.fromkeys([*_formula_parameters(keys["formula"], where), *known]))
+            known_keys = list(dict.fromkeys([*_formula_parameters(keys["formula"], where), *known_keys]))
         for key in keys:
-            if key not in known:
-                raise InputError(f"unknown key '{section}.{key}'", where, nearest(key, known))
+            if key not in known_keys:
+                raise InputError(f"unknown key '{section}.{key}'", where, nearest(key, known_keys))
 
 
 def _formula_parameters(text: str, where: str) -> tuple[str, ...]:
@@ -281,7 +274,7 @@ def _formula_parameters(text: str, where: str) -> tuple[str, ...]:
         raise InputError(f"friction.formula: {error.what}", where, error.do) from None
 
 
-def _keys(section: str) -> list[str]:
+def list_keys(section: str) -> list[str]:
     annotation = Scene.model_fields[section].annotation
     for model in (annotation, *getattr(annotation, "__args__", ())):
         if isinstance(model, type) and issubclass(model, Section):

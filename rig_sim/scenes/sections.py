@@ -20,21 +20,21 @@ NotNegative = Annotated[float, Field(ge=0)]
 Negative = Annotated[float, Field(lt=0)]
 
 
-def _known_law(value: object) -> int:
+def validate_law(value: object) -> int:
     """Return the number of a law; refuse others, also true and false, which Python takes for 1 and 0."""
-    known = next((number for number in (0, *LAWS) if number == value and not isinstance(value, bool)), None)
-    if known is None:
+    law = next((number for number in (0, *LAWS) if number == value and not isinstance(value, bool)), None)
+    if law is None:
         raise PydanticCustomError("law", f"input should be {', '.join(map(str, (0, *LAWS)[:-1]))} or {max(LAWS)}")
-    return known
+    return law
 
 
-LawNumber = Annotated[int, BeforeValidator(_known_law)]
-PLACES_TO_BELT = 129  # at which the largest friction is sought: it sets how far the curve must reach, with a margin
-EventRate = Annotated[float, Field(gt=0, le=1000)]  # per second: an effect that happens now and then
+LawNumber = Annotated[int, BeforeValidator(validate_law)]
+LARGEST_FORCE_SAMPLES = 129  # slip speeds at which the largest friction is sought; it sets how far the curve must reach
+EventRate = Annotated[float, Field(gt=0, le=1000)]  # per second
 
 
 class Section(BaseModel):
-    """A scene's section: frozen, no unknown key, no NaN or infinity, no string where a number belongs."""
+    """A scene's section: frozen; unknown keys, NaN, infinity, and strings in place of numbers are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
 
@@ -67,66 +67,52 @@ class Belt(Section):
     channel: bool | None = None
 
     def swing(self) -> "SwingingBelt":
-        """Return the swing of the belt; it must ripple."""
+        """Return the swing of a belt that has a ripple."""
         from rig_sim.effects.ripple import SwingingBelt
 
         return SwingingBelt(self.ripple or 0.0, self.ripple_hz or 0.0, self.start)
 
 
 class Friction(Section):
-    """Law 1 to 6, 0 for a measured curve, or a formula, and every parameter known; the law takes the ones it needs.
+    """Law 1 to 6, 0 for a measured curve, or a formula, and all known parameters; the law takes those it needs.
 
-    Other keys are parameters of the formula: numbers, which stand in ``model_extra``.
-
-    Attributes
-    ----------
-    Fs : float, optional
-        Largest static force, N; of a measured curve its first force counts.
-    G_slip, gamma : float, optional
-        Slope of the linear curve, N s/m; rate of the hyperbolic curve, s/m.
-    G_stick, d : float, optional
-        The ramp's slope (negative, N s/m), or its half-width (m/s): one of the two.
-    static : float
-        Break-away level over Fs; at least 1.
-    curve : list of [float, float], optional
-        Points of the measured curve: slip speed (m/s, from 0, increasing) and friction (N, above 0), joined as
-        `rig_sim.friction.spline` says.
-    contact : str, optional
-        Of the measured curve: 'jump' (default), or 'ramp' of half-width d.  Of a formula: 'ramp' where d or G_stick is
-        given, else 'jump'.
-    formula : str, optional
-        The curve as `rig_sim.friction.formula` reads it: friction in N at slip speed s.  Instead of ``law``.
+    Other keys are parameters of the formula: numbers, in ``model_extra``.
     """
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, float] = Field(init=False)
 
     law: LawNumber | None = None
-    Fs: NotNegative | None = None
-    G_slip: NotNegative | None = None
-    gamma: NotNegative | None = None
-    G_stick: Negative | None = None
-    d: Positive | None = None
-    static: Annotated[float, Field(ge=1)] = 1.0
+    Fs: NotNegative | None = None  # largest static force, N; a measured curve has its first force instead
+    G_slip: NotNegative | None = None  # slope of the linear curve, N s/m
+    gamma: NotNegative | None = None  # rate of the hyperbolic curve, s/m
+    G_stick: Negative | None = None  # slope of the ramp, N s/m; or d instead
+    d: Positive | None = None  # half-width of the ramp, m/s
+    static: Annotated[float, Field(ge=1)] = 1.0  # break-away level over Fs
+    # points of the measured curve: slip speed (m/s, from 0, increasing) and friction (N, above 0), joined as
+    # `rig_sim.friction.spline` says
     curve: list[Annotated[list[float], Field(min_length=2, max_length=2)]] | None = None
+    # of the measured curve: 'jump' (default), or 'ramp' of half-width d.  Of a formula: 'ramp' where d or G_stick is
+    # given, else 'jump'.
     contact: Literal["jump", "ramp"] | None = None
+    # the curve as `rig_sim.friction.formula` reads it: friction in N at slip speed s.  Instead of ``law``.
     formula: str | None = None
 
-    def own_law(self) -> Law:
-        """Return the law; `MEASURED_CURVE` for points and for a formula.  ``contact`` and ``d`` say more of these."""
+    def law_record(self) -> Law:
+        """Return the law; `MEASURED_CURVE` for points and for a formula, whose contact is in ``contact`` and ``d``."""
         return law_or_curve(self.law or 0)
 
-    def parsed(self) -> Formula | None:
-        """Return the formula; None of a law."""
+    def parse_formula(self) -> Formula | None:
+        """Return the formula; None for a law."""
         return None if self.formula is None else Formula.parse(self.formula)
 
-    def of_formula(self) -> dict[str, float]:
-        """Return the parameters of the formula by name, in its order: those that the section has; of a law none."""
-        formula = self.parsed()
-        given = {name: getattr(self, name, None) for name in (formula.parameters if formula else ())}
-        return {name: float(value) for name, value in given.items() if value is not None}
+    def formula_values(self) -> dict[str, float]:
+        """Return the formula's parameters in this section, by name, in the formula's order; empty for a law."""
+        formula = self.parse_formula()
+        values = {name: getattr(self, name, None) for name in (formula.parameters if formula else ())}
+        return {name: float(value) for name, value in values.items() if value is not None}
 
-    def ramp(self) -> float:
+    def ramp_width(self) -> float:
         """Return the ramp's half-width (m/s), at which its slope reaches static Fs; 0 when the scene names no ramp."""
         if self.d is not None:
             return self.d
@@ -139,80 +125,69 @@ class Friction(Section):
         return self.contact == "ramp"
 
     def level(self) -> float:
-        """Return friction where slip begins, N."""
-        formula = self.parsed()
+        """Return friction (N) at the start of slip."""
+        formula = self.parse_formula()
         if formula is not None:
-            return float(formula.value(0.0, self.of_formula()))
+            return float(formula.value(0.0, self.formula_values()))
         if self.law == 0 and self.curve:
             return float(self.curve[0][1])
         return float(self.Fs or 0.0)
 
     def parameters(self) -> dict[str, float]:
-        """Return Fs and the parameters that this law needs, by name; of a measured curve or a formula none."""
-        names = self.own_law().parameters if self.law else ()
-        return {key: self.ramp() if key == "d" else float(getattr(self, key)) for key in names}
+        """Return Fs and the parameters that this law needs, by name; empty for a measured curve or a formula."""
+        names = self.law_record().parameters if self.law else ()
+        return {key: self.ramp_width() if key == "d" else float(getattr(self, key)) for key in names}
 
-    def largest(self, speed: float) -> float:
-        """Return the largest friction (N) that a formula gives up to a slip speed (m/s), with its break-away level."""
+    def largest_force(self, speed: float) -> float:
+        """Return the largest friction (N) of a formula up to a slip speed (m/s), including its break-away level."""
         import numpy as np
 
-        formula = self.parsed()
+        formula = self.parse_formula()
         if formula is None:
             raise ValueError("friction has no formula")
-        found = formula.value(np.linspace(0.0, speed, PLACES_TO_BELT), self.of_formula())
-        return max(self.static * float(found[0]), float(np.max(found)))
+        forces = formula.value(np.linspace(0.0, speed, LARGEST_FORCE_SAMPLES), self.formula_values())
+        return max(self.static * float(forces[0]), float(np.max(forces)))
 
-    def numbers(self, fastest: float = 0.0) -> dict[str, Any]:
-        """Return what a flow takes of friction, by the flow's names: of the law's parameters those that it needs.
+    def flow_fields(self, fastest: float = 0.0) -> dict[str, Any]:
+        """Return friction as fields of a flow, by name; of the law's parameters those that it needs.
 
-        ``fastest`` is the slip speed (m/s) that a formula's curve reaches at least.
+        The curve of a formula reaches at least the slip speed ``fastest`` (m/s).
         """
-        formula = self.parsed()
+        formula = self.parse_formula()
         if formula is not None:
-            curve = asdict(formula_curve(formula, tuple(self.of_formula().values()), fastest))
-            return curve | {"static": float(self.static), "ramp": int(self.has_ramp()), "d": self.ramp()}
-        law = self.own_law()
-        found: dict[str, Any] = {
+            curve = asdict(formula_curve(formula, tuple(self.formula_values().values()), fastest))
+            return curve | {"static": float(self.static), "ramp": int(self.has_ramp()), "d": self.ramp_width()}
+        law = self.law_record()
+        fields: dict[str, Any] = {
             "curve": law.curve_code,
             "ramp": law.ramp,
             "Fs": self.level(),
             "static": float(self.static),
         }
         if self.law != 0:
-            return found | self.parameters()
+            return fields | self.parameters()
         points = tuple((float(s), float(F)) for s, F in self.curve or ())
         if len({F for _, F in points}) == 1:  # exactly law 1 or 3: closed forms
-            found |= {"curve": CONSTANT}
+            fields |= {"curve": CONSTANT}
         elif len(points) == 2:
-            found |= {"curve": LINEAR, "G_slip": (points[0][1] - points[1][1]) / points[1][0]}
+            fields |= {"curve": LINEAR, "G_slip": (points[0][1] - points[1][1]) / points[1][0]}
         else:
             pieces, table = spline_table(points)
-            found |= {"pieces": pieces, "table": table}
-        return found | ({"ramp": 1, "d": self.ramp()} if self.has_ramp() else {})
+            fields |= {"pieces": pieces, "table": table}
+        return fields | ({"ramp": 1, "d": self.ramp_width()} if self.has_ramp() else {})
 
 
 class Start(Section):
-    """Position (m) and velocity (m/s) of the mass at t = 0; those of two masses, or how they begin.
+    """Position (m) and velocity (m/s) of the mass at t = 0; or those of two masses, or another form of their start."""
 
-    Attributes
-    ----------
-    x, v : float
-        Of one mass.
-    x1, v1, x2, v2 : float, optional
-        Of two masses; 0 where not given.
-    d : float, optional
-        Two masses: both stick with x2 - x1 = d (m), and at t = 0 the first of them begins to slip.
-    attractor : int, optional
-        Two masses: as ``d``, on this attractor.  1 has the largest basin.
-    """
-
-    x: float = 0.0
+    x: float = 0.0  # of one mass
     v: float = 0.0
-    x1: float | None = None
+    x1: float | None = None  # of two masses; 0 where not given
     v1: float | None = None
     x2: float | None = None
     v2: float | None = None
-    d: float | None = None
+    d: float | None = None  # two masses: both stick with x2 - x1 = d (m), and at t = 0 the first of them starts to slip
+    # two masses: as ``d``, on this attractor.  1 has the largest basin.
     attractor: Annotated[int, Field(ge=1)] | None = None
 
 
@@ -282,7 +257,7 @@ class Encoder(Section):
 class Jitter(Section):
     """``rms`` of the sampling instants about the commanded grid, s.
 
-    Cut off at 0.45 of a sampling period, so that samples stay in order; the board's name says so where it matters.
+    Clipped at 0.45 of a sampling period, so that samples stay in order; the board's name then says so.
     """
 
     rms: NotNegative
@@ -295,16 +270,16 @@ class Output(Section):
 
 
 class Droop(Section):
-    """``fraction`` of the belt's speed lost when it carries the load Fs of the moment; in proportion at other loads."""
+    """``fraction`` of the belt's speed lost under the present load Fs; in proportion at other loads."""
 
     fraction: Annotated[float, Field(ge=0, lt=1)]
 
 
 class FitSection(Section):
-    """What a fit knows of the scene's numbers: ``covariance`` of the keys in ``parameters`` about their ``values``.
+    """The fit's result for the scene: ``covariance`` of the keys in ``parameters`` about their ``values``.
 
-    Keys are written ``section.key``; ``friction.curve.3`` is the friction of the fourth point.  ``cycles`` is how many
-    were fitted; ``verdict`` and ``mass_assumed`` are for the reader.
+    Keys are written ``section.key``; ``friction.curve.3`` is the friction of the fourth point.  ``cycles`` is the
+    number fitted; ``verdict`` and ``mass_assumed`` are for the reader.
     """
 
     parameters: list[str]

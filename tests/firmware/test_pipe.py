@@ -9,7 +9,7 @@ import pytest
 
 from daq.runfile.store import load
 from daq.wire.counters import FLAG_BOTH
-from rig_sim.board.board import calibration
+from rig_sim.board.board import format_calibration
 from rig_sim.board.encoder import QuadratureEncoder
 from rig_sim.scenes.scene import scene
 
@@ -30,7 +30,7 @@ def both(bench, emulator, latch_address, tmp_path_factory):
     """Record the same motion through the firmware and through ``rig://``; give the folder and both summaries."""
     folder = tmp_path_factory.mktemp("pipe")
     rig = scene("rig", seed=SEED)
-    (folder / "rig.toml").write_text(calibration(rig, QuadratureEncoder(rig.encoder, rig.start.x)))
+    (folder / "rig.toml").write_text(format_calibration(rig, QuadratureEncoder(rig.encoder, rig.start.x)))
     edges = bench.of_motion(rig, SECONDS + 1)
     hexfile = bench.FIRMWARE / "stickslip-uno.hex"
     with bench.Board(emulator, "uno", hexfile, folder, edges=edges, watch=latch_address("uno"), speed=3) as board:

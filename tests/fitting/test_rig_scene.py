@@ -7,7 +7,7 @@ import pytest
 
 import rig_sim
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.scenes.draws import drawn_changes
+from rig_sim.scenes.draws import draw_changes
 from rig_sim.scenes.scene import scene
 from stickslip.errors import InputError
 from stickslip.units import Measured
@@ -62,7 +62,7 @@ def test_the_saved_scene_plays_back_with_period_and_extremes_of_the_true_rig(fit
     changes = {"scatter": {"Fs": 0.0}, "damper.c": 1.0 * true.m, "spring.k": true.K * true.m}
     changes |= {"friction.Fs": true.Fs_over_k * true.K * true.m}
     truth = cycle(scene("rig", **changes))
-    drawn = [cycle(scene(path, **one)) for one in drawn_changes(scene(path), 60, str(path))]
+    drawn = [cycle(scene(path, **one)) for one in draw_changes(scene(path), 60, str(path))]
     for name in ("period", "t_stick", "t_slip", "x_slip", "x_stick", "x_min", "x_max", "v_min"):
         lo, hi = np.quantile([getattr(one, name) for one in drawn], (0.0, 1.0))
         assert lo <= getattr(truth, name) <= hi, name
@@ -80,7 +80,7 @@ def test_draws_say_where_stick_slip_ends(fitted):
         assert point["lo"] < point["value"] < point["hi"]
         assert (point["draws"], point["below"], point["above"]) == (12, 0, 0)
     assert found["refused"] == 0
-    assert drawn_changes(scene(path), 3, "") == drawn_changes(scene(path), 3, "")  # the same seed
+    assert draw_changes(scene(path), 3, "") == draw_changes(scene(path), 3, "")  # the same seed
     # at a fixed damping above every end there is no stick-slip, and no point to draw
     assert rig_sim.continue_(scene(path, **{"damper.c": 5.0}), over="belt.speed=0.1:0.5:3", draws=5).points == ()
 
@@ -111,7 +111,7 @@ def test_draws_that_put_the_point_beyond_the_values_are_counted(fitted, tmp_path
 )
 def test_scenes_without_a_usable_section_fit_are_refused(changes, said):
     with pytest.raises(InputError, match=said):
-        drawn_changes(scene("base", **changes), 5, "base")
+        draw_changes(scene("base", **changes), 5, "base")
 
 
 @pytest.mark.slow

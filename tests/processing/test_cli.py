@@ -152,7 +152,7 @@ def test_inspect_draws_the_run_smoothed_or_not(typed, path, tmp_path):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Leave the pictures of `process inspect` empty, where a test is about their files: one costs 0.8 s of CPU."""
-    monkeypatch.setattr(plot, "inspection", lambda *_: figure(1.0, 1.0))
+    monkeypatch.setattr(plot, "draw_inspection", lambda *_: figure(1.0, 1.0))
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -66,7 +66,7 @@ def test_a_part_of_a_run_is_smoothed_and_read_back(path):
     assert np.array_equal(found.position, smooth(store.load(path, own), "sg", 21).position)
     assert found.recording.time.size == own.stop - own.start
     assert raw_bytes(path) == before
-    whole = smooth_file(path, "sg", 21, own=own)
+    whole = smooth_file(path, "sg", 21, samples=own)
     assert whole.samples == found.samples
     assert np.array_equal(stage.load(path).velocity, found.velocity)
 

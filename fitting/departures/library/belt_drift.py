@@ -10,7 +10,6 @@ from fitting.forces.fitted_motion import FittedMotion
 
 
 def forcing(trajectory: FittedMotion, _: float) -> Forcing:
-    """Return v_b (t - t_mid)."""
     change = trajectory.belt_speed * trajectory.elapsed
     return Forcing(belt_speed=change[:, np.newaxis])
 

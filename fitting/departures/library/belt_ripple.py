@@ -19,12 +19,11 @@ MOST_PEAKS = 8  # gaps between the sticks make false peaks beside the true one, 
 
 
 def forcing(trajectory: FittedMotion, hertz: float) -> Forcing:
-    """Return sine and cosine of the ripple."""
     return Forcing(belt_speed=harmonic(2 * math.pi * hertz * trajectory.time))
 
 
 def frequencies(trajectory: FittedMotion) -> Array:
-    """Return the strongest frequencies of the residuals in stick, Hz, each between its neighbours."""
+    """Return the strongest frequencies of the residuals in stick, Hz, each with its neighbours as bounds."""
     window, time = trajectory.window[trajectory.samples], trajectory.time[trajectory.samples]
     times, left = [], []
     for stick in np.flatnonzero(trajectory.sticks):

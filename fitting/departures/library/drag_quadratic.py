@@ -12,7 +12,6 @@ from stickslip.compute.arrays import Array
 
 
 def drag(velocity: Array, _: float) -> Array:
-    """Return -v |v|."""
     return -velocity * np.abs(velocity)
 
 

@@ -1,4 +1,4 @@
-"""An eccentric encoder wheel: the reading errs by e sin(2 pi x/L + phase), once per revolution L of travel.
+"""An eccentric encoder wheel: the reading has an error e sin(2 pi x/L + phase), once per revolution L of travel.
 
 A camera or a laser has no wheel: there an error that repeats along the travel is its lens or its scale.
 
@@ -16,13 +16,12 @@ SMALLEST_REVOLUTION = 0.04  # revolution over the travel: a smaller wheel would 
 
 
 def forcing(trajectory: FittedMotion, revolution: float) -> Forcing:
-    """Return sine and cosine of the wheel's angle at each sample."""
     angle = speed_of_wave(revolution) * trajectory.position[trajectory.samples]
     return Forcing(reading=harmonic(angle))
 
 
 def revolutions(trajectory: FittedMotion) -> Array:
-    """Return the length of one revolution, m: the calibrated one, or those up to the travel."""
+    """Return the calibrated length of one revolution, m, or those up to the travel."""
     if trajectory.revolution is not None:
         return np.array([trajectory.revolution])
     return spaced(SMALLEST_REVOLUTION * trajectory.travel, trajectory.travel, trajectory.travel)

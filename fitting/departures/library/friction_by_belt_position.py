@@ -1,4 +1,4 @@
-"""Friction that depends on the place on the belt: F (1 + a sin(2 pi (b - x)/L + phase)), b the belt's own way.
+"""Friction that depends on the place on the belt: F (1 + a sin(2 pi (b - x)/L + phase)), b the belt's travel.
 
 a is relative, L the length of the belt, scanned: from a fraction of a slip to the way of the belt in the whole record.
 What changes from one slip to the next only is a scatter of the friction level; what changes within a slip is seen here.
@@ -14,13 +14,11 @@ LONGEST_BELT = 0.7  # length over the way in the whole record: on a longer one a
 
 
 def forcing(trajectory: FittedMotion, length: float) -> Forcing:
-    """Return the friction times sine and cosine of the place on the belt."""
     phase = speed_of_wave(length) * (trajectory.belt_position - trajectory.position)
     return Forcing(acceleration=harmonic(phase, trajectory.friction))
 
 
 def lengths(trajectory: FittedMotion) -> Array:
-    """Return lengths of belts, m."""
     way = trajectory.belt_way
     return spaced(SHORTEST_BELT * way / trajectory.cycles, LONGEST_BELT * way, way)
 

@@ -12,13 +12,11 @@ SHORTEST_WAVELENGTH = 0.08  # wavelength over the travel: what repeats more ofte
 
 
 def forcing(trajectory: FittedMotion, wavelength: float) -> Forcing:
-    """Return the friction times sine and cosine of the place."""
     phase = speed_of_wave(wavelength) * trajectory.position
     return Forcing(acceleration=harmonic(phase, trajectory.friction))
 
 
 def wavelengths(trajectory: FittedMotion) -> Array:
-    """Return wavelengths up to the travel, m."""
     return spaced(SHORTEST_WAVELENGTH * trajectory.travel, trajectory.travel, trajectory.travel)
 
 

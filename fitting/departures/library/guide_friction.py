@@ -12,7 +12,6 @@ from stickslip.compute.arrays import Array
 
 
 def drag(velocity: Array, turn: float) -> Array:
-    """Return -sign(v), as a tanh."""
     return np.asarray(-np.tanh(velocity / turn))
 
 

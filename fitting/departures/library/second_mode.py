@@ -27,7 +27,7 @@ HELD_SLIPS = 8e-3  # time for which the acceleration is held, in slips; at the f
 
 
 def forcing(trajectory: FittedMotion, omega: float) -> Forcing:
-    """Return what a mass of 1 (times the first) pulls with, in phase and a quarter turn later, m/s^2."""
+    """Return the pull of a mass of 1 (times the first), in phase and a quarter turn later, m/s^2."""
     out = np.empty((trajectory.time.size, 2))
     for run, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
         time, drive = held_acceleration(record)
@@ -40,7 +40,7 @@ def forcing(trajectory: FittedMotion, omega: float) -> Forcing:
 
 
 def frequencies(trajectory: FittedMotion) -> Array:
-    """Return angular frequencies that the samples can show, rad/s."""
+    """Return angular frequencies that the samples resolve, rad/s."""
     interval = max(float(np.median(np.diff(record.time))) for record in trajectory.records)
     main = math.sqrt(trajectory.K)
     fastest = min(FASTEST_MODE * main, 0.5 * math.pi / interval)
@@ -59,9 +59,9 @@ def held_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
 
 
 def _pull(acceleration: Array, step: float, omega: float) -> Array:
-    """Return stretch times omega^2 and velocity times omega (n, 2) of an oscillator on a moving base, m/s^2.
+    """Return stretch omega^2 and velocity omega (n, 2) of an oscillator on a moving base, m/s^2.
 
-    ``acceleration`` (n,) of the base holds for ``step`` s each.  In the complex plane the oscillator is one pole.
+    ``acceleration`` (n,) of the base is constant for ``step`` s; in the complex plane the oscillator is one pole.
     """
     rate = omega * complex(-MODE_DAMPING, math.sqrt(1 - MODE_DAMPING**2))
     turn = cmath.exp(rate * step)

@@ -11,7 +11,6 @@ from fitting.forces.fitted_motion import FittedMotion
 
 
 def forcing(trajectory: FittedMotion, _: float) -> Forcing:
-    """Return -z^3."""
     return Forcing(acceleration=-(trajectory.stretch[:, np.newaxis] ** 3))
 
 

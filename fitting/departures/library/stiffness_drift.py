@@ -10,7 +10,6 @@ from fitting.forces.fitted_motion import FittedMotion
 
 
 def forcing(trajectory: FittedMotion, _: float) -> Forcing:
-    """Return -K z (t - t_mid)."""
     change = -trajectory.K * trajectory.stretch * trajectory.elapsed
     return Forcing(acceleration=change[:, np.newaxis])
 

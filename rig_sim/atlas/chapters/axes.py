@@ -13,7 +13,7 @@ DAMPING = "damping c (sqrt(km))"
 
 
 @cache
-def motion(name: str, until: float, rate: float, changes: tuple[tuple[str, float], ...] = ()) -> tuple[Array, ...]:
+def play_motion(name: str, until: float, rate: float, changes: tuple[tuple[str, float], ...] = ()) -> tuple[Array, ...]:
     """Return t, x, v, F of a scene of one mass from t = 0, sampled ``rate`` times per unit of time."""
     times = np.arange(0.0, until + 0.5 / rate, 1.0 / rate)
     return ScenePlayer(scene(name, **dict(changes))).columns(times)

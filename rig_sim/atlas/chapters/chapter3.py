@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from daq.wire.quadrature import Decoder, levels_of
 from rig_sim.atlas.figure import Computed, Panel, Trace
-from rig_sim.atlas.statements import entries
+from rig_sim.atlas.statements import read_entries
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
 from stickslip.compute.arrays import Array
@@ -33,7 +33,7 @@ NAMES = {"fd": "finite differences", "sg": "Savitzky-Golay"}  # of the methods
 
 @dataclass(frozen=True)
 class EstimatedRun:
-    """A run as a method estimates it: time (s), position (cm), velocity (cm/s), stick or not; (n,) each."""
+    """A run as estimated by a method: time (s), position (cm), velocity (cm/s), stick or not; (n,) each."""
 
     t: Array
     x: Array
@@ -42,29 +42,23 @@ class EstimatedRun:
 
 
 @cache
-def runs() -> dict[str, EstimatedRun]:
+def record_runs() -> dict[str, EstimatedRun]:
     """Record the rig, and return the run by finite differences ('fd') and by Savitzky-Golay ('sg')."""
     series = {}
-    with TemporaryDirectory() as name:
-        folder = Path(name)
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         port = f"rig://{SCENE}?set=encoder.decoder%3D{DECODER}"
-        call(folder, "daq.cli.app", "record", "--port", port, "--protocol", "frames", "--decoder", DECODER, "--rate",
-             str(RATE), "--duration", str(SECONDS), "-o", "run.h5")  # fmt: skip
+        run_command(folder, "daq.cli.app", "record", "--port", port, "--protocol", "frames", "--decoder", DECODER,
+                    "--rate", str(RATE), "--duration", str(SECONDS), "-o", "run.h5")  # fmt: skip
         for method in ("fd", "sg"):
-            call(folder, "processing.cli", "smooth", "run.h5", "--method", method)
-            call(folder, "processing.cli", "export", "run.h5", "--csv", f"{method}.csv")
-            series[method] = read(folder / f"{method}.csv")
+            run_command(folder, "processing.cli", "smooth", "run.h5", "--method", method)
+            run_command(folder, "processing.cli", "export", "run.h5", "--csv", f"{method}.csv")
+            series[method] = read_table(folder / f"{method}.csv")
     return series
 
 
-def call(folder: Path, module: str, *arguments: str) -> None:
-    """Run a command in a folder.
-
-    Raises
-    ------
-    StickslipError
-        With the command's own message, where it fails.
-    """
+def run_command(folder: Path, module: str, *arguments: str) -> None:
+    """Run a command in a folder; raises StickslipError with the command's own message, where it fails."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with start_python(module, *arguments, cwd=folder, text=True, **quiet) as process:
         message = process.communicate()[1].strip()
@@ -73,8 +67,7 @@ def call(folder: Path, module: str, *arguments: str) -> None:
         raise StickslipError(message or f"exit code {process.returncode}", command, "run 'daq doctor'")
 
 
-def read(table: Path) -> EstimatedRun:
-    """Read an exported table."""
+def read_table(table: Path) -> EstimatedRun:
     with table.open() as file:
         names = file.readline().strip().split(",")
         rows = [line.rstrip("\n").split(",") for line in file]
@@ -85,16 +78,15 @@ def read(table: Path) -> EstimatedRun:
 
 
 @cache
-def exact(until: float) -> tuple[Array, ...]:
-    """Return t (s), x (cm), v (cm/s) of the motion that was recorded."""
+def play_exact(until: float) -> tuple[Array, ...]:
+    """Return t (s), x (cm), v (cm/s) of the recorded motion."""
     t, x, v, _ = ScenePlayer(scene(SCENE)).columns(np.arange(0.0, until, 0.002))
     return t, 100.0 * x, 100.0 * v
 
 
-def displacement() -> Computed:
-    """Return displacement in time."""
-    run = runs()["fd"]
-    _, slips = turns(run)
+def draw_displacement() -> Computed:
+    run = record_runs()["fd"]
+    _, slips = find_turns(run)
     numbers = {
         "least": run.x.min(),
         "least_slip": min(slips),
@@ -104,25 +96,25 @@ def displacement() -> Computed:
     return Computed((Panel(T, X, (Trace(run.t, run.x),)),), numbers)
 
 
-def turns(run: EstimatedRun) -> tuple[list[float], list[float]]:
-    """Return the displacements (cm) at which sticks begin and end, each a full one."""
-    begins = np.flatnonzero(run.stick[1:] & ~run.stick[:-1]) + 1
+def find_turns(run: EstimatedRun) -> tuple[list[float], list[float]]:
+    """Return the displacements (cm) at the starts and ends of full sticks."""
+    starts = np.flatnonzero(run.stick[1:] & ~run.stick[:-1]) + 1
     ends = np.flatnonzero(~run.stick[1:] & run.stick[:-1])
-    ends = ends[ends > begins[0]]
-    return run.x[begins].tolist(), run.x[ends].tolist()
+    ends = ends[ends > starts[0]]
+    return run.x[starts].tolist(), run.x[ends].tolist()
 
 
-def stick_times(run: EstimatedRun) -> Array:
+def measure_sticks(run: EstimatedRun) -> Array:
     """Return the durations of the full sticks, s."""
-    begins = np.flatnonzero(run.stick[1:] & ~run.stick[:-1]) + 1
+    starts = np.flatnonzero(run.stick[1:] & ~run.stick[:-1]) + 1
     ends = np.flatnonzero(~run.stick[1:] & run.stick[:-1])
-    ends = ends[ends > begins[0]]
-    count = min(len(begins), len(ends))
-    times: Array = run.t[ends[:count]] - run.t[begins[:count]]
+    ends = ends[ends > starts[0]]
+    count = min(len(starts), len(ends))
+    times: Array = run.t[ends[:count]] - run.t[starts[:count]]
     return times
 
 
-def fluctuation(run: EstimatedRun) -> float:
+def measure_fluctuation(run: EstimatedRun) -> float:
     """Return the rms deviation (cm/s) of the velocity from the belt's in the middle of sticks."""
     inside = run.stick.copy()
     for shift in range(1, RATE // 20):  # 50 ms from either end
@@ -131,27 +123,31 @@ def fluctuation(run: EstimatedRun) -> float:
     return float(np.sqrt(np.mean((run.v[inside] - BELT_CM_S) ** 2)))
 
 
-def velocity(method: str, until: float, with_exact: bool = False) -> Computed:
-    """Return the velocity in time as a method estimates it, over that of the exact motion or not."""
-    run, (t, _, v), fluctuations = runs()[method], exact(8.0), {name: fluctuation(run) for name, run in runs().items()}
-    shown = run.t < until
-    traces = [Trace(run.t[shown], run.v[shown], NAMES[method], "thin")]
+def draw_velocity(method: str, until: float, with_exact: bool = False) -> Computed:
+    """Return the velocity in time as estimated by a method, over that of the exact motion or not."""
+    run, (t, _, v), fluctuations = (
+        record_runs()[method],
+        play_exact(8.0),
+        {name: measure_fluctuation(run) for name, run in record_runs().items()},
+    )
+    drawn = run.t < until
+    traces = [Trace(run.t[drawn], run.v[drawn], NAMES[method], "thin")]
     if with_exact:
         traces.append(Trace(t, v, "exact motion", "dashed", 1))
-    smooth = runs()["sg"]
+    smooth = record_runs()["sg"]
     lowest, true = float(smooth.v[smooth.t < 8.0].min()), float(v.min())
-    full, half = differenced(1), differenced(2)
+    full, half = measure_differences(1), measure_differences(2)
     numbers = {
         "v_min": smooth.v.min(),
         "v_stick": np.median(smooth.v[smooth.stick]),
-        "t_stick": stick_times(smooth).mean(),
+        "t_stick": measure_sticks(smooth).mean(),
         "by_differences": fluctuations["fd"],
         "smoothed": fluctuations["sg"],
         "by_the_algorithm": fluctuations["fd"] > 5.0 * fluctuations["sg"],
         "every": full,
         "every_other": half,
         "reduced": full < half,
-        "line": 100.0 * step_of_a_line() * RATE,
+        "line": 100.0 * line_spacing() * RATE,
         "lowest": lowest,
         "true_lowest": true,
         "preserved": abs(lowest - true) < 0.02 * abs(true),
@@ -161,49 +157,49 @@ def velocity(method: str, until: float, with_exact: bool = False) -> Computed:
     return Computed((Panel(T, V, tuple(traces)),), numbers)
 
 
-def differenced(every: int) -> float:
+def measure_differences(every: int) -> float:
     """Return the rms (cm/s) about the belt's velocity, in stick, of differences between every so many samples."""
-    run = runs()["fd"]
+    run = record_runs()["fd"]
     x, t, stick = run.x[::every], run.t[::every], run.stick[::every]
     v = np.diff(x) / np.diff(t)
     inside = stick[1:] & stick[:-1]
     return float(np.sqrt(np.mean((v[inside] - np.mean(v[inside])) ** 2)))
 
 
-def step_of_a_line() -> float:
-    """Return how far the mass moves for one line of the encoder, m."""
+def line_spacing() -> float:
+    """Return the displacement of the mass for one line of the encoder, m."""
     encoder = scene(SCENE).encoder
     if encoder is None:
         raise ValueError(f"the scene {SCENE} has no encoder")
     return encoder.circumference / encoder.lines_per_rev
 
 
-def portrait(method: str) -> Computed:
-    """Return the phase portrait as a method estimates it."""
-    run = runs()[method]
+def draw_portrait(method: str) -> Computed:
+    """Return the phase portrait as estimated by a method."""
+    run = record_runs()[method]
     later = run.t > 1.0
-    landings, slips = turns(runs()["sg"])
+    landings, slips = find_turns(record_runs()["sg"])
     numbers = {
         "landing": np.mean(landings),
         "slip": np.mean(slips),
         "v_stick": np.median(run.v[run.stick]),
-        "fluctuation": fluctuation(run),
-        "flat": fluctuation(run) < 0.05 * BELT_CM_S,
+        "fluctuation": measure_fluctuation(run),
+        "flat": measure_fluctuation(run) < 0.05 * BELT_CM_S,
     }
     return Computed((Panel(X, V, (Trace(run.x[later], run.v[later], NAMES[method], "thin"),)),), numbers)
 
 
-def signals() -> Computed:
+def draw_signals() -> Computed:
     """Return the signals of the encoder, and the counts made of them."""
     t = np.linspace(0.0, 1.0, 4001)
     edges = np.where(t < 0.5, 35.0 * t, 35.0 * (1.0 - t))  # x4 counts: up, then down
     levels = levels_of(np.floor(edges))
     high_a, high_b = (levels & 1).astype(np.float64), (levels >> 1).astype(np.float64)
     decoder = Decoder("jk")
-    found = decoder.feed(levels)
+    steps = decoder.feed(levels)
     up, down = np.zeros(len(t)), np.zeros(len(t))
-    up[found.index[found.step > 0]] = 1.0
-    down[found.index[found.step < 0]] = 1.0
+    up[steps.index[steps.step > 0]] = 1.0
+    down[steps.index[steps.step < 0]] = 1.0
     rises = np.flatnonzero(np.diff(high_a) > 0.0) + 1
     forwards, backwards = high_b[rises[t[rises] < 0.5]], high_b[rises[t[rises] > 0.5]]
     levels_drawn = (Trace(t, high_a + 1.5, "A", "line", 0), Trace(t, high_b, "B", "line", 1))
@@ -224,16 +220,16 @@ def signals() -> Computed:
     return Computed(panels, numbers)
 
 
-FIGURES = entries(
+FIGURES = read_entries(
     "chapter3.toml",
     {
-        "3.8": signals,
-        "3.15": displacement,
-        "3.16": partial(velocity, "fd", SECONDS),
-        "3.17": partial(portrait, "fd"),
-        "3.19": partial(velocity, "fd", 8.0),
-        "3.20": partial(velocity, "sg", 8.0, with_exact=True),
-        "3.21": partial(portrait, "fd"),
-        "3.22": partial(portrait, "sg"),
+        "3.8": draw_signals,
+        "3.15": draw_displacement,
+        "3.16": partial(draw_velocity, "fd", SECONDS),
+        "3.17": partial(draw_portrait, "fd"),
+        "3.19": partial(draw_velocity, "fd", 8.0),
+        "3.20": partial(draw_velocity, "sg", 8.0, with_exact=True),
+        "3.21": partial(draw_portrait, "fd"),
+        "3.22": partial(draw_portrait, "sg"),
     },
 )

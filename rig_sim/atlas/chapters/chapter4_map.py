@@ -6,11 +6,11 @@ from functools import cache, partial
 import numpy as np
 
 from rig_sim.atlas.figure import Computed, Panel, Trace
-from rig_sim.atlas.statements import entries
+from rig_sim.atlas.statements import read_entries
 from rig_sim.dynamics.analyses.basins import TRANSIENT, Attractor, basins
 from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.map_branches import map_continuation
-from rig_sim.dynamics.analyses.periodic_points import periodic_points
+from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
 from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
 from rig_sim.dynamics.return_maps.section import CELLS, attractors_at
 from rig_sim.dynamics.return_maps.stick import StickMap
@@ -26,52 +26,50 @@ D, NEXT = "stretch d_n = X2 - X1 (Fs1/k)", "d_n+1 (Fs1/k)"
 CRISIS_SPEEDS = (0.0820196, 0.0813048, 0.08090, 0.08059)
 CRISIS, DOUBLING, FOLD = (0.0802, 0.0810), (0.0830, 0.0850), (0.165, 0.175)  # belt velocities on either side of each
 EXPONENT_SPEEDS, ITERATIONS = (0.08075, 0.083, 0.1), 700
-LONG = 20_000  # events of a Lyapunov exponent that is compared
-PLACES = 1500  # drawn of a map
+LONG = 20_000  # events of a compared Lyapunov exponent
+PLACES = 1500  # points of the curve of a map
 
 Span = tuple[float, float]
 
 
 def flow_at(speed: float) -> TwoMassFlow:
-    """Return the two masses on a belt of this velocity."""
     return scene("two-mass", **{"belt.speed": speed}).two_mass_flow()
 
 
 @cache
 def map_at(speed: float) -> StickMap:
-    """Return the map from stick to stick at a belt velocity."""
     return StickMap(flow_at(speed))
 
 
 @cache
-def attractors(speed: float) -> tuple[Attractor, ...]:
+def attractors_at_speed(speed: float) -> tuple[Attractor, ...]:
     """Return the attractors of the map at a belt velocity, the largest basin first."""
     return basins(map_at(speed), CELLS).attractors
 
 
 @cache
-def diagram() -> tuple[AttractorAt, ...]:
+def sweep_speeds() -> tuple[AttractorAt, ...]:
     """Return the attractors over the belt velocities of figure 4.18."""
     return tuple(sweep(partial(attractors_at, flow_at, "poincare"), SPEEDS.tolist()))
 
 
 @cache
-def special(kind: str, low: float, high: float) -> float:
+def find_special_speed(kind: str, low: float, high: float) -> float:
     """Return the belt velocity of a special point of the map between two others."""
     points = map_continuation(map_at, np.linspace(low, high, 5).tolist()).points
-    (found,) = [point.value for point in points if point.kind == kind]
-    return found
+    (speed,) = [point.value for point in points if point.kind == kind]
+    return speed
 
 
 @cache
-def detail() -> tuple[AttractorAt, ...]:
-    """Return attractor 2 over the belt velocities of figure 4.18, and more of them beside the crisis."""
+def sweep_second_attractor() -> tuple[AttractorAt, ...]:
+    """Return attractor 2 over the belt velocities of figure 4.18, and more of them near the crisis."""
     near = sweep(partial(attractors_at, flow_at, "poincare"), NEAR_CRISIS.tolist())
-    rows = [row for row in (*diagram(), *near) if row.attractor == 2]
+    rows = [row for row in (*sweep_speeds(), *near) if row.attractor == 2]
     return tuple(sorted(rows, key=lambda row: row.value))
 
 
-def points_of(rows: Iterable[AttractorAt], label: str, colour: int) -> Trace:
+def trace_points(rows: Iterable[AttractorAt], label: str, colour: int) -> Trace:
     """Return the points of rows of a diagram."""
     rows = list(rows)
     x = np.concatenate([np.full(len(row.points), row.value) for row in rows])
@@ -79,16 +77,15 @@ def points_of(rows: Iterable[AttractorAt], label: str, colour: int) -> Trace:
     return Trace(x, y, label, "points", colour)
 
 
-def both_attractors() -> Computed:
-    """Return the attractors over the belt velocity."""
-    numbers = sorted({row.attractor for row in diagram()})
+def draw_both_attractors() -> Computed:
+    numbers = sorted({row.attractor for row in sweep_speeds()})
     traces = tuple(
-        points_of((row for row in diagram() if row.attractor == number), f"attractor {number}", number - 1)
+        trace_points((row for row in sweep_speeds() if row.attractor == number), f"attractor {number}", number - 1)
         for number in numbers
     )
-    third = [row.value for row in diagram() if row.attractor == 3]
-    at_021, at_025 = (len(attractors(speed)) for speed in (0.21, 0.25))
-    found = {
+    third = [row.value for row in sweep_speeds() if row.attractor == 3]
+    at_021, at_025 = (len(attractors_at_speed(speed)) for speed in (0.21, 0.25))
+    computed_numbers = {
         "attractors": len(numbers),
         "third": f"; the third from V = {min(third):.5g} to {max(third):.5g}" if third else "",
         "two": len(numbers) == 2,
@@ -96,16 +93,17 @@ def both_attractors() -> Computed:
         "at_025": at_025,
         "none_beyond": at_021 == at_025 == 0,
     }
-    return Computed((Panel(BELT, SECTION, traces),), found)
+    return Computed((Panel(BELT, SECTION, traces),), computed_numbers)
 
 
-def second_attractor() -> Computed:
-    """Return attractor 2 over the belt velocity."""
-    panel = Panel(BELT, SECTION, (points_of(detail(), "", 1),), x_range=(0.079, 0.172))
-    return Computed((panel,), {"crisis": special("crisis", *CRISIS), "fold": special("fold", *FOLD)})
+def draw_second_attractor() -> Computed:
+    panel = Panel(BELT, SECTION, (trace_points(sweep_second_attractor(), "", 1),), x_range=(0.079, 0.172))
+    return Computed(
+        (panel,), {"crisis": find_special_speed("crisis", *CRISIS), "fold": find_special_speed("fold", *FOLD)}
+    )
 
 
-def graph(f: StickMap, times: int, low: float, high: float) -> list[Trace]:
+def trace_map(f: StickMap, times: int, low: float, high: float) -> list[Trace]:
     """Return the diagonal and the ``times``-th iterate of a map between two stretches, with gaps where it jumps."""
     x = np.linspace(low, high, PLACES)
     y = f.images(x, times)
@@ -114,11 +112,11 @@ def graph(f: StickMap, times: int, low: float, high: float) -> list[Trace]:
     return [Trace(ends, ends, "", "thin", None), Trace(x, y, "", "line", 0)]
 
 
-def orbits(f: StickMap, period: int, low: float, high: float) -> list[Trace]:
+def trace_orbits(f: StickMap, period: int, low: float, high: float) -> list[Trace]:
     """Return the periodic points between two stretches, stable ones filled."""
-    found = [orbit for n in range(1, period + 1) if period % n == 0 for orbit in periodic_points(f, n)]
+    orbits = [orbit for n in range(1, period + 1) if period % n == 0 for orbit in find_periodic_orbits(f, n)]
     traces = []
-    for orbit in found:
+    for orbit in orbits:
         points = np.array([point for point in orbit.points if low <= point <= high])
         if len(points):
             kind = "stable" if orbit.stable else "unstable"
@@ -127,75 +125,86 @@ def orbits(f: StickMap, period: int, low: float, high: float) -> list[Trace]:
     return traces
 
 
-def collision() -> Computed:
+def draw_collision() -> Computed:
     """Return the map with attractor 2 within the square of the orbit that bounds its basin, towards the crisis."""
     low, high = 0.02, 0.2
     panels = []
     for letter, speed in zip("abcd", CRISIS_SPEEDS, strict=True):
         f = map_at(speed)
-        visited = np.array(attractors(speed)[1].points)
-        left, right = bounding_orbit(f)
-        corners, sides = np.array([left, left, right, right, left]), np.array([left, right, right, left, left])
+        visited = np.array(attractors_at_speed(speed)[1].points)
+        lower, upper = find_bounding_orbit(f)
+        corners, sides = np.array([lower, lower, upper, upper, lower]), np.array([lower, upper, upper, lower, lower])
         curves = (
-            *graph(f, 1, low, high),
+            *trace_map(f, 1, low, high),
             Trace(corners, sides, "unstable period 2", "dashed", 2),
             Trace(visited, f.images(visited), "attractor 2", "points", 1),
         )
         panels.append(Panel(D, NEXT, curves, f"({letter}) V = {speed}", (low, high), (low, high)))
-    first, last = reach(CRISIS_SPEEDS[0]), reach(CRISIS_SPEEDS[-1])
-    numbers = {"crisis": special("crisis", *CRISIS), "first": first, "last": last, "collides": 0.0 < last < first}
+    first, last = measure_margin(CRISIS_SPEEDS[0]), measure_margin(CRISIS_SPEEDS[-1])
+    numbers = {
+        "crisis": find_special_speed("crisis", *CRISIS),
+        "first": first,
+        "last": last,
+        "collides": 0.0 < last < first,
+    }
     return Computed(tuple(panels), numbers, columns=2)
 
 
-def bounding_orbit(f: StickMap) -> tuple[float, ...]:
+def find_bounding_orbit(f: StickMap) -> tuple[float, ...]:
     """Return the points of the unstable orbit of period 2 that encloses attractor 2: the widest one."""
     return max(
-        (orbit.points for orbit in periodic_points(f, 2) if not orbit.stable), key=lambda points: points[1] - points[0]
+        (orbit.points for orbit in find_periodic_orbits(f, 2) if not orbit.stable),
+        key=lambda points: points[1] - points[0],
     )
 
 
-def reach(speed: float) -> float:
+def measure_margin(speed: float) -> float:
     """Return how far inside the square of the bounding orbit the largest point of attractor 2 lies."""
-    return bounding_orbit(map_at(speed))[1] - max(attractors(speed)[1].points)
+    return find_bounding_orbit(map_at(speed))[1] - max(attractors_at_speed(speed)[1].points)
 
 
-def second_iterate(kind: str, speeds: tuple[float, float], range_: Span, counted_in: Span, between: Span) -> Computed:
+def draw_second_iterate(
+    kind: str, speeds: tuple[float, float], range_: Span, counted_in: Span, between: Span
+) -> Computed:
     """Return the second iterate at two belt velocities on either side of a special point, with its fixed points."""
     panels = tuple(
         Panel(
             "d_n (Fs1/k)",
             "d_n+2 (Fs1/k)",
-            (*graph(map_at(speed), 2, *range_), *orbits(map_at(speed), 2, *range_)),
+            (*trace_map(map_at(speed), 2, *range_), *trace_orbits(map_at(speed), 2, *range_)),
             f"({letter}) V = {speed}",
             range_,
             range_,
         )
         for letter, speed in zip("ab", speeds, strict=True)
     )
-    before, after = (counted(speed, *counted_in) for speed in speeds)
-    value = special(kind, *between)
+    before, after = (count_fixed_points(speed, *counted_in) for speed in speeds)
+    value = find_special_speed(kind, *between)
     numbers = {"before": before, "after": after, "special": value, "between": 0.0820 < value < 0.0842}
     return Computed(panels, numbers, columns=2)
 
 
-def counted(speed: float, low: float, high: float) -> str:
-    """Return how many stable and unstable fixed points the second iterate has between two stretches."""
+def count_fixed_points(speed: float, low: float, high: float) -> str:
+    """Return the numbers of stable and unstable fixed points of the second iterate between two stretches, as text."""
     kinds = [
-        (orbit.stable, point) for n in (1, 2) for orbit in periodic_points(map_at(speed), n) for point in orbit.points
+        (orbit.stable, point)
+        for n in (1, 2)
+        for orbit in find_periodic_orbits(map_at(speed), n)
+        for point in orbit.points
     ]
     inside = [stable for stable, point in kinds if low <= point <= high]
     return f"{sum(inside)} stable, {len(inside) - sum(inside)} unstable"
 
 
-def secant() -> Computed:
-    """Return how the slope of the map is taken."""
+def draw_secant() -> Computed:
+    """Return the secant that gives the slope of the map."""
     f, low, high = map_at(EXPONENT_SPEEDS[0]), 0.04, 0.2
     d, step = 0.08, 0.02
     x = np.array([d, d + step])
     y = f.images(x)
     ends = np.array([low, high])
     curves = (
-        *graph(f, 1, low, high),
+        *trace_map(f, 1, low, high),
         Trace(x, y, "secant over delta", "line", 1),
         Trace(ends, y[0] + float(slope(f, x[:1])[0]) * (ends - d), "tangent at d_n", "dashed", 2),
         Trace(x, y, "d_n and d_n + delta", "open", -1),
@@ -204,56 +213,59 @@ def secant() -> Computed:
     return Computed((panel,), {"speed": EXPONENT_SPEEDS[0], "d": d, "step": step})
 
 
-def running(speed: float) -> Array:
+def running_exponent(speed: float) -> Array:
     """Return the mean of log abs(slope) over the first 1, 2 ... events on attractor 2: (ITERATIONS,)."""
     f = map_at(speed)
-    orbit = f.orbit(attractors(speed)[-1].points[0], TRANSIENT + ITERATIONS)[TRANSIENT:]
+    orbit = f.orbit(attractors_at_speed(speed)[-1].points[0], TRANSIENT + ITERATIONS)[TRANSIENT:]
     means: Array = np.cumsum(np.log(np.abs(slope(f, orbit)))) / np.arange(1, ITERATIONS + 1)
     return means
 
 
-def exponents() -> Computed:
+def draw_exponents() -> Computed:
     """Return attractor 2 over the belt velocity, and running means of its exponent at three velocities."""
     count = np.arange(1.0, ITERATIONS + 1)
-    means = [running(speed) for speed in EXPONENT_SPEEDS]
-    found = [
-        exponent(map_at(speed).motion(np.array(attractors(speed)[-1].points[:1])), LONG) for speed in EXPONENT_SPEEDS
+    means = [running_exponent(speed) for speed in EXPONENT_SPEEDS]
+    exponents = [
+        exponent(map_at(speed).motion(np.array(attractors_at_speed(speed)[-1].points[:1])), LONG)
+        for speed in EXPONENT_SPEEDS
     ]
-    in_words = (
-        f"{one.exponent:.5f} +- {one.stderr:.1g} per event; {run[-1]:.3f} after {ITERATIONS}"
-        for one, run in zip(found, means, strict=True)
+    texts = (
+        f"{result.exponent:.5f} +- {result.stderr:.1g} per event; {run[-1]:.3f} after {ITERATIONS}"
+        for result, run in zip(exponents, means, strict=True)
     )
-    extent = [point for row in detail() for point in row.points]
+    extent = [point for row in sweep_second_attractor() for point in row.points]
     traces = (
-        Trace(count, run, f"V = {speed}", "line", place)
-        for place, (speed, run) in enumerate(zip(EXPONENT_SPEEDS, means, strict=True))
+        Trace(count, run, f"V = {speed}", "line", colour)
+        for colour, (speed, run) in enumerate(zip(EXPONENT_SPEEDS, means, strict=True))
     )
     numbers = {
-        **dict(zip(("first", "second", "third"), in_words, strict=True)),
-        "first_chaotic": found[0].exponent > 0.0,
-        "second_periodic": found[1].exponent <= 0.0,
-        "third_periodic": found[2].exponent <= 0.0,
+        **dict(zip(("first", "second", "third"), texts, strict=True)),
+        "first_chaotic": exponents[0].exponent > 0.0,
+        "second_periodic": exponents[1].exponent <= 0.0,
+        "third_periodic": exponents[2].exponent <= 0.0,
         "least": min(extent),
         "largest": max(extent),
-        "exponents_in_a": all(-0.7 <= one.exponent <= -0.2 for one in found),
+        "exponents_in_a": all(-0.7 <= result.exponent <= -0.2 for result in exponents),
     }
-    room = (-0.8, 2.6)  # for the legend
+    y_range = (-0.8, 2.6)  # for the legend
     panels = (
-        Panel(BELT, "X1p (Fs1/k)", (points_of(detail(), "", 1),), "(a)", (0.079, 0.172)),
-        Panel("number of iterations", "exponent (1/event)", tuple(traces), "(b)", y_range=room),
+        Panel(BELT, "X1p (Fs1/k)", (trace_points(sweep_second_attractor(), "", 1),), "(a)", (0.079, 0.172)),
+        Panel("number of iterations", "exponent (1/event)", tuple(traces), "(b)", y_range=y_range),
     )
     return Computed(panels, numbers)
 
 
-FIGURES = entries(
+FIGURES = read_entries(
     "chapter4.toml",
     {
-        "4.18": both_attractors,
-        "4.19": second_attractor,
-        "4.20": collision,
-        "4.21": partial(second_iterate, "period-doubling", (0.0838, 0.0842), (0.155, 0.185), (0.155, 0.185), DOUBLING),
-        "4.22": partial(second_iterate, "fold", FOLD, (0.0, 0.25), (0.05, 0.18), FOLD),
-        "4.23": secant,
-        "4.24": exponents,
+        "4.18": draw_both_attractors,
+        "4.19": draw_second_attractor,
+        "4.20": draw_collision,
+        "4.21": partial(
+            draw_second_iterate, "period-doubling", (0.0838, 0.0842), (0.155, 0.185), (0.155, 0.185), DOUBLING
+        ),
+        "4.22": partial(draw_second_iterate, "fold", FOLD, (0.0, 0.25), (0.05, 0.18), FOLD),
+        "4.23": draw_secant,
+        "4.24": draw_exponents,
     },
 )

@@ -5,15 +5,15 @@ from functools import cache, partial
 
 import numpy as np
 
-from rig_sim.atlas.chapters.axes import T, V, X, motion
+from rig_sim.atlas.chapters.axes import T, V, X, play_motion
 from rig_sim.atlas.figure import Computed, Panel, Trace
-from rig_sim.atlas.statements import entries
+from rig_sim.atlas.statements import read_entries
 from rig_sim.dynamics.analyses.exponent import Exponent, exponent
-from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.analyses.settling import find_attractors
 from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
 from rig_sim.dynamics.control.dither import Quench, quench
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import DrivenMap, with_starts
+from rig_sim.dynamics.return_maps.driven import DrivenMap, driven_map_with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 
@@ -25,42 +25,39 @@ SETTLED = 300.0  # time after which a motion counts as settled
 
 
 def flow_at(omega: float, u0: float = U0) -> Flow:
-    """Return the driven mass at a drive frequency."""
     return scene("forced", **{"drive.omega": omega, "drive.u0": u0}).flow()
 
 
 def attractors_at(omega: float) -> list[AttractorAt]:
     """Return the attractors at a drive frequency, with the positions of break-away."""
-    return attractors(*with_starts(flow_at(omega), 0.0, 0.0, "slip"), omega)
+    return find_attractors(*driven_map_with_starts(flow_at(omega), 0.0, 0.0, "slip"), omega)
 
 
 @cache
-def period(omega: float) -> int | None:
-    """Return after how many break-aways the motion of most starts repeats; None where it does not."""
+def find_slip_period(omega: float) -> int | None:
+    """Return the number of break-aways in one period of the motion of most starts; None where it does not repeat."""
     return attractors_at(omega)[0].period
 
 
 @cache
-def landing_exponent(omega: float) -> Exponent:
+def compute_landing_exponent(omega: float) -> Exponent:
     """Return the Lyapunov exponent per landing of the motion from (0, 0)."""
     return exponent(DrivenMap(flow_at(omega), "landing").motion(np.zeros(2)), LANDINGS)
 
 
-def unforced() -> Computed:
-    """Return the phase portrait without a drive."""
+def draw_unforced() -> Computed:
     changes = (("belt.speed", SPEED),)
     free = cycle(scene("base", **dict(changes)))
-    t, x, v, _ = motion("base", 90.0, 100.0, changes)
+    t, x, v, _ = play_motion("base", 90.0, 100.0, changes)
     last = t > 90.0 - 1.02 * (free.period or 0.0)
     curves = Trace(x, v, "from (0, 0)", "thin"), Trace(x[last], v[last], "limit cycle", "thick")
     return Computed((Panel(X, V, curves),), {**vars(free), "is_cycle": free.outcome == "cycle"})
 
 
-def portrait(omega: float) -> Computed:
-    """Return the phase portrait at a drive frequency."""
-    t, x, v, _ = motion("forced", 3.0 * SETTLED, 50.0, (("drive.omega", omega),))
+def draw_portrait(omega: float) -> Computed:
+    t, x, v, _ = play_motion("forced", 3.0 * SETTLED, 50.0, (("drive.omega", omega),))
     late = t > SETTLED
-    repeats, growth = period(omega), landing_exponent(omega)
+    repeats, growth = find_slip_period(omega), compute_landing_exponent(omega)
     numbers = {
         "omega": omega,
         "period": float(repeats or 0),
@@ -73,18 +70,18 @@ def portrait(omega: float) -> Computed:
 
 
 @cache
-def diagram() -> tuple[AttractorAt, ...]:
+def sweep_frequencies() -> tuple[AttractorAt, ...]:
     """Return the attractors over the drive frequencies of figure 6.6."""
     return tuple(sweep(attractors_at, OMEGAS.tolist()))
 
 
-def bifurcations() -> Computed:
+def draw_bifurcations() -> Computed:
     """Return the positions of break-away over the drive frequency."""
-    rows = [row for row in diagram() if row.points]
+    rows = [row for row in sweep_frequencies() if row.points]
     x = np.concatenate([np.full(len(row.points), row.value) for row in rows])
     y = np.concatenate([row.points for row in rows])
     periods = sorted({row.period for row in rows if row.period})
-    low, high = landing_exponent(1.1), landing_exponent(1.6)
+    low, high = compute_landing_exponent(1.1), compute_landing_exponent(1.6)
     numbers = {
         "periods": ", ".join(map(str, periods)),
         "windows_in_chaos": {1, 2} <= set(periods) and any(row.period is None for row in rows),
@@ -104,41 +101,41 @@ def bifurcations() -> Computed:
 
 
 @cache
-def dither() -> Quench:
+def compute_dither() -> Quench:
     """Return whether the fast drive quenches the stick-slip, and its threshold."""
     return quench(flow_at(FAST[1], FAST[0]), 0.0, 0.0)
 
 
-def drive(setting: tuple[float, float]) -> tuple[tuple[str, float], ...]:
+def drive_changes(setting: tuple[float, float]) -> tuple[tuple[str, float], ...]:
     """Return the changes of a scene for an amplitude and a frequency."""
     return ("drive.u0", setting[0]), ("drive.omega", setting[1])
 
 
-def quenched(of_velocity: bool) -> Computed:
+def draw_quenched(of_velocity: bool) -> Computed:
     """Return displacement or velocity under a slow and under a fast drive."""
     traces: list[Trace] = []
     for setting, name in ((SLOW, "unquenched"), (FAST, "quenched")):
-        t, x, v, _ = motion("forced", 120.0, 50.0, drive(setting))
+        t, x, v, _ = play_motion("forced", 120.0, 50.0, drive_changes(setting))
         label = f"{name}: u0 = {setting[0]}, omega = {setting[1]}"
         traces.append(Trace(t, v if of_velocity else x, label, "line" if traces else "thin", len(traces)))
-    found = dither()
-    numbers = vars(found) | {
+    result = compute_dither()
+    numbers = vars(result) | {
         "what": "velocity" if of_velocity else "displacement",
-        "simulated_threshold": found.simulated_threshold or math.nan,
-        "tiny": found.swing < 0.1 * found.free_swing,
+        "simulated_threshold": result.simulated_threshold or math.nan,
+        "tiny": result.swing < 0.1 * result.free_swing,
     }
     return Computed((Panel(T, V if of_velocity else X, tuple(traces)),), numbers)
 
 
-FIGURES = entries(
+FIGURES = read_entries(
     "chapter6.toml",
     {
-        "6.2": unforced,
-        "6.3": partial(portrait, 0.30),
-        "6.4": partial(portrait, 0.41),
-        "6.5": partial(portrait, 0.20),
-        "6.6": bifurcations,
-        "6.7": partial(quenched, False),
-        "6.8": partial(quenched, True),
+        "6.2": draw_unforced,
+        "6.3": partial(draw_portrait, 0.30),
+        "6.4": partial(draw_portrait, 0.41),
+        "6.5": partial(draw_portrait, 0.20),
+        "6.6": draw_bifurcations,
+        "6.7": partial(draw_quenched, False),
+        "6.8": partial(draw_quenched, True),
     },
 )

@@ -9,130 +9,102 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig_sim.dynamics.analyses.settling import settled
+from rig_sim.dynamics.analyses.settling import settle
 from rig_sim.dynamics.system.interface import OnInterval
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
 from stickslip.compute.arrays import Array, Integers
 from stickslip.compute.stages import Stages, parts, silent
 
-# Iterates of the map itself from each cycle before its attractor counts as reached: twice as many double the cost of a
-# sweep.  Near a period doubling an orbit may still be 1e-3 of the interval away after as many.
+# Iterates of the map itself from each cycle before its attractor counts as reached.  Near a period doubling an orbit
+# may still be 1e-3 of the interval away.
 TRANSIENT = 1000
-POINTS = 512  # kept of an attractor that is not periodic
-SAME = 1e-9  # share of the interval to which the orbit of a periodic attractor repeats
-NOWHERE = -1  # index of what has no attractor
+POINTS = 512  # of an attractor that is not periodic
+SAME = 1e-9  # share of the interval within which the orbit of a periodic attractor repeats
+NOWHERE = -1  # index for cells without an attractor
 
 
 @dataclass(frozen=True)
 class Attractor:
-    """An attractor.
+    """An attractor of a map of an interval."""
 
-    Attributes
-    ----------
-    points : tuple of float
-        One period in the order in which they follow, from the smallest; or `POINTS` iterates where it is not periodic.
-    period : int or None
-        None for a chaotic one, or one whose period is above `rig_sim.dynamics.system.period.LONGEST_PERIOD`.
-    share : float
-        Of the cells that lead to it.
-    """
-
+    # one period in the order of the orbit, from the smallest; or `POINTS` iterates where it is not periodic
     points: tuple[float, ...]
+    # None for a chaotic one, or a period above `rig_sim.dynamics.system.period.LONGEST_PERIOD`
     period: int | None
-    share: float
+    share: float  # of the cells that lead to it
 
 
 @dataclass(frozen=True)
 class Basins:
-    """Attractors, the largest basin first, and which of them each cell leads to.
+    """Attractors, the largest basin first, and the attractor to which each cell leads."""
 
-    Attributes
-    ----------
-    attractors : tuple of Attractor
-        May be empty.
-    nowhere : float
-        Share of the cells that lead to where the map is not defined.
-    centres : (n,) float64
-        Of the cells.
-    fate : (n,) int64
-        Index of the cell's attractor, or `NOWHERE`.
-    cycles : int
-        Cycles of cells before they were merged.
-    """
-
-    attractors: tuple[Attractor, ...]
-    nowhere: float
-    centres: Array
-    fate: Integers
-    cycles: int
+    attractors: tuple[Attractor, ...]  # may be empty
+    nowhere: float  # share of the cells that lead to where the map is not defined
+    centres: Array  # (n,) of the cells
+    fate: Integers  # (n,) index of the cell's attractor, or `NOWHERE`
+    cycles: int  # cycles of cells before they were merged
 
 
 def basins(f: OnInterval, cells: int, progress: Stages = silent) -> Basins:
-    """Return the attractors of a map and their basins; ``progress`` is called with the stage and what is done of it.
-
-    Raises
-    ------
-    ValueError
-        Fewer than 2 cells.
-    """
+    """Return the attractors of a map and their basins; ``progress`` is called with the stage and its number done."""
     if cells < 2:
         raise ValueError(f"{cells} cells; need 2 or more")
     width = (f.hi - f.lo) / cells
     centres: Array = f.lo + width * (np.arange(cells, dtype=np.float64) + 0.5)
     mapped = [f.images(centres[begin:end]) for begin, end in parts("mapping cells", cells, progress)]
-    following = cell_of(np.concatenate(mapped), f, cells)
-    cycle_of, entries = cell_cycles(following)
+    following = find_cells(np.concatenate(mapped), f, cells)
+    cycle_of, entries = find_cell_cycles(following)
     cycles = parts("following cycles", len(entries), progress, 1)
-    orbits = [attractor_from(f, float(centres[entries[number]])) for number, _ in cycles]
-    visited = [set(cell_of(np.array(orbit[0]), f, cells).tolist()) for orbit in orbits]
-    leader = merged(visited)
-    kept = [index for index in range(len(entries)) if leader[index] == index and NOWHERE not in visited[index]]
-    counts = dict.fromkeys(kept, 0)
+    orbits = [follow_to_attractor(f, float(centres[entries[number]])) for number, _ in cycles]
+    visited = [set(find_cells(np.array(orbit[0]), f, cells).tolist()) for orbit in orbits]
+    leader = merge_sets(visited)
+    leaders = [index for index in range(len(entries)) if leader[index] == index and NOWHERE not in visited[index]]
+    counts = dict.fromkeys(leaders, 0)
     for index in range(len(entries)):
         if leader[index] in counts:
             counts[leader[index]] += int(np.count_nonzero(cycle_of == index))
-    kept.sort(key=lambda index: (-counts[index], orbits[index][0]))
-    place = {index: rank for rank, index in enumerate(kept)}
-    fate_of_cycle = np.array([place.get(leader[index], NOWHERE) for index in range(len(entries))] + [NOWHERE])
+    leaders.sort(key=lambda index: (-counts[index], orbits[index][0]))
+    ranks = {index: rank for rank, index in enumerate(leaders)}
+    fate_of_cycle = np.array([ranks.get(leader[index], NOWHERE) for index in range(len(entries))] + [NOWHERE])
     fate = fate_of_cycle[cycle_of]
-    found = tuple(Attractor(*orbits[index], counts[index] / cells) for index in kept)
-    return Basins(found, float(np.mean(fate == NOWHERE)), centres, fate, len(entries))
+    attractors = tuple(Attractor(*orbits[index], counts[index] / cells) for index in leaders)
+    return Basins(attractors, float(np.mean(fate == NOWHERE)), centres, fate, len(entries))
 
 
-def cell_of(x: Array, f: OnInterval, cells: int) -> Integers:
+def find_cells(x: Array, f: OnInterval, cells: int) -> Integers:
     """Return the cell of each x, shape (n,), or `NOWHERE` outside the interval and where x is NaN."""
     inside = (x >= f.lo) & (x <= f.hi)
-    place = np.where(inside, (x - f.lo) / (f.hi - f.lo), 0.0) * cells
-    return np.where(inside, np.minimum(place.astype(np.int64), cells - 1), NOWHERE)
+    position = np.where(inside, (x - f.lo) / (f.hi - f.lo), 0.0) * cells
+    return np.where(inside, np.minimum(position.astype(np.int64), cells - 1), NOWHERE)
 
 
-def cell_cycles(following: Integers) -> tuple[Integers, list[int]]:
+def find_cell_cycles(following: Integers) -> tuple[Integers, list[int]]:
     """Return the cycle that each cell leads to (-1: nowhere), and one cell of every cycle."""
     steps = following.tolist()
     cycle_of = [-2] * len(steps)  # not yet known
     entries: list[int] = []
     for first in range(len(steps)):
         path: list[int] = []
-        at = first
-        while at != NOWHERE and cycle_of[at] == -2:
-            cycle_of[at] = -3  # on this path
-            path.append(at)
-            at = steps[at]
-        if at == NOWHERE:
-            found = NOWHERE
-        elif cycle_of[at] == -3:
-            found = len(entries)
-            entries.append(at)
+        cell = first
+        while cell != NOWHERE and cycle_of[cell] == -2:
+            cycle_of[cell] = -3  # on this path
+            path.append(cell)
+            cell = steps[cell]
+        if cell == NOWHERE:
+            cycle = NOWHERE
+        elif cycle_of[cell] == -3:
+            cycle = len(entries)
+            entries.append(cell)
         else:
-            found = cycle_of[at]
-        for cell in path:
-            cycle_of[cell] = found
+            cycle = cycle_of[cell]
+        for visited in path:
+            cycle_of[visited] = cycle
     return np.array(cycle_of, dtype=np.int64), entries
 
 
-def attractor_from(f: OnInterval, start: float) -> tuple[tuple[float, ...], int | None]:
+def follow_to_attractor(f: OnInterval, start: float) -> tuple[tuple[float, ...], int | None]:
     """Return the points of the attractor that ``start`` leads to, and its period; NaN where f is not defined."""
-    end = settled(f.motion(np.array([start])), (TRANSIENT,), POINTS, SAME)
+    end = settle(f.motion(np.array([start])), (TRANSIENT,), POINTS, SAME)
     points = end.states[:, 0]
     if end.outcome != OUTCOMES[COMPLETED]:
         points = np.append(points, np.nan)
@@ -141,7 +113,7 @@ def attractor_from(f: OnInterval, start: float) -> tuple[tuple[float, ...], int 
     return tuple(np.roll(points, -int(np.argmin(points))).tolist()), end.period
 
 
-def merged(visited: list[set[int]]) -> list[int]:
+def merge_sets(visited: list[set[int]]) -> list[int]:
     """Return, for each set, the first set that it shares an element with, directly or through others."""
     leader = list(range(len(visited)))
 

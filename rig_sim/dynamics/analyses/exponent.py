@@ -12,93 +12,74 @@ import numpy as np
 
 from rig_sim.dynamics.analyses.settling import GROWING, SAME, is_growing
 from rig_sim.dynamics.system.interface import Motion, Passages
-from rig_sim.dynamics.system.period import period_of
+from rig_sim.dynamics.system.period import find_period
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, parts, silent
 
-TRANSIENT = 1000  # passages before the mean; twice as many cost 1000 passages more
-BLOCKS = 20  # of the orbit, whose means give the standard error; below 20 it would itself err by more than 16 %
+TRANSIENT = 1000  # passages before the mean
+BLOCKS = 20  # of the orbit, whose means give the standard error, to 16 % with 20
 
 
 @dataclass(frozen=True)
 class Exponent:
-    """A Lyapunov exponent.
+    """A Lyapunov exponent."""
 
-    Attributes
-    ----------
-    exponent, stderr : float
-        Per passage, and its standard error by the means of `BLOCKS` blocks; exact, with 0, on a periodic orbit.
-    events : int
-        Passages that it was taken over.
-    period : int or None
-        Of a periodic orbit.
-    outcome : str
-        'completed', or why there is no exponent, such as 'no attractor' where an orbit leaves its map's domain.
-    """
-
-    exponent: float
-    stderr: float
-    events: int
-    period: int | None
+    exponent: float  # per passage; exact on a periodic orbit
+    stderr: float  # by the means of `BLOCKS` blocks; 0 on a periodic orbit
+    events: int  # number of passages in the mean
+    period: int | None  # of a periodic orbit
+    # 'completed', or why there is no exponent, such as 'no attractor' where an orbit leaves its map's domain
     outcome: str
 
 
 def exponent(motion: Motion, events: int, progress: Stages = silent) -> Exponent:
-    """Return the exponent over ``events`` passages, after `TRANSIENT`; on a periodic orbit exact, over one period.
-
-    ``progress`` is called with the stage and what is done of it.
-
-    Raises
-    ------
-    ValueError
-        Fewer events than `BLOCKS`.
-    """
+    """Return the exponent over ``events`` passages, after `TRANSIENT`; on a periodic orbit exact, over one period."""
     if events < BLOCKS:
         raise ValueError(f"{events} events; need {BLOCKS} or more")
-    by_slopes = getattr(motion.system, "growth_at", None)
-    found = motion.follow(TRANSIENT, tangent=by_slopes is None)
-    if found.outcome == OUTCOMES[COMPLETED]:
-        found = followed(motion, events, progress, tangent=by_slopes is None)
-    if found.outcome != OUTCOMES[COMPLETED]:
-        return Exponent(np.nan, np.nan, 0, None, found.outcome.name)
+    growth_at = getattr(motion.system, "growth_at", None)
+    passages = motion.follow(TRANSIENT, tangent=growth_at is None)
+    if passages.outcome == OUTCOMES[COMPLETED]:
+        passages = follow_motion(motion, events, progress, tangent=growth_at is None)
+    if passages.outcome != OUTCOMES[COMPLETED]:
+        return Exponent(np.nan, np.nan, 0, None, passages.outcome.name)
     scale = motion.system.scale
-    tenth = max(len(found.states) // 10, 1)
-    if is_growing(found.states[:tenth] / scale, found.states[-tenth:] / scale):
+    tenth = max(len(passages.states) // 10, 1)
+    if is_growing(passages.states[:tenth] / scale, passages.states[-tenth:] / scale):
         return Exponent(np.nan, np.nan, 0, None, GROWING.name)
-    period = passages_per_period(found, scale)
-    growth = found.growth
-    if by_slopes is not None:
-        orbit = found.states[:, 0] if period is None else found.states[-period:, 0]
+    period = passages_per_period(passages, scale)
+    growth = passages.growth
+    if growth_at is not None:
+        orbit = passages.states[:, 0] if period is None else passages.states[-period:, 0]
         slopes = parts("slopes on its orbit", len(orbit), progress)
-        growth = np.concatenate([by_slopes(orbit[begin:end]) for begin, end in slopes])
+        growth = np.concatenate([growth_at(orbit[begin:end]) for begin, end in slopes])
     if period is None:
-        return mean_growth(growth)
+        return average_growth(growth)
     with np.errstate(invalid="ignore"):  # minus infinity, where a deviation vanishes, repeats nothing
-        repeats = period if by_slopes is not None else period_of(growth, SAME)
+        repeats = period if growth_at is not None else find_period(growth, SAME)
     if repeats == period:
         return Exponent(float(np.mean(growth[-period:])), 0.0, period, period, "completed")
     # complex multipliers: the deviation turns, and its growth swings about the mean
     return Exponent(smooth_mean(growth), 0.0, len(growth), period, "completed")
 
 
-def followed(motion: Motion, events: int, progress: Stages, *, tangent: bool) -> Passages:
+def follow_motion(motion: Motion, events: int, progress: Stages, *, tangent: bool) -> Passages:
     """Return the next passages up to where the motion ends; ``tangent``: with the growth of a deviation."""
-    found: list[Passages] = []
+    pieces: list[Passages] = []
     for begin, end in parts("following the motion", events, progress):
-        found.append(motion.follow(end - begin, tangent=tangent))
-        if found[-1].outcome != OUTCOMES[COMPLETED]:
+        pieces.append(motion.follow(end - begin, tangent=tangent))
+        if pieces[-1].outcome != OUTCOMES[COMPLETED]:
             break
     times, states, growth = (
-        np.concatenate([getattr(piece, name) for piece in found]) for name in ("times", "states", "growth")
+        np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("times", "states", "growth")
     )
-    return Passages(times, states, growth, found[-1].outcome)
+    return Passages(times, states, growth, pieces[-1].outcome)
 
 
-def mean_growth(growth: Array) -> Exponent:
-    """Return the exponent of a motion that is not periodic, on which a deviation's logarithm grows so, shape (n,).
+def average_growth(growth: Array) -> Exponent:
+    """Return the exponent of a motion that is not periodic from the growth (n,) of a deviation's logarithm.
 
-    What is not finite, beside a jump of the motion, is left out.
+    Values that are not finite, next to a jump of the motion, are left out.
     """
     growth = growth[np.isfinite(growth)]
     means = [float(np.mean(block)) for block in np.array_split(growth, BLOCKS)]
@@ -108,9 +89,9 @@ def mean_growth(growth: Array) -> Exponent:
 
 
 def passages_per_period(passages: Passages, scale: Array) -> int | None:
-    """Return after how many passages state and phase of the drive repeat; None for what is not periodic."""
+    """Return after how many passages the state and the drive's phase repeat; None for a motion that is not periodic."""
     turn = 2.0 * np.pi * passages.times
-    return period_of(np.column_stack([passages.states / scale, np.cos(turn), np.sin(turn)]), SAME)
+    return find_period(np.column_stack([passages.states / scale, np.cos(turn), np.sin(turn)]), SAME)
 
 
 def rotation_number(passages: Passages) -> float:
@@ -123,6 +104,6 @@ def smooth_mean(values: Array) -> float:
 
     It converges faster than any power of n (Das, Saiki, Sander and Yorke 2017).
     """
-    place = (np.arange(len(values)) + 1.0) / (len(values) + 1.0)
-    weights = np.exp(-1.0 / (place * (1.0 - place)))
+    position = (np.arange(len(values)) + 1.0) / (len(values) + 1.0)
+    weights = np.exp(-1.0 / (position * (1.0 - position)))
     return float(np.sum(weights * values) / np.sum(weights))

@@ -7,27 +7,18 @@ import numpy as np
 from rig_sim.dynamics.system.interface import OnInterval, slope, survey
 from stickslip.compute.arrays import Array
 
-# Places at which f^n(x) - x is compared with 0.  Two periodic points between neighbouring places are not seen: twice as
-# many halve the distance at which they are.
+# Places at which f^n(x) - x is compared with 0; two periodic points between neighbouring places are missed.
 PLACES = 2000
-FEW = 200  # places that decide whether the map is defined anywhere: a motion that never sticks takes the most steps
+FEW = 200  # places at which the map is tried first: where it is defined nowhere, each takes the most steps
 SAME = 1e-9  # share of the interval: roots closer than this are one point; also how well f^n(x) = x holds at a root
 
 
 @dataclass(frozen=True)
 class PeriodicPoint:
-    """A periodic orbit of a map.
+    """A periodic orbit of a map."""
 
-    Attributes
-    ----------
-    points : tuple of float
-        The orbit, from its smallest point on in the order in which they follow.
-    slope : float
-        Derivative of f^period, the same at every point; the orbit is stable while its size is below 1.
-    """
-
-    points: tuple[float, ...]
-    slope: float
+    points: tuple[float, ...]  # in the order of the orbit, from the smallest
+    slope: float  # derivative of f^period, the same at every point
 
     @property
     def period(self) -> int:
@@ -40,27 +31,21 @@ class PeriodicPoint:
         return abs(self.slope) < 1.0
 
 
-def periodic_points(
+def find_periodic_orbits(
     f: OnInterval, period: int = 1, *, places: int = PLACES, within: tuple[float, float] | None = None
 ) -> tuple[PeriodicPoint, ...]:
-    """Return the orbits of exactly this period, by their smallest point: those with a point in the interval ``within``.
-
-    Raises
-    ------
-    ValueError
-        ``period`` below 1.
-    """
+    """Return the orbits of exactly this period with a point in the interval ``within``, by their smallest point."""
     if period < 1:
         raise ValueError(f"period is {period}; need 1 or more")
     lo, hi = within or (f.lo, f.hi)
     if within is None and np.all(np.isnan(survey(f, np.linspace(f.lo, f.hi, FEW)))):
         return ()
     x = np.linspace(max(lo, f.lo), min(hi, f.hi), places)
-    return orbits_among(f, period, x, survey(f, x, period))
+    return find_orbits_between(f, period, x, survey(f, x, period))
 
 
-def orbits_of_periods(f: OnInterval, periods: int) -> list[PeriodicPoint]:
-    """Return the orbits of periods 1 to ``periods``, each as `periodic_points` finds them, at the cost of the longest.
+def find_orbits_up_to(f: OnInterval, periods: int) -> list[PeriodicPoint]:
+    """Return the orbits of periods 1 to ``periods``, as by `find_periodic_orbits`, at the cost of the longest.
 
     A place from which no stick follows, the costliest one, is tried once.
     """
@@ -70,24 +55,26 @@ def orbits_of_periods(f: OnInterval, periods: int) -> list[PeriodicPoint]:
     orbits: list[PeriodicPoint] = []
     for period in range(1, periods + 1):
         iterate = survey(f, iterate)
-        orbits += orbits_among(f, period, places, iterate)
+        orbits += find_orbits_between(f, period, places, iterate)
     return orbits
 
 
-def orbits_among(f: OnInterval, period: int, x: Array, iterate: Array) -> tuple[PeriodicPoint, ...]:
-    """Return the orbits of exactly this period with a point between neighbours of ``x``, whose iterates are known."""
+def find_orbits_between(f: OnInterval, period: int, x: Array, iterate: Array) -> tuple[PeriodicPoint, ...]:
+    """Return the orbits of exactly this period with a point between neighbours of ``x``, given its iterates."""
     gain = iterate - x
-    found: list[PeriodicPoint] = []
+    orbits: list[PeriodicPoint] = []
     for i in np.flatnonzero(np.sign(gain[:-1]) * np.sign(gain[1:]) <= 0.0):
-        root = return_point(f, period, float(x[i]), float(x[i + 1]))
-        if root is None or any(abs(root - point) <= SAME * (f.hi - f.lo) for orbit in found for point in orbit.points):
+        root = solve_return(f, period, float(x[i]), float(x[i + 1]))
+        if root is None or any(
+            abs(root - point) <= SAME * (f.hi - f.lo) for points in orbits for point in points.points
+        ):
             continue
-        orbit = f.orbit(root, period)
-        if any(period % n == 0 and abs(orbit[n - 1] - root) <= SAME * (f.hi - f.lo) for n in range(1, period)):
+        points = f.orbit(root, period)
+        if any(period % n == 0 and abs(points[n - 1] - root) <= SAME * (f.hi - f.lo) for n in range(1, period)):
             continue
-        first = int(np.argmin(orbit))
-        found.append(PeriodicPoint(tuple(np.roll(orbit, -first).tolist()), orbit_slope(f, orbit)))
-    return tuple(sorted(found, key=lambda point: point.points))
+        first = int(np.argmin(points))
+        orbits.append(PeriodicPoint(tuple(np.roll(points, -first).tolist()), orbit_slope(f, points)))
+    return tuple(sorted(orbits, key=lambda point: point.points))
 
 
 def orbit_slope(f: OnInterval, orbit: Array) -> float:
@@ -95,7 +82,7 @@ def orbit_slope(f: OnInterval, orbit: Array) -> float:
     return float(np.prod(slope(f, orbit)))
 
 
-def return_point(f: OnInterval, period: int, first: float, last: float) -> float | None:
+def solve_return(f: OnInterval, period: int, first: float, last: float) -> float | None:
     """Return where f^period(x) = x between two places where the gain f^period(x) - x has opposite signs.
 
     None where the sign changes by a jump of the map.

@@ -10,92 +10,69 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig_sim.dynamics.analyses.sweep import SAME_POINT, AttractorAt, distinct
+from rig_sim.dynamics.analyses.sweep import SAME_POINT, AttractorAt, merge_close_points
 from rig_sim.dynamics.system.interface import Motion, ReturnMap
-from rig_sim.dynamics.system.period import LONGEST_PERIOD, REPEATS, period_of
+from rig_sim.dynamics.system.period import LONGEST_PERIOD, REPEATS, find_period
 from rig_sim.flow.modes import COMPLETED, OUTCOMES, Outcome
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import parts, silent
 
 # Relative to the system's scale: how closely a state has to come back.  Rounding of a stable orbit stays at 1e-13; a
-# chaotic one does not come back so closely within the passages looked at.  100 times less costs as many more passages
-# as a factor of 100 takes to decay.
+# chaotic one does not come back so closely within the compared passages.
 SAME = 1e-8
-# Times `SAME`: how far apart points have to be that count as two.  Near a period doubling an orbit of period 1 is
-# approached from both sides in turn, and every second point comes back before every point does.
+# Times `SAME`: distance of points that count as two.  Near a period doubling an orbit of period 1 is approached from
+# both sides in turn, and every second point comes back before every point does.
 APART = 1e3
 WINDOW = 2 * LONGEST_PERIOD + REPEATS  # passages that are compared
-# Passages, or the system's own oscillations, left out before each comparison, one after the other: an orbit on which
-# deviations fall by a factor of 0.993 or less is recognised.  Twice as many at the end double the cost of what is not
-# periodic.
+# Passages, or natural oscillations of the system, left out before each comparison in turn: an orbit on which deviations
+# fall by a factor of 0.993 or less is recognised.
 TRANSIENTS = (64, 128, 256, 512, 1024)
-AT_ONCE = 100_000  # passages of a transient that are followed in one call, 8 MB; a fast drive passes millions
+AT_ONCE = 100_000  # passages of a transient in one call, 8 MB; a fast drive passes millions
 SAME_ORBIT = 1e-5  # relative to the scale: how closely two starts on one periodic orbit agree
-# The same of motions with different periods: beside a bifurcation one start may come close enough to be recognised, and
-# another one, on the same orbit, not yet.
+# The same of motions with different periods: near a bifurcation one start on an orbit may already be recognised, and
+# another not yet.
 CLOSE_ORBIT = 1e-3
-NEIGHBOURS = 0.05  # of the extent: median distance from a point of an attractor that is not periodic to another start's
-DRAWN = 512  # passages that are drawn of an attractor that is not periodic
+NEIGHBOURS = 0.05  # of the extent: median distance between points of two starts on one attractor that is not periodic
+DRAWN = 512  # drawn passages of an attractor that is not periodic
 # Of the size over the last transient, above which a motion counts as growing; one in proportion to time doubles.
 GROWTH = 1.5
-LARGE = 2.0  # size over the scale: a motion that does not exceed it is not called growing; a mass in stick is below 1
+LARGE = 2.0  # size over the scale that a growing motion exceeds; a mass in stick is below 1
 GROWING = Outcome("growing", "the motion still grows after a long time: add damping, or move off the resonance")
 
 
 @dataclass(frozen=True)
 class Settled:
-    """Where a motion has settled.
+    """The end of a motion: a period, or a window of passages."""
 
-    Attributes
-    ----------
-    states : (n, d) float64
-        One period, or `WINDOW` passages of what is not periodic.
-    period : int or None
-        None for what is not periodic.
-    outcome : Outcome
-        'completed', 'growing', or why the motion ended.
-    """
-
-    states: Array
-    period: int | None
-    outcome: Outcome
+    states: Array  # (n, d) one period, or `WINDOW` passages of a motion that is not periodic
+    period: int | None  # None for a motion that is not periodic
+    outcome: Outcome  # 'completed', 'growing', or why the motion ended
 
 
-def settled(
-    motion: Motion, transients: Sequence[int] = TRANSIENTS, window: int = WINDOW, same: float = SAME
-) -> Settled:
-    """Follow a motion until it repeats, or for as long as ``transients`` say.
+def settle(motion: Motion, transients: Sequence[int] = TRANSIENTS, window: int = WINDOW, same: float = SAME) -> Settled:
+    """Follow a motion until it repeats, at most over ``transients``: passages left out before each comparison.
 
-    Parameters
-    ----------
-    motion : Motion
-        It ends where it has settled.
-    transients : sequence of int
-        Passages, or the system's own oscillations, left out before each comparison.
-    window : int
-        Passages that are compared.
-    same : float
-        Relative to the system's scale: how closely a state has to come back.
+    ``window`` passages are compared; ``same``, relative to the system's scale, is how closely a state has to come back.
     """
     system = motion.system
     before: Array | None = None
     for transient in transients:
         for begin, end in parts("transient", transient * system.unit, silent, AT_ONCE):
-            found = motion.follow(end - begin)
-            if found.outcome != OUTCOMES[COMPLETED]:
+            passages = motion.follow(end - begin)
+            if passages.outcome != OUTCOMES[COMPLETED]:
                 break
         else:
-            found = motion.follow(window)
-        if found.outcome != OUTCOMES[COMPLETED]:
-            return Settled(found.states, None, found.outcome)
-        scaled = found.states / system.scale
-        period = period_of(scaled, APART * same)
-        repeats = period_of(scaled, same)
+            passages = motion.follow(window)
+        if passages.outcome != OUTCOMES[COMPLETED]:
+            return Settled(passages.states, None, passages.outcome)
+        scaled = passages.states / system.scale
+        period = find_period(scaled, APART * same)
+        repeats = find_period(scaled, same)
         if repeats is not None and (repeats == period or transient == transients[-1]):
-            return Settled(found.states[-repeats:], repeats, found.outcome)
+            return Settled(passages.states[-repeats:], repeats, passages.outcome)
         grows = before is not None and is_growing(before, scaled)
         before = scaled
-    return Settled(found.states, None, GROWING if grows else found.outcome)
+    return Settled(passages.states, None, GROWING if grows else passages.outcome)
 
 
 def is_growing(before: Array, after: Array) -> bool:
@@ -103,54 +80,54 @@ def is_growing(before: Array, after: Array) -> bool:
     return bool(np.max(np.abs(after)) > max(GROWTH * np.max(np.abs(before)), LARGE))
 
 
-def attractors(f: ReturnMap, starts: Iterable[Array], value: float) -> list[AttractorAt]:
+def find_attractors(f: ReturnMap, starts: Iterable[Array], value: float) -> list[AttractorAt]:
     """Return the attractors that the starts lead to, the one with the most starts first; ``value`` of the parameter.
 
-    Where no start leads to one, the only row has the number 0 and says why.
+    Where no start leads to one, the only row has the number 0 and the reason.
     """
-    kinds: list[Settled] = []
-    shown: list[Array] = []
+    distinct_ends: list[Settled] = []
+    drawn_points: list[Array] = []
     counts: list[int] = []
-    failed: list[Outcome] = []
+    failures: list[Outcome] = []
     for start in starts:
         motion = f.motion(start)
-        end = settled(motion)
+        end = settle(motion)
         if end.outcome != OUTCOMES[COMPLETED]:
-            failed.append(end.outcome)
+            failures.append(end.outcome)
             continue
-        for index, other in enumerate(kinds):
+        for index, other in enumerate(distinct_ends):
             if is_same(end, other, f.scale):
                 counts[index] += 1
                 if end.period and (other.period is None or end.period < other.period):
-                    kinds[index], shown[index] = end, motion.drawn(end.period)
+                    distinct_ends[index], drawn_points[index] = end, motion.draw_points(end.period)
                 break
         else:
-            kinds.append(end)
-            shown.append(motion.drawn(end.period or DRAWN))
+            distinct_ends.append(end)
+            drawn_points.append(motion.draw_points(end.period or DRAWN))
             counts.append(1)
-    if not kinds:
-        return [AttractorAt(value, 0, (), None, 0.0, (np.nan, np.nan), None, failed[0].name)]
+    if not distinct_ends:
+        return [AttractorAt(value, 0, (), None, 0.0, (np.nan, np.nan), None, failures[0].name)]
     rows = []
-    number = len(failed) + sum(counts)
-    for rank, index in enumerate(sorted(range(len(kinds)), key=lambda index: -counts[index]), 1):
-        end = kinds[index]
+    number = len(failures) + sum(counts)
+    for rank, index in enumerate(sorted(range(len(distinct_ends)), key=lambda index: -counts[index]), 1):
+        end = distinct_ends[index]
         first = end.states[:, 0]
-        tolerance = SAME_POINT * float(np.max(np.abs(shown[index]), initial=0.0))
-        points = distinct(shown[index].tolist(), tolerance)
+        tolerance = SAME_POINT * float(np.max(np.abs(drawn_points[index]), initial=0.0))
+        points = merge_close_points(drawn_points[index].tolist(), tolerance)
         extent = float(first.min()), float(first.max())
         outcome = "completed" if points else "no passage"
-        repeats = len(shown[index]) if points and end.period else None
+        repeats = len(drawn_points[index]) if points and end.period else None
         share = counts[index] / number
         rows.append(AttractorAt(value, rank, points, repeats, share, extent, end.period, outcome))
     return rows
 
 
-def is_same(one: Settled, other: Settled, scale: Array) -> bool:
+def is_same(first: Settled, second: Settled, scale: Array) -> bool:
     """Return whether two motions have settled on the same attractor."""
-    a, b = one.states / scale, other.states / scale
+    a, b = first.states / scale, second.states / scale
     apart = np.max(np.abs(a[:, None, :] - b[None, :, :]), axis=2)
-    if one.period is None and other.period is None:
+    if first.period is None and second.period is None:
         extent = float(np.max(np.ptp(a, axis=0)))
         return bool(np.median(np.min(apart, axis=1)) <= NEIGHBOURS * extent)
     farthest = max(np.min(apart, axis=1).max(), np.min(apart, axis=0).max())
-    return bool(farthest <= (SAME_ORBIT if one.period == other.period else CLOSE_ORBIT))
+    return bool(farthest <= (SAME_ORBIT if first.period == second.period else CLOSE_ORBIT))

@@ -30,7 +30,7 @@ class Branch:
 
 @dataclass(frozen=True)
 class SpecialPoint:
-    """Where the picture changes: ``kind``, such as 'hopf' or 'fold', at this value of the parameter."""
+    """A value of the parameter where the picture changes: ``kind`` is 'hopf', 'fold' ..."""
 
     kind: str
     value: float
@@ -44,8 +44,8 @@ class Continuation:
     points: tuple[SpecialPoint, ...]
 
 
-def bisected(holds: Callable[[float], bool], first: float, last: float, halvings: int = HALVINGS) -> float:
-    """Return where a property that holds at one of two values, and not at the other, changes: to rounding."""
+def bisect(holds: Callable[[float], bool], first: float, last: float, halvings: int = HALVINGS) -> float:
+    """Return, to rounding, where a property changes that holds at one of two values and not at the other."""
     at_first = holds(first)
     for _ in range(halvings):
         middle = 0.5 * (first + last)
@@ -56,7 +56,7 @@ def bisected(holds: Callable[[float], bool], first: float, last: float, halvings
     return 0.5 * (first + last)
 
 
-def crossing(
+def find_zero(
     function: Callable[[float], float | None], first: float, last: float, precision: float = PRECISION
 ) -> float | None:
     """Return where a function passes 0 between two values; None where it does not, or is not defined on the way.
@@ -69,20 +69,20 @@ def crossing(
     if ends[0] is None or ends[1] is None or (ends[0] > 0.0) == (ends[1] > 0.0):
         return None
 
-    def defined(value: float) -> float:
+    def require_value(value: float) -> float:
         result = function(value)
         if result is None:
             raise ArithmeticError("the orbit was lost")
         return result
 
     try:
-        return float(brentq(defined, first, last, xtol=precision * abs(last - first), rtol=8.9e-16))
+        return float(brentq(require_value, first, last, xtol=precision * abs(last - first), rtol=8.9e-16))
     except ArithmeticError:
         return None
 
 
-def least(function: Callable[[float], float], lo: float, hi: float, precision: float) -> tuple[float, float]:
-    """Return where a function of one place is least between lo and hi, to ``precision``, and its value there."""
+def minimise(function: Callable[[float], float], lo: float, hi: float, precision: float) -> tuple[float, float]:
+    """Return where a function of one variable is least between lo and hi, to ``precision``, and its value there."""
     from scipy.optimize import minimize_scalar
 
     minimum = minimize_scalar(function, bounds=(lo, hi), method="bounded", options={"xatol": precision})

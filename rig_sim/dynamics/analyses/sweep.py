@@ -11,13 +11,11 @@ from functools import partial
 from typing import Any
 
 SAME_POINT = 1e-7  # share of the interval: points of the section closer than this are drawn as one
-# How long a task, which a process takes at a time, is to take, s.  To send one, and its results, takes 0.2 ms with
-# processes and 7 ms with dask: 3 % here, 7 % with half as much.  With twice as much a killed process loses twice as
-# much.  0.1 to 0.8 s share out 400 values equally well.
+# Duration of a task for one process, s.  To send one, and its results, takes 0.2 ms with processes, 7 ms with dask.
 TASK_S = 0.2
-# Where fewer tasks are left, they are halved: so the processes end closer together.
+# Where fewer tasks remain, they are halved, so that the processes end closer together.
 LAST_TASKS = 16
-# Of the number of values in a task: the next value may take 1000 times longer than one without a drive, done at once.
+# Of the number of values in a task: the next value may take 1000 times longer than one without a drive.
 MOST_GROWTH = 2
 
 Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
@@ -25,36 +23,18 @@ Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class AttractorAt:
-    """An attractor at one value of the parameter.
+    """An attractor at one value of the parameter."""
 
-    Attributes
-    ----------
-    value : float
-        Of the parameter.
-    attractor : int
-        Its number, from 1; at the first value by the size of the basin.
-    points : tuple of float
-        d in global stick, or x1 on the section; m.
-    period : int or None
-        Of the map's orbit, or of a driven mass after how many points of the section the motion repeats; None for one
-        that is not periodic, and where there is no global stick.
-    share : float
-        Of the interval of d that leads to it.
-    extent : tuple of two floats
-        Smallest and largest point; of a driven mass at phase 0 of the drive, whatever the section.
-    drive_periods : int or None
-        Of a driven mass: after how many drive periods the motion repeats.
-    outcome : str
-        'completed'; else what the motion lacks, or, with the number 0 and no points, why no attractor was found.
-    """
-
-    value: float
-    attractor: int
-    points: tuple[float, ...]
+    value: float  # of the parameter
+    attractor: int  # its number, from 1; at the first value by the size of the basin
+    points: tuple[float, ...]  # d in global stick, or x1 on the section; m
+    # of the map's orbit, or points of the section in one period of a driven mass; None where not periodic, or no stick
     period: int | None
-    share: float
+    share: float  # of the interval of d that leads to it
+    # smallest and largest point; of a driven mass at phase 0 of the drive, whatever the section
     extent: tuple[float, float]
-    drive_periods: int | None = None
+    drive_periods: int | None = None  # of a driven mass: drive periods in one period of the motion
+    # 'completed', or why the motion has no points, or, with the number 0, why there is no attractor
     outcome: str = "completed"
 
 
@@ -69,44 +49,33 @@ def sweep(
 ) -> list[AttractorAt]:
     """Return the attractors at every value, in order.
 
-    Parameters
-    ----------
-    find : callable
-        The attractors at a value of the parameter, the largest basin first; pickled where ``spread`` uses processes.
-    values : sequence of float
-        Of the parameter.
-    spread : callable
-        The ``map`` that shares out the work, and takes items as it needs them; results do not depend on it.
-    progress : callable
-        Called with the number of values done.
-    finished : mapping
-        What ``keep`` was given before an interruption; these values are not computed again.
-    keep : callable
-        Called with a value and what ``find`` returned for it, as soon as it is known.
+    ``find`` returns the attractors at a value, the largest basin first; it is pickled where ``spread``, a ``map`` that
+    shares out the work, uses processes.  ``keep`` is called with a value and its attractors as soon as they are known;
+    ``finished`` are those kept before an interruption, which are not computed again.
     """
-    known = dict(finished or {})
-    missing = [value for value in values if value not in known]
+    results = dict(finished or {})
+    missing = [value for value in values if value not in results]
     done = len(values) - len(missing)
     progress(done)
-    for value, rows in each_value(find, missing, spread):
-        keep(value, rows)
-        known[value] = rows
+    for value, attractors in find_each(find, missing, spread):
+        keep(value, attractors)
+        results[value] = attractors
         done += 1
         progress(done)
-    found: list[AttractorAt] = []
-    last: list[AttractorAt] = []
+    rows_in_order: list[AttractorAt] = []
+    previous: list[AttractorAt] = []
     for value in values:
-        last = numbered(known[value], last) or last
-        found += last if known[value] else []
-    return found
+        previous = number_as_before(results[value], previous) or previous
+        rows_in_order += previous if results[value] else []
+    return rows_in_order
 
 
-def each_value(
+def find_each(
     find: Callable[[float], list[AttractorAt]], values: Sequence[float], spread: Spread
 ) -> Iterator[tuple[float, list[AttractorAt]]]:
-    """Yield each value with its attractors, in order; for other processes the values are put into tasks of `TASK_S`.
+    """Yield each value with its attractors, in order; for other processes the values are grouped in tasks of `TASK_S`.
 
-    How many values a task takes follows from how long the last task took that came back.
+    The number of values in a task follows from the duration of the last task that came back.
     """
     if spread is map:  # in this process: each value is at hand as soon as it is found
         yield from ((value, find(value)) for value in values)
@@ -123,32 +92,32 @@ def each_value(
             first += len(task)
             yield task
 
-    for results, seconds in spread(partial(timed, find), tasks()):
+    for results, seconds in spread(partial(find_timed, find), tasks()):
         fitting = len(results) * TASK_S / max(seconds, 1e-9)
         growing = fitting > MOST_GROWTH * len(results)
         size = max(1, min(round(fitting), MOST_GROWTH * len(results)))
         yield from results
 
 
-def timed(
+def find_timed(
     find: Callable[[float], list[AttractorAt]], values: Sequence[float]
 ) -> tuple[list[tuple[float, list[AttractorAt]]], float]:
     """Return each value with its attractors, and the time that all took, s."""
-    begun = time.perf_counter()
-    return [(value, find(value)) for value in values], time.perf_counter() - begun
+    started = time.perf_counter()
+    return [(value, find(value)) for value in values], time.perf_counter() - started
 
 
-def distinct(points: list[float], tolerance: float) -> tuple[float, ...]:
-    """Return the points in increasing order, those within ``tolerance`` of the one before left out."""
-    kept: list[float] = []
+def merge_close_points(points: list[float], tolerance: float) -> tuple[float, ...]:
+    """Return the points in increasing order, without those within ``tolerance`` of the one before."""
+    distinct: list[float] = []
     for point in sorted(points):
-        if not kept or point - kept[-1] > tolerance:
-            kept.append(point)
-    return tuple(kept)
+        if not distinct or point - distinct[-1] > tolerance:
+            distinct.append(point)
+    return tuple(distinct)
 
 
-def numbered(rows: list[AttractorAt], before: list[AttractorAt]) -> list[AttractorAt]:
-    """Return attractors with the numbers of the closest ones at the value before; others get numbers not yet in use."""
+def number_as_before(rows: list[AttractorAt], before: list[AttractorAt]) -> list[AttractorAt]:
+    """Return attractors with the numbers of the closest ones at the value before; new ones get unused numbers."""
     if not before or not rows or rows[0].attractor == 0:
         return rows
     previous = [row for row in before if row.value == before[-1].value and row.attractor > 0]
@@ -164,5 +133,5 @@ def numbered(rows: list[AttractorAt], before: list[AttractorAt]) -> list[Attract
     for i in range(len(rows)):
         if i not in numbers:
             numbers[i] = next(n for n in range(1, len(rows) + len(previous) + 1) if n not in numbers.values())
-    named = [replace(row, attractor=numbers[i]) for i, row in enumerate(rows)]
-    return sorted(named, key=lambda row: row.attractor)
+    renumbered = [replace(row, attractor=numbers[i]) for i, row in enumerate(rows)]
+    return sorted(renumbered, key=lambda row: row.attractor)

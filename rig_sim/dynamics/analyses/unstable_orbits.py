@@ -14,36 +14,24 @@ from rig_sim.dynamics.system.interface import Controlled, derivatives, differenc
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, parts, silent
 
-# Of the closest returns, from which Newton's method starts.  200 find up to a quarter more orbits of the thesis's
-# motions, 50 up to a quarter fewer; the least unstable one is always among them.
+# Closest returns from which Newton's method starts; the least unstable orbit of the thesis's motions is among them.
 CANDIDATES = 100
 ITERATIONS = 20
 LONGEST_STEP = 0.3  # of the scales; a longer step of Newton's method means that there is no orbit here
 CLOSED = 1e-10  # of the scales: how well the points of an orbit follow each other
-TURNS = 3  # of an orbit, after which directions at right angles grow as its multipliers say; not swept
+TURNS = 3  # of an orbit, after which directions at right angles grow by its multipliers
 LOST = 1e-12  # of the largest multiplier, below which one is rounding in the product of the slopes
 SAME = 1e-6  # of the scales: orbits closer than this are one; points of one orbit closer than this are one
 
 
 @dataclass(frozen=True)
 class UnstableOrbit:
-    """A periodic orbit of a map, stable or not.
+    """A periodic orbit of a map, stable or not."""
 
-    Attributes
-    ----------
-    points : (p, d) float64
-        Its states in the order in which they follow, from the one whose last coordinate is smallest.
-    multipliers : (d,) complex128
-        By which small deviations grow from turn to turn, largest first.
-    slopes : (p, d, d) float64
-        Derivative of the map by the state at every point, in units of the scales.
-    responses : (p, d) float64
-        Derivative by the parameter at every point, in units of the scales and of the parameter's strength.
-    """
-
-    points: Array
-    multipliers: NDArray[np.complex128]
-    slopes: Array
+    points: Array  # (p, d) states in the order of the orbit, from the smallest last coordinate
+    multipliers: NDArray[np.complex128]  # (d,) by which small deviations grow from turn to turn, largest first
+    slopes: Array  # (p, d, d) derivative of the map by the state at every point, in units of the scales
+    # (p, d) derivative by the parameter at every point, in units of the scales and of the parameter's strength
     responses: Array
 
     @property
@@ -53,12 +41,12 @@ class UnstableOrbit:
 
     @property
     def unstable_directions(self) -> int:
-        """How many multipliers are above 1 in size."""
+        """Number of multipliers above 1 in size."""
         return int(np.sum(np.abs(self.multipliers) > 1.0))
 
 
-def close_returns(f: Controlled, states: Array, period: int) -> NDArray[np.intp]:
-    """Return where in a motion, (n, d), pieces of ``period`` states begin that nearly close, the closest first.
+def find_close_returns(f: Controlled, states: Array, period: int) -> NDArray[np.intp]:
+    """Return the starts of pieces of ``period`` states in a motion, (n, d), that nearly close, the closest first.
 
     Pieces that nearly close after a divisor of the period already, three times as close, are left out.
     """
@@ -78,20 +66,17 @@ def close_returns(f: Controlled, states: Array, period: int) -> NDArray[np.intp]
     return order
 
 
-def periodic_orbits(f: Controlled, states: Array, period: int, progress: Stages = silent) -> list[UnstableOrbit]:
-    """Return the orbits of exactly this period that a motion, (n, d), has passed: the least unstable first.
-
-    ``progress`` is called with the stage and what is done of it.
-    """
+def find_orbits_in_motion(f: Controlled, states: Array, period: int, progress: Stages = silent) -> list[UnstableOrbit]:
+    """Return the orbits of exactly this period near which a motion, (n, d), passed: the least unstable first."""
     orbits: list[UnstableOrbit] = []
-    candidates = close_returns(f, states, period)[:CANDIDATES]
+    candidates = find_close_returns(f, states, period)[:CANDIDATES]
     for number, _ in parts("searching orbits", len(candidates), progress, 1):
         begin = candidates[number]
         piece = states[begin : begin + period]
         gap = float(np.linalg.norm(difference(f, states[begin + period], piece[0])))
         if any(separation(f, piece[0], other) < gap for other in orbits):  # passed the same orbit
             continue
-        orbit = refined(f, piece)
+        orbit = refine_orbit(f, piece)
         if orbit is None or any(separation(f, orbit.points[0], other) < SAME for other in orbits):
             continue
         orbits.append(orbit)
@@ -103,7 +88,7 @@ def separation(f: Controlled, state: Array, orbit: UnstableOrbit) -> float:
     return float(np.min(np.linalg.norm(difference(f, state, orbit.points), axis=1)))
 
 
-def refined(f: Controlled, points: Array) -> UnstableOrbit | None:
+def refine_orbit(f: Controlled, points: Array) -> UnstableOrbit | None:
     """Return the orbit of exactly this period next to ``points``, (p, d); None where there is none."""
     period, d = points.shape
     points = points.copy()
@@ -142,8 +127,8 @@ def refined(f: Controlled, points: Array) -> UnstableOrbit | None:
 def orbit_multipliers(slopes: Array) -> NDArray[np.complex128]:
     """Return the eigenvalues of the product of slopes, (p, d, d), the last one to the left: (d,), largest first.
 
-    The product of a long unstable orbit keeps no digit of the small ones: these are the growth of directions kept at
-    right angles, of which the sign is lost.
+    The product of a long unstable orbit has no correct digit of the small ones: these are the growth of directions kept
+    at right angles, whose sign is unknown.
     """
     d = slopes.shape[1]
     turn, directions, growth = np.eye(d), np.eye(d), np.zeros(d)
@@ -151,12 +136,12 @@ def orbit_multipliers(slopes: Array) -> NDArray[np.complex128]:
         for _ in range(TURNS):
             growth[:] = 0.0
             for slope in slopes:
-                directions, grown = np.linalg.qr(slope @ directions)
-                growth += np.log(np.abs(np.diag(grown)))
+                directions, triangle = np.linalg.qr(slope @ directions)
+                growth += np.log(np.abs(np.diag(triangle)))
     for slope in slopes:
         turn = slope @ turn
     values = np.linalg.eigvals(turn).astype(np.complex128)
     values = values[np.argsort(-np.abs(values), kind="stable")]
-    lost = np.abs(values) < LOST * np.abs(values[0])
-    values[lost] = np.exp(np.sort(growth)[::-1])[lost]
+    inaccurate = np.abs(values) < LOST * np.abs(values[0])
+    values[inaccurate] = np.exp(np.sort(growth)[::-1])[inaccurate]
     return values

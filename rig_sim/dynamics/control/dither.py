@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig_sim.dynamics.analyses.settling import TRANSIENTS, Settled, settled
+from rig_sim.dynamics.analyses.settling import TRANSIENTS, Settled, settle
 from rig_sim.dynamics.return_maps.driven import DrivenMap
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow.contact_state import initial_mode
@@ -27,23 +27,22 @@ from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame, friction_slope
 from rig_sim.flow.modes import COMPLETED, NEGATIVE, OUTCOMES, STEP_LIMIT
 from rig_sim.integrate.phases import State
-from rig_sim.integrate.sampled import sampled
+from rig_sim.integrate.sampled import sample_motion
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent
 
-# Times the linear ripple that a quenched motion may swing: above the threshold it swings by 0.65 to 1.0 times it, and
-# stick-slip that repeats with every period of a drive slower than the mass by 3 times it and more.
+# Largest swing of a quenched motion over the linear ripple: above the threshold it is 0.65 to 1.0; of stick-slip that
+# repeats with every period of a drive slower than the mass, 3 and more.
 MOST_RIPPLE = 1.5
-FIRST, FACTOR, LAST = 0.9, 1.03, 4.0  # of the formula's threshold: amplitudes at which the simulated one is looked for
-DECAY = TRANSIENTS[:3]  # oscillations of the mass: above the threshold friction ends the old motion within some ten
-PRECISION = 1e-3  # of the simulated threshold, relative; each halving costs one more motion
-# Integrator steps of all motions, 8 s.  The thesis's cases take 1e5 to 1e6, drives 300 times faster than the mass 1e7.
+FIRST, FACTOR, LAST = 0.9, 1.03, 4.0  # of the formula's threshold: amplitudes tried for the simulated one
+DECAY = TRANSIENTS[:3]  # oscillations of the mass: above the threshold friction ends the old motion within about ten
+PRECISION = 1e-3  # of the simulated threshold, relative
+# Integrator steps of all motions, 8 s; the thesis's cases take 1e5 to 1e6.
 STEPS_IN_ALL = 15_000_000
-OSCILLATIONS = 10  # of the mass alone over which the swing of a motion is taken that does not repeat
-# Samples of the motion in a drive period, or an oscillation of the mass if that is shorter, and in all, 1 s: with a
-# drive more than 150 times faster than the mass there are fewer in a period.
+OSCILLATIONS = 10  # of the mass alone: the span whose swing is taken where the motion does not repeat
+# Samples of the motion in a drive period, or in an oscillation of the mass if that is shorter, and in all, 1 s.
 SAMPLES, MOST_SAMPLES = 64, 100_000
-MANY_PERIODS = 10_000  # of the drive: interpreted 3 s; above, compiled code is faster with its compilation
+MANY_PERIODS = 10_000  # of the drive: interpreted 3 s; above, compiled code is faster including its compilation
 
 
 @dataclass(frozen=True)
@@ -84,30 +83,22 @@ class Quench:
 
 
 def quench(flow: Flow, x: float, v: float, progress: Stages = silent) -> Quench:
-    """Return whether the drive quenches the stick-slip of a mass that starts at x (m) with velocity v (m/s).
-
-    ``progress`` is called with the stage and what is done of it.
-
-    Raises
-    ------
-    ValueError
-        The flow is not physical, or its drive has no period.
-    """
+    """Return whether the drive quenches the stick-slip of a mass that starts at x (m) with velocity v (m/s)."""
     fr = frame(flow)
     start = np.array([x, v])
     steps = StepBudget(STEPS_IN_ALL)
     progress("settling", 0, 2)
-    motion = settled(DrivenMap(flow, budget=steps).motion(start))
+    motion = settle(DrivenMap(flow, budget=steps).motion(start))
     progress("settling", 1, 2)
-    still = flow._replace(u0=0.0)
-    free = settled(DrivenMap(still, budget=steps).motion(start))
-    free_swing = swing(still, free)
+    undriven = flow._replace(u0=0.0)
+    free = settle(DrivenMap(undriven, budget=steps).motion(start))
+    free_swing = measure_swing(undriven, free)
     size = (fr.B + fr.v * math.sqrt(flow.k * flow.m)) / flow.k
     self_excited = free.period is None and free.outcome == OUTCOMES[COMPLETED] and free_swing > 1e-6 * size
-    least = threshold(flow)
+    threshold_by_formula = threshold(flow)
     is_fast = abs(flow.omega) > fr.omega0
     quenched = is_quenched(flow, motion)
-    simulated = simulated_threshold(flow, x, v, steps, progress) if is_fast and self_excited else None
+    simulated = find_simulated_threshold(flow, x, v, steps, progress) if is_fast and self_excited else None
     outcome = "quenched" if quenched else "not quenched"
     if motion.outcome != OUTCOMES[COMPLETED]:
         outcome = motion.outcome.name
@@ -119,13 +110,13 @@ def quench(flow: Flow, x: float, v: float, progress: Stages = silent) -> Quench:
         outcome = "nothing to quench"
     return Quench(
         outcome,
-        least,
+        threshold_by_formula,
         threshold(flow, -friction_slope(fr, NEGATIVE, -fr.v) if fr.v > fr.d else 0.0),
-        abs(flow.u0) / least if least > 0.0 else None,
-        is_fast and abs(flow.u0) > least > 0.0,
+        abs(flow.u0) / threshold_by_formula if threshold_by_formula > 0.0 else None,
+        is_fast and abs(flow.u0) > threshold_by_formula > 0.0,
         quenched and self_excited and flow.u0 != 0.0,
         simulated,
-        swing(flow, motion),
+        measure_swing(flow, motion),
         linear_ripple(flow),
         free_swing,
     )
@@ -136,68 +127,69 @@ def threshold(flow: Flow, more_damping: float = 0.0) -> float:
 
     ``more_damping`` (N s/m) is added to the damper's.
     """
-    return abs(flow.v_belt) * resistance(flow, more_damping) / abs(flow.omega)
+    return abs(flow.v_belt) * dynamic_stiffness(flow, more_damping) / abs(flow.omega)
 
 
-def resistance(flow: Flow, more_damping: float = 0.0) -> float:
+def dynamic_stiffness(flow: Flow, more_damping: float = 0.0) -> float:
     """Return abs(k - m omega^2 + i c omega), N/m: force per displacement of spring, mass and damper."""
     return math.hypot(flow.k - flow.m * flow.omega * flow.omega, (flow.c + more_damping) * flow.omega)
 
 
 def linear_ripple(flow: Flow) -> float | None:
     """Return the peak-to-peak displacement (m) of spring, mass and damper alone; None at undamped resonance."""
-    against = resistance(flow)
-    return 2.0 * abs(flow.u0) / against if against > 0.0 else None
+    stiffness = dynamic_stiffness(flow)
+    return 2.0 * abs(flow.u0) / stiffness if stiffness > 0.0 else None
 
 
 def is_quenched(flow: Flow, motion: Settled) -> bool:
     """Return whether a motion repeats with every drive period and swings like the linear one."""
     ripple = linear_ripple(flow)
-    return motion.period == 1 and ripple is not None and swing(flow, motion) <= MOST_RIPPLE * ripple
+    return motion.period == 1 and ripple is not None and measure_swing(flow, motion) <= MOST_RIPPLE * ripple
 
 
-def simulated_threshold(flow: Flow, x: float, v: float, steps: StepBudget, progress: Stages = silent) -> float | None:
-    """Return the least u0 (N), to `PRECISION`, from which on the simulated motion is quenched; None without one.
+def find_simulated_threshold(
+    flow: Flow, x: float, v: float, steps: StepBudget, progress: Stages = silent
+) -> float | None:
+    """Return the least u0 (N), to `PRECISION`, that quenches the simulated motion.
 
-    None, too, when the ``steps`` that the motions may take between them are spent.  ``progress`` is called with the
-    stage and what is done of it.
+    None without one, or when the budget of ``steps`` is spent.
     """
     start = np.array([x, v])
 
     def quenched(u0: float) -> bool:
         driven = flow._replace(u0=u0)
-        return is_quenched(driven, settled(DrivenMap(driven, budget=steps).motion(start), DECAY))
+        return is_quenched(driven, settle(DrivenMap(driven, budget=steps).motion(start), DECAY))
 
-    least = threshold(flow)
-    if not least > 0.0:
+    threshold_by_formula = threshold(flow)
+    if not threshold_by_formula > 0.0:
         return None
-    most = math.ceil(math.log(LAST / FIRST) / math.log(FACTOR)) + 1
-    lo, hi, tried = 0.0, FIRST * least, 0
+    most_tries = math.ceil(math.log(LAST / FIRST) / math.log(FACTOR)) + 1
+    lo, hi, tried = 0.0, FIRST * threshold_by_formula, 0
     while not quenched(hi):
         lo, hi, tried = hi, hi * FACTOR, tried + 1
-        progress("trying amplitudes", tried, most)
-        if hi > LAST * least:
+        progress("trying amplitudes", tried, most_tries)
+        if hi > LAST * threshold_by_formula:
             return None
-    while hi - lo > PRECISION * least:
+    while hi - lo > PRECISION * threshold_by_formula:
         middle = 0.5 * (lo + hi)
         lo, hi = (lo, middle) if quenched(middle) else (middle, hi)
     return 0.5 * (lo + hi) if steps.left > 0.0 else None
 
 
-def swing(flow: Flow, motion: Settled) -> float:
+def measure_swing(flow: Flow, motion: Settled) -> float:
     """Return the peak-to-peak displacement (m) over the motion's period, or `OSCILLATIONS`; NaN where it ended."""
     if motion.outcome != OUTCOMES[COMPLETED]:
         return math.nan
-    period, own = 2.0 * math.pi / abs(flow.omega), 2.0 * math.pi * math.sqrt(flow.m / flow.k)
-    span = OSCILLATIONS * own if motion.period is None else motion.period * period
+    period, oscillation = 2.0 * math.pi / abs(flow.omega), 2.0 * math.pi * math.sqrt(flow.m / flow.k)
+    span = OSCILLATIONS * oscillation if motion.period is None else motion.period * period
     x, v = motion.states[-1].tolist()
-    samples = min(math.ceil(span / min(period, own) * SAMPLES), MOST_SAMPLES)
-    return float(np.ptp(positions(flow, x, v, np.linspace(0.0, span, samples))))
+    samples = min(math.ceil(span / min(period, oscillation) * SAMPLES), MOST_SAMPLES)
+    return float(np.ptp(sample_positions(flow, x, v, np.linspace(0.0, span, samples))))
 
 
-def positions(flow: Flow, x: float, v: float, times: Array) -> Array:
-    """Return x (m) at increasing times (s), (n,), of a motion from (x, v) at the first; fewer where the motion ends."""
+def sample_positions(flow: Flow, x: float, v: float, times: Array) -> Array:
+    """Return x (m) at increasing times (s), (n,), of a motion from (x, v) at the first; fewer where it ends."""
     t = float(times[0])
-    many = (times[-1] - times[0]) * abs(flow.omega) > 2.0 * math.pi * MANY_PERIODS and flow.u0 != 0.0
-    at = State(initial_mode(flow, x, v, t), x, v - flow.v_belt, t)
-    return sampled(flow, at, times, compiled=bool(many))[0]
+    is_long = (times[-1] - times[0]) * abs(flow.omega) > 2.0 * math.pi * MANY_PERIODS and flow.u0 != 0.0
+    state = State(initial_mode(flow, x, v, t), x, v - flow.v_belt, t)
+    return sample_motion(flow, state, times, compiled=bool(is_long))[0]

@@ -4,16 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, periodic_orbits
+from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, find_orbits_in_motion
 from rig_sim.dynamics.control.ogy import REPORTED, Lock, lock
 from rig_sim.dynamics.system.interface import Controlled, difference, orbit
-from rig_sim.dynamics.system.period import period_of
+from rig_sim.dynamics.system.period import find_period
 from rig_sim.dynamics.system.step_budget import StepLimitError
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, parts, silent
 
-# Applications of the map that orbits are searched in, after as many as `TRANSIENT`.  The least unstable orbits of
-# periods 1 to 5 of the thesis's two motions come out of 1000 already.
+# Applications of the map in which orbits are searched, after `TRANSIENT`; 1000 show the least unstable orbits of the
+# periods 1 to 5 of the thesis's two motions.
 SEARCHED, TRANSIENT = 4000, 100
 REGULAR = 1e-8  # share of the scales within which a regular motion repeats
 ADVICE = {
@@ -30,66 +30,45 @@ ADVICE = {
 
 @dataclass(frozen=True)
 class Locking:
-    """An orbit of a motion, and how the motion was locked onto it.
+    """An orbit of a motion, and the attempt to lock the motion onto it."""
 
-    Attributes
-    ----------
-    outcome, advice : str
-        As of `Lock`; besides 'no orbit', 'no budget', 'regular motion', 'step limit' (the map raised
-        `StepLimitError`), and what to do.
-    orbits : tuple of UnstableOrbit
-        All orbits of the period that were found, the least unstable first: that one is locked onto.
-    regular : int or None
-        Period of the stable orbit that the motion itself settles on.
-    lock : Lock or None
-        The motion under control.
-    """
-
+    # as of `Lock`; or 'no orbit', 'no budget', 'regular motion', 'step limit' (the map raised `StepLimitError`)
     outcome: str
     advice: str
+    # of the period, the least unstable first: the motion is locked onto that one
     orbits: tuple[UnstableOrbit, ...]
-    regular: int | None
-    lock: Lock | None
+    regular: int | None  # period of the stable orbit that the motion itself settles on
+    lock: Lock | None  # the motion under control
 
 
 def find_and_lock(
     f: Controlled, start: Array, period: int, budget: float, events: int, progress: Stages = silent
 ) -> Locking:
-    """Search a motion for orbits of a period and lock it onto the least unstable one.
+    """Search a motion from ``start``, (d,), for orbits of a period and lock it onto the least unstable one.
 
-    Parameters
-    ----------
-    f, start
-        The map, and the state to start from, (d,).
-    period : int
-        Applications of the map in one turn of the orbit, 1 or more.
-    budget : float
-        Largest change of the parameter, relative to its strength; 0 or more.
-    events : int
-        Applications of the map after which the control gives up.
-    progress : callable
-        Called with the stage and what is done of it.
+    ``budget`` is the largest change of the parameter relative to its strength; after ``events`` applications of the map
+    the control gives up.
     """
     orbits: tuple[UnstableOrbit, ...] = ()
     regular = None
     try:
-        states = followed(f, start, progress)
+        states = follow_states(f, start, progress)
         if len(states) <= period:
-            return _locking("no orbit", (), None, None)
-        regular = period_of(difference(f, states, states[-1]), REGULAR)
-        orbits = tuple(periodic_orbits(f, states, period, progress))
+            return make_locking("no orbit", (), None, None)
+        regular = find_period(difference(f, states, states[-1]), REGULAR)
+        orbits = tuple(find_orbits_in_motion(f, states, period, progress))
         if not orbits:
-            return _locking("no orbit" if regular is None else "regular motion", (), regular, None)
+            return make_locking("no orbit" if regular is None else "regular motion", (), regular, None)
         if budget == 0.0 and orbits[0].unstable_directions > 0:
-            return _locking("no budget", orbits, regular, None)
-        found = lock(f, orbits[0], start, budget, events, progress)
+            return make_locking("no budget", orbits, regular, None)
+        attempt = lock(f, orbits[0], start, budget, events, progress)
     except StepLimitError:
-        return _locking("step limit", orbits, regular, None)
-    outcome = "regular motion" if found.outcome == "not locked" and regular is not None else found.outcome
-    return _locking(outcome, orbits, regular, found)
+        return make_locking("step limit", orbits, regular, None)
+    outcome = "regular motion" if attempt.outcome == "not locked" and regular is not None else attempt.outcome
+    return make_locking(outcome, orbits, regular, attempt)
 
 
-def followed(f: Controlled, start: Array, progress: Stages) -> Array:
+def follow_states(f: Controlled, start: Array, progress: Stages) -> Array:
     """Return the `SEARCHED` states after the transient, (n, d); fewer where the map ends."""
     pieces = [start[None, :]]
     for begin, end in parts("following the motion", TRANSIENT + SEARCHED, progress, REPORTED):
@@ -99,5 +78,5 @@ def followed(f: Controlled, start: Array, progress: Stages) -> Array:
     return np.concatenate(pieces[1:])[TRANSIENT:]
 
 
-def _locking(outcome: str, orbits: tuple[UnstableOrbit, ...], regular: int | None, control: Lock | None) -> Locking:
+def make_locking(outcome: str, orbits: tuple[UnstableOrbit, ...], regular: int | None, control: Lock | None) -> Locking:
     return Locking(outcome, ADVICE.get(outcome, ""), orbits, regular, control)

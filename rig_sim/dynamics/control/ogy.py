@@ -20,39 +20,28 @@ from rig_sim.dynamics.system.interface import Controlled, difference
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent
 
-# Of r_i, within which control begins: rounding and the map's curvature take the rest.  0.8 takes 1.5 times as long.
+# Share of r_i within which control starts: the rest is for rounding and the map's curvature.
 CERTAIN = 0.95
-# Of the scales: farther from every point of the orbit the map counts as no line.  Within a budget of 2.35 % of the
-# thesis's drive r_i is below 0.01; values of 0.02 to 0.5 lock after the same times.
+# Of the scales: farther from every point of the orbit the map does not count as linear.  Within a budget of 2.35 % of
+# the thesis's drive r_i is below 0.01.
 REACH = 0.1
-# Controls in a row that make a lock, at least, and turns of the orbit: a motion that only passes by needs a change
-# beyond the budget after 1 to 3.
+# Least number of controls in a row, and of turns of the orbit, that make a lock: a motion that only passes by needs a
+# change beyond the budget after 1 to 3.
 HELD, TURNS_HELD = 40, 4
-REPORTED = 100  # applications between two reports of progress, some 5 ms
-TURNS_AHEAD = 50  # of the orbit; a multiplier of 1.5 leaves 1e-9 of the rest
+REPORTED = 100  # applications between two reports of progress, about 5 ms
+TURNS_AHEAD = 50  # of the orbit; with a multiplier of 1.5 the rest is 1e-9
 
 
 @dataclass(frozen=True)
 class Lock:
-    """An attempt to lock a motion onto an orbit.
+    """An attempt to lock a motion onto an orbit."""
 
-    Attributes
-    ----------
-    outcome : str
-        'locked'; 'not locked' within the applications allowed; 'motion ended' where the map ends; 'stable orbit': it
-        needs no control; 'several unstable directions' or 'no response', where one parameter cannot hold the orbit.
-    events_to_lock : int or None
-        Applications of the map before the control that held.
-    states : (n + 1, d) float64
-        The motion, start included.
-    changes : (n,) float64
-        Of the parameter, from every state to the next.
-    """
-
+    # 'locked'; 'not locked' within the applications allowed; 'motion ended' where the map ends; 'stable orbit': it
+    # needs no control; 'several unstable directions' or 'no response', where one parameter cannot hold the orbit
     outcome: str
-    events_to_lock: int | None
-    states: Array
-    changes: Array
+    events_to_lock: int | None  # applications of the map before the control that lasted
+    states: Array  # (n + 1, d) the motion, start included
+    changes: Array  # (n,) of the parameter, from every state to the next
 
     @property
     def locked(self) -> bool:
@@ -63,40 +52,29 @@ class Lock:
 def lock(
     f: Controlled, orbit: UnstableOrbit, start: Array, budget: float, events: int, progress: Stages = silent
 ) -> Lock:
-    """Lock the motion from a state onto an orbit.
+    """Lock the motion from ``start``, (d,), onto an orbit, within ``events`` applications of the map.
 
-    Parameters
-    ----------
-    f, orbit
-        The map and one of its orbits.
-    start : (d,) float64
-        Where the motion begins.
-    budget : float
-        Largest change of the parameter, relative to its strength; 0 or more.
-    events : int
-        Applications of the map after which the attempt ends.
-    progress : callable
-        Called with the stage and what is done of it.
+    ``budget`` is the largest change of the parameter relative to its strength.
     """
     directions = orbit.unstable_directions
     if directions > 1:
-        return _ended("several unstable directions", start)
+        return end_at_start("several unstable directions", start)
     if directions == 0:
-        return _settle(f, orbit, start, events)
-    mode = unstable_mode(orbit)
+        return wait_for_stable_orbit(f, orbit, start, events)
+    mode = find_unstable_mode(orbit)
     if not np.any(mode.response):
-        return _ended("no response", start)
-    reach = CERTAIN * mode.controllable(budget)
-    held = max(HELD, TURNS_HELD * orbit.period)
+        return end_at_start("no response", start)
+    reach = CERTAIN * mode.controllable_deviation(budget)
+    needed = max(HELD, TURNS_HELD * orbit.period)
     state = start
     states = [start]
     changes: list[float] = []
     controlled = 0
-    while len(changes) < events and controlled < held:
-        away = difference(f, state, orbit.points)
-        distances = np.linalg.norm(away, axis=1)
+    while len(changes) < events and controlled < needed:
+        deviations = difference(f, state, orbit.points)
+        distances = np.linalg.norm(deviations, axis=1)
         i = int(np.argmin(distances))
-        y = float(mode.left[i] @ away[i])
+        y = float(mode.left[i] @ deviations[i])
         change = 0.0
         controlled = controlled + 1 if distances[i] < REACH and abs(y) <= reach[i] else 0
         if controlled and mode.response[i] != 0.0:
@@ -108,20 +86,20 @@ def lock(
         changes.append(change * f.strength)
         if len(changes) % REPORTED == 0:
             progress("controlling", len(changes), events)
-    if controlled < held:
+    if controlled < needed:
         return Lock("not locked", None, np.array(states), np.array(changes))
-    return Lock("locked", len(changes) - held, np.array(states), np.array(changes))
+    return Lock("locked", len(changes) - needed, np.array(states), np.array(changes))
 
 
 @dataclass(frozen=True)
 class UnstableMode:
-    """The unstable direction of an orbit: left eigenvectors (p, d), factors lambda and responses b, (p,) each."""
+    """The unstable direction of an orbit."""
 
-    left: Array
-    factor: Array
-    response: Array
+    left: Array  # (p, d) left eigenvectors
+    factor: Array  # (p,) lambda
+    response: Array  # (p,) b
 
-    def controllable(self, budget: float) -> Array:
+    def controllable_deviation(self, budget: float) -> Array:
         """Return r, (p,): the largest deviations that changes within the budget can bring to 0."""
         period = len(self.factor)
         sizes, pushes = np.abs(self.factor), np.abs(self.response) * budget
@@ -132,27 +110,27 @@ class UnstableMode:
         return reach
 
 
-def unstable_mode(orbit: UnstableOrbit) -> UnstableMode:
-    """Return the unstable direction of an orbit that has one."""
+def find_unstable_mode(orbit: UnstableOrbit) -> UnstableMode:
+    """Return the unstable direction of an orbit that has exactly one."""
     period, d = orbit.responses.shape
     turn = np.eye(d)
     for slope in orbit.slopes:
         turn = slope @ turn
     values, vectors = np.linalg.eig(turn.T)
     e = np.real(vectors[:, int(np.argmax(np.abs(values)))])
-    left = np.zeros((period, d))
+    left_vectors = np.zeros((period, d))
     factor = np.zeros(period)
     for i in range(period - 1, -1, -1):
-        behind = left[(i + 1) % period] = e / np.linalg.norm(e)
-        e = behind @ orbit.slopes[i]
+        following = left_vectors[(i + 1) % period] = e / np.linalg.norm(e)
+        e = following @ orbit.slopes[i]
         factor[i] = np.linalg.norm(e)
-    factor[0] = e @ left[0]  # with the sign with which e comes round
-    response = np.einsum("ij,ij->i", np.roll(left, -1, axis=0), orbit.responses)
-    return UnstableMode(left, factor, response)
+    factor[0] = e @ left_vectors[0]  # with the sign with which e comes round
+    response = np.einsum("ij,ij->i", np.roll(left_vectors, -1, axis=0), orbit.responses)
+    return UnstableMode(left_vectors, factor, response)
 
 
-def _settle(f: Controlled, orbit: UnstableOrbit, start: Array, events: int) -> Lock:
-    """Return how the uncontrolled motion comes to a stable orbit."""
+def wait_for_stable_orbit(f: Controlled, orbit: UnstableOrbit, start: Array, events: int) -> Lock:
+    """Return the uncontrolled motion until it stays near a stable orbit."""
     states = [start]
     near = 0
     while len(states) <= events and near < HELD:
@@ -166,5 +144,5 @@ def _settle(f: Controlled, orbit: UnstableOrbit, start: Array, events: int) -> L
     return Lock(outcome, count, np.array(states), np.zeros(len(states) - 1))
 
 
-def _ended(outcome: str, start: Array) -> Lock:
+def end_at_start(outcome: str, start: Array) -> Lock:
     return Lock(outcome, None, start[None, :], np.zeros(0))

@@ -19,12 +19,8 @@ import math
 def phasor(m: float, k: float, S: float, a: float, phi: float) -> complex:
     """Return Omega = omega + i delta (1/s) of the small oscillation e^{-i Omega t} under the shaker.
 
-    Parameters
-    ----------
-    m, k, S : float
-        kg, N/m, and slope of the friction less the damping, gamma_lin - c, N s/m.
-    a, phi : float
-        The shaker's amplification, N s/m, and phase lead, rad.
+    m in kg, k in N/m, S = gamma_lin - c in N s/m (slope of the friction less the damping), amplification a in N s/m,
+    phase lead phi in rad.
     """
     return phasor_roots(m, k, S, a, phi)[0]
 
@@ -51,11 +47,6 @@ def shaker_for(m: float, k: float, S: float, omega: float, delta: float) -> tupl
     """Return (a, phi) that give a small oscillation the frequency omega (rad/s) and the growth rate delta (1/s).
 
     The inverse of `phasor`; phi lies from 0 to 2 pi.
-
-    Raises
-    ------
-    ValueError
-        omega is not above 0.
     """
     if not omega > 0.0:
         raise ValueError(f"omega is {omega}; need a frequency above 0")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig_sim.dynamics.system.interface import Controlled, difference, orbit
-from rig_sim.dynamics.system.period import period_of
+from rig_sim.dynamics.system.period import find_period
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent
 
@@ -22,26 +22,13 @@ REPEATS = 1e-7  # share of the scales within which the section repeats
 
 @dataclass(frozen=True)
 class SearchAndLock:
-    """What stepping the parameter has found.
+    """The result of stepping the parameter."""
 
-    Attributes
-    ----------
-    change : float or None
-        Of the parameter, where the section repeated; None within the budget.
-    events : int
-        Applications of the map up to there, or in all.
-    steps : int
-        Steps of the parameter.
-    points : (p, d) float64 or None
-        The repeating section.
-    kept : int or None
-        Applications after the change was removed for which the motion stayed within ``near`` of those points.
-    """
-
-    change: float | None
-    events: int
-    steps: int
-    points: Array | None
+    change: float | None  # of the parameter, where the section repeated; None if it did not within the budget
+    events: int  # applications of the map up to there, or in all
+    steps: int  # steps of the parameter
+    points: Array | None  # (p, d) the repeating section
+    # applications after the change was removed for which the motion stayed within ``near`` of those points
     kept: int | None
 
     @property
@@ -62,20 +49,8 @@ def search_and_lock(
 ) -> SearchAndLock:
     """Raise the parameter from 0 up to the budget until the section repeats with ``period``, then remove the change.
 
-    Parameters
-    ----------
-    f, start
-        The map, and the state to start from, (d,).
-    period : int
-        Of the orbit wanted, 1 or more.
-    budget : float
-        Largest change of the parameter, relative to its strength.
-    steps : int
-        Steps from 0 to the budget; as many motions are followed.
-    near : float
-        Of the scales; see ``kept``.
-    progress : callable
-        Called with the stage and what is done of it.
+    ``budget`` is relative to the parameter's strength and reached in ``steps`` steps, each with its own motion;
+    ``near``, in units of the scales, decides on ``kept``.
     """
     state = start
     events = 0
@@ -87,13 +62,13 @@ def search_and_lock(
         if len(states) < TRANSIENT + JUDGED:
             break
         state = states[-1]
-        if period_of(difference(f, states[TRANSIENT:], state), REPEATS) == period:
+        if find_period(difference(f, states[TRANSIENT:], state), REPEATS) == period:
             points = states[-period:]
-            return SearchAndLock(change, events, step, points, _kept(f, points, state, near))
+            return SearchAndLock(change, events, step, points, count_kept(f, points, state, near))
     return SearchAndLock(None, events, steps, None, None)
 
 
-def _kept(f: Controlled, points: Array, state: Array, near: float) -> int:
+def count_kept(f: Controlled, points: Array, state: Array, near: float) -> int:
     """Return for how many applications the motion stays close to the points that it has visited in turn."""
     for count in range(TRANSIENT):
         state = f.after(state)

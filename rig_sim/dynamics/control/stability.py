@@ -19,8 +19,8 @@ from stickslip.compute.arrays import Array
 
 Band = tuple[float, float]  # lowest and highest frequency that the filter passes, rad/s
 TURN = 2.0 * math.pi
-CURVE = 4001  # points of a curve, those above a_max included; not swept
-REAL = 1e-6  # imaginary part of a root, relative to the root, below which it may be a real one; those not are harmless
+CURVE = 4001  # points of a curve, those above a_max included
+REAL = 1e-6  # imaginary part of a root, relative to the root, below which it counts as real; a false one is harmless
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class ShakerPlane:
     S: float
     band: Band | None = None
 
-    def stable(self, a: float, phi: float) -> bool:
+    def is_stable(self, a: float, phi: float) -> bool:
         """Return whether the small oscillation decays and, with a band, has a frequency within it."""
         Omega = phasor(self.m, self.k, self.S, a, phi)
         return Omega.imag < 0.0 and self.passes(Omega.real)
@@ -60,7 +60,7 @@ class ShakerPlane:
             # abs(E)^2 = a^2, cleared of fractions
             square = np.polysub(np.polyadd(np.polymul(R, R), np.polymul(I, I)), a * a * np.polymul(size, size))
             edges += [shaker_for(self.m, self.k, self.S, omega, delta)[1] for delta in real_roots(square)]
-        return joined(edges, lambda phi: self.stable(a, phi))
+        return find_intervals(edges, lambda phi: self.is_stable(a, phi))
 
     def stable_amplifications(self, phi: float) -> list[tuple[float, float]]:
         """Return the intervals of a (N s/m) in which a shaker of phase phi is stable; the last may end at infinity."""
@@ -70,11 +70,11 @@ class ShakerPlane:
         for omega in self.band or ():
             _, R, I = self._feedback(omega)  # noqa: E741
             for delta in real_roots(np.polyadd(math.cos(phi) * I, math.sin(phi) * R)):  # E e^{i phi} is real
-                a, found = shaker_for(self.m, self.k, self.S, omega, delta)
-                if math.cos(found - phi) > 0.0:  # not the opposite phase
+                a, phase = shaker_for(self.m, self.k, self.S, omega, delta)
+                if math.cos(phase - phi) > 0.0:  # not the opposite phase
                     edges.append(a)
         edges = [*edges, 2.0 * max(edges) + 2.0 * math.sqrt(self.m * self.k)]
-        intervals = joined(edges, lambda level: self.stable(level, phi))
+        intervals = find_intervals(edges, lambda level: self.is_stable(level, phi))
         return [(low, math.inf if high == max(edges) else high) for low, high in intervals]
 
     def growth_curve(self, delta: float, a_max: float) -> ShakerCurve:
@@ -96,8 +96,8 @@ class ShakerPlane:
         R = np.array([self.m, -self.S, self.k + self.m * omega * omega, -self.S * omega * omega])
         return size, R, omega * np.polysub(np.array([self.k]), self.m * size)
 
-    def _curve(self, wanted: list[tuple[float, float]], a_max: float) -> ShakerCurve:
-        a, phi = np.array([shaker_for(self.m, self.k, self.S, omega, delta) for omega, delta in wanted]).T
+    def _curve(self, oscillations: list[tuple[float, float]], a_max: float) -> ShakerCurve:
+        a, phi = np.array([shaker_for(self.m, self.k, self.S, omega, delta) for omega, delta in oscillations]).T
         return ShakerCurve(np.where(a <= a_max, phi, np.nan), np.where(a <= a_max, a, np.nan))
 
 
@@ -106,11 +106,11 @@ def real_roots(polynomial: NDArray[np.floating[Any]]) -> list[float]:
     return [float(root.real) for root in np.roots(polynomial) if abs(root.imag) <= REAL * abs(root)]
 
 
-def joined(edges: list[float], holds: Callable[[float], bool]) -> list[tuple[float, float]]:
-    """Return the intervals between edges in whose middle something holds, neighbours joined."""
-    places = sorted(set(edges))
+def find_intervals(edges: list[float], holds: Callable[[float], bool]) -> list[tuple[float, float]]:
+    """Return the intervals between edges in whose middle ``holds`` is true, neighbours joined."""
+    points = sorted(set(edges))
     merged: list[tuple[float, float]] = []
-    for low, high in pairwise(places):
+    for low, high in pairwise(points):
         if holds(0.5 * (low + high)):
             if merged and merged[-1][1] == low:
                 merged[-1] = (merged[-1][0], high)

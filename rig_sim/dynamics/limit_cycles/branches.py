@@ -20,22 +20,22 @@ from rig_sim.dynamics.analyses.special_points import (
     BranchPoint,
     Continuation,
     SpecialPoint,
-    bisected,
-    crossing,
-    least,
+    bisect,
+    find_zero,
+    minimise,
 )
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point, friction_at_rest
 from rig_sim.dynamics.limit_cycles.floquet import floquet
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.dynamics.return_maps.minimum import next_minimum
-from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE
+from rig_sim.dynamics.return_maps.turn import STEPS_OF_SEARCH
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import displacement, frame
 from rig_sim.integrate.work import new_work
 from stickslip.compute.arrays import Array
 
 TOUCHED = 1e-13  # of the parameter, relative to its step: where the map touches the diagonal
-TOUCH = 1e-9  # of the interval of starts: how well the start that gains least is found; its gain is even less wrong
+TOUCH = 1e-9  # of the interval of starts: precision of the start that gains least
 CROSSES = 1e-6  # share of the change of c - gamma_lin between two values: at a root it is below this, at a jump above
 
 FlowAt = Callable[[float], Flow]
@@ -46,23 +46,8 @@ def continuation(
 ) -> Continuation:
     """Return branches and special points.
 
-    Parameters
-    ----------
-    flow_at : callable
-        The flow at a value of the parameter; one mass, no drive.
-    values : (n,) array
-        Of the parameter, rising or falling; special points are sought between neighbours and then refined.
-    progress : callable
-        Called with the number of values done.
-
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical.
-
-    Notes
-    -----
-    Two special points of one kind between the same neighbours are not seen: use a finer grid.
+    Special points are sought between neighbouring ``values``, rising or falling, and then refined; two of one kind
+    between the same neighbours are missed: use a finer grid.  ``progress`` is called with the number of values done.
     """
     fixed, stable, unstable = [], [], []
     for done, value in enumerate(values.tolist()):
@@ -72,17 +57,21 @@ def continuation(
         stable.append(BranchPoint(value, floquet(flow, "stable", orbit=orbit)))
         unstable.append(BranchPoint(value, floquet(flow, "unstable", orbit=orbit)))
         progress(done + 1.0)
-    points = [*stability_changes(flow_at, fixed), *folds(flow_at, stable)]
+    points = [*find_stability_changes(flow_at, fixed), *find_folds(flow_at, stable)]
     branches = [
-        *branches_of("fixed point", True, fixed, lambda at: at.outcome == "fixed point" and at.stable is True),
-        *branches_of("fixed point", False, fixed, lambda at: at.outcome == "fixed point" and at.stable is False),
-        *branches_of("orbit", True, stable, lambda at: bool(at.multipliers)),
-        *branches_of("orbit", False, unstable, lambda at: bool(at.multipliers)),
+        *split_branches(
+            "fixed point", True, fixed, lambda state: state.outcome == "fixed point" and state.stable is True
+        ),
+        *split_branches(
+            "fixed point", False, fixed, lambda state: state.outcome == "fixed point" and state.stable is False
+        ),
+        *split_branches("orbit", True, stable, lambda state: bool(state.multipliers)),
+        *split_branches("orbit", False, unstable, lambda state: bool(state.multipliers)),
     ]
     return Continuation(tuple(branches), tuple(sorted(points, key=lambda point: point.value)))
 
 
-def branches_of(kind: str, stable: bool, rows: list[BranchPoint], exists: Callable[..., bool]) -> Iterator[Branch]:
+def split_branches(kind: str, stable: bool, rows: list[BranchPoint], exists: Callable[..., bool]) -> Iterator[Branch]:
     """Yield a branch for every run of neighbouring values at which ``exists`` holds."""
     branch = Branch(kind, stable)
     for row in rows:
@@ -95,7 +84,7 @@ def branches_of(kind: str, stable: bool, rows: list[BranchPoint], exists: Callab
         yield branch
 
 
-def stability_changes(flow_at: FlowAt, rows: list[BranchPoint]) -> Iterator[SpecialPoint]:
+def find_stability_changes(flow_at: FlowAt, rows: list[BranchPoint]) -> Iterator[SpecialPoint]:
     """Yield the points where c - gamma_lin changes its sign: through 0, or by a jump."""
 
     def damping(value: float) -> float:
@@ -108,40 +97,40 @@ def stability_changes(flow_at: FlowAt, rows: list[BranchPoint]) -> Iterator[Spec
         ends = damping(before.value), damping(after.value)
         if (ends[0] > 0.0) == (ends[1] > 0.0):
             continue
-        value = bisected(lambda at: damping(at) > 0.0, before.value, after.value)
-        through = abs(damping(value)) < CROSSES * abs(ends[1] - ends[0])
-        yield SpecialPoint("hopf" if through else "border-collision", value)
+        value = bisect(lambda candidate: damping(candidate) > 0.0, before.value, after.value)
+        is_smooth = abs(damping(value)) < CROSSES * abs(ends[1] - ends[0])
+        yield SpecialPoint("hopf" if is_smooth else "border-collision", value)
 
 
-def folds(flow_at: FlowAt, rows: list[BranchPoint]) -> Iterator[SpecialPoint]:
-    """Yield the points where the stable orbit ends: beside a stable fixed point, or where it no longer sticks."""
+def find_folds(flow_at: FlowAt, rows: list[BranchPoint]) -> Iterator[SpecialPoint]:
+    """Yield the points where the stable orbit ends: next to a stable fixed point, or where it no longer sticks."""
     for before, after in pairwise(rows):
-        found = {row.state.outcome for row in (before, after)}  # of the search for an orbit
-        if "cycle" not in found or not found & {"fixed point", "pure slip"}:
+        outcomes = {row.state.outcome for row in (before, after)}  # of the search for an orbit
+        if "cycle" not in outcomes or not outcomes & {"fixed point", "pure slip"}:
             continue
-        if frame(flow_at(before.value)).d == 0.0 or "pure slip" in found:
+        if frame(flow_at(before.value)).d == 0.0 or "pure slip" in outcomes:
             beyond: set[str] = set()
 
-            def sticks(at: float, others: set[str] = beyond) -> bool:
-                outcome = cycle(flow_at(at)).outcome
+            def sticks(candidate: float, others: set[str] = beyond) -> bool:
+                outcome = cycle(flow_at(candidate)).outcome
                 if outcome != "cycle":
                     others.clear()
                     others.add(outcome)
                 return outcome == "cycle"
 
-            value = bisected(sticks, before.value, after.value)
+            value = bisect(sticks, before.value, after.value)
             yield SpecialPoint("fold" if beyond == {"fixed point"} else "grazing", value)
-        elif (touches := smooth_fold(flow_at, before.value, after.value)) is not None:
+        elif (touches := find_smooth_fold(flow_at, before.value, after.value)) is not None:
             yield SpecialPoint("fold", touches)
 
 
-def smooth_fold(flow_at: FlowAt, first: float, last: float) -> float | None:
+def find_smooth_fold(flow_at: FlowAt, first: float, last: float) -> float | None:
     """Return where the map from minimum to minimum (`least_gain`) just touches the diagonal; None where it does not."""
-    return crossing(lambda at: least_gain(flow_at(at)), first, last, TOUCHED)
+    return find_zero(lambda candidate: least_gain(flow_at(candidate)), first, last, TOUCHED)
 
 
 def least_gain(flow: Flow) -> float:
-    """Return by how much the next minimum of the position lies nearer to the fixed point, relative to the one before.
+    """Return by how much the next minimum lies nearer to the fixed point, relative to the one before.
 
     The least over all starts outside.  Below 0 a start moves outwards: an unstable orbit lies between it and the fixed
     point, a stable one outside.  1 for a start that does not turn again.
@@ -150,11 +139,11 @@ def least_gain(flow: Flow) -> float:
     p_rest = displacement(fr, fixed_point(flow).x or 0.0)
 
     def gain(p: float) -> float:
-        turn = next_minimum(fr, float(p), new_work(STEPS_ALLOWED_HERE))
+        turn = next_minimum(fr, float(p), new_work(STEPS_OF_SEARCH))
         return 1.0 if turn.end else (turn.p - p) / (p_rest - p)
 
     far = p_rest - 2.0 * fr.B / fr.k
     outer = far + gain(far) * (p_rest - far)
     if not outer < p_rest:  # even from far out the mass comes to rest
         return 1.0
-    return least(gain, outer, p_rest, TOUCH * (p_rest - outer))[1]
+    return minimise(gain, outer, p_rest, TOUCH * (p_rest - outer))[1]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force, transition
 from rig_sim.flow.flow import Flow, validate
-from rig_sim.flow.frame import frame, friction_slope, mirrored
+from rig_sim.flow.frame import frame, friction_slope, mirror_mode
 from rig_sim.flow.two_mass import TwoMassFlow, validate_two_masses
 
 
@@ -57,13 +57,7 @@ class TwoMassFixedPoint:
 
 
 def fixed_point(flow: Flow) -> FixedPoint:
-    """Return the fixed point of a flow: one mass, no drive.
-
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical: see `rig_sim.flow.flow.validate`.
-    """
+    """Return the fixed point of a flow: one mass, no drive."""
     validate(flow)
     if flow.u0 != 0.0:
         return FixedPoint("driven", "a driven mass does not rest: drop the drive")
@@ -77,13 +71,7 @@ def fixed_point(flow: Flow) -> FixedPoint:
 
 
 def two_mass_fixed_point(flow: TwoMassFlow) -> TwoMassFixedPoint:
-    """Return the fixed point of two masses, where both stand while the belt slides below them.
-
-    Raises
-    ------
-    ValueError
-        For masses that are not physical, or not modelled: see `rig_sim.flow.two_mass.validate_two_masses`.
-    """
+    """Return the fixed point of two masses, where both stand while the belt slides below them."""
     import numpy as np
 
     validate_two_masses(flow)
@@ -105,10 +93,7 @@ def two_mass_fixed_point(flow: TwoMassFlow) -> TwoMassFixedPoint:
 def friction_at_rest(flow: Flow) -> tuple[float, float]:
     """Return friction (N) on a mass that stands on the running belt, and its slope gamma_lin = dF/dw (N s/m).
 
-    Raises
-    ------
-    ValueError
-        The belt is at rest under a jump law, where friction has no slope.
+    Raises ValueError on a belt at rest under a jump law, where friction has no slope.
     """
     fr = frame(flow)
     if fr.B == 0.0:
@@ -116,7 +101,7 @@ def friction_at_rest(flow: Flow) -> tuple[float, float]:
     if fr.v == 0.0 and fr.d == 0.0:
         raise ValueError("on a belt at rest friction has no slope; the belt must run")
     mode = modes.RAMP if fr.v <= fr.d else modes.NEGATIVE
-    return force(flow, mirrored(fr, mode), 0.0, -flow.v_belt, 0.0), friction_slope(fr, mode, -fr.v)
+    return force(flow, mirror_mode(fr, mode), 0.0, -flow.v_belt, 0.0), friction_slope(fr, mode, -fr.v)
 
 
 def quadratic_roots(a: float, b: float, c: float) -> tuple[complex, complex]:

@@ -13,14 +13,16 @@ from typing import Literal
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.limit_cycle import Orbit, cycle
 from rig_sim.dynamics.return_maps.minimum import MinimumTurn, next_minimum
-from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE
+from rig_sim.dynamics.return_maps.turn import STEPS_OF_SEARCH
 from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.frame import Frame, displacement, frame, mirrored, position
+from rig_sim.flow.frame import Frame, displacement, frame, mirror_mode, position
 from rig_sim.integrate.work import new_work
 
-STABLE_TO = 1e-9  # share of the distance between the fixed point and the stable orbit: how near either the search comes
-PARTS = 4.0  # by which the search divides the distance to the fixed point from one try to the next; not swept
+STABLE_TO = (
+    1e-9  # share of the distance between the fixed point and the stable orbit: margin of the search at both ends
+)
+PARTS = 4.0  # by which the search divides the distance to the fixed point from one try to the next
 LEAST = 4.0 * math.ulp(1.0)  # relative width of the bracket at the end
 
 
@@ -54,16 +56,9 @@ class FloquetOrbit:
 def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbit: Orbit | None = None) -> FloquetOrbit:
     """Return the stable or the unstable periodic orbit of a flow (one mass, no drive) with its multipliers.
 
-    ``orbit`` is what `rig_sim.dynamics.limit_cycles.limit_cycle.cycle` finds of the flow, where that is known already.
+    ``orbit`` is the result of `rig_sim.dynamics.limit_cycles.limit_cycle.cycle` for the flow, if known already.
 
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical: see `rig_sim.flow.flow.validate`.
-
-    Notes
-    -----
-    Not looked for: a second unstable orbit between the same two attractors, and orbits that no attractor bounds.
+    Not searched: a second unstable orbit between the same two attractors, and orbits that no attractor bounds.
     """
     orbit = cycle(flow) if orbit is None else orbit
     if orbit.outcome not in ("cycle", "grazing") or orbit.x_min is None or orbit.x_max is None:
@@ -73,25 +68,25 @@ def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbi
     fr = frame(flow)
     outer = displacement(fr, orbit.x_min if fr.mirror > 0.0 else orbit.x_max)
     if which == "stable":
-        turn = next_minimum(fr, outer, new_work(STEPS_ALLOWED_HERE))
-        return found(fr, turn, 1.0 if orbit.outcome == "grazing" else turn.multiplier, orbit.outcome)
+        turn = next_minimum(fr, outer, new_work(STEPS_OF_SEARCH))
+        return make_orbit(fr, turn, 1.0 if orbit.outcome == "grazing" else turn.multiplier, orbit.outcome)
     inner = fixed_point(flow)
     if inner.x is None or not inner.stable:
         return FloquetOrbit("no cycle", "the fixed point is not stable: no unstable orbit surrounds it")
-    turn = separating(fr, outer, displacement(fr, inner.x))
-    return found(fr, turn, turn.multiplier, "cycle")
+    turn = find_separating_turn(fr, outer, displacement(fr, inner.x))
+    return make_orbit(fr, turn, turn.multiplier, "cycle")
 
 
-def found(fr: Frame, turn: MinimumTurn, multiplier: float, outcome: str) -> FloquetOrbit:
-    """Return the orbit that a closed turn is, in the flow's own coordinates; or why there is none."""
+def make_orbit(fr: Frame, turn: MinimumTurn, multiplier: float, outcome: str) -> FloquetOrbit:
+    """Return the orbit of a closed turn in the flow's own coordinates; or why there is none."""
     if turn.end:
         return FloquetOrbit(turn.end, turn.advice)
     x_min, x_max = sorted((position(fr, turn.p), position(fr, turn.p_max)))
-    letters = "".join(modes.LETTERS[mirrored(fr, mode)] for mode in turn.modes)
+    letters = "".join(modes.LETTERS[mirror_mode(fr, mode)] for mode in turn.modes)
     return FloquetOrbit(outcome, "", (1.0, multiplier), turn.duration, x_min, x_max, letters)
 
 
-def separating(fr: Frame, outer: float, inner: float) -> MinimumTurn:
+def find_separating_turn(fr: Frame, outer: float, inner: float) -> MinimumTurn:
     """Return the turn from the unstable orbit's minimum: between p (m) of the stable orbit's and of the fixed point."""
     # A start beyond the unstable orbit moves out, to a smaller minimum; one within it moves in.
     width = inner - outer
@@ -100,7 +95,7 @@ def separating(fr: Frame, outer: float, inner: float) -> MinimumTurn:
     while step > STABLE_TO * width:
         step /= PARTS
         high = inner - step
-        turn = next_minimum(fr, high, new_work(STEPS_ALLOWED_HERE))
+        turn = next_minimum(fr, high, new_work(STEPS_OF_SEARCH))
         if turn.end not in ("", "fixed point"):
             return turn
         if turn.end or turn.p > high:
@@ -110,11 +105,11 @@ def separating(fr: Frame, outer: float, inner: float) -> MinimumTurn:
         return MinimumTurn("no cycle", "every motion outside the fixed point grows: no unstable orbit was found")
     while high - low > LEAST * (abs(high) + abs(fr.slip)):
         middle = 0.5 * (low + high)
-        turn = next_minimum(fr, middle, new_work(STEPS_ALLOWED_HERE))
+        turn = next_minimum(fr, middle, new_work(STEPS_OF_SEARCH))
         if turn.end not in ("", "fixed point"):
             return turn
         if turn.end or turn.p > middle:
             high = middle
         else:
             low = middle
-    return next_minimum(fr, 0.5 * (low + high), new_work(STEPS_ALLOWED_HERE))
+    return next_minimum(fr, 0.5 * (low + high), new_work(STEPS_OF_SEARCH))

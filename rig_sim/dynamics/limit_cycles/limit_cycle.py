@@ -10,22 +10,22 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from rig_sim.dynamics.return_maps.turn import STEPS_ALLOWED_HERE, Turn, next_slip
+from rig_sim.dynamics.return_maps.turn import STEPS_OF_SEARCH, Turn, next_slip
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import classify, force
 from rig_sim.flow.flow import Flow, validate
-from rig_sim.flow.frame import Frame, frame, is_curved, linear_terms, mirrored, position
+from rig_sim.flow.frame import Frame, frame, is_curved, linear_terms, mirror_mode, position
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.work import Work, new_work
 
-TURNS = 300  # evaluations of the return map; not swept
-# Turns that close to rounding, after which the search ends although the map all but touches the diagonal, where
-# rounding decides on p; not swept.
+TURNS = 300  # evaluations of the return map
+# Turns closed to rounding after which the search ends, where the map almost touches the diagonal and rounding decides
+# on p.
 NEARLY_CLOSED = 8
 
 
 class HasFlow(Protocol):
-    """Anything that can say which flow it is: a scene."""
+    """A scene, or anything else with a flow."""
 
     def flow(self) -> Flow:
         """Return the flow, without its random parts."""
@@ -74,20 +74,8 @@ class Orbit:
 def cycle(scene: HasFlow | Flow) -> Orbit:
     """Return the periodic orbit reached from the slip point (k x = B - c v_belt, v = v_belt).
 
-    Parameters
-    ----------
-    scene : Flow, or anything with ``flow()``
-        Its start, the belt's start and everything random do not enter.
-
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical: see `rig_sim.flow.flow.validate`.
-
-    Notes
-    -----
-    Not looked for: orbits that the slip point does not lead to (an unstable one, or one that never touches stick), and
-    the response to a drive.
+    The scene's start, the belt's start and random sections are ignored.  Not searched: orbits that the slip point does
+    not lead to (an unstable one, or one that never touches stick), and the response to a drive.
     """
     flow = scene if isinstance(scene, Flow) else scene.flow()
     validate(flow)
@@ -95,31 +83,31 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
     if fr.u0 != 0.0:
         return Orbit("driven", "a driven mass has no orbit of its own: list its events instead")
     if is_grazing(fr):
-        return grazing_orbit(fr)
-    work = new_work(STEPS_ALLOWED_HERE)
+        return make_grazing_orbit(fr)
+    work = new_work(STEPS_OF_SEARCH)
     if fr.d == 0.0:
         turn = next_slip(fr, modes.STICK, 0.0, 0.0, work)
         if turn.end == "":
             turn = next_slip(fr, modes.NEGATIVE, turn.p, 0.0, work)
     else:
-        turn = closed_turn(fr, work)
+        turn = find_closed_turn(fr, work)
     if turn.end == "":
-        return orbit_of(fr, turn)
-    resting = None
+        return make_orbit(fr, turn)
+    x_rest = None
     if turn.end == "fixed point":
-        resting = position(fr, turn.p)
+        x_rest = position(fr, turn.p)
         if turn.mode != modes.STICK:  # where the spring holds friction alone; heavy damping leaves few digits in p
-            resting = flow.x0 + force(flow, mirrored(fr, turn.mode), resting, -flow.v_belt, 0.0) / flow.k
-    return Orbit(turn.end, turn.advice, x_rest=resting)
+            x_rest = flow.x0 + force(flow, mirror_mode(fr, turn.mode), x_rest, -flow.v_belt, 0.0) / flow.k
+    return Orbit(turn.end, turn.advice, x_rest=x_rest)
 
 
-def sticks(flow: Flow) -> bool:
-    """Return whether `cycle` finds an orbit that sticks; under a jump law without following what ends elsewhere."""
+def has_stick_slip_orbit(flow: Flow) -> bool:
+    """Return whether `cycle` finds an orbit that sticks, faster under a jump law: it stops where slip lasts."""
     fr = frame(flow)
     if fr.d > 0.0 or fr.u0 != 0.0 or is_grazing(fr):
         return cycle(flow).outcome == "cycle"
     validate(flow)
-    work = new_work(STEPS_ALLOWED_HERE)
+    work = new_work(STEPS_OF_SEARCH)
     turn = next_slip(fr, modes.STICK, 0.0, 0.0, work)
     return turn.end == "" and next_slip(fr, modes.NEGATIVE, turn.p, 0.0, work, to_the_end=False).end == ""
 
@@ -131,7 +119,7 @@ def is_grazing(fr: Frame) -> bool:
     return linear_terms(fr, modes.NEGATIVE)[0] == 0.0
 
 
-def grazing_orbit(fr: Frame) -> Orbit:
+def make_grazing_orbit(fr: Frame) -> Orbit:
     """Return the circle of radius v - d about the fixed point of slip (thesis 2.4, 2.5)."""
     centre = linear_terms(fr, modes.NEGATIVE)[1] / fr.k
     speed = fr.v - fr.d
@@ -148,23 +136,23 @@ def grazing_orbit(fr: Frame) -> Orbit:
         x_max=position(fr, centre) + speed / fr.omega0,
         v_min=-speed,
         v_max=speed,
-        sequence=modes.LETTERS[mirrored(fr, modes.NEGATIVE)] + "S",
+        sequence=modes.LETTERS[mirror_mode(fr, modes.NEGATIVE)] + "S",
     )
 
 
-def closed_turn(fr: Frame, work: Work) -> Turn:
-    """Return the turn of a ramp law that ends where it began: plain iteration of the return map and secant steps."""
+def find_closed_turn(fr: Frame, work: Work) -> Turn:
+    """Return the closed turn of a ramp law: plain iteration of the return map and secant steps."""
     turn = next_slip(fr, classify(fr, 0.0, 0.0, 0.0), 0.0, 0.0, work)
     p_before = g_before = math.nan
     p = turn.p
-    plain = p
+    iterate = p
     closed = 0
     for _i in range(TURNS):
         if turn.end != "":
             return turn
         turn = next_slip(fr, modes.NEGATIVE, p, -fr.d, work)
-        if turn.end != "" and p != plain:  # a secant step went too far
-            p = plain
+        if turn.end != "" and p != iterate:  # a secant step went too far
+            p = iterate
             turn = next_slip(fr, modes.NEGATIVE, p, -fr.d, work)
         g = turn.p - p
         slope = (g - g_before) / (p - p_before) if p != p_before else -1.0
@@ -175,8 +163,8 @@ def closed_turn(fr: Frame, work: Work) -> Turn:
                 return turn
         p_before, g_before = p, g
         # slope + 1 is the map's multiplier: a secant step where it contracts, plain iteration elsewhere
-        plain = turn.p
-        p = plain
+        iterate = turn.p
+        p = iterate
         if -1.9 < slope < -1e-12:
             step = -g / slope
             p = p_before + math.copysign(min(abs(step), 0.5 * abs(p_before)), step)
@@ -185,8 +173,8 @@ def closed_turn(fr: Frame, work: Work) -> Turn:
     return Turn("no cycle", f"the return map did not settle within {TURNS} turns", turn.p)
 
 
-def orbit_of(fr: Frame, turn: Turn) -> Orbit:
-    """Return the orbit that a closed turn is, in the flow's own coordinates."""
+def make_orbit(fr: Frame, turn: Turn) -> Orbit:
+    """Return the orbit of a closed turn in the flow's own coordinates."""
     sticking = [duration for mode, duration, _ in turn.phases if mode in (modes.STICK, modes.RAMP)]
     slipping = [duration for mode, duration, _ in turn.phases if mode not in (modes.STICK, modes.RAMP)]
     p_min, p_max, w_min, w_max = turn.extremes
@@ -203,5 +191,5 @@ def orbit_of(fr: Frame, turn: Turn) -> Orbit:
         x_max=ends[1],
         v_min=speeds[0],
         v_max=speeds[1],
-        sequence="".join(modes.LETTERS[mirrored(fr, mode)] for mode, _, _ in turn.phases),
+        sequence="".join(modes.LETTERS[mirror_mode(fr, mode)] for mode, _, _ in turn.phases),
     )

@@ -10,14 +10,14 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig_sim.dynamics.analyses.settling import settled
+from rig_sim.dynamics.analyses.settling import settle
 from rig_sim.dynamics.control.dither import (
     DECAY,
     MOST_SAMPLES,
     STEPS_IN_ALL,
     linear_ripple,
-    positions,
-    swing,
+    measure_swing,
+    sample_positions,
     threshold,
 )
 from rig_sim.dynamics.control.ogy import Lock
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 OSCILLATIONS = 12.0  # length of the drawn motion in periods of the undriven mass
-SAMPLES = 40  # points drawn in a drive period, or in an oscillation of the mass if that is shorter
+SAMPLES = 40  # per drive period, or per oscillation of the mass if that is shorter
 LOCK_SAMPLES = 200  # per drive period, of a motion under control
-BEFORE = 12  # landings of the motion without control that the phase portrait shows
+BEFORE = 12  # landings before the control in the phase portrait
 TURNS = 3  # turns of the orbit drawn over time
 RATIOS = (0.5, 1.5, 41)  # amplitudes over the threshold: from, to, how many
 GROWTHS = (0.0, -0.1, -0.2)  # growth rates over sqrt(k/m) whose curves the thesis draws
@@ -49,7 +49,7 @@ def draw_dither(axes: "Axes", flow: Flow, x: float, v: float) -> None:
     samples = min(math.ceil(OSCILLATIONS * oscillation / min(oscillation, period) * SAMPLES), MOST_SAMPLES)
     times = np.linspace(0.0, OSCILLATIONS * oscillation, samples)
     for u0, name, width in ((0.0, "without the drive", 0.8), (flow.u0, f"u0 = {flow.u0:.6g}", 1.6)):
-        path = positions(flow._replace(u0=u0), x, v, times)
+        path = sample_positions(flow._replace(u0=u0), x, v, times)
         axes.plot(times[: len(path)], path, lw=width, label=name)
     axes.set(xlabel="t (the scene's unit)", ylabel="x (the scene's unit)", title=f"Dither of omega = {flow.omega:.6g}")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0)
@@ -61,20 +61,23 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
     drawn = figure(8.6, 7.2)
     above, below = drawn.subplots(2)
     draw_dither(above, flow, x, v)
-    least = threshold(flow)
-    if least > 0.0:
-        amplitudes = least * np.linspace(*RATIOS)
+    threshold_by_formula = threshold(flow)
+    if threshold_by_formula > 0.0:
+        amplitudes = threshold_by_formula * np.linspace(*RATIOS)
         flows = [flow._replace(u0=u0) for u0 in amplitudes.tolist()]
         steps = StepBudget(STEPS_IN_ALL)
-        motions = [settled(DrivenMap(driven, budget=steps).motion(np.array([x, v])), DECAY) for driven in flows]
+        motions = [settle(DrivenMap(driven, budget=steps).motion(np.array([x, v])), DECAY) for driven in flows]
         below.plot(
-            amplitudes, [swing(driven, motion) for driven, motion in zip(flows, motions, strict=True)], ".-", ms=5
+            amplitudes,
+            [measure_swing(driven, motion) for driven, motion in zip(flows, motions, strict=True)],
+            ".-",
+            ms=5,
         )
         ripples = [linear_ripple(driven) for driven in flows]
         below.plot(amplitudes, [math.nan if ripple is None else ripple for ripple in ripples], "--", color="0.5")
-        below.axvline(least, color="0.5", lw=0.8)
-        place = {"xycoords": ("data", "axes fraction"), "rotation": 90, "va": "bottom", "ha": "right"}
-        below.annotate("threshold by formula", (least, 0.22), **place)
+        below.axvline(threshold_by_formula, color="0.5", lw=0.8)
+        style = {"xycoords": ("data", "axes fraction"), "rotation": 90, "va": "bottom", "ha": "right"}
+        below.annotate("threshold by formula", (threshold_by_formula, 0.22), **style)
         below.set_yscale("log")
     below.set(
         xlabel="u0 (the scene's unit)",
@@ -85,7 +88,7 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
 
 
 def draw_landings(axes: "Axes", lock: Lock | None) -> None:
-    """Draw the landings of a motion under control, one after the other, and where the control held."""
+    """Draw the landings of a motion under control, one after the other, and the start of the lock."""
     if lock is not None:
         axes.plot(lock.states[:, -1], ".", ms=3, color="#0072B2")
         if lock.events_to_lock is not None:
@@ -111,12 +114,12 @@ def lock_figure(f: LandingMap, lock: Lock, period: int, budget: float) -> Figure
         (slice(first, first + BEFORE), "0.75", 0.7),
         (slice(last - period, last), "#0072B2", 1.6),
     ):
-        _, x, v = f.sampled(lock.states[:last][part], lock.changes[part], LOCK_SAMPLES / f.period)
+        _, x, v = f.sample_motion(lock.states[:last][part], lock.changes[part], LOCK_SAMPLES / f.period)
         portrait.plot(x, v, color=colour, lw=width)
     portrait.set(xlabel="x (the scene's unit)", ylabel="v (the scene's unit)")
     portrait.set_title(f"Last {period} landings; grey: before the control")
     drawn = slice(max(last - TURNS * period, 0), last)
-    time, _, v = f.sampled(lock.states[drawn], lock.changes[drawn], LOCK_SAMPLES / f.period)
+    time, _, v = f.sample_motion(lock.states[drawn], lock.changes[drawn], LOCK_SAMPLES / f.period)
     velocity.plot(time, v, color="#0072B2", lw=1.0)
     velocity.set(xlabel="time (the scene's unit)", ylabel="v (the scene's unit)", title="Velocity on the orbit")
     return page
@@ -132,13 +135,13 @@ def draw_shaker(axes: "Axes", plane: ShakerPlane, a: float, phi: float) -> None:
     for share, width in zip(GROWTHS, (2.2, 1.4, 0.8), strict=True):
         name = f"delta = {share:g} omega0" if share else "delta = 0"
         curve = plane.growth_curve(share * rate, top)
-        axes.plot(*unwrapped(curve.phi, curve.a), color="#0072B2", lw=width, label=name)
+        axes.plot(*break_at_wraps(curve.phi, curve.a), color="#0072B2", lw=width, label=name)
     for share, colour in zip(FREQUENCIES, ("#E69F00", "#CC79A7", "0.5", "#56B4E9", "#D55E00"), strict=True):
         curve = plane.frequency_curve(share * rate, top)
-        axes.plot(*unwrapped(curve.phi, curve.a), "--", color=colour, lw=1.2, label=f"omega = {share:g} omega0")
+        axes.plot(*break_at_wraps(curve.phi, curve.a), "--", color=colour, lw=1.2, label=f"omega = {share:g} omega0")
     for omega in plane.band or ():
         curve = plane.frequency_curve(omega, top)
-        axes.plot(*unwrapped(curve.phi, curve.a), color="black", lw=1.2, label=f"omega = {omega:g} rad/s (band)")
+        axes.plot(*break_at_wraps(curve.phi, curve.a), color="black", lw=1.2, label=f"omega = {omega:g} rad/s (band)")
     axes.plot([phi % (2.0 * math.pi)], [a], "k+", ms=12, mew=2, label="a and phi given")
     axes.set(xlim=(0.0, 2.0 * math.pi), ylim=(0.0, top))
     axes.set_xlabel("phase phi (rad)")
@@ -157,7 +160,7 @@ def stable_region(plane: ShakerPlane, a: Array, phi: Array) -> Array:
     return region
 
 
-def unwrapped(phi: Array, a: Array) -> tuple[Array, Array]:
+def break_at_wraps(phi: Array, a: Array) -> tuple[Array, Array]:
     """Return a curve with a gap where its phase passes 0, so that no line is drawn back."""
     jumps = np.flatnonzero(np.abs(np.diff(phi)) > math.pi) + 1
     return np.insert(phi, jumps, np.nan), np.insert(a, jumps, np.nan)

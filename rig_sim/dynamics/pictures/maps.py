@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig_sim.dynamics.analyses.basins import Attractor
-from rig_sim.dynamics.analyses.periodic_points import periodic_points
+from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
 from rig_sim.dynamics.analyses.sweep import AttractorAt
 from rig_sim.dynamics.system.interface import OnInterval
 from stickslip.compute.arrays import Array, Integers
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
-PLACES = 4000  # drawn of a map
-VISIBLE, HALVINGS = 0.005, 30  # least jump of a map, of its interval; what a root does is then 3e-5 of its step
-SHARP = 480.0  # values over size of a point: 200 values and more are drawn as fine points, few as larger ones
+PLACES = 4000  # points of the curve of a map
+VISIBLE, HALVINGS = 0.005, 30  # least visible jump of a map, of its interval; halvings that tell it from a steep rise
+SHARP = 480.0  # number of values times size of a point: many values are drawn as fine points
 MOST_DRAWN = 5000  # points drawn as shapes; more become an image
 
 
@@ -26,13 +26,13 @@ def draw_map(axes: "Axes", f: OnInterval, times: int = 1) -> None:
     """Draw the ``times``-th iterate of a map, with the points where it meets the diagonal."""
     x = np.linspace(f.lo, f.hi, PLACES)
     y = f.images(x, times)
-    cuts = jumps(f, times, x, y) + 1
+    cuts = find_jumps(f, times, x, y) + 1
     axes.plot([f.lo, f.hi], [f.lo, f.hi], color="0.6", lw=0.8)
     axes.plot(np.insert(x, cuts, np.nan), np.insert(y, cuts, np.nan), lw=1.2)
     for period in range(1, times + 1):
         if times % period:
             continue
-        for orbit in periodic_points(f, period):
+        for orbit in find_periodic_orbits(f, period):
             kind = "stable" if orbit.stable else "unstable"
             face = "black" if orbit.stable else "white"
             label = f"{kind}, period {period}"
@@ -49,26 +49,26 @@ def draw_map(axes: "Axes", f: OnInterval, times: int = 1) -> None:
     axes.set_aspect("equal")
 
 
-def jumps(f: OnInterval, times: int, x: Array, y: Array) -> Integers:
-    """Return where the ``times``-th iterate jumps: after which of the places ``x``, ascending, with the values ``y``.
+def find_jumps(f: OnInterval, times: int, x: Array, y: Array) -> Integers:
+    """Return after which of the places ``x``, ascending, with the values ``y``, the ``times``-th iterate jumps.
 
     Between two places whose values differ visibly the greater half of the difference is followed: where the iterate is
     continuous, however steep, it becomes small.
     """
     after = np.flatnonzero(np.abs(np.diff(y)) > VISIBLE * (f.hi - f.lo))
-    left, right, low, high = x[after], x[after + 1], y[after], y[after + 1]
-    whole = np.abs(high - low)
+    lower, upper, low, high = x[after], x[after + 1], y[after], y[after + 1]
+    initial_difference = np.abs(high - low)
     for _ in range(HALVINGS if after.size else 0):
-        middle = 0.5 * (left + right)
+        middle = 0.5 * (lower + upper)
         value = f.images(middle, times)
         first = np.abs(value - low) >= np.abs(high - value)
-        left, low = np.where(first, left, middle), np.where(first, low, value)
-        right, high = np.where(first, middle, right), np.where(first, value, high)
-    return after[np.abs(high - low) > 0.5 * whole]
+        lower, low = np.where(first, lower, middle), np.where(first, low, value)
+        upper, high = np.where(first, middle, upper), np.where(first, value, high)
+    return after[np.abs(high - low) > 0.5 * initial_difference]
 
 
 def draw_sweep(axes: "Axes", rows: Sequence[AttractorAt], parameter: str, ordinate: str) -> None:
-    """Draw a bifurcation diagram: the points of every attractor; ``ordinate`` says what they are."""
+    """Draw a bifurcation diagram: the points of every attractor; ``ordinate`` is their quantity."""
     size = min(max(SHARP / max(len({row.value for row in rows}), 1), 2.4), 5.0)
     for number in sorted({row.attractor for row in rows if row.points}):
         of_attractor = [row for row in rows if row.attractor == number]
@@ -84,14 +84,7 @@ def draw_sweep(axes: "Axes", rows: Sequence[AttractorAt], parameter: str, ordina
 
 
 def draw_basins(axes: "Axes", attractors: Sequence[Attractor], centres: Array, fate: Integers) -> None:
-    """Draw which attractor each start d leads to, with the attractors' points above.
-
-    Parameters
-    ----------
-    axes, attractors
-    centres, fate : (n,) arrays
-        Of each cell, and the index of its attractor.
-    """
+    """Draw which attractor each start d, a cell with ``centres`` and index ``fate``, leads to; above, the points."""
     half = 0.5 * (centres[1] - centres[0])
     for index, attractor in enumerate(attractors):
         colour = COLOURS[index % len(COLOURS)]

@@ -21,60 +21,36 @@ from rig_sim.dynamics.return_maps.passage import (
     TIME,
     VELOCITY,
     Clock,
-    Place,
+    DrivenState,
     compiled_passages,
 )
 from rig_sim.dynamics.system.interface import Passages
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
-from rig_sim.flow.frame import displacement, frame, mirrored, position
+from rig_sim.flow.frame import displacement, frame, mirror_mode, position
 from rig_sim.integrate.compiled import for_kernels
 from rig_sim.integrate.work import new_record, new_work
 from stickslip.compute.arrays import Array
 
 SECTIONS = {"poincare": STROBE, "slip": SLIP, "landing": LANDING}
-# Integrator steps allowed of one call, some 0.5 us each, and of every passage asked for: 3 to 30 are usual.  A drive
+# Integrator steps allowed of one call, about 0.5 us each, and of every requested passage: 3 to 30 are usual.  A drive
 # period that lasts for hundreds of stick-slip cycles takes more, and ends in the outcome 'step limit'.
 STEPS_OF_CALL, STEPS_OF_PASSAGE = 100_000, 300
-# Steps of all starts at one value of a parameter, 10 s: 200 000 are usual.  They are met by a drive a thousand times
-# faster than the mass, all of whose periods within 2000 oscillations of the mass are followed.
+# Integrator steps of all starts at one value of a parameter, 10 s; 200 000 are usual.
 STEPS_OF_VALUE = 20_000_000
-# Oscillations of the mass alone without a stick, beyond the longest stick, after which it counts as one that does not
-# stick any more: with a damping of 1 % of the critical one a transient has fallen to 1e-5 by then.
+# Oscillations of the mass alone without a stick, beyond the longest stick, after which it counts as not sticking: with
+# a damping of 1 % of critical a transient has fallen to 1e-5 by then.
 OSCILLATIONS = 200.0
-STARTS = 8  # in stick; fewer miss attractors with small basins, more cost in proportion
+STARTS = 8  # starts in stick; fewer miss attractors with small basins
 
 
 class DrivenMap:
     """A driven mass as a system: from one passage of a section to the next.
 
-    Parameters
-    ----------
-    flow : Flow
-        With omega other than 0; its phase counts as 0, as the section chooses the time's origin.
-    section : str
-        Whose passages are followed: 'poincare' (stroboscopic), 'slip' (break-away) or 'landing'.
-    draws : str
-        The section whose positions are drawn.
-    budget : StepBudget, optional
-        Integrator steps of all motions together, after which they end in 'step limit'.
-
-    Attributes
-    ----------
-    period : float
-        Of the drive, s.
-    scale : (2,) float64
-        Sizes of position (m) and velocity (m/s): the stretch at break-away with the drive's, and the belt's motion.
-    turn : (2,) float64
-        Infinite: the drive's phase is no part of the state.
-    unit : int
-        Drive periods in one oscillation of the mass alone, 1 at the least.
-
-    Raises
-    ------
-    ValueError
-        The flow is not physical, or has no drive frequency.
+    The ``section`` whose passages are followed is 'poincare' (stroboscopic), 'slip' (break-away) or 'landing';
+    ``draws`` names the one whose positions are drawn.  The phase of the flow's drive counts as 0: the section chooses
+    the time's origin.
     """
 
     def __init__(
@@ -91,10 +67,11 @@ class DrivenMap:
         self.flow = flow._replace(phase=0.0)
         self.section, self.draws = SECTIONS[section], SECTIONS[draws]
         self.frame = fr = frame(for_kernels(self.flow))
-        self.period = 2.0 * math.pi / abs(flow.omega)
-        size = (fr.B + abs(fr.u0)) / fr.k + fr.v / fr.omega0 or 1.0  # where nothing moves the mass any size does
-        self.scale = np.array([size, fr.omega0 * size])
-        self.turn = np.full(2, math.inf)
+        self.period = 2.0 * math.pi / abs(flow.omega)  # of the drive, s
+        # The stretch at break-away with the drive's, and the belt's motion; any size where nothing moves the mass
+        size = (fr.B + abs(fr.u0)) / fr.k + fr.v / fr.omega0 or 1.0
+        self.scale = np.array([size, fr.omega0 * size])  # m, m/s
+        self.turn = np.full(2, math.inf)  # the drive's phase is not part of the state
         self.unit = max(1, math.ceil(abs(flow.omega) / fr.omega0))
         longest_stick = 2.0 * (fr.B + abs(fr.u0)) / (fr.k * fr.v) if fr.v > 0.0 else 0.0
         patience = (OSCILLATIONS * 2.0 * math.pi / fr.omega0 + longest_stick) / self.period + OSCILLATIONS
@@ -107,47 +84,41 @@ class DrivenMap:
 
 
 class DrivenMotion:
-    """A driven mass in motion; every call moves it on."""
+    """A driven mass in motion; every call advances it."""
 
     def __init__(self, system: DrivenMap, x: float, v: float) -> None:
         self.system = system
         fr = system.frame
         self._work = new_work(compiled=True)
-        self._at = new_record(Place, compiled=True)
-        self._at.mode = mirrored(fr, initial_mode(system.flow, x, v, 0.0))
+        self._at = new_record(DrivenState, compiled=True)
+        self._at.mode = mirror_mode(fr, initial_mode(system.flow, x, v, 0.0))
         self._at.p, self._at.w = displacement(fr, x), fr.mirror * (v - system.flow.v_belt)
         self._at.dp = 1.0 / fr.omega0
 
     def follow(self, number: int, *, tangent: bool = False) -> Passages:
         """Return the next ``number`` passages of the section: states (x, v) in m and m/s.
 
-        Parameters
-        ----------
-        tangent : bool
-            Whether the growth of a deviation is wanted too, for four times the time; else it is NaN.
+        ``tangent`` also follows the growth of a deviation, for four times the time; otherwise it is NaN.
         """
-        rows, outcome = self._rows(number, self.system.section, tangent=tangent)
+        rows, outcome = self._follow_rows(number, self.system.section, tangent=tangent)
         growth = rows[:, FACTOR] if tangent else np.full(len(rows), np.nan)
-        return Passages(rows[:, TIME], self._states(rows), growth, ENDS[outcome])
+        return Passages(rows[:, TIME], self._position_and_velocity(rows), growth, ENDS[outcome])
 
-    def drawn(self, number: int) -> Array:
-        """Return positions, m: where the mass is at phase 0, or broke away, within the next ``number`` drive periods.
-
-        The motion has to stand at phase 0.
-        """
-        wanted = self.system.draws
+    def draw_points(self, number: int) -> Array:
+        """Return positions (m) at phase 0, or of break-away, within the next ``number`` drive periods from phase 0."""
+        section = self.system.draws
         rows = np.empty((0, COLUMNS))
         end = self._at.turns + number
         while self._at.turns < end:
-            more, outcome = self._rows(number, wanted | STROBE, tangent=False)
+            more, outcome = self._follow_rows(number, section | STROBE, tangent=False)
             rows = np.concatenate([rows, more])
             if outcome:
                 break
-        rows = rows[(rows[:, TIME] <= end) & (rows[:, SECTION] == wanted)]
-        drawn: Array = self._states(rows)[:, 0]
+        rows = rows[(rows[:, TIME] <= end) & (rows[:, SECTION] == section)]
+        drawn: Array = self._position_and_velocity(rows)[:, 0]
         return drawn
 
-    def _rows(self, number: int, mask: int, *, tangent: bool) -> tuple[Array, int]:
+    def _follow_rows(self, number: int, mask: int, *, tangent: bool) -> tuple[Array, int]:
         allowed = min(STEPS_OF_CALL + STEPS_OF_PASSAGE * number, max(self.system.budget.left, 0.0))
         number = min(number, int(allowed) + 1)  # no passage takes less than a step
         out = np.zeros(number * COLUMNS)
@@ -159,33 +130,35 @@ class DrivenMotion:
         self.system.budget.left -= self._work.steps
         return out.reshape(number, COLUMNS)[:count], outcome
 
-    def _states(self, rows: Array) -> Array:
+    def _position_and_velocity(self, rows: Array) -> Array:
         """Return (x, v) of rows, shape (n, 2)."""
         fr = self.system.frame
         x = fr.x0 + fr.mirror * (fr.slip + rows[:, POSITION])
         return np.column_stack([x, fr.mirror * (rows[:, VELOCITY] + fr.v)])
 
 
-def starts(flow: Flow, x: float, v: float, sticking: int = STARTS) -> list[tuple[float, float]]:
-    """Return starts (x, v), m and m/s, at phase 0 of the drive, that between them find the attractors.
+def choose_starts(flow: Flow, x: float, v: float, sticking: int = STARTS) -> list[tuple[float, float]]:
+    """Return starts (x, v), m and m/s, at phase 0 of the drive, that together reach the attractors.
 
-    The given one; the mass at rest over ground, where it slides; and ``sticking`` starts in stick, which spread evenly
-    over a drive period when the belt takes the mass along, so over all phases of break-away.
+    The given one; the mass at rest over ground, where it slides; and ``sticking`` starts in stick, spread evenly over a
+    drive period when the belt carries the mass, so over all phases of break-away.
     """
-    found = [(x, v)]
+    starts = [(x, v)]
     fr = frame(flow)
     if flow.v_belt != 0.0:
         mode = initial_mode(flow, x, 0.0, 0.0)
-        found.append((flow.x0 + force(flow, mode, x, -flow.v_belt, 0.0) / flow.k, 0.0))
+        starts.append((flow.x0 + force(flow, mode, x, -flow.v_belt, 0.0) / flow.k, 0.0))
     reach = 2.0 * fr.B / fr.k
     if fr.v > 0.0 and flow.omega != 0.0:
         reach = min(reach, fr.v * 2.0 * math.pi / abs(flow.omega))
     slip = fr.u0 / fr.k
-    found += [(position(fr, slip - reach * (i + 0.5) / sticking), flow.v_belt) for i in range(sticking)]
-    return found
+    starts += [(position(fr, slip - reach * (i + 0.5) / sticking), flow.v_belt) for i in range(sticking)]
+    return starts
 
 
-def with_starts(flow: Flow, x: float, v: float, draws: str, sticking: int = STARTS) -> tuple[DrivenMap, list[Array]]:
-    """Return a driven mass with `STEPS_OF_VALUE` integrator steps, and the `starts` of its motions."""
+def driven_map_with_starts(
+    flow: Flow, x: float, v: float, draws: str, sticking: int = STARTS
+) -> tuple[DrivenMap, list[Array]]:
+    """Return a driven mass with `STEPS_OF_VALUE` integrator steps, and the starts (`choose_starts`) of its motions."""
     f = DrivenMap(flow, draws=draws, budget=StepBudget(STEPS_OF_VALUE))
-    return f, [np.array(start) for start in starts(flow, x, v, sticking)]
+    return f, [np.array(start) for start in choose_starts(flow, x, v, sticking)]

@@ -22,62 +22,34 @@ from rig_sim.flow.frame import frame
 from rig_sim.integrate.compiled import compiled, for_kernels
 from rig_sim.integrate.events import new_lists
 from rig_sim.integrate.phases import Lists, State, run
-from rig_sim.integrate.sampled import sampled
+from rig_sim.integrate.sampled import sample_motion
 from rig_sim.integrate.work import Work, new_work, unboxed
 from stickslip.compute.arrays import Array
 
-# Integrator steps between two landings, 0.5 us each; the thesis's motions take 15.  A motion that has not landed after
-# these does not count as one that lands.
+# Integrator steps between two landings, 0.5 us each; the thesis's motions take 15.  A motion that takes more counts as
+# one that does not land.
 STEPS_OF_LANDING = 20_000
-OSCILLATIONS = 1000.0  # of the mass alone, and the longest stick besides, within which it has to land
-# Steps that an application of the map counts as besides its own, for the 30 us of its call.
+OSCILLATIONS = 1000.0  # of the mass alone, plus the longest stick, within which it has to land
+# Steps added for each application of the map, for the 30 us of its call.
 STEPS_OF_CALL = 60
 LANDED = -1  # an outcome of the kernel
 
 
 @dataclass(frozen=True)
 class Landing:
-    """What follows a state up to the next landing.
+    """The motion from a state to the next landing."""
 
-    Attributes
-    ----------
-    state : (2,) float64
-        Time within the drive's period (s) and position (m) at the landing; NaN without one.
-    duration : float
-        s.
-    x_slip : float
-        Where the mass broke away last before, m (the thesis's X_A).
-    outcome : str
-        'completed'; 'no landing'; or how the integrator ended.
-    """
-
-    state: Array
-    duration: float
-    x_slip: float
-    outcome: str
+    state: Array  # (2,) time within the drive's period (s) and position (m) at the landing; NaN without one
+    duration: float  # s
+    x_slip: float  # position of the last break-away before, m (the thesis's X_A)
+    outcome: str  # 'completed'; 'no landing'; or how the integrator ended
 
 
 class LandingMap(FormulaMap):
     """The map from landing to landing of a driven mass: a `Controlled` system of two numbers.
 
-    Parameters
-    ----------
-    flow : Flow
-        With a drive.
-    budget : StepBudget, optional
-        Integrator steps of all applications together; without one there is no limit.
-
-    Attributes
-    ----------
-    period : float
-        Of the drive, s.
-    scale, turn, strength
-        As in `Controlled`: the drive's period and the largest stretch; the drive's period; u0.
-
-    Raises
-    ------
-    ValueError
-        The flow is not physical, or has no drive.
+    The scales are the drive's period (s) and the largest stretch (m), the strength is u0.  Without a budget the
+    integrator steps of all applications are not limited.
     """
 
     def __init__(self, flow: Flow, *, budget: StepBudget | None = None) -> None:
@@ -104,99 +76,85 @@ class LandingMap(FormulaMap):
     def step(self, state: Array, change: float = 0.0) -> tuple[Array, None, float]:
         """Return the next landing, (2,), with u0 changed by ``change`` (N), and the drive periods to it; NaN without.
 
-        Raises
-        ------
-        StepLimitError
-            The budget is spent.
+        Raises StepLimitError when the budget is spent.
         """
         if self._budget.left <= 0.0:
-            raise self._budget.exceeded("map of landings", "apply the map less often")
-        landing = self.landing(state, change)
+            raise self._budget.limit_error("map of landings", "apply the map less often")
+        landing = self.find_landing(state, change)
         self._budget.left -= self._steps + STEPS_OF_CALL
         return landing.state, None, landing.duration / self.period
 
-    def landing(self, state: Array, change: float = 0.0) -> Landing:
+    def find_landing(self, state: Array, change: float = 0.0) -> Landing:
         """Return the next landing after the one at ``state``."""
-        return self._next(State(self._mode, state[1], self._edge, state[0] % self.period), change)
+        return self._follow_to_landing(State(self._mode, state[1], self._edge, state[0] % self.period), change)
 
-    def first(self, x: float, v: float) -> Landing:
+    def first_landing(self, x: float, v: float) -> Landing:
         """Return the first landing of a motion that starts at x (m) with velocity v (m/s) at phase 0."""
-        return self._next(State(initial_mode(self.flow, x, v, 0.0), x, v - self.flow.v_belt, 0.0), 0.0)
+        return self._follow_to_landing(State(initial_mode(self.flow, x, v, 0.0), x, v - self.flow.v_belt, 0.0), 0.0)
 
-    def _next(self, at: State, change: float) -> Landing:
+    def _follow_to_landing(self, state: State, change: float) -> Landing:
         flow = self._compiled_flow._replace(u0=self.flow.u0 + change)
-        end = at.t + self._horizon
-        outcome, landed, x_slip, self._steps = compiled_landing()(flow, at, end, self._behind, self._one, self._work)
+        end = state.t + self._horizon
+        outcome, end_state, x_slip, self._steps = compiled_landing()(
+            flow, state, end, self._behind, self._one, self._work
+        )
         if outcome != LANDED:
             name = modes.OUTCOMES[outcome].name
-            ended = "no landing" if outcome in (modes.COMPLETED, modes.STEP_LIMIT) else name
-            return Landing(np.full(2, np.nan), math.nan, x_slip, ended)
-        state = np.array([(landed.t + landed.carry) % self.period, landed.x])
-        return Landing(state, landed.t - at.t, x_slip, "completed")
+            reason = "no landing" if outcome in (modes.COMPLETED, modes.STEP_LIMIT) else name
+            return Landing(np.full(2, np.nan), math.nan, x_slip, reason)
+        landed_state = np.array([(end_state.t + end_state.carry) % self.period, end_state.x])
+        return Landing(landed_state, end_state.t - state.t, x_slip, "completed")
 
-    def sampled(self, states: Array, changes: Array, rate: float) -> tuple[Array, Array, Array]:
+    def sample_motion(self, states: Array, changes: Array, rate: float) -> tuple[Array, Array, Array]:
         """Return time (s, from the first landing), x (m) and v (m/s) of a motion under control, (n,) each.
 
-        Parameters
-        ----------
-        states, changes : (n, 2) and (n,) float64
-            Its landings, and the change of u0 (N) from each to the next.
-        rate : float
-            Samples per second; every landing is sampled besides.
+        Starts at the landings ``states``, (n, 2), and changes u0 by ``changes`` (N) from each to the next; ``rate``
+        samples per second, and every landing.
         """
         time = 0.0
         pieces = []
         for state, change in zip(states, changes, strict=True):
-            times, x, v = self._sampled(state, float(change), rate)
+            times, x, v = self._sample_flight(state, float(change), rate)
             pieces.append((time + times, x, v))
             time += times[-1]
         t, x, v = (np.concatenate([piece[i] for piece in pieces] or [np.zeros(0)]) for i in range(3))
         return t, x, v
 
-    def _sampled(self, state: Array, change: float, rate: float) -> tuple[Array, Array, Array]:
+    def _sample_flight(self, state: Array, change: float, rate: float) -> tuple[Array, Array, Array]:
         """Return times since a landing, x and v up to the next one, both landings included."""
         start = state[0] % self.period
-        times = np.append(np.arange(0.0, duration := self.landing(state, change).duration, 1.0 / rate), duration)
+        times = np.append(np.arange(0.0, duration := self.find_landing(state, change).duration, 1.0 / rate), duration)
         flow = self.flow._replace(u0=self.flow.u0 + change)
-        x, v = sampled(flow, State(self._mode, float(state[1]), self._edge, float(start)), start + times)
+        x, v = sample_motion(flow, State(self._mode, float(state[1]), self._edge, float(start)), start + times)
         if len(x) < len(times):
             raise RuntimeError("the motion ended before it landed")
         return times, x, v
 
 
 def next_landing(
-    flow: Flow, at: State, end: float, behind: int, one: Lists, work: Work
+    flow: Flow, state: State, end: float, slow_mode: int, event_list: Lists, work: Work
 ) -> tuple[int, State, float, float]:
     """Follow the motion event by event to the next landing, or to ``end`` (s).
 
-    Parameters
-    ----------
-    behind : int
-        The mode from which a ramp is entered at a landing: that of a mass slower than the belt.
-    one : Lists
-        Of one event.
-
-    Returns
-    -------
-    (outcome, at, x_slip, steps)
-        `LANDED`, or how the motion ended; the state there; where the mass broke away last (m, or NaN); steps taken.
+    A ramp is entered at a landing from ``slow_mode``, that of a mass slower than the belt.  ``event_list`` has
+    room for one event.  Returns `LANDED`, or how the motion ended; the state there; the last break-away (m, or NaN);
+    steps taken.
     """
     work = unboxed(work)
     work.steps = 0.0
     work.rapid = 0.0
     x_slip = math.nan
     while True:
-        before = at.mode
-        outcome, count, _, at = run(flow, at, end, one, 0, work)
+        before = state.mode
+        outcome, count, _, state = run(flow, state, end, event_list, 0, work)
         if outcome != modes.LIST_FULL or count == 0:
-            return outcome, at, x_slip, work.steps
+            return outcome, state, x_slip, work.steps
         if before == modes.STICK or before == modes.RAMP:
-            x_slip = at.x
-        elif at.mode == modes.STICK or (at.mode == modes.RAMP and before == behind):
-            return LANDED, at, x_slip, work.steps
+            x_slip = state.x
+        elif state.mode == modes.STICK or (state.mode == modes.RAMP and before == slow_mode):
+            return LANDED, state, x_slip, work.steps
 
 
 @cache
 def compiled_landing() -> Callable[..., tuple[int, State, float, float]]:
-    """Return `next_landing` as machine code."""
     return compiled(next_landing, __name__)

@@ -24,43 +24,27 @@ from rig_sim.integrate.phases import increments, is_series, phase_exit
 from rig_sim.integrate.work import Work
 
 # Points of the Gauss-Legendre rule on every Taylor step.  A step ends at a quarter of the series' radius of
-# convergence, where 8 points leave 1e-17 of the integral; not swept.
+# convergence, where 8 points are right to 1e-17 of the integral.
 POINTS = 8
 
 
 @dataclass(frozen=True)
 class MinimumTurn:
-    """One passage from a minimum to the next; or, with an ``end`` other than '', where it ended.
+    """One passage from a minimum to the next; or, with an ``end`` other than '', where it ended."""
 
-    Attributes
-    ----------
-    end, advice : str
-        '' for a passage; 'fixed point' (the mass creeps to rest), 'no cycle', or an outcome of the integrator.
-    p, p_max : float
-        Displacement from the slip point (m, in the frame) at the next minimum, and at the maximum between.
-    duration : float
-        s.
-    multiplier : float
-        Product of the factors above, the multiplier of an orbit where p is where it began; NaN where the motion only
-        touches an edge and the map has no derivative.
-    modes : tuple of int
-        Of the phases in the frame, from the first.
-    """
-
-    end: str
+    end: str  # '' for a passage; 'fixed point' (the mass creeps to rest), 'no cycle', or an outcome of the integrator
     advice: str = ""
+    # displacement from the slip point (m, in the frame) at the next minimum, and at the maximum between
     p: float = math.nan
     p_max: float = math.nan
-    duration: float = math.nan
+    duration: float = math.nan  # s
+    # derivative of the map, the multiplier of an orbit where p is its start; NaN where the motion only touches an edge
     multiplier: float = math.nan
-    modes: tuple[int, ...] = ()
+    modes: tuple[int, ...] = ()  # of the phases in the frame, from the first
 
 
 def next_minimum(fr: Frame, p: float, work: Work) -> MinimumTurn:
-    """Follow the motion from a minimum at p (m, in the frame) to the next.
-
-    The step limit of ``work`` ends a motion that never turns.
-    """
+    """Follow the motion from a minimum at p (m, in the frame) to the next; a step limit ends one that never turns."""
     still = -fr.v  # w of a mass at rest over ground
     mode = classify(fr, p, still, 0.0)
     w, rising = still, True
@@ -68,8 +52,8 @@ def next_minimum(fr: Frame, p: float, work: Work) -> MinimumTurn:
     durations: list[float] = []
     decay = 0.0  # integral of (c - F')/m over the phases so far
     jumps = 1.0  # product of u'_after/u'_before
-    passed = [mode]
-    while len(passed) < PHASES_PER_TURN:
+    visited_modes = [mode]
+    while len(visited_modes) < PHASES_PER_TURN:
         lo, hi = mode_bounds(fr, mode)
         if lo <= still < hi:  # the phase is followed to where the mass turns, too
             lo, hi = (still, hi) if rising else (lo, still)
@@ -79,7 +63,7 @@ def next_minimum(fr: Frame, p: float, work: Work) -> MinimumTurn:
         side, tau = phase_exit(fr, mode, p, w, 0.0, lo, hi, math.inf, work)
         if math.isinf(tau) or creeps_to_rest(fr, mode, p, w):
             return MinimumTurn("fixed point", "the mass comes to rest without turning again")
-        decay += lost(fr, mode, p, w, tau, work)
+        decay += integrate_damping(fr, mode, p, w, tau, work)
         dp, dw = increments(fr, mode, p, w, 0.0, tau, work)
         p += dp
         w += dw
@@ -91,7 +75,9 @@ def next_minimum(fr: Frame, p: float, work: Work) -> MinimumTurn:
         w = 0.0 if mode == modes.STICK else (lo, hi)[side > 0]
         if mode != modes.STICK and w == still:
             if not rising:
-                return MinimumTurn("", "", p, p_max, math.fsum(durations), jumps * math.exp(-decay), tuple(passed))
+                return MinimumTurn(
+                    "", "", p, p_max, math.fsum(durations), jumps * math.exp(-decay), tuple(visited_modes)
+                )
             p_max, rising = p, False
             continue
         entered = transition(fr, mode, side, p, 0.0)
@@ -103,27 +89,27 @@ def next_minimum(fr: Frame, p: float, work: Work) -> MinimumTurn:
             before = free_acceleration(fr, mode, p, w, 0.0)
             jumps *= free_acceleration(fr, entered, p, w, 0.0) / before if before != 0.0 else math.nan
         mode = entered
-        passed.append(mode)
+        visited_modes.append(mode)
     return MinimumTurn("no cycle", f"no minimum within {PHASES_PER_TURN} phases")
 
 
 def creeps_to_rest(fr: Frame, mode: int, p: float, w: float) -> bool:
-    """Return whether a slip that slows down has too much damping ever to turn: see `return_map.creeps`."""
+    """Return whether a slip that slows down has too much damping ever to turn: see `turn.creeps`."""
     if mode != modes.NEGATIVE:
         return False
     a = free_acceleration(fr, mode, p, w, 0.0)
     return creeps(fr, w + fr.v, a, fr.c - steepest_slope(fr, fr.d, fr.v))
 
 
-def lost(fr: Frame, mode: int, p: float, w: float, tau: float, work: Work) -> float:
+def integrate_damping(fr: Frame, mode: int, p: float, w: float, tau: float, work: Work) -> float:
     """Return the integral of (c - F'(w))/m over a step of ``tau`` (s) that `phase_exit` has just made; 0 in stick."""
     if mode == modes.STICK:
         return 0.0
     if not is_series(fr, mode):
         return (fr.c - friction_slope(fr, mode, w)) / fr.m * tau
     total = 0.0
-    for at, weight in quadrature():
-        dw = increments(fr, mode, p, w, 0.0, at * tau, work)[1]
+    for share, weight in quadrature():
+        dw = increments(fr, mode, p, w, 0.0, share * tau, work)[1]
         total += weight * (fr.c - friction_slope(fr, mode, w + dw))
     return total / fr.m * tau
 

@@ -35,70 +35,48 @@ COLUMNS = 5
 
 
 @dataclass(slots=True)
-class Place:
-    """Where a driven motion stands.
+class DrivenState:
+    """State of a driven motion between two calls."""
 
-    Attributes
-    ----------
-    mode, p, w : float
-        Mode, displacement (m) and relative velocity (m/s), in the frame.
-    t, turns : float
-        Time within the drive period (s), and whole drive periods.
-    dp, dw, growth : float
-        The deviation, and the logarithm of its growth since the last passage.
-    last : float
-        Whole drive periods at the last passage.
-    """
-
-    mode: float
-    p: float
-    w: float
-    t: float
-    turns: float
-    dp: float
-    dw: float
-    growth: float
-    last: float
+    mode: float  # in the frame
+    p: float  # displacement, m
+    w: float  # relative velocity, m/s
+    t: float  # time within the drive period, s
+    turns: float  # whole drive periods
+    dp: float  # deviation of p
+    dw: float  # deviation of w
+    growth: float  # logarithm of the deviation's growth since the last passage
+    last: float  # whole drive periods at the last passage
 
 
 class Clock(NamedTuple):
-    """The drive's period (s), and after how many without a passage the motion ends in `NO_PASSAGE`."""
+    """The drive's period (s), and the number of periods without a passage that ends the motion (`NO_PASSAGE`)."""
 
     period: float
     patience: float
 
 
-def passages(
-    fr: Frame, clock: Clock, mask: int, tangent: int, number: int, at: Place, out: Buffer, work: Work
+def list_passages(
+    fr: Frame, clock: Clock, mask: int, tangent: int, number: int, state: DrivenState, out: Buffer, work: Work
 ) -> tuple[int, int]:
-    """Follow the motion to its next ``number`` passages of the sections in ``mask``.
+    """Follow the motion from ``state`` to its next ``number`` passages of the sections in ``mask``.
 
-    Parameters
-    ----------
-    tangent : int
-        1 to follow the deviation, 0 to leave it as it is.
-    at : Place
-        Where the motion begins; left where it ends.
-    out : (number * COLUMNS,) float64
-        Row after row: drive periods, displacement and relative velocity in the frame, growth, the section.
-
-    Returns
-    -------
-    (outcome, count)
-        0 or a key of `ENDS`; how many passages were noted.
+    ``tangent`` is 1 to follow the deviation.  Rows of ``out``: drive periods, displacement and relative velocity in the
+    frame, growth, section.  Returns 0 or a key of `ENDS`, and the number of passages; ``place`` becomes the state at
+    the end.
     """
-    at, work = unboxed(at), unboxed(work)
+    state, work = unboxed(state), unboxed(work)
     period = clock.period
-    mode = int(at.mode)
-    p, w, t = at.p, at.w, at.t
-    dp, dw, growth = at.dp, at.dw, at.growth
+    mode = int(state.mode)
+    p, w, t = state.p, state.w, state.t
+    dp, dw, growth = state.dp, state.dw, state.growth
     count = 0
     outcome = 0
     while count < number:
         if work.steps >= work.steps_allowed:
             outcome = STEP_LIMIT
             break
-        if at.turns - at.last > clock.patience:
+        if state.turns - state.last > clock.patience:
             outcome = NO_PASSAGE
             break
         lo, hi = mode_bounds(fr, mode)
@@ -110,7 +88,7 @@ def passages(
         if tau > 0.0:
             if tangent == 1:
                 dp, dw = deviation(fr, mode, p, w, t, tau, dp, dw, work)
-                dp, dw, more = normalised(fr, dp, dw)
+                dp, dw, more = normalise(fr, dp, dw)
                 growth += more
             more_p, more_w = increments(fr, mode, p, w, t, tau, work)
             p += more_p
@@ -126,7 +104,7 @@ def passages(
                 continue
             section = STROBE
             t = 0.0
-            at.turns += 1.0
+            state.turns += 1.0
         else:
             t += tau
             w = 0.0 if mode == modes.STICK else (hi if side > 0 else lo)
@@ -147,24 +125,24 @@ def passages(
             mode = entered
         if section & mask != 0:
             if tangent == 1:
-                dp, dw, more = normalised(fr, dp, dw)
+                dp, dw, more = normalise(fr, dp, dw)
                 growth += more
             row = count * COLUMNS
-            out[row + TIME] = at.turns + t / period
+            out[row + TIME] = state.turns + t / period
             out[row + POSITION] = p
             out[row + VELOCITY] = w
             out[row + FACTOR] = growth
             out[row + SECTION] = float(section)
             growth = 0.0
-            at.last = at.turns
+            state.last = state.turns
             count += 1
-    at.mode = float(mode)
-    at.p, at.w, at.t = p, w, t
-    at.dp, at.dw, at.growth = dp, dw, growth
+    state.mode = float(mode)
+    state.p, state.w, state.t = p, w, t
+    state.dp, state.dw, state.growth = dp, dw, growth
     return outcome, count
 
 
-def normalised(fr: Frame, dp: float, dw: float) -> tuple[float, float, float]:
+def normalise(fr: Frame, dp: float, dw: float) -> tuple[float, float, float]:
     """Return a deviation of size 1, hypot(omega0 dp, dw), in the same direction, and the logarithm of its size."""
     size = math.hypot(fr.omega0 * dp, dw)
     if not size > 0.0:
@@ -174,7 +152,6 @@ def normalised(fr: Frame, dp: float, dw: float) -> tuple[float, float, float]:
 
 @cache
 def compiled_passages() -> Callable[..., tuple[int, int]]:
-    """Return `passages` as machine code."""
     from rig_sim.integrate.compiled import compiled
 
-    return compiled(passages, "rig_sim.dynamics.return_maps.variation", __name__)
+    return compiled(list_passages, "rig_sim.dynamics.return_maps.variation", __name__)

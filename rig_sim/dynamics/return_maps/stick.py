@@ -18,20 +18,17 @@ from rig_sim.dynamics.system.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome
 from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_masses
-from rig_sim.integrate.two_mass import Pair, new_pair, pair_event, place
+from rig_sim.integrate.two_mass import Pair, new_pair, pair_event, set_state
 from rig_sim.integrate.work import ORDER, Buffer, unboxed
 from stickslip.compute.arrays import Array
 
-# Steps allowed for one event: so many, and so many more for each unit of the fastest frequency, sqrt(1 + 2 a), up to a
-# limit, above which no event could be followed: such a coupling (a above 1.9e6) is refused.  The thesis's events take
-# 20 to 60 steps, 0.3 us each; a motion that has not stuck after these does not count as one that sticks.  Twice as many
-# double the time that a sweep spends on motions that never stick.
+# Steps allowed for one event, and more per unit of the fastest frequency, sqrt(1 + 2 a), up to a limit, above which the
+# coupling (a above 1.9e6) is refused.  The thesis's events take 20 to 60 steps, 0.3 us each.
 STEPS_OF_EVENT, STEPS_PER_FREQUENCY, MOST_STEPS = 2_000, 100.0, 200_000
-# Steps of all events together, 25 s.  A basin of the thesis takes 10^6; a coupling of 10^6 takes 50 000 for an
-# event, and without a limit its basins would take days.
+# Steps of all events together, 25 s; a basin of the thesis takes 10^6.
 STEPS_IN_ALL = 50_000_000
-INTERPRETED_STEPS = 200  # of an event, about 0.3 s; a longer one starts again in compiled code
-WORD = 64  # letters of a word that are kept
+INTERPRETED_STEPS = 200  # of an event, about 0.3 s; a longer one is restarted in compiled code
+WORD = 64  # letters of a word that are stored
 NO_STICK = 30
 ENDS = {
     **OUTCOMES,
@@ -54,7 +51,7 @@ EXACT, FINE, COARSE = Precision(ORDER, 2.0**-53), Precision(14, 1e-9), Precision
 
 
 class Applied(NamedTuple):
-    """What the map makes of starts: the next d (m), the duration (s) and the outcome of each; the last one's word."""
+    """The map applied to starts: the next d (m), the duration (s) and the outcome of each; the last one's word."""
 
     d: Buffer
     duration: Buffer
@@ -67,13 +64,10 @@ def next_stick(
 ) -> tuple[int, float, float, int]:
     """Follow an event from the end of a global stick at (y1, y2), m, in the frame.
 
-    Returns
-    -------
-    (outcome, d, duration, letters)
-        0 or a key of `ENDS`; the next d (m) and the time to the next global stick (s); how many letters ``word`` holds
-        (1 and 2).
+    Returns 0 or a key of `ENDS`; the next d (m); the time to the next global stick (s); how many letters (1 and 2)
+    ``word`` holds.
     """
-    place(fr, a, b, y1, 0.0, y2, 0.0, 0.0, work)
+    set_state(fr, a, b, y1, 0.0, y2, 0.0, 0.0, work)
     work.steps = 0.0
     letters = 0
     while True:
@@ -90,7 +84,7 @@ def next_stick(
             letters += 1
 
 
-def events_from(
+def apply_map(
     fr: Frame,
     a: float,
     b: float,
@@ -98,14 +92,14 @@ def events_from(
     times: int,
     chained: int,
     precision: Precision,
-    left: float,
+    steps_left: float,
     out: Applied,
     work: Pair,
 ) -> tuple[int, float]:
     """Apply the map ``times`` times to each of the starts (d in the frame).
 
-    With ``chained`` 1 only the first start counts, and every result is the next start.  Return how many letters the
-    last word has, and what is left of the ``left`` steps allowed in all.
+    With ``chained`` 1 only the first start counts, and every result is the next start.  Returns how many letters the
+    last word has, and the rest of the ``steps_left`` allowed in all.
     """
     work = unboxed(work)
     letters = 0
@@ -119,68 +113,38 @@ def events_from(
             if math.isnan(d):
                 outcome = NOT_FINITE
                 break
-            if left <= 0.0:
+            if steps_left <= 0.0:
                 outcome = STEP_LIMIT
                 break
             first = (fr.B - fr.c * fr.v) / fr.k + a * d
             second = (b * fr.B - fr.c * fr.v) / fr.k - (1.0 + a) * d
             y1 = min(first, second)
             outcome, d, duration, letters = next_stick(fr, a, b, y1, y1 + d, precision, work, out.word)
-            left -= work.steps
+            steps_left -= work.steps
             if outcome != 0:
                 break
         out.d[i] = d
         out.duration[i] = duration
         out.outcome[i] = float(outcome)
-    return letters, left
+    return letters, steps_left
 
 
 @dataclass(frozen=True)
 class StickEvent:
-    """An event of two masses, from a global stick to the next.
+    """An event of two masses, from a global stick to the next."""
 
-    Attributes
-    ----------
-    d : float
-        x2 - x1 in the global stick that follows, m; NaN without one.
-    word : str
-        Which mass broke away, in order.
-    duration : float
-        From the first break-away to the next global stick, s.
-    outcome, advice : str
-        'completed', or how the event ended instead, and what to do.
-    """
-
-    d: float
-    word: str
-    duration: float
-    outcome: str
+    d: float  # x2 - x1 in the global stick that follows, m; NaN without one
+    word: str  # which mass broke away, in order
+    duration: float  # from the first break-away to the next global stick, s
+    outcome: str  # 'completed', or how the event ended instead
     advice: str
 
 
 class StickMap:
     """The map d -> f(d) of two masses, on the interval of every d that a global stick can have.
 
-    Parameters
-    ----------
-    flow : TwoMassFlow
-        The masses.
-    precision : Precision
-        `EXACT`, `FINE` or `COARSE`.
-    budget : StepBudget, optional
-        Integrator steps, after which the map raises `StepLimitError`; default `STEPS_IN_ALL` of its own.
-
-    Attributes
-    ----------
-    lo, hi : float
-        Ends of the interval, m; its length is the ``scale``.
-
-    Raises
-    ------
-    ValueError
-        The masses are not physical or not modelled; the belt is at rest.
-    StepLimitError
-        The coupling is so stiff that one event takes more steps than are allowed.
+    ``precision`` is `EXACT`, `FINE` or `COARSE`.  Beyond the budget of integrator steps the map raises
+    `StepLimitError`, and so does a coupling so stiff that one event takes more steps than are allowed.
     """
 
     def __init__(self, flow: TwoMassFlow, precision: Precision = EXACT, *, budget: StepBudget | None = None) -> None:
@@ -189,13 +153,13 @@ class StickMap:
             raise ValueError("the belt is at rest: no stick ends; need a belt speed")
         self._steps_of_event = STEPS_OF_EVENT + STEPS_PER_FREQUENCY * math.sqrt(1.0 + 2.0 * flow.a)
         if self._steps_of_event > MOST_STEPS:
-            most = ((MOST_STEPS - STEPS_OF_EVENT) / STEPS_PER_FREQUENCY) ** 2 / 2.0
-            what = (
+            largest = ((MOST_STEPS - STEPS_OF_EVENT) / STEPS_PER_FREQUENCY) ** 2 / 2.0
+            problem = (
                 f"step limit: with a coupling of {flow.a:.4g} one event takes more than {MOST_STEPS} integrator steps"
             )
-            raise StepLimitError(what, "map of two masses", f"take a coupling.a of {most:.2g} or less")
+            raise StepLimitError(problem, "map of two masses", f"take a coupling.a of {largest:.2g} or less")
         self.flow = flow
-        self.hi = largest_stretch(flow)
+        self.hi = largest_stretch(flow)  # m
         self.lo = -self.hi
         self.scale, self.turn, self.unit = np.array([self.hi - self.lo]), np.array([math.inf]), 1
         self._frame = frame(flow.mass)
@@ -212,7 +176,7 @@ class StickMap:
         return results
 
     def survey(self, x: Array, times: int = 1) -> Array:
-        """Return what `images` does with the precision `FINE`: 2.5 times as fast, and wrong by 1e-9 of d or less."""
+        """Return the same as `images` with the precision `FINE`: 2.5 times as fast, right to 1e-9 of d."""
         return StickMap(self.flow, FINE, budget=self._budget).images(x, times)
 
     def growth_at(self, x: Array) -> Array:
@@ -248,21 +212,20 @@ class StickMap:
         starts = np.where(np.abs(starts) <= self.hi, fr.mirror * starts, np.nan)
         d, durations, outcomes = np.zeros((3, len(starts)))
         out = Applied(d, durations, outcomes, np.zeros(WORD))
-        kernel = compiled_events() if compiled else events_from
+        kernel = compiled_events() if compiled else apply_map
         a, b = self.flow.a, self.flow.b
         letters, self._budget.left = kernel(
             fr, a, b, starts, times, chained, self._precision, float(self._budget.left), out, work
         )
         if np.any(out.outcome == STEP_LIMIT):
             do = "take a smaller coupling.a, or fewer cells, values or events"
-            raise self._budget.exceeded("map of two masses", do)
-        shown = "".join(str(int(letter)) for letter in out.word[: min(letters, WORD)]) + "..." * (letters > WORD)
-        return fr.mirror * out.d, out.duration, out.outcome, shown
+            raise self._budget.limit_error("map of two masses", do)
+        text = "".join(str(int(letter)) for letter in out.word[: min(letters, WORD)]) + "..." * (letters > WORD)
+        return fr.mirror * out.d, out.duration, out.outcome, text
 
 
 @cache
 def compiled_events() -> Callable[..., tuple[int, float]]:
-    """Return `events_from` as machine code."""
     from rig_sim.integrate.compiled import compiled
 
-    return compiled(events_from, "rig_sim.integrate.two_mass", __name__)
+    return compiled(apply_map, "rig_sim.integrate.two_mass", __name__)

@@ -1,7 +1,7 @@
 """The return map of slip: from one beginning of slip out of stick or ramp to the next, phase by phase.
 
 Undriven flows alone, in the frame (`rig_sim.flow.frame`), where slip always begins in the same direction and at
-the same relative velocity, so that the map is one-dimensional: p -> p.  Each turn ends: within `STEPS_ALLOWED_HERE`
+the same relative velocity, so that the map is one-dimensional: p -> p.  Each turn ends: within `STEPS_OF_SEARCH`
 steps of the integrator and `PHASES_PER_TURN` phases, in the next beginning of slip or in a named outcome.
 """
 
@@ -27,34 +27,34 @@ from rig_sim.integrate.phases import increments, is_series, phase_exit
 from rig_sim.integrate.polynomial import first_root, value
 from rig_sim.integrate.work import ORDER, Work
 
-STEPS_ALLOWED_HERE = 20_000  # of the integrator, in a whole search: some thousand turns without an event
+STEPS_OF_SEARCH = 20_000  # integrator steps of a whole search: about a thousand turns without an event
 PHASES_PER_TURN = 200
 # Size of the motion about a stable fixed point, relative to the distance to the edge and to the curve's own scale of
-# speed, below which it counts as settled: small against 1, as the curve is taken as a line there; not swept.
+# speed, below which it counts as settled: small against 1, as the curve is taken as a line there.
 SETTLED = 1e-3
-# Change of the size of a swing within slip from one turn to the next, relative, below which it is an orbit of its own.
-# With 1e-6 a spiral into a fixed point near its Hopf point would pass for one; 1e-12 is rounding.
+# Change of the size of a swing within slip from one turn to the next, relative, below which it is an orbit: above
+# rounding (1e-12), below the contraction of a spiral near a Hopf point (1e-6).
 CLOSED = 1e-9
-PURE_SLIP = -math.inf  # duration of a phase of slip that never ends, nor comes to rest
+PURE_SLIP = -math.inf  # duration of a phase of slip that neither ends nor comes to rest
 
 
 @dataclass(frozen=True)
 class Turn:
-    """One passage from the beginning of slip to the next; or, with an ``end`` other than '', where it ended."""
+    """One passage from the start of slip to the next; or, with an ``end`` other than '', where it ended."""
 
     end: str
     advice: str
-    p: float  # where slip begins again, or where the mass rests
+    p: float  # at the next start of slip, or where the mass rests
     phases: tuple[tuple[int, float, float], ...] = ()  # mode, duration, p at its start
     extremes: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # p_min, p_max, w_min, w_max
     mode: int = modes.STICK  # in which the mass rests
 
 
 def next_slip(fr: Frame, mode: int, p: float, w: float, work: Work, *, to_the_end: bool = True) -> Turn:
-    """Follow the motion to the next beginning of (backward) slip out of stick or ramp, and record its extremes.
+    """Follow the motion to the next start of (backward) slip out of stick or ramp, and record its extremes.
 
-    A start in stick or ramp leads to the end of that stick.  A motion that will not stick any more is followed to where
-    it settles, unless ``to_the_end`` is False: it is then called pure slip as soon as that is known.
+    A start in stick or ramp leads to the end of that stick.  A motion that no longer sticks is followed to where it
+    settles, unless ``to_the_end`` is False: it is then called pure slip as soon as that is certain.
     """
     phases: list[tuple[int, float, float]] = []
     p_seen = [p]
@@ -72,7 +72,7 @@ def next_slip(fr: Frame, mode: int, p: float, w: float, work: Work, *, to_the_en
                 return Turn("fixed point", advice, fixed_point(fr, mode, p), mode=mode)
             if not math.isfinite(p + w):
                 return Turn(*modes.OUTCOMES[modes.NOT_FINITE], p)
-            return Turn("no cycle", f"none found within {STEPS_ALLOWED_HERE} steps", p)
+            return Turn("no cycle", f"none found within {STEPS_OF_SEARCH} steps", p)
         phases.append((mode, tau, p_start))
         entered = transition(fr, mode, side, p, 0.0)
         if entered >= modes.FORCE_REVERSAL:
@@ -99,6 +99,7 @@ def pass_phase(
 
     The duration is `PURE_SLIP` where the mass swings for ever: a turn of a slip that ends nearer to the fixed point
     than it began encloses all that follows (orbits in the plane do not cross), so that it never leaves slip again.
+
     Positions and velocities at which an extreme of the phase may lie are appended to ``p_seen`` and ``w_seen``.
     """
     lo, hi = mode_bounds(fr, mode)
@@ -110,8 +111,8 @@ def pass_phase(
         if math.isinf(tau):
             return 0, tau, p, w
         falling, seen = w < -fr.v, len(p_seen)
-        for at in turning_times(fr, mode, p, w, tau, work):
-            dp, dw = increments(fr, mode, p, w, 0.0, at, work)
+        for turning_time in turning_times(fr, mode, p, w, tau, work):
+            dp, dw = increments(fr, mode, p, w, 0.0, turning_time, work)
             p_seen.append(p + dp)
             w_seen.append(w + dw)
         dp, dw = increments(fr, mode, p, w, 0.0, tau, work)
@@ -140,9 +141,9 @@ def pass_phase(
 
 
 def swings_on(fr: Frame, turns: list[float]) -> bool:
-    """Return whether a slip that turned at these p (m, in the frame) is bound for an orbit of slip.
+    """Return whether a slip that turned at these p (m, in the frame) approaches an orbit of slip.
 
-    The swing must have become smaller, and either the fixed point be unstable, or the change become ever less: near an
+    The swing must have become smaller, and either the fixed point is unstable, or the change decreases: near an
     unstable orbit it is as small, but grows.
     """
     if len(turns) < 2:
@@ -164,29 +165,29 @@ def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Wo
         for j in range(ORDER):
             work.u[j] = (j + 1) * work.w[j + 1]
         work.u[ORDER] = 0.0
-        found = []
+        times = []
         for series, target in ((work.w, level), (work.u, 0.0)):
-            before, behind = series[0] - target, value(series, ORDER, tau / scale) - target
-            if before * behind < 0.0:
+            before, after = series[0] - target, value(series, ORDER, tau / scale) - target
+            if before * after < 0.0:
                 side = -1 if before > 0.0 else 1
-                found.append(scale * first_root(series, ORDER, target, side, tau / scale))
-        return found
+                times.append(scale * first_root(series, ORDER, target, side, tau / scale))
+        return times
     C, _ = linear_terms(fr, mode)
     zeta = 0.5 * C / fr.m
     disc = (zeta - fr.omega0) * (zeta + fr.omega0)
     a = acceleration(fr, mode, p, w, 0.0)
     u = w + fr.v
     # w' = 0, and (u' + ... ) = 0: u itself obeys the same equation as w', one derivative down
-    found = []
+    times = []
     for start, slope in ((a, -2.0 * zeta * a - fr.omega2 * u), (u, a)):
         # the first zero of a solution with this value and slope is the first extreme of its integral
-        at = first_extreme(start, -(slope + 2.0 * zeta * start) / fr.omega2, zeta, fr.omega2, disc)
-        while 0.0 < at < tau and len(found) < PHASES_PER_TURN:
-            found.append(at)
+        time = first_extreme(start, -(slope + 2.0 * zeta * start) / fr.omega2, zeta, fr.omega2, disc)
+        while 0.0 < time < tau and len(times) < PHASES_PER_TURN:
+            times.append(time)
             if disc >= 0.0:
                 break
-            at += math.pi / math.sqrt(-disc)
-    return found
+            time += math.pi / math.sqrt(-disc)
+    return times
 
 
 def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
@@ -235,7 +236,7 @@ def creeps(fr: Frame, u: float, a: float, damping: float) -> bool:
 
 
 def fixed_point(fr: Frame, mode: int, p: float) -> float:
-    """Return p of the fixed point (u = 0) a phase without end settles at; in stick, where the mass stands."""
+    """Return p of the fixed point (u = 0) at which a phase without end settles; in stick the present p."""
     if mode == modes.STICK:
         return p
     C, e = linear_terms(fr, mode)

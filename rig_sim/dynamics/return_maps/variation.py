@@ -52,7 +52,7 @@ def deviation(
         r1 = damping(fr, mode, p, w, t, start + NODE1 * h, work)
         r2 = damping(fr, mode, p, w, t, start + NODE2 * h, work)
         r3 = damping(fr, mode, p, w, t, start + NODE3 * h, work)
-        dp, dw = collocated(fr.omega2, r1, r2, r3, h, dp, dw)
+        dp, dw = step_by_collocation(fr.omega2, r1, r2, r3, h, dp, dw)
     return dp, dw
 
 
@@ -62,7 +62,9 @@ def damping(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work
     return (fr.c - friction_slope(fr, mode, w + dw)) / fr.m
 
 
-def collocated(omega2: float, r1: float, r2: float, r3: float, h: float, dp: float, dw: float) -> tuple[float, float]:
+def step_by_collocation(
+    omega2: float, r1: float, r2: float, r3: float, h: float, dp: float, dw: float
+) -> tuple[float, float]:
     """Return (dp, dw) a piece ``h`` later, with the dampings ``r1``, ``r2``, ``r3`` at the nodes."""
     v1 = v2 = v3 = dw
     a1 = -r1 * dw - omega2 * dp

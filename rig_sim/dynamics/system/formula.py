@@ -90,17 +90,17 @@ class FormulaMap:
 
     def after(self, state: Array, change: float = 0.0) -> Array:
         """Return the state that follows, (d,), with the parameter changed by ``change``; NaN where there is none."""
-        return self._stepped(state, change)[0]
+        return self._step_within_interval(state, change)[0]
 
-    def _stepped(self, state: Array, change: float = 0.0) -> tuple[Array, Any, float]:
-        """Return what `step` does, the state as an array: NaN of a state outside the interval."""
+    def _step_within_interval(self, state: Array, change: float = 0.0) -> tuple[Array, Any, float]:
+        """Return the result of `step` with the state as an array: NaN for a state outside the interval."""
         if len(state) == 1 and not self.lo <= state[0] <= self.hi:
             return np.full(1, math.nan), None, math.nan
         following, jacobian, duration = self.step(state, change)
         return self._state(following), jacobian, duration
 
-    def _state(self, given: Any) -> Array:
-        return np.asarray(given, dtype=np.float64).reshape(self.scale.shape)
+    def _state(self, values: Any) -> Array:
+        return np.asarray(values, dtype=np.float64).reshape(self.scale.shape)
 
     def motion(self, start: Array) -> "FormulaMotion":
         """Return the motion from a state, (d,)."""
@@ -108,34 +108,34 @@ class FormulaMap:
 
     def images(self, x: Array, times: int = 1) -> Array:
         """Return the ``times``-th iterate of each x, shape (n,); NaN outside the interval."""
-        found = np.array(x, dtype=np.float64)
+        images = np.array(x, dtype=np.float64)
         for _ in range(times):
-            found = np.array([self.after(found[i : i + 1])[0] for i in range(len(found))])
-        return found
+            images = np.array([self.after(images[i : i + 1])[0] for i in range(len(images))])
+        return images
 
     def slopes(self, x: Array) -> Array:
         """Return the derivative of a map of one coordinate at each x, shape (n,)."""
-        places = np.asarray(x, dtype=np.float64).reshape(-1, 1)
-        return np.array([self.slope_at(place, self.step(place)[1])[0, 0] for place in places])
+        states = np.asarray(x, dtype=np.float64).reshape(-1, 1)
+        return np.array([self.slope_at(state, self.step(state)[1])[0, 0] for state in states])
 
     def slope_at(self, state: Array, jacobian: Any) -> Array:
-        """Return the derivative at a state, (d, d), in units of the scales, from what `step` gave of it."""
+        """Return the derivative at a state, (d, d), in units of the scales: from ``jacobian``, or numerically."""
         if jacobian is None:
             return slope_at(self, state, lambda place: self._state(self.step(place)[0]))[1]
         return np.reshape(jacobian, (len(state), len(state))) * self.scale / self.scale[:, None]
 
     def orbit(self, start: float, number: int) -> Array:
         """Return f(start), f(f(start)) ..., shape (number,)."""
-        found = np.empty(number)
+        orbit = np.empty(number)
         state = np.array([start], dtype=np.float64)
         for i in range(number):
             state = self.after(state)
-            found[i] = state[0]
-        return found
+            orbit[i] = state[0]
+        return orbit
 
 
 class FormulaMotion:
-    """A motion of a `FormulaMap`; the deviation that is followed begins along the diagonal of the scales."""
+    """A motion of a `FormulaMap`; the followed deviation starts along the diagonal of the scales."""
 
     def __init__(self, f: FormulaMap, start: Array) -> None:
         self.system, self._state, self._time = f, start, 0.0
@@ -146,7 +146,7 @@ class FormulaMotion:
         f, scale = self.system, self.system.scale
         times, states, growth = np.empty(number), np.empty((number, len(scale))), np.full(number, math.nan)
         for i in range(number):
-            following, jacobian, duration = f._stepped(self._state)  # noqa: SLF001 - its own system
+            following, jacobian, duration = f._step_within_interval(self._state)  # noqa: SLF001 - its own system
             if not np.all(np.isfinite(following)):
                 return Passages(times[:i], states[:i], growth[:i], NO_ATTRACTOR)
             if tangent:
@@ -158,7 +158,7 @@ class FormulaMotion:
             times[i], states[i] = self._time, following
         return Passages(times, states, growth, OUTCOMES[COMPLETED])
 
-    def drawn(self, number: int) -> Array:
+    def draw_points(self, number: int) -> Array:
         """Return the first coordinate of the next ``number`` states."""
         drawn: Array = self.follow(number).states[:, 0]
         return drawn

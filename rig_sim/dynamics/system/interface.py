@@ -21,73 +21,52 @@ import numpy as np
 from rig_sim.flow.modes import COMPLETED, OUTCOMES, Outcome
 from stickslip.compute.arrays import Array
 
-# Difference quotients of fourth order: places and weights, over 12 steps.
+# Difference quotients of fourth order: offsets and weights, over 12 steps.
 STENCIL, WEIGHTS = np.array([-2.0, -1.0, 1.0, 2.0]), np.array([1.0, -8.0, 8.0, -1.0])
 # Their step relative to the interval.  Slopes of the thesis's map come out to 1e-8 and better: its rounding, 1e-15 of f
-# over the step, and its fourth-order remainder are both below that; not swept.
+# over the step, and its fourth-order remainder are both below that.
 INTERVAL_STEP = 2e-5
-# Their step relative to the scales.  Rounding of the driven mass's map, some 1e-15, over the step, and the remainder of
-# fourth order are both below 1e-9 of a derivative; 1e-4 loses orbits next to grazing.
+# Their step relative to the scales.  For the driven mass's map rounding, about 1e-15, over the step, and the remainder
+# of fourth order are both below 1e-9 of a derivative; 1e-4 loses orbits next to grazing.
 STATE_STEP = 1e-5
 NO_ATTRACTOR = Outcome("no attractor", "the orbit leaves the places where the map is defined")
 
 
 @dataclass(frozen=True)
 class Passages:
-    """Consecutive passages of a section.
+    """Consecutive passages of a section."""
 
-    Attributes
-    ----------
-    times : (n,) float64
-        When, in drive periods from the start of the motion; of a map how often it was applied.
-    states : (n, d) float64
-        The state there.
-    growth : (n,) float64
-        Logarithm of the factor by which a small deviation has grown since the passage before, along the direction
-        that grows most; NaN where it was not asked for, or has none, as beside a jump of the motion.
-    outcome : Outcome
-        'completed', or why there are fewer passages than were asked for.
-    """
-
-    times: Array
-    states: Array
+    times: Array  # (n,) drive periods from the start of the motion; of a map the number of its application
+    states: Array  # (n, d) the state there
+    # (n,) logarithm of the factor by which a small deviation has grown since the passage before, along the direction
+    # that grows most; NaN where it was not requested, or does not exist, as next to a jump of the motion
     growth: Array
-    outcome: Outcome
+    outcome: Outcome  # 'completed', or why there are fewer passages than requested
 
 
 class Motion(Protocol):
-    """A motion from one start, whose state moves on with every call."""
+    """A motion from one start, advanced by every call."""
 
     @property
     def system(self) -> "ReturnMap":
-        """What moves."""
+        """The system that moves."""
         ...
 
     def follow(self, number: int, *, tangent: bool = False) -> Passages:
         """Return the next ``number`` passages; fewer where the motion ends.  ``tangent``: with their growth."""
         ...
 
-    def drawn(self, number: int) -> Array:
+    def draw_points(self, number: int) -> Array:
         """Return the points (k,) that a bifurcation diagram draws of the next ``number`` passages."""
         ...
 
 
 class ReturnMap(Protocol):
-    """A system that passes a section again and again.
+    """A system that passes a section again and again."""
 
-    Attributes
-    ----------
-    scale : (d,) float64
-        A size of each coordinate of the state, in its unit: distances are judged relative to it.
-    turn : (d,) float64
-        Length after which a coordinate begins again, as a phase does; infinity where it does not.
-    unit : int
-        Passages in one oscillation of the system's own, at least 1: how long it takes to settle.
-    """
-
-    scale: Array
-    turn: Array
-    unit: int
+    scale: Array  # (d,) typical size of each coordinate of the state, in its unit
+    turn: Array  # (d,) period of each coordinate that is a phase; infinity for the others
+    unit: int  # passages in one natural oscillation of the system, at least 1: sets how long it takes to settle
 
     def motion(self, start: Array) -> Motion:
         """Return the motion from a state, (d,)."""
@@ -97,8 +76,9 @@ class ReturnMap(Protocol):
 class OnInterval(ReturnMap, Protocol):
     """A map of the interval [lo, hi] to itself: d = 1.
 
-    Where it has them, these are used: ``survey(x, times)``, faster images to see their sign and place; ``slopes(x)``,
-    its derivative; ``growth_at(x)``, the logarithms of the slopes' sizes, in place of a motion's own tangent.
+    Its optional methods are used where they exist: ``survey(x, times)``, faster images for sign and position;
+    ``slopes(x)``, its derivative; ``growth_at(x)``, the logarithms of the slopes' sizes, in place of a motion's own
+    tangent.
     """
 
     lo: float
@@ -114,15 +94,9 @@ class OnInterval(ReturnMap, Protocol):
 
 
 class Controlled(ReturnMap, Protocol):
-    """A map that a change of one parameter can correct at every application.
+    """A map that a change of one parameter can correct at every application."""
 
-    Attributes
-    ----------
-    strength : float
-        Size of the parameter, in its unit: a budget is relative to it.
-    """
-
-    strength: float
+    strength: float  # size of the parameter, in its unit; a budget is relative to it
 
     def after(self, state: Array, change: float = 0.0) -> Array:
         """Return the state that follows, (d,), with the parameter changed by ``change``; NaN where there is none."""
@@ -147,8 +121,7 @@ class IntervalMotion:
         growth = growth_at(self.system, orbit[:count]) if tangent else np.full(count, np.nan)
         return Passages(times, states, growth, OUTCOMES[COMPLETED] if count == number else NO_ATTRACTOR)
 
-    def drawn(self, number: int) -> Array:
-        """Return the next ``number`` points."""
+    def draw_points(self, number: int) -> Array:
         drawn: Array = self.follow(number).states[:, 0]
         return drawn
 
@@ -158,9 +131,9 @@ def slope(f: OnInterval, x: Array) -> Array:
 
     NaN where the map is not defined about x.
     """
-    known = getattr(f, "slopes", None)
-    if known is not None:
-        return np.asarray(known(x), dtype=np.float64)
+    slopes = getattr(f, "slopes", None)
+    if slopes is not None:
+        return np.asarray(slopes(x), dtype=np.float64)
     h = INTERVAL_STEP * (f.hi - f.lo)
     x = np.asarray(x, dtype=np.float64)
     values = f.images((x[:, None] + h * STENCIL).ravel()).reshape(-1, 4)
@@ -174,7 +147,7 @@ def growth_at(f: OnInterval, x: Array) -> Array:
 
 
 def survey(f: OnInterval, x: Array, times: int = 1) -> Array:
-    """Return the ``times``-th iterate of each x to see its sign and place: by a faster way where the map has one."""
+    """Return the ``times``-th iterate of each x for its sign and position: by a faster way where the map has one."""
     values: Array = getattr(f, "survey", f.images)(x, times)
     return values
 
@@ -203,7 +176,7 @@ def orbit(f: Controlled, start: Array, number: int, change: float = 0.0) -> Arra
 def slope_at(f: Controlled, state: Array, after: Callable[[Array], Array] | None = None) -> tuple[Array, Array]:
     """Return f at a state, (d,), and its derivative by the state, (d, d), in units of the scales.
 
-    NaN where f is not defined about the state.  ``after`` stands in place of ``f.after``.
+    NaN where f is not defined about the state.  ``after`` replaces ``f.after``.
     """
     after = after or f.after
     middle = after(state)
@@ -211,7 +184,7 @@ def slope_at(f: Controlled, state: Array, after: Callable[[Array], Array] | None
     for j in range(len(state)):
         step = np.zeros(len(state))
         step[j] = STATE_STEP * f.scale[j]
-        columns.append(_quotient(f, [after(state + place * step) for place in STENCIL], middle))
+        columns.append(difference_quotient(f, [after(state + offset * step) for offset in STENCIL], middle))
     return middle, np.array(columns).T
 
 
@@ -221,9 +194,11 @@ def derivatives(f: Controlled, state: Array) -> tuple[Array, Array]:
     In units of the scales and of the parameter's strength.  NaN where f is not defined about the state.
     """
     middle, by_state = slope_at(f, state)
-    return by_state, _quotient(f, [f.after(state, place * STATE_STEP * f.strength) for place in STENCIL], middle)
+    return by_state, difference_quotient(
+        f, [f.after(state, offset * STATE_STEP * f.strength) for offset in STENCIL], middle
+    )
 
 
-def _quotient(f: Controlled, values: list[Array], middle: Array) -> Array:
+def difference_quotient(f: Controlled, values: list[Array], middle: Array) -> Array:
     quotient: Array = (WEIGHTS / 12.0) @ np.array([difference(f, value, middle) for value in values]) / STATE_STEP
     return quotient

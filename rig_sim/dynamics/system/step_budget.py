@@ -6,18 +6,18 @@ from stickslip.errors import InputError
 
 
 class StepLimitError(InputError):
-    """An analysis has taken more integrator steps than it may."""
+    """An analysis has taken more integrator steps than allowed."""
 
 
 @dataclass
 class StepBudget:
-    """Integrator steps that an analysis may take in all, ``allowed``, and what is ``left``; its maps share it."""
+    """Integrator steps ``allowed`` in a whole analysis, and those ``left``; its maps share it."""
 
     allowed: float
 
     def __post_init__(self) -> None:
         self.left = self.allowed
 
-    def exceeded(self, where: str, do: str) -> StepLimitError:
-        """Return the error that says so of an analysis, ``where``, with what to ``do``."""
+    def limit_error(self, where: str, do: str) -> StepLimitError:
+        """Return the error of a spent budget, with the analysis (``where``) and the remedy (``do``)."""
         return StepLimitError(f"step limit: more than {self.allowed:.0e} integrator steps", where, do)

@@ -93,7 +93,7 @@ def test_a_channel_that_never_changes_is_named(tmp_path):
     found = record.record(RecordRequest(url("belt.start=0.1"), tmp_path / "run.h5", 1000, 2.0))
     run = daq.load(tmp_path / "run.h5")
     run.raw.levels[:] &= 1
-    names = {finding.name: finding for finding in board_test.findings(found, run, 0.0)}
+    names = {finding.name: finding for finding in board_test.check_board(found, run, 0.0)}
     assert names["channels"].ok is False
     assert "B never changes" in names["channels"].seen
 
@@ -181,9 +181,9 @@ def test_bad_requests_name_their_flag(capsys, arguments, where):
 def test_derived_errors_are_those_of_their_parts():
     ring = type("Ring", (), {"omega0": Measured(6.0, 0.006), "zeta": Measured(0.01, 1e-4)})()
     mass = Measured(0.3, 3e-4)
-    assert rig_constants.stiffness(ring, mass).value == pytest.approx(10.8)
-    assert rig_constants.stiffness(ring, mass).sd == pytest.approx(10.8 * math.hypot(1e-3, 2e-3))
-    assert rig_constants.damping(ring, mass).sd == pytest.approx(0.036 * math.hypot(1e-2, 1e-3, 1e-3))
+    assert rig_constants.compute_stiffness(ring, mass).value == pytest.approx(10.8)
+    assert rig_constants.compute_stiffness(ring, mass).sd == pytest.approx(10.8 * math.hypot(1e-3, 2e-3))
+    assert rig_constants.compute_damping(ring, mass).sd == pytest.approx(0.036 * math.hypot(1e-2, 1e-3, 1e-3))
 
 
 def test_counts_across_a_lost_port_are_not_joined(tmp_path):
@@ -191,7 +191,7 @@ def test_counts_across_a_lost_port_are_not_joined(tmp_path):
     run = daq.load(tmp_path / "run.h5")
     run.segment[-1] = 1
     with pytest.raises(DataError, match="port was lost"):
-        rig_constants.metres_per_count(run, Measured(0.1))
+        rig_constants.measure_pitch(run, Measured(0.1))
     assert np.all(run.segment[:-1] == 0)
 
 

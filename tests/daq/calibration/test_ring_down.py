@@ -16,26 +16,26 @@ def recorded(zeta=0.01, friction=100.0, rest=37.25, g=0.0, hold_s=1.0, seconds=2
     t = np.arange(0, seconds, 1 / rate) + 0.0003 * np.sin(np.arange(round(seconds * rate)))
     held = t < hold_s
     x = np.full(t.shape, X0)
-    x[~held] = ring_down.motion(t[~held] - hold_s, w, zeta, friction, rest, X0, 0.0, g)
+    x[~held] = ring_down.predict_motion(t[~held] - hold_s, w, zeta, friction, rest, X0, 0.0, g)
     return t, np.floor(x) + 0.5
 
 
 def test_without_friction_the_motion_is_the_damped_oscillator():
     t = np.linspace(0, 20, 2001)
     wd, beta = W * math.sqrt(1 - 0.02**2), 0.02 * W
-    x = ring_down.motion(t, W, 0.02, 0.0, 5.0, 105.0, 0.0)
+    x = ring_down.predict_motion(t, W, 0.02, 0.0, 5.0, 105.0, 0.0)
     assert x == pytest.approx(5 + 100 * np.exp(-beta * t) * (np.cos(wd * t) + beta / wd * np.sin(wd * t)), abs=1e-4)
 
 
 def test_without_damping_each_half_swing_loses_twice_the_friction():
     t = math.pi / W * np.arange(9)
-    x = ring_down.motion(t, W, 0.0, 3.0, 0.0, 100.0, 0.0)
+    x = ring_down.predict_motion(t, W, 0.0, 3.0, 0.0, 100.0, 0.0)
     assert np.abs(x) == pytest.approx(100 - 6 * np.arange(9), abs=1e-3)
 
 
 def test_it_rests_where_friction_holds_the_spring():
     t = np.linspace(0, 30, 301)
-    x = ring_down.motion(t, W, 0.0, 9.0, 0.0, 100.0, 0.0)
+    x = ring_down.predict_motion(t, W, 0.0, 9.0, 0.0, 100.0, 0.0)
     assert np.ptp(x[-100:]) == 0
     assert abs(x[-1]) <= 9
 
@@ -44,13 +44,13 @@ def test_a_mass_that_rounding_holds_rests():
     # x - rest > a, and yet x - (rest + a) = 0: it used to turn for ever.
     rest, a, x = 43.91491627785106, 114.98006706877551, 158.8949833466266
     assert x - rest > a
-    assert np.all(ring_down.motion(np.linspace(0, 1, 5), W, 0.01, a, rest, x, 0.0) == x)
+    assert np.all(ring_down.predict_motion(np.linspace(0, 1, 5), W, 0.01, a, rest, x, 0.0) == x)
 
 
 @pytest.mark.parametrize("friction", [5.0, *(pytest.param(level, marks=pytest.mark.slow) for level in (100.0, 900.0))])
 @pytest.mark.parametrize("zeta", [0.002, 0.02])
 def test_damping_is_not_biased_by_friction(zeta, friction):
-    found = ring_down.fit(*recorded(zeta, friction), 1.0)
+    found = ring_down.fit_ring_down(*recorded(zeta, friction), 1.0)
     assert found.velocity_weakening is None
     assert not found.poor
     for measured, true in (
@@ -74,12 +74,12 @@ def test_an_exponential_alone_would_have_been_far_off():
     ]
     decrement = math.log(peaks[0] / peaks[1]) / (18 * math.pi)
     assert decrement > 2 * 0.002
-    assert ring_down.fit(t, x, 1.0).zeta.value == pytest.approx(0.002, rel=0.01)
+    assert ring_down.fit_ring_down(t, x, 1.0).zeta.value == pytest.approx(0.002, rel=0.01)
 
 
 def test_friction_that_weakens_with_speed_is_seen_and_does_not_bias_either():
     g = 6e-5  # per count/s: at the fastest it is a fifth
-    found = ring_down.fit(*recorded(0.01, 300.0, g=g), 1.0)
+    found = ring_down.fit_ring_down(*recorded(0.01, 300.0, g=g), 1.0)
     assert found.velocity_weakening is not None
     assert found.velocity_weakening.value == pytest.approx(g, rel=0.05)
     assert found.zeta.value == pytest.approx(0.01, rel=0.01)
@@ -91,14 +91,14 @@ def test_friction_that_weakens_with_speed_is_seen_and_does_not_bias_either():
 def test_a_hand_that_pulls_first_is_not_taken_for_the_motion():
     t, x = recorded(hold_s=3.0)
     x[t < 2] = np.floor(37.25 + (X0 - 37.25) * np.clip(t[t < 2] - 0.5, 0, 1)) + 0.5
-    found = ring_down.fit(t, x, 1.0)
+    found = ring_down.fit_ring_down(t, x, 1.0)
     assert found.zeta.value == pytest.approx(0.01, rel=0.01)
 
 
 @pytest.mark.slow
 def test_a_motion_of_another_kind_is_called_poor():
     t, x = recorded()
-    found = ring_down.fit(t, np.floor(x + 400 * np.sin(2.1 * t) * (t > 1)) + 0.5, 1.0)
+    found = ring_down.fit_ring_down(t, np.floor(x + 400 * np.sin(2.1 * t) * (t > 1)) + 0.5, 1.0)
     assert found.poor
 
 
@@ -112,4 +112,4 @@ def test_a_motion_of_another_kind_is_called_poor():
 )
 def test_what_is_no_ring_down_is_said_to_be_none(make, said):
     with pytest.raises(DataError, match=said):
-        ring_down.fit(*make(), 1.0)
+        ring_down.fit_ring_down(*make(), 1.0)

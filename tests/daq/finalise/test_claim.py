@@ -36,11 +36,11 @@ def test_a_journal_is_locked_while_it_is_written_and_free_when_its_writer_is_gon
     writer = journal.Writer(path, header)
     assert claim.is_locked(path)
     assert journal.read(path).header == header  # whoever only reads may
-    with pytest.raises(InputError, match="process 4711 on lab"), claim.claimed(path):
+    with pytest.raises(InputError, match="process 4711 on lab"), claim.claim_journal(path):
         pytest.fail("the journal was given to somebody else")
     writer.close()
     assert not claim.is_locked(path)
-    with claim.claimed(path) as remove:
+    with claim.claim_journal(path) as remove:
         assert claim.is_locked(path)
         remove()
     assert not path.exists()

@@ -156,7 +156,7 @@ def test_the_supporting_line_is_the_highest_below_all_points_at_their_mean():
     y = 3 - 0.25 * x + rng.exponential(1.0, 101)
     hull = clock_sync.LowerHull()
     hull.take(x, y)
-    slope = hull.slope()
+    slope = hull.fit_slope()
     height = np.min(y - slope * (x - x.mean()))
     for other in np.linspace(slope - 1, slope + 1, 2001):
         assert np.min(y - other * (x - x.mean())) <= height + 1e-12

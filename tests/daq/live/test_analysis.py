@@ -68,7 +68,7 @@ def test_no_record_breaks_the_analysis(parts: list[str], size: float, seed: int,
     rows = told(live, NewSamples(t, x, fresh), piece)
     assert np.all(np.diff(rows[0]) > 0)
     assert np.isin(rows[0], t).all()
-    summary = live.summary()
+    summary = live.summarise()
     json.dumps(summary, allow_nan=False)
     assert summary["cycles"] <= live.slips
     for time, _, landing in live.break_aways:

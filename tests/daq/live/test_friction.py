@@ -20,7 +20,7 @@ KNOWN = Rig(x0=Measured(0.0))
 @pytest.mark.parametrize(("rate_hz", "noise"), [(1000.0, 2e-6), (1000.0, 5e-5), (400.0, 2e-4)])
 def test_constant_friction_and_its_spring_are_found(rate_hz: float, noise: float) -> None:
     motion = stick_slip(14, rate_hz, noise)
-    found = analysed(motion.time, motion.x, rate_hz, KNOWN).summary()
+    found = analysed(motion.time, motion.x, rate_hz, KNOWN).summarise()
     k_over_m = found["k_over_m"]
     assert abs(k_over_m["value"] - K_OVER_M) < 3 * k_over_m["stderr"]
     assert k_over_m["value"] == pytest.approx(K_OVER_M, rel=0.01)
@@ -37,7 +37,7 @@ def test_constant_friction_and_its_spring_are_found(rate_hz: float, noise: float
 def test_the_relative_velocity_is_that_of_the_mass_less_the_belts_and_friction_opposes_it() -> None:
     motion = stick_slip(8, 1000.0, 2e-6)
     for sign in (1.0, -1.0):
-        curve = analysed(motion.time, sign * motion.x, 1000.0, KNOWN).summary()["friction"]
+        curve = analysed(motion.time, sign * motion.x, 1000.0, KNOWN).summarise()["friction"]
         assert np.all(sign * np.array(curve["w"]) < 0)
         assert np.all(sign * np.array(curve["F"]) > 0)
         assert sign * curve["break_away"] > 0
@@ -46,7 +46,7 @@ def test_the_relative_velocity_is_that_of_the_mass_less_the_belts_and_friction_o
 def test_the_curve_is_the_law_of_the_record() -> None:
     """The scene `rig` with law 5: Fs = 1.396 N, gamma = 9.61 s/m (data_samples, README)."""
     run = daq.load(SAMPLES / "law5.h5")
-    found = analysed(run.time, run.position, run.rate_hz, run.rig).summary()
+    found = analysed(run.time, run.position, run.rate_hz, run.rig).summarise()
     assert found["k_over_m"]["value"] == pytest.approx(35.184, rel=0.005)
     w, F = (np.array(found["friction"][name]) for name in ("w", "F"))
     law = 1.396 / (1 + 9.61 * np.abs(w))
@@ -56,25 +56,25 @@ def test_the_curve_is_the_law_of_the_record() -> None:
 
 def test_what_is_not_known_is_not_claimed() -> None:
     motion = stick_slip(10, 1000.0, 2e-6)
-    bare = analysed(motion.time, motion.x, 1000.0).summary()
+    bare = analysed(motion.time, motion.x, 1000.0).summarise()
     assert (bare["balance"]["mass"], bare["balance"]["level_known"]) == (None, 0.0)
-    known = analysed(motion.time, motion.x + 0.03, 1000.0, Rig(x0=Measured(0.03))).summary()
+    known = analysed(motion.time, motion.x + 0.03, 1000.0, Rig(x0=Measured(0.03))).summarise()
     assert known["balance"]["level_known"] == 1.0
     # Without x0 the curve is the same up to a constant.
     shift = np.array(bare["friction"]["F"]) - np.array(known["friction"]["F"])
     np.testing.assert_allclose(shift, shift[0], atol=1e-3)
     assert known["statistics"]["break_away"]["mean"] == pytest.approx(LEVER, rel=0.01)
-    counted = analysed(motion.time, motion.x / 1e-5, 1000.0, Rig(mass=Measured(0.3)), "count").summary()
+    counted = analysed(motion.time, motion.x / 1e-5, 1000.0, Rig(mass=Measured(0.3)), "count").summarise()
     assert counted["balance"]["mass"] is None
     assert counted["k_over_m"]["value"] == pytest.approx(K_OVER_M, rel=0.01)
-    few = analysed(motion.time[:3000], motion.x[:3000], 1000.0).summary()
+    few = analysed(motion.time[:3000], motion.x[:3000], 1000.0).summarise()
     assert few["k_over_m"]["value"] is None
 
 
 def test_newtons_need_the_mass_or_the_stiffness() -> None:
     motion = stick_slip(10, 1000.0, 2e-6)
     by_mass, by_stiffness, by_both = (
-        analysed(motion.time, motion.x, 1000.0, replace(KNOWN, **given)).summary()
+        analysed(motion.time, motion.x, 1000.0, replace(KNOWN, **given)).summarise()
         for given in (
             {"mass": Measured(0.5)},
             {"stiffness": Measured(0.5 * K_OVER_M)},
@@ -92,7 +92,7 @@ def test_known_damping_is_part_of_the_balance() -> None:
     motion = stick_slip(8, 1000.0, 2e-6)
     damped = replace(KNOWN, mass=Measured(0.5), damping=Measured(0.2))
     with_it, without = (
-        analysed(motion.time, motion.x, 1000.0, rig).summary()["friction"]
+        analysed(motion.time, motion.x, 1000.0, rig).summarise()["friction"]
         for rig in (damped, replace(damped, damping=None))
     )
     v = np.array(with_it["w"]) + BELT

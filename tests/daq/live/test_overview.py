@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.live.overview import PICKED, ROWS, Overview, extremes
+from daq.live.overview import PICKED, ROWS, Overview, find_extremes
 
 
 def record(n: int) -> np.ndarray:
@@ -18,8 +18,8 @@ def test_an_overview_is_bounded_and_holds_the_extremes(n: int, piece: int) -> No
     rows[1, n // 3], rows[2, n // 2] = 1e4, -1e4
     overview = Overview(4)
     for first in range(0, n, piece):
-        overview.take(rows[:, first : first + piece])
-    kept = overview.rows()
+        overview.add(rows[:, first : first + piece])
+    kept = overview.collect_rows()
     assert kept.shape[1] <= ROWS + max(overview._stretch, piece) + 1
     assert kept.shape[1] >= min(n, ROWS // 8)
     assert np.all(np.diff(kept[0]) > 0)
@@ -32,7 +32,7 @@ def test_an_overview_is_bounded_and_holds_the_extremes(n: int, piece: int) -> No
 def test_extremes_of_stretches_are_picked_and_unknown_velocities_pass() -> None:
     rows = record(1000)
     rows[2, 100:300] = np.nan
-    picked = extremes(rows, 10)
+    picked = find_extremes(rows, 10)
     assert picked.size <= 10 * PICKED
     for k in range(10):
         own = slice(100 * k, 100 * k + 100)
@@ -41,4 +41,4 @@ def test_extremes_of_stretches_are_picked_and_unknown_velocities_pass() -> None:
         assert rows[1, inside].max() == rows[1, own].max()
         if k not in (1, 2):
             assert rows[2, inside].max() == rows[2, own].max()
-    np.testing.assert_array_equal(extremes(rows[:, :8], 3), np.arange(8))
+    np.testing.assert_array_equal(find_extremes(rows[:, :8], 3), np.arange(8))

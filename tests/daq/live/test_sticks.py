@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import daq
-from daq.live.analysis import FEW_CYCLES, FEWEST_CYCLES, LiveAnalysis, advice
+from daq.live.analysis import FEW_CYCLES, FEWEST_CYCLES, LiveAnalysis, advise
 from daq.live.finished import RunSamples
-from daq.live.sticks import Spread, usual_speed
+from daq.live.sticks import Spread, find_usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
 from fitting.selection import evidence, screening
@@ -36,7 +36,7 @@ def test_break_aways_and_landings_are_placed_within_the_noise(rate_hz: float, no
         assert np.abs(found[:, column] - nearest).max() < 0.01 * slip_s + 2 / rate_hz + hidden_s
     assert live.belt.value == pytest.approx(BELT, rel=2e-3)
     assert live.belt.source == "sticks"
-    statistics = live.summary()["statistics"]
+    statistics = live.summarise()["statistics"]
     assert statistics["break_away"]["mean"] == pytest.approx(
         LEVER, abs=0.01 * LEVER + BELT * (hidden_s / 2 + 2 / rate_hz)
     )
@@ -50,7 +50,7 @@ def test_statistics_are_those_of_process_smooth(law: int) -> None:
     run = daq.load(SAMPLES / f"law{law}.h5")
     live = analysed(run.time, run.position, run.rate_hz, run.rig)
     smoothed = from_kinematics(smooth(run))
-    found = live.summary()["statistics"]
+    found = live.summarise()["statistics"]
     for name, other, most in (
         ("stick_s", "stick_s", 0.06),
         ("slip_s", "slip_s", 0.03),
@@ -68,8 +68,8 @@ def test_a_belt_that_runs_backwards_is_the_mirror_image() -> None:
     forward, back = analysed(motion.time, motion.x, 1000.0), analysed(motion.time, -motion.x, 1000.0)
     assert back.belt.value == pytest.approx(-forward.belt.value, rel=1e-9)
     assert back.cycles == forward.cycles >= 5
-    for name, of in forward.summary()["statistics"].items():
-        assert back.summary()["statistics"][name] == pytest.approx(of, rel=1e-6)
+    for name, of in forward.summarise()["statistics"].items():
+        assert back.summarise()["statistics"][name] == pytest.approx(of, rel=1e-6)
 
 
 def test_a_mass_that_swings_or_rests_shows_no_cycle() -> None:
@@ -80,7 +80,7 @@ def test_a_mass_that_swings_or_rests_shows_no_cycle() -> None:
         assert (live.cycles, len(live.break_aways)) == (0, 0)
         assert math.isnan(live.belt.value)
         assert live.state == "moving"
-        assert live.summary()["friction"] is None
+        assert live.summarise()["friction"] is None
     # The calibration's belt speed makes no stick of a turn.
     grazing = analysed(t, BELT / 6 * np.sin(6 * t) + noise, 1000.0, Rig(belt_speed=Measured(BELT)))
     assert (grazing.belt.source, grazing.cycles) == ("calibration", 0)
@@ -102,7 +102,7 @@ def test_a_gap_ends_a_stick_and_what_follows_is_counted_anew() -> None:
     keep = (motion.time < 9.0) | (motion.time > 9.4)
     whole, cut = (analysed(motion.time[own], motion.x[own], 1000.0) for own in (slice(None), keep))
     assert whole.cycles - 2 <= cut.cycles < whole.cycles
-    assert cut.summary()["statistics"]["slip_s"]["max"] < 1.02 * whole.summary()["statistics"]["slip_s"]["max"]
+    assert cut.summarise()["statistics"]["slip_s"]["max"] < 1.02 * whole.summarise()["statistics"]["slip_s"]["max"]
 
 
 def test_the_belts_own_encoder_gives_its_speed_now() -> None:
@@ -138,36 +138,36 @@ def test_a_belt_that_changes_its_speed_is_followed() -> None:
 def test_the_usual_speed_of_slow_counts_is_found_over_a_longer_span(count: float) -> None:
     t = np.arange(20_000) / 1000
     x = count * np.round(3e-4 * t / count)
-    assert usual_speed(t, x, 21) == pytest.approx(3e-4, rel=0.1)
+    assert find_usual_speed(t, x, 21) == pytest.approx(3e-4, rel=0.1)
 
 
 def test_the_spread_is_that_of_numpy() -> None:
     values = np.random.default_rng(7).normal(3, 2, 57)
     of = Spread()
     for value in values:
-        of.take(value)
+        of.add(value)
     assert (of.n, of.last, of.low, of.high) == (57, values[-1], values.min(), values.max())
     assert (of.mean, of.sd) == pytest.approx((values.mean(), values.std(ddof=1)), rel=1e-12)
 
 
 def test_the_least_number_of_cycles_is_that_of_the_fit() -> None:
     assert (FEWEST_CYCLES, FEW_CYCLES) == (evidence.FEWEST_CYCLES, screening.FEW)
-    assert "a verdict needs 4" in advice(FEWEST_CYCLES - 1)
-    assert "one disturbed cycle" in advice(FEWEST_CYCLES)
-    assert advice(FEW_CYCLES) == "enough for a verdict; 32 cycles would halve the standard errors"
+    assert "a verdict needs 4" in advise(FEWEST_CYCLES - 1)
+    assert "one disturbed cycle" in advise(FEWEST_CYCLES)
+    assert advise(FEW_CYCLES) == "enough for a verdict; 32 cycles would halve the standard errors"
 
 
 def test_a_run_file_is_read_in_pieces_as_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = daq.load(SAMPLES / "law5.h5")
     monkeypatch.setattr("daq.live.finished.PIECE", 701)
     run = RunSamples(SAMPLES / "law5.h5")
-    parts = list(run.pieces())
+    parts = list(run.read_pieces())
     assert len(parts) > 5
     for name, truth in (("time", whole.time), ("position", whole.position)):
         np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), truth)
     assert np.concatenate([part.fresh for part in parts]).sum() == 1
     assert (run.counts.samples, run.counts.segments, run.counts.lost) == (whole.time.size, 1, 0)
-    cut = run.between(3.0, 4.0, 10, 10_000)
+    cut = run.load_between(3.0, 4.0, 10, 10_000)
     own = (whole.time >= 3.0) & (whole.time <= 4.0)
     np.testing.assert_array_equal(cut.time[11:-11], whole.time[own])
-    assert run.between(3.0, 4.0, 0, 50).time.size == 52
+    assert run.load_between(3.0, 4.0, 0, 50).time.size == 52

@@ -64,7 +64,7 @@ def test_the_pieces_of_lines_make_no_difference(form, piece, damaged, monkeypatc
     assert len(whole.crc_frame) > 20
     assert len(whole.idents) >= 2
     monkeypatch.setattr(session, "PIECE_BYTES", piece)
-    pieces = list(backend.pieces(reads, header))
+    pieces = list(backend.decode_pieces(reads, header))
     assert len(pieces) > 3
     before = np.cumsum([0, *(len(piece.n) for piece in pieces)])
     for field in fields(whole):

@@ -12,7 +12,7 @@ from daq import protocols
 from daq.protocols import neighbours, qsb, text
 from daq.protocols import session as session_module
 from daq.protocols.line_parser import LineParser
-from daq.protocols.lines import Other
+from daq.protocols.lines import NoSample
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Plan
 from stickslip.errors import DeviceError, InputError
@@ -168,7 +168,7 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
 )
 def test_columns_that_cannot_be_read_are_refused(declared, said):
     with pytest.raises(InputError, match=said):
-        text.columns(declared)
+        text.parse_columns(declared)
 
 
 @pytest.mark.parametrize(
@@ -180,23 +180,23 @@ def test_columns_that_cannot_be_read_are_refused(declared, said):
         ("t_s,count", b"0.000001999 9", (1, 9, 0)),
         ("t_us,count:16,a,b,illegal", b"4294967297,-1,1,1,3", (1, 65535, 0, 3, 3)),
         ("t_us,-,count", b"1,x=4,2", (1, 2, 0)),
-        ("t_us,up:16,down:16", b"1,65536,0", Other.DAMAGED),
-        ("t_us,count", b"1,2,3", Other.DAMAGED),
-        ("t_us,count", b"1,2.5", Other.DAMAGED),
-        ("t_us,count", b"-1,2", Other.DAMAGED),
+        ("t_us,up:16,down:16", b"1,65536,0", NoSample.DAMAGED),
+        ("t_us,count", b"1,2,3", NoSample.DAMAGED),
+        ("t_us,count", b"1,2.5", NoSample.DAMAGED),
+        ("t_us,count", b"-1,2", NoSample.DAMAGED),
         ("t_us,count,xor", b"10,2,1F", (10, 2, 0, 0, 0)),
-        ("t_us,count,xor", b"10,3,1F", Other.DAMAGED),
+        ("t_us,count,xor", b"10,3,1F", NoSample.DAMAGED),
         # Separated by spaces or tabs alone, the last digit before them used to be left out, and the line refused.
         ("t_us,count,xor", b"10 2 13", (10, 2, 0, 0, 0)),
         ("t_us,count,xor", b"10\t2 \t*3A", (10, 2, 0, 0, 0)),
         ("t_us,count,xor", b"10 2 ; *13", (10, 2, 0, 0, 0)),
-        ("t_us,count,xor", b"10 3 13", Other.DAMAGED),
-        ("t_us,count", b"# a remark", Other.REMARK),
-        ("t_us,count", b"\r", Other.REMARK),
+        ("t_us,count,xor", b"10 3 13", NoSample.DAMAGED),
+        ("t_us,count", b"# a remark", NoSample.REMARK),
+        ("t_us,count", b"\r", NoSample.REMARK),
     ],
 )
 def test_a_line_is_read_as_its_columns_say(declared, line, row):
-    assert LineParser(text.columns(declared)).read(line) == row
+    assert LineParser(text.parse_columns(declared)).read(line) == row
 
 
 # All of these lines used to be refused.
@@ -215,20 +215,20 @@ def test_a_line_is_read_as_its_columns_say(declared, line, row):
         ("t_us,up,down", b"down=1 up=2 time=3", (3, 2, 1)),
         ("t_us,count,a,b,illegal", b"illegal=3,a=1,b=0,t=4,pos=5", (4, 5, 0, 1, 3)),
         ("t_us,count,xor", b"t=10;pos=2, xor: *10", (10, 2, 0, 0, 0)),
-        ("t_us,count,xor", b"t=10;pos=3, xor: *10", Other.DAMAGED),
-        (None, b"t=1,pis=2", Other.DAMAGED),
-        (None, b"t=1,pos=2.5", Other.DAMAGED),
-        (None, b"t=1,pos=2,3", Other.DAMAGED),
-        (None, b"t=1,pos=2,pos=2", Other.DAMAGED),
-        (None, b"t=1,pos=2,Pos=2", Other.DAMAGED),
-        (None, b"t=1,ms=1,pos=2", Other.DAMAGED),
-        (None, b"t=1,pos=2t=3,pos=4", Other.DAMAGED),
-        (None, b"1,2", Other.DAMAGED),
-        (None, b"# t=1,pos=2", Other.REMARK),
+        ("t_us,count,xor", b"t=10;pos=3, xor: *10", NoSample.DAMAGED),
+        (None, b"t=1,pis=2", NoSample.DAMAGED),
+        (None, b"t=1,pos=2.5", NoSample.DAMAGED),
+        (None, b"t=1,pos=2,3", NoSample.DAMAGED),
+        (None, b"t=1,pos=2,pos=2", NoSample.DAMAGED),
+        (None, b"t=1,pos=2,Pos=2", NoSample.DAMAGED),
+        (None, b"t=1,ms=1,pos=2", NoSample.DAMAGED),
+        (None, b"t=1,pos=2t=3,pos=4", NoSample.DAMAGED),
+        (None, b"1,2", NoSample.DAMAGED),
+        (None, b"# t=1,pos=2", NoSample.REMARK),
     ],
 )
 def test_a_labelled_line_is_read_by_its_labels(declared, line, row):
-    assert LineParser(text.columns(declared)).read(line) == row
+    assert LineParser(text.parse_columns(declared)).read(line) == row
 
 
 @pytest.mark.parametrize("shape", ["t=%d,pos=%d\n", "time: %d, count: %d, temp: 21.5\n"])
@@ -386,7 +386,7 @@ class OneByOne:
     alike = None
 
     def __init__(self, parser):
-        self.read, self.missed = parser.read, parser.missed
+        self.read, self.count_miss = parser.read, parser.count_miss
 
 
 ALIKE = SHAPES | {
@@ -402,9 +402,9 @@ ALIKE = SHAPES | {
 def test_lines_read_together_are_read_as_one_by_one(damaged, declared, seed, share, cuts):
     if declared.startswith("qsb"):
         line = qsb_line if declared == "qsb" else lambda k: b"s 0E %08x %08X !\r\n" % (k, 2**32 - 1 - k)
-        fast, slow = qsb.reader(), qsb.reader()
+        fast, slow = qsb.make_reader(), qsb.make_reader()
     else:
-        line, (fast, slow) = ALIKE[declared], (text.reader(text.columns(declared)) for _ in range(2))
+        line, (fast, slow) = ALIKE[declared], (text.make_reader(text.parse_columns(declared)) for _ in range(2))
     slow._parser = OneByOne(slow._parser)
     lines, _ = damaged([line(k) for k in range(seed % 7, 400)], seed, share)
     data = b"7" * (seed % 300) + b"".join(lines)
@@ -427,7 +427,7 @@ def test_lines_read_together_are_read_as_one_by_one(damaged, declared, seed, sha
 def test_sound_lines_are_read_together(declared, monkeypatch):
     """Each line used to be matched and converted by itself: 3 us a sample."""
     line = qsb_line if declared == "qsb" else ALIKE[declared or "t_us,count:16"]
-    reader = qsb.reader() if declared == "qsb" else text.reader(text.columns(declared))
+    reader = qsb.make_reader() if declared == "qsb" else text.make_reader(text.parse_columns(declared))
     taken = []
     read = type(reader._parser).read
     monkeypatch.setattr(type(reader._parser), "read", lambda self, line: taken.append(line) or read(self, line))

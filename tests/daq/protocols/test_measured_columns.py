@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from daq.protocols import session as session_module
 from daq.protocols import text
-from daq.protocols.columns import columns, with_decimals
+from daq.protocols.columns import parse_columns, with_decimals
 from daq.protocols.line_parser import LineParser
-from daq.protocols.lines import Other
+from daq.protocols.lines import NoSample
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports, record
 from daq.runfile import store
@@ -41,7 +41,7 @@ from tests.daq.protocols.test_lines import OneByOne, Sketch, xor_of
     ],
 )
 def test_a_measured_number_counts_its_last_decimal(declared, line, count):
-    row = LineParser(columns(declared)).read(line)
+    row = LineParser(parse_columns(declared)).read(line)
     assert row[:2] == (1000, count % 2**32)
 
 
@@ -57,7 +57,7 @@ def test_a_measured_number_counts_its_last_decimal(declared, line, count):
     ],
 )
 def test_what_is_no_such_number_is_damage(declared, line):
-    assert LineParser(columns(declared)).read(line) == Other.DAMAGED
+    assert LineParser(parse_columns(declared)).read(line) == NoSample.DAMAGED
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_what_is_no_such_number_is_damage(declared, line):
 )
 def test_columns_that_cannot_be_read_are_refused(declared, said):
     with pytest.raises(InputError, match=re.escape(said)):
-        columns(declared)
+        parse_columns(declared)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_columns_that_cannot_be_read_are_refused(declared, said):
 def test_decimals_that_are_not_declared_are_those_of_the_first_lines(declared, lines, decimals):
     form = with_decimals(declared, b"\n".join([b"cut", *lines, b""]))
     assert form.decimals == decimals
-    assert columns(form.declared).decimals == decimals
+    assert parse_columns(form.declared).decimals == decimals
 
 
 # Declared columns, and a line of sample k with a number in thousandths.
@@ -113,7 +113,7 @@ ALIKE = {
 )
 @pytest.mark.parametrize("declared", ALIKE)
 def test_lines_read_together_are_read_as_one_by_one(damaged, declared, seed, share, numbers, cut):
-    fast, slow = (text.reader(text.columns(declared)) for _ in range(2))
+    fast, slow = (text.make_reader(text.parse_columns(declared)) for _ in range(2))
     slow._parser = OneByOne(slow._parser)
     lines = [ALIKE[declared](k, numbers[k % len(numbers)]).encode() for k in range(200)]
     data = b"".join(damaged(lines, seed, share)[0])
@@ -128,7 +128,7 @@ def test_lines_read_together_are_read_as_one_by_one(damaged, declared, seed, sha
 
 @pytest.mark.parametrize("declared", [form for form in ALIKE if form not in ("t_us,x_mm:4", "t_us,-,x_mm:3")])
 def test_sound_lines_are_read_together_and_give_their_numbers(declared, monkeypatch):
-    reader = text.reader(text.columns(declared))
+    reader = text.make_reader(text.parse_columns(declared))
     taken = []
     read = type(reader._parser).read
     monkeypatch.setattr(type(reader._parser), "read", lambda self, line: taken.append(line) or read(self, line))

@@ -451,7 +451,7 @@ def test_the_clock_of_a_source_is_compared_with_this_machines(tmp_path):
     t = np.arange(60 * RATE) / RATE
     for k in range(120):  # blocks of 0.5 s by a clock that is fast by 500 ppm, up to 3 ms late
         own = slice(k * 500, (k + 1) * 500)
-        (data,) = packing.packed(t[own], t[own])
+        (data,) = packing.pack(t[own], t[own])
         stamp = held[0]["monotonic_ns"] + round(1e9 * t[own][-1] / 1.0005) + k * 7919 % 31 * 100_000
         writer.append(journal.RECEIVED, stamp, data)
     writer.close()

@@ -22,7 +22,7 @@ RIG = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(0.22))
 
 
 def check(board, rig, rate_hz, block, baud):
-    plan = Plan(rate_hz, block, link_budget.bytes_per_s(board, rate_hz, block))
+    plan = Plan(rate_hz, block, link_budget.compute_load(board, rate_hz, block))
     return link_budget.check(board, rig, plan, baud)
 
 
@@ -106,8 +106,8 @@ def test_only_the_rig_out_of_real_time_waits_for_its_reader():
 
 
 def test_1_khz_in_blocks_fits_115200_baud_and_is_8875_bytes_a_second():
-    assert link_budget.block_size(BOARD, 1000) == 8
-    assert link_budget.bytes_per_s(BOARD, 1000, 8) == 8875
+    assert link_budget.choose_block_size(BOARD, 1000) == 8
+    assert link_budget.compute_load(BOARD, 1000, 8) == 8875
     assert check(BOARD, RIG, 1000, 8, 115_200) == []
 
 
@@ -145,8 +145,8 @@ def test_a_rate_at_which_counters_roll_over_unseen_is_refused():
 
 
 def test_slow_rates_are_sent_in_single_frames():
-    assert link_budget.block_size(BOARD, 20) == 1
-    assert link_budget.block_size(replace(BOARD, capabilities=Capability.LEVELS), 1000) == 1
+    assert link_budget.choose_block_size(BOARD, 20) == 1
+    assert link_budget.choose_block_size(replace(BOARD, capabilities=Capability.LEVELS), 1000) == 1
 
 
 def test_a_usb_serial_driver_is_asked_for_low_latency_and_may_say_no(monkeypatch):

@@ -34,7 +34,7 @@ DELTA = 0.12566 / 4096 / 4
 )
 def test_an_up_and_down_counter_unwraps_either_way(bits: int, start: int, steps: list[int]) -> None:
     true = start + np.cumsum([0, *steps])
-    np.testing.assert_array_equal(counters.moves(true % (1 << bits), bits), np.diff(true))
+    np.testing.assert_array_equal(counters.diff_signed(true % (1 << bits), bits), np.diff(true))
     found = belt_counter.unwrapped(true % (1 << bits), bits, np.array([0]))
     np.testing.assert_array_equal(found - found[0], true - true[0])
 
@@ -171,12 +171,12 @@ def test_counts_of_a_belt_nobody_calibrated_are_kept_and_give_no_speed(
 ) -> None:
     from rig_sim.board import board
 
-    known = board.calibration
+    known = board.format_calibration
 
     def unknown(*arguments: Any) -> str:
         return "".join(line for line in known(*arguments).splitlines(True) if not line.startswith("belt_metres"))
 
-    monkeypatch.setattr(board, "calibration", unknown)
+    monkeypatch.setattr(board, "format_calibration", unknown)
     path = tmp_path / "run.h5"
     found = record(RecordRequest(ports.rig_url("rig", ["belt.channel=true"], False), path, 1000, 1.0))
     run = store.load(path)

@@ -138,7 +138,7 @@ def test_the_layout_is_that_of_the_identification_before_the_samples():
     assert (len(found.n), found.unknown, len(found.belt)) == (2, 1, 2)
     found = decode.decode([(0, first + second + wide + first + plain)])
     assert (len(found.n), found.unknown, found.ident) == (2, 0, belted)  # the last frame used to be read as belted
-    assert [(first, ident.capabilities) for first, _, ident in found.sent_as()] == [
+    assert [(first, ident.capabilities) for first, _, ident in found.split_by_ident()] == [
         (0, belted.capabilities),
         (1, found.identified[2].capabilities),
     ]
@@ -182,6 +182,6 @@ def test_a_tally_counts_what_came_what_is_lost_and_what_is_illegal():
         columns = [0, *[1000] * 7], *[[0] * 8 for _ in range(3)]
         tally.feed(wire.encode_samples(wire.SampleBlock(seq, 1000 * seq, illegal, *columns, None, None)))
     assert (tally.reached, tally.received, tally.illegal) == (32, 24, 6)
-    assert tally.words(0.024) == "1000 Hz, 8 lost, 6 illegal"
+    assert tally.describe(0.024) == "1000 Hz, 8 lost, 6 illegal"
     tally.begin_again(100)  # the port was lost for 68 periods: no lost samples
-    assert tally.words(1.0).endswith("92 Hz, 8 lost, 6 illegal")
+    assert tally.describe(1.0).endswith("92 Hz, 8 lost, 6 illegal")

@@ -189,10 +189,10 @@ def test_the_mean_snap_before_landings_is_learned_from_many(imported):
     q = np.full(stick_slip.LABELS, 1e-3)
     q[stick_slip.LANDING : stick_slip.LANDING + 4] = (1e6, 1e5, 1e4, 1e3)
     levels = stick_slip.NoiseLevels(q, np.zeros_like(q), np.full(q.size, 1e-14), np.zeros(stick_slip.JUMPS), 9.5)
-    found = landing_snap.with_mean_snap(data, times, levels).mean_snap[stick_slip.LANDING : stick_slip.LANDING + 4]
+    found = landing_snap.learn_mean_snap(data, times, levels).mean_snap[stick_slip.LANDING : stick_slip.LANDING + 4]
     assert found == pytest.approx(means, rel=0.1)
-    alone = replace(times, at=times.at[:1], sd=times.sd[:1], kind=kind[:1])
-    assert landing_snap.with_mean_snap(data, alone, levels) is levels
+    alone = replace(times, time=times.time[:1], sd=times.sd[:1], kind=kind[:1])
+    assert landing_snap.learn_mean_snap(data, alone, levels) is levels
 
 
 @pytest.mark.parametrize("kernel", ["jerk", pytest.param("snap", marks=pytest.mark.slow)])

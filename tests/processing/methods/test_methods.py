@@ -148,7 +148,7 @@ def test_an_offset_of_2_to_the_60_counts_changes_nothing(method, motion, recorde
 
 def test_an_unknown_method_names_the_known_ones():
     with pytest.raises(InputError, match="method is 'spline'; known: auto, segment, rts, sg, fd"):
-        registry.check("spline")
+        registry.check_method("spline")
 
 
 def test_finite_differences_have_no_window(imported):

@@ -8,8 +8,8 @@ import pytest
 import rig_sim
 from processing.kalman.stick_slip import LAND, LEAVE, OVERTAKE, SLIP
 from processing.record.series import Series
-from processing.segmentation.model_selection import odd_spans
-from processing.segmentation.switching_times import SwitchingTimes, sticks_of
+from processing.segmentation.model_selection import find_odd_spans
+from processing.segmentation.switching_times import SwitchingTimes, group_by_stick
 from processing.smoothing import smooth
 from rig_sim.motion.play import ScenePlayer
 
@@ -50,7 +50,7 @@ def test_an_odd_stick_that_begins_behind_the_end_of_a_record_has_a_span():
     )
     times = SwitchingTimes(at, np.ones(6), kind, (SLIP,), 20.0)
     odd = np.array([False, False, True])
-    assert odd_spans(series, times, sticks_of(times), odd, few=0.5) == [(45.0, 103.0)]
+    assert find_odd_spans(series, times, group_by_stick(times), odd, few=0.5) == [(45.0, 103.0)]
 
 
 @pytest.mark.parametrize("pitch", [7.67e-6, 5e-5])

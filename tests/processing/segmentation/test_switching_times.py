@@ -5,8 +5,8 @@ import pytest
 
 from processing.kalman.stick_slip import LEAVE, MEET, SLIP, STICK
 from processing.record.series import Series
-from processing.segmentation.smoother import _shifted
-from processing.segmentation.switching_times import SwitchingTimes, stretches
+from processing.segmentation.smoother import _shift_times
+from processing.segmentation.switching_times import SwitchingTimes, split_stretches
 
 
 @pytest.mark.parametrize("shift", [-1.0, 1.0])
@@ -17,7 +17,7 @@ def test_a_corner_moved_by_its_uncertainty_stays_in_its_piece(shift):
     series = Series(time, np.zeros(200), origin=0.0, pitch=1.0, interval=1.0, pieces=pieces)
     at, kind = np.array([1.6, 98.5, 101.5]), np.array([LEAVE, MEET, LEAVE], np.uint8)
     times = SwitchingTimes(at, np.full(3, 5.0), kind, (STICK, STICK), 20.0)
-    moved = _shifted(series, times, shift)
-    assert [own.corners for own in stretches(series, moved)] == [slice(0, 2), slice(2, 3)]
+    moved = _shift_times(series, times, shift)
+    assert [own.corners for own in split_stretches(series, moved)] == [slice(0, 2), slice(2, 3)]
     assert SLIP not in moved.first
-    assert (np.diff(moved.at) > 0).all()
+    assert (np.diff(moved.time) > 0).all()

@@ -10,7 +10,7 @@ from typing import Any
 
 from daq.finalise.run import run_data
 from daq.protocols import qsb, text
-from daq.protocols.columns import columns
+from daq.protocols.columns import parse_columns
 from daq.protocols.frames import FrameTally
 from daq.protocols.lines import LineTally
 from daq.protocols.session import Tally
@@ -91,7 +91,7 @@ def damaged_text(draw: random.Random, folder: Path) -> None:
         "columns": declared,
         "rate_hz": draw.choice((1000.0, 1000.0, 1000.0, 1.0, 1e6)),
     }
-    _record(draw, folder, header, b"".join(lines), LineTally(partial(text.reader, columns(form)), 1000.0))
+    _record(draw, folder, header, b"".join(lines), LineTally(partial(text.make_reader, parse_columns(form)), 1000.0))
 
 
 def damaged_qsb(draw: random.Random, folder: Path) -> None:
@@ -104,7 +104,7 @@ def damaged_qsb(draw: random.Random, folder: Path) -> None:
         record = record % (5 * k & 0xFFFFFFFF, k) + b"\r\n"
         records.append(bytewise(draw, record, records) if damaged else record)
     header = HEADER | {"protocol": "qsb", "rate_hz": draw.choice((512.0, 1.0, 100.0))}
-    _record(draw, folder, header, b"".join(records), LineTally(qsb.reader, 1.0))
+    _record(draw, folder, header, b"".join(records), LineTally(qsb.make_reader, 1.0))
 
 
 def damaged_journal(draw: random.Random, folder: Path) -> None:

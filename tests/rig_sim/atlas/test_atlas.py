@@ -9,9 +9,9 @@ from PIL import Image
 
 from rig_sim.atlas.chapters import chapter4_motion
 from rig_sim.atlas.figure import Computed
-from rig_sim.atlas.redraw import chosen, order, redraw, table
+from rig_sim.atlas.redraw import format_table, redraw, select_figures, sort_key
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
-from rig_sim.atlas.statements import CHAPTERS, WORDS, checked, compare, drawing, figures_of
+from rig_sim.atlas.statements import CHAPTERS, WORDS, check_row, compare, compute_drawing, read_tables
 from rig_sim.cli.app import app
 from stickslip.console import application
 from stickslip.errors import InputError
@@ -26,8 +26,8 @@ def value(figure, quantity):
 
 
 def figures(first, last):
-    chapter, begin = order(first)
-    return {f"{chapter}.{place}" for place in range(begin, order(last)[1] + 1)}
+    chapter, begin = sort_key(first)
+    return {f"{chapter}.{place}" for place in range(begin, sort_key(last)[1] + 1)}
 
 
 CHAPTER_3 = figures("3.4", "3.6") | figures("3.15", "3.17") | figures("3.19", "3.22")
@@ -41,9 +41,9 @@ def test_every_figure_is_drawn_or_listed_with_a_reason():
 
 
 def test_figures_are_asked_for_by_number_or_chapter_in_the_order_of_the_thesis():
-    assert chosen(["2.10", "2.9"]) == ["2.9", "2.10"]
-    assert chosen(["2", "2.7"])[:3] == ["2.6", "2.7", "2.8"]
-    assert chosen(None) == sorted({*ENTRIES, *NOT_REDRAWN}, key=order)
+    assert select_figures(["2.10", "2.9"]) == ["2.9", "2.10"]
+    assert select_figures(["2", "2.7"])[:3] == ["2.6", "2.7", "2.8"]
+    assert select_figures(None) == sorted({*ENTRIES, *NOT_REDRAWN}, key=sort_key)
 
 
 def test_a_printed_number_agrees_within_one_unit_of_its_last_digit():
@@ -51,7 +51,7 @@ def test_a_printed_number_agrees_within_one_unit_of_its_last_digit():
     missed = compare("", "0.9475", 0.94796, "rounded")
     assert not missed.agrees
     assert missed.why == "rounded"
-    assert "they agree" not in table([compare("velocity", "0.5", 0.7)])
+    assert "they agree" not in format_table([compare("velocity", "0.5", 0.7)])
 
 
 @pytest.mark.parametrize(
@@ -65,23 +65,23 @@ def test_a_printed_multiple_of_pi_is_exact(printed, value):
 
 def test_a_statement_in_words_holds_by_its_verdict_or_by_the_same_words():
     numbers = {"period": 6.35, "longer": True, "shorter": False, "unstable": True}
-    longer = checked(["stick lengthens the period", "yes", "period {period:.3f}", "longer", "why not"], numbers)
+    longer = check_row(["stick lengthens the period", "yes", "period {period:.3f}", "longer", "why not"], numbers)
     assert (longer.computed, longer.agrees, longer.why) == ("period 6.350", True, "")
-    shorter = checked(["shortens the period", "yes", "period {period:.3f}", "shorter", "why not"], numbers)
+    shorter = check_row(["shortens the period", "yes", "period {period:.3f}", "shorter", "why not"], numbers)
     assert (shorter.agrees, shorter.why) == (False, "why not")
-    assert checked(["the fixed point is unstable", "yes", "{unstable}"], numbers).agrees
-    assert not checked(["the fixed point is unstable", "no", "{unstable}", "", "it is"], numbers).agrees
+    assert check_row(["the fixed point is unstable", "yes", "{unstable}"], numbers).agrees
+    assert not check_row(["the fixed point is unstable", "no", "{unstable}", "", "it is"], numbers).agrees
 
 
 def test_words_that_name_no_computed_number_are_refused_with_the_nearest_one():
     figure = {"says": [["largest displacement", "1.5", "x_mx"]]}
     with pytest.raises(InputError, match=r"figure 2.6 in chapter2.toml: no number 'x_mx' .*did you mean 'x_max'"):
-        drawing("figure 2.6 in chapter2.toml", figure, {}, lambda: Computed((), {"x_max": 1.5}))
+        compute_drawing("figure 2.6 in chapter2.toml", figure, {}, lambda: Computed((), {"x_max": 1.5}))
 
 
 @pytest.mark.parametrize("file", sorted(CHAPTERS.glob("*.toml")), ids=lambda file: file.stem)
 def test_every_key_row_and_text_of_a_chapter_is_used(file):
-    held = dict(figures_of(file.name))
+    held = dict(read_tables(file.name))
     words = held.pop(WORDS, {})
     assert set(held) == {number for number in ENTRIES if number.split(".")[0] in file.stem}
     for number, figure in held.items():
@@ -126,8 +126,10 @@ def test_numbers_of_one_mass_are_the_published_ones(figure, quantity, law, key):
 
 
 def test_the_fixed_point_of_two_masses_is_not_the_one_that_the_thesis_prints(monkeypatch):
-    moved = chapter4_motion.moved
-    monkeypatch.setattr(chapter4_motion, "moved", lambda changes, _: moved(changes, 5.0))  # the picture does not matter
+    moved = chapter4_motion.play_masses
+    monkeypatch.setattr(
+        chapter4_motion, "play_masses", lambda changes, _: moved(changes, 5.0)
+    )  # the picture does not matter
     reference = json.loads((REFERENCE / "dynamics.json").read_text())["chapter4"]["fixed_point_V0.1"]
     rows = [row for row in ENTRIES["4.12"].draw().table if "eigenvalue" in row.quantity]
     assert sorted(row.value for row in rows) == pytest.approx(

@@ -15,7 +15,7 @@ import pytest
 import rig_sim
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
-from rig_sim.functions.maps import with_error
+from rig_sim.functions.maps import format_with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
 from stickslip.console import application
@@ -246,7 +246,7 @@ def test_an_interrupted_run_is_one_line_and_leaves_nothing(tmp_path: Path) -> No
     ],
 )
 def test_a_value_has_the_digits_that_its_error_leaves(value, stderr, text):
-    assert with_error(value, stderr) == text
+    assert format_with_error(value, stderr) == text
 
 
 @pytest.mark.parametrize("scene", ["base", "rig"])

@@ -11,9 +11,9 @@ import pytest
 
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
-from rig_sim.comparison.error_vs_time import compare, compared_with, difference, doubted, tightest
+from rig_sim.comparison.error_vs_time import compare, describe_doubts, describe_peers, difference, find_tightest
 from rig_sim.comparison.reference import Uncovered, events
-from rig_sim.comparison.solve_ivp import SOLVERS, by_solver
+from rig_sim.comparison.solve_ivp import SOLVERS, make_ivp_solver
 from rig_sim.comparison.stepping import sample_phase
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
@@ -76,7 +76,9 @@ def test_reference_says_what_it_does_not_cover():
 
 
 def events_by(played, method, rtol, max_steps=2_000_000):
-    return play_events(played, 15.0, partial(sample_phase, by_solver(method, rtol, dense=False)), max_steps=max_steps)
+    return play_events(
+        played, 15.0, partial(sample_phase, make_ivp_solver(method, rtol, dense=False)), max_steps=max_steps
+    )
 
 
 @pytest.mark.parametrize("method", SOLVERS)
@@ -187,14 +189,14 @@ def test_a_landing_found_twice_is_doubted_in_the_list_that_holds_it():
     twice = listed(*events[:3], (4.0, "N>S"), (4.001, "S>N"), (5.001, "N>S"))
     right = {("exact", "interpreted"): listed(*events), ("dop853", "rtol 1e-12"): listed(*events)}
     lists = right | {("dop853", "rtol 2.3e-14"): twice, ("radau", "rtol 1e-09"): listed(*events)}
-    peers = {method: tightest(lists, method, 9.0) for method in ("exact", "dop853", "radau")}
+    peers = {method: find_tightest(lists, method, 9.0) for method in ("exact", "dop853", "radau")}
     assert all(lists[peer].t == right["exact", "interpreted"].t for peer in peers.values())
-    assert compared_with(peers) == ("; compared: exact with dop853 rtol 1e-12; dop853, radau with exact interpreted")
-    assert doubted(lists, 9.0) == (
+    assert describe_peers(peers) == ("; compared: exact with dop853 rtol 1e-12; dop853, radau with exact interpreted")
+    assert describe_doubts(lists, 9.0) == (
         "; dop853 rtol 2.3e-14 is no reference: other events from t = 4, which 0 of 3 others have "
         "(S>N and N>S at the same time)"
     )
-    assert doubted(right, 9.0) == ""
+    assert describe_doubts(right, 9.0) == ""
 
 
 def test_lists_of_other_lengths_part_at_the_first_event_that_is_not_in_both():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rig_sim.cli.app import app
-from rig_sim.comparison.methods import METHODS, phases_by
+from rig_sim.comparison.methods import METHODS, choose_phases
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
 from stickslip.console import application
@@ -32,7 +32,7 @@ EFFECTS: dict[str, dict[str, object]] = {
 
 def played(method: str, changes: dict[str, object], until: float = 30.0, **setting: float) -> tuple[np.ndarray, Any]:  # type: ignore[type-arg]
     found = scene("base", **changes)
-    motion = ScenePlayer(found, phases=phases_by(method, found, **setting)[0])
+    motion = ScenePlayer(found, phases=choose_phases(method, found, **setting)[0])
     motion.events = []
     path = motion.follow(np.linspace(0.0, until, 301), forces=True)
     at = path.samples
@@ -117,14 +117,14 @@ def test_the_file_is_the_same_for_all_methods_and_names_its_own(
 )
 def test_a_setting_the_method_does_not_have_is_refused(method: str, setting: dict[str, float], where: str) -> None:
     with pytest.raises(InputError) as caught:
-        phases_by(method, scene("base"), **setting)
+        choose_phases(method, scene("base"), **setting)
     assert caught.value.where == where
 
 
 @pytest.mark.parametrize("method", ["rk4-henon", "dop853"])
 def test_the_step_limit_ends_any_method_by_name(method: str) -> None:
     base = scene("base")
-    motion = ScenePlayer(base, max_steps=50, phases=phases_by(method, base)[0])
+    motion = ScenePlayer(base, max_steps=50, phases=choose_phases(method, base)[0])
     assert not motion.advance(1000.0)
     assert motion.outcome.name == "step limit"
     assert motion.steps == 50

@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from rig_sim.comparison.rk4_henon import by_steps
+from rig_sim.comparison.rk4_henon import make_rk4_solver
 from rig_sim.comparison.stepping import sample_phase
 from rig_sim.integrate.events import list_events
 from rig_sim.motion.play import play_events
@@ -17,7 +17,7 @@ def base(law, **changes):
 
 
 def rk4_events(played, until, *, step, max_steps=10_000_000):
-    return play_events(played, until, partial(sample_phase, by_steps(step)), max_steps=max_steps)
+    return play_events(played, until, partial(sample_phase, make_rk4_solver(step)), max_steps=max_steps)
 
 
 def error(played, step, t_max=20.0):

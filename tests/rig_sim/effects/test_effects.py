@@ -81,7 +81,7 @@ def test_a_loss_follows_the_cubic_over_its_samples() -> None:
 
     cog = LosingCog(SlipLoss(rate=1000.0, counts=100, samples=10), 0, DELTA)
     t = np.arange(41) / 1000
-    seen = cog.seen(Nodes(t, 2.0 * t, np.full(41, 2.0)), np.array([5]), 1e-3)
+    seen = cog.apply_losses(Nodes(t, 2.0 * t, np.full(41, 2.0)), np.array([5]), 1e-3)
     s = np.clip((t - 0.005) / 0.01, 0, 1)
     np.testing.assert_allclose(2.0 * t - seen.x, 100 * DELTA * (3 * s**2 - 2 * s**3), atol=1e-15)
     np.testing.assert_allclose(
@@ -134,7 +134,7 @@ def test_samples_in_a_gap_are_missing_and_all_others_unchanged(at_once: int) -> 
 
 def test_gaps_come_at_their_rate() -> None:
     silence = SilentStretches(Gaps(rate=2.0, duration=0.1), 3)
-    sent = silence.sent(np.arange(0.0, 1000.0, 0.01).tolist())
+    sent = silence.mark_sent(np.arange(0.0, 1000.0, 0.01).tolist())
     begun = sum(before and not after for before, after in pairwise(sent))
     assert begun == pytest.approx(1000 / 0.6, rel=0.1)
     assert 1 - np.mean(sent) == pytest.approx(0.1 / 0.6, rel=0.1)

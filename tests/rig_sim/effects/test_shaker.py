@@ -9,7 +9,7 @@ import pytest
 from rig_sim.dynamics.control.phasor import phasor
 from rig_sim.dynamics.limit_cycles.fixed_point import friction_at_rest
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.effects.shaker import controlled
+from rig_sim.effects.shaker import add_shaker
 from rig_sim.flow.flow import Flow
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.model import Scene
@@ -217,7 +217,7 @@ def test_a_mass_without_friction_is_shaken_all_the_same() -> None:
     bare = Flow(Fs=0.0, c=0.1)
     assert friction_at_rest(bare) == (0.0, 0.0)
     Omega = thesis_formula(1.0, 1.0, -0.1, 0.2, 1.0)
-    flow = controlled(bare, 0.2, 1.0)
+    flow = add_shaker(bare, 0.2, 1.0)
     assert (flow.c, flow.k, flow.x0) == pytest.approx((-2 * Omega.imag, abs(Omega) ** 2, 0.0), abs=1e-14)
 
 

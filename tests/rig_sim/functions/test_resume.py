@@ -2,7 +2,7 @@
 
 import pytest
 
-from rig_sim.functions.resume import resuming
+from rig_sim.functions.resume import open_resume_file
 from stickslip.errors import InputError
 
 HEADER = {"command": "count", "step": {"size": 0.1}}
@@ -12,14 +12,14 @@ ROWS = [{"value": 0.1 + 0.2}, {"value": 1e-300}, {"value": 5e-324}]
 @pytest.fixture
 def path(tmp_path):
     path = tmp_path / "rows.jsonl"
-    with resuming(path, HEADER) as file:
+    with open_resume_file(path, HEADER) as file:
         for row in ROWS:
             file.append(row)
     return path
 
 
 def rows_in(path):
-    with resuming(path, HEADER) as file:
+    with open_resume_file(path, HEADER) as file:
         return file.rows
 
 
@@ -29,7 +29,7 @@ def test_rows_come_back_to_the_last_bit_and_a_cut_line_is_dropped(path):
     ends = [index + 1 for index, byte in enumerate(content) if byte == ord("\n")]
     for size in range(len(content) + 1):
         path.write_bytes(content[:size])
-        with resuming(path, HEADER) as file:
+        with open_resume_file(path, HEADER) as file:
             whole = sum(end <= size for end in ends[1:])
             assert file.rows == ROWS[:whole]
             for row in ROWS[whole:]:
@@ -62,6 +62,6 @@ def test_another_file_is_refused_and_stays_as_it_is(tmp_path, content, said):
 
 
 def test_a_file_that_another_process_writes_is_refused(path):
-    with resuming(path, HEADER), pytest.raises(InputError, match="another process is writing it"):
+    with open_resume_file(path, HEADER), pytest.raises(InputError, match="another process is writing it"):
         rows_in(path)
     assert rows_in(path) == ROWS

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from rig_sim.comparison import reference
-from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.analyses.settling import find_attractors
 from rig_sim.dynamics.limit_cycles.branches import continuation
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.floquet import floquet
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import with_starts
+from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
 from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.flow.flow import Flow
-from rig_sim.friction.spline import about, piece_of, refused, spline_table
+from rig_sim.friction.spline import about, find_problem, piece_of, spline_table
 from rig_sim.integrate.events import list_events
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
@@ -186,7 +186,7 @@ def test_points_that_are_no_curve_are_refused(curve: list[list[float]] | None, s
 def test_a_curve_that_falls_to_nothing_ends_in_force_reversal() -> None:
     found = list_events(flow([[0.0, 1.0], [0.1, 0.5], [0.3, 0.1], [0.4, 0.01]]), 3.0, 0.0, 30.0)
     assert found.outcome == "force reversal"
-    assert refused([(0.0, 1.0), (1.0, 0.5)]) == ""
+    assert find_problem([(0.0, 1.0), (1.0, 0.5)]) == ""
 
 
 def test_extremes_of_a_cycle_whose_mass_turns_on_a_knot_are_seen() -> None:
@@ -210,7 +210,7 @@ def test_a_driven_curve_of_many_points_has_attractors() -> None:
     """
     points = [[s, 1.0 / (1.0 + 3.0 * s)] for s in np.linspace(0.0, 3.0, 250).tolist()]
     known, found = (
-        attractors(*with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        find_attractors(*driven_map_with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
         for friction in (
             {"friction.law": 5, "drive.omega": 0.3},
             {"friction.law": 0, "friction.curve": points, "drive.omega": 0.3},
@@ -218,5 +218,7 @@ def test_a_driven_curve_of_many_points_has_attractors() -> None:
     )
     assert [row.period for row in found] == [row.period for row in known] == [1]
     assert found[0].points == pytest.approx(known[0].points, rel=1e-4)
-    landing = LandingMap(scene("forced", **{"friction.law": 0, "friction.curve": points}).flow()).first(0.0, 0.0)
+    landing = LandingMap(scene("forced", **{"friction.law": 0, "friction.curve": points}).flow()).first_landing(
+        0.0, 0.0
+    )
     assert landing.outcome == "completed"

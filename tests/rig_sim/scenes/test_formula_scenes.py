@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.analyses.settling import find_attractors
 from rig_sim.dynamics.limit_cycles.branches import continuation
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.floquet import floquet
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import with_starts
+from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.friction.curve import LINEAR, MEASURED
@@ -121,7 +121,7 @@ def test_a_formula_is_varied_as_a_law_is() -> None:
 @pytest.mark.slow  # to compile the section for a formula takes 7 s; the events of a driven formula stand above
 def test_a_driven_formula_has_the_attractors_of_the_law() -> None:
     known, found = (
-        attractors(*with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        find_attractors(*driven_map_with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
         for friction in (
             {"friction.law": 5, "drive.omega": 0.3},
             {"friction.formula": HYPERBOLA, "drive.omega": 0.3},
@@ -189,10 +189,10 @@ def test_a_file_states_formula_and_parameters(tmp_path: Path) -> None:
     text = 'formula = "Fc + (top - Fc)*exp(-s/v_s)"\nFc = 0.5\ntop = 1\nv_s = 0.1\nd = 0.02'
     found = scene(written(tmp_path, text))
     assert found.friction is not None
-    assert found.friction.of_formula() == {"Fc": 0.5, "top": 1.0, "v_s": 0.1}
+    assert found.friction.formula_values() == {"Fc": 0.5, "top": 1.0, "v_s": 0.1}
     assert found.flow().ramp
     assert scene(Scene.model_validate(found.model_dump(exclude_unset=True))).flow() == found.flow()
-    assert scene(found, **{"friction.v_s": 0.2}).friction.of_formula()["v_s"] == 0.2
+    assert scene(found, **{"friction.v_s": 0.2}).friction.formula_values()["v_s"] == 0.2
     assert tomllib.loads(text)["formula"] == found.friction.formula
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from rig_sim.cli import app as cli
-from rig_sim.dynamics.analyses.basins import basins, merged
+from rig_sim.dynamics.analyses.basins import basins, merge_sets
 from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.map_branches import map_continuation
-from rig_sim.dynamics.analyses.periodic_points import periodic_points
-from rig_sim.dynamics.analyses.sweep import AttractorAt, numbered
-from rig_sim.dynamics.pictures.maps import PLACES, jumps
+from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
+from rig_sim.dynamics.analyses.sweep import AttractorAt, number_as_before
+from rig_sim.dynamics.pictures.maps import PLACES, find_jumps
 from rig_sim.dynamics.return_maps.section import attractors_at
 from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.flow.flow import Flow
@@ -36,15 +36,15 @@ def answer(capsys, *words):
 
 def test_the_logistic_map_has_the_periodic_points_of_the_textbook(textbook):
     r = 3.2
-    (zero, fixed) = periodic_points(textbook.Logistic(r))
+    (zero, fixed) = find_periodic_orbits(textbook.Logistic(r))
     assert (zero.points, fixed.points[0]) == ((0.0,), pytest.approx(1.0 - 1.0 / r, abs=1e-14))
     assert (zero.slope, fixed.slope) == (pytest.approx(r, abs=1e-8), pytest.approx(2.0 - r, abs=1e-8))
-    (two,) = periodic_points(textbook.Logistic(r), 2)
+    (two,) = find_periodic_orbits(textbook.Logistic(r), 2)
     root = math.sqrt((r + 1.0) * (r - 3.0))
     assert two.points == pytest.approx(((r + 1.0 - root) / (2.0 * r), (r + 1.0 + root) / (2.0 * r)), abs=1e-14)
     assert two.slope == pytest.approx(4.0 + 2.0 * r - r * r, abs=1e-8)
     assert two.stable
-    assert [orbit.period for orbit in periodic_points(textbook.Logistic(3.9), 3)] == [3, 3]
+    assert [orbit.period for orbit in find_periodic_orbits(textbook.Logistic(3.9), 3)] == [3, 3]
 
 
 def test_exponents_of_the_logistic_map(textbook):
@@ -65,7 +65,7 @@ def test_an_orbit_that_leaves_has_no_exponent(textbook):
 def test_cycles_of_cells_of_one_chaotic_attractor_are_merged(textbook):
     found = basins(textbook.Logistic(3.9), 3000)
     assert [(attractor.period, attractor.share) for attractor in found.attractors] == [(None, 1.0)]
-    assert merged([{1, 2}, {3}, {2, 4}, {4, 3}]) == [0, 0, 0, 0]
+    assert merge_sets([{1, 2}, {3}, {2, 4}, {4, 3}]) == [0, 0, 0, 0]
 
 
 def test_two_wells_share_the_interval(textbook):
@@ -120,11 +120,11 @@ def test_attractors_keep_their_numbers_although_their_basins_change():
         return AttractorAt(value, number, (centre,), 1, share, (centre, centre))
 
     first = [at(0.1, 1, 0.5, 0.7), at(0.1, 2, -0.5, 0.3)]
-    second = numbered([at(0.2, 1, -0.52, 0.6), at(0.2, 2, 0.47, 0.4)], first)
+    second = number_as_before([at(0.2, 1, -0.52, 0.6), at(0.2, 2, 0.47, 0.4)], first)
     assert [(row.attractor, row.points) for row in second] == [(1, (0.47,)), (2, (-0.52,))]
-    third = numbered([at(0.3, 1, -0.55, 1.0)], second)
+    third = number_as_before([at(0.3, 1, -0.55, 1.0)], second)
     assert [row.attractor for row in third] == [2]
-    assert [row.attractor for row in numbered([at(0.4, 1, 0.4, 0.9), at(0.4, 2, -0.6, 0.1)], third)] == [1, 2]
+    assert [row.attractor for row in number_as_before([at(0.4, 1, 0.4, 0.9), at(0.4, 2, -0.6, 0.1)], third)] == [1, 2]
 
 
 def test_the_start_may_be_an_attractor(capsys):
@@ -184,8 +184,8 @@ def test_a_drawn_map_breaks_where_it_jumps_and_not_where_it_is_steep(textbook):
     f = textbook.OnInterval(lambda x: np.sqrt(np.abs(x - 0.3)) * np.sign(x - 0.3) + 0.02 * (x > 0.7), -1.0, 1.0)
     x = np.linspace(f.lo, f.hi, PLACES)
     y = f.images(x)
-    found = jumps(f, 1, x, y)
+    found = find_jumps(f, 1, x, y)
     assert np.abs(np.diff(y))[np.searchsorted(x, 0.3) - 1] > 0.02, "the root is not steep enough to be mistaken"
     assert x[found] == pytest.approx(0.7, abs=2.0 / PLACES)
     smooth = textbook.OnInterval(lambda x: x * x, -1.0, 1.0)
-    assert jumps(smooth, 1, x, smooth.images(x)).size == 0
+    assert find_jumps(smooth, 1, x, smooth.images(x)).size == 0

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.control import dither
-from rig_sim.dynamics.control.dither import positions, quench, threshold
+from rig_sim.dynamics.control.dither import quench, sample_positions, threshold
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT
 from stickslip.console import application
@@ -44,9 +44,9 @@ def test_the_threshold_is_that_of_the_swing_of_a_mass_and_a_spring():
 def test_the_motion_under_a_very_fast_drive_is_compiled_and_the_same(monkeypatch):
     """A picture of one took a minute, interpreted."""
     flow, times = Flow(v_belt=0.085, omega=300.0, u0=10.0), np.linspace(0.0, 20.0, 301)
-    interpreted = positions(flow, 0.0, 0.0, times)
+    interpreted = sample_positions(flow, 0.0, 0.0, times)
     monkeypatch.setattr(dither, "MANY_PERIODS", 0)
-    assert (positions(flow, 0.0, 0.0, times) == interpreted).all()
+    assert (sample_positions(flow, 0.0, 0.0, times) == interpreted).all()
     assert len(interpreted) == 301
 
 
@@ -111,7 +111,7 @@ def test_positions_are_those_of_the_linear_motion_where_the_mass_slides():
     times = np.linspace(0.0, 5.0, 11)
     swing = 0.4 / (1.0 - 9.0)
     expected = 1.0 + (0.2 - 1.0 - swing) * np.cos(times) + swing * np.cos(3.0 * times)
-    assert positions(flow, 0.2, 0.0, times) == pytest.approx(expected, abs=1e-12)
+    assert sample_positions(flow, 0.2, 0.0, times) == pytest.approx(expected, abs=1e-12)
 
 
 def test_quench_draws_its_picture(capsys, tmp_path):

@@ -103,7 +103,7 @@ def test_intervals_are_those_of_every_single_phase_and_amplification(
         inside = stable(a, phi)
         assert any(low <= phi <= high for low, high in plane.stable_phases(a)) == inside
         assert any(low <= a <= high for low, high in plane.stable_amplifications(phi)) == inside
-        assert plane.stable(a, phi) == inside
+        assert plane.is_stable(a, phi) == inside
 
 
 def test_curves_have_the_growth_and_the_frequency_that_they_are_for() -> None:

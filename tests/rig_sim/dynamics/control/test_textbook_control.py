@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, orbit_multipliers, periodic_orbits
+from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, find_orbits_in_motion, orbit_multipliers
 from rig_sim.dynamics.control.locking import Locking, find_and_lock
 from rig_sim.dynamics.control.ogy import lock
 from rig_sim.dynamics.control.search_and_lock import search_and_lock
@@ -127,4 +127,4 @@ def test_the_search_of_the_thesis_finds_the_window_and_leaves_the_orbit_again(te
 
 
 def test_orbits_need_a_motion_longer_than_their_period(textbook: ModuleType) -> None:
-    assert periodic_orbits(textbook.Logistic(3.9), np.full((4, 1), 0.3), 4) == []
+    assert find_orbits_in_motion(textbook.Logistic(3.9), np.full((4, 1), 0.3), 4) == []

@@ -14,7 +14,7 @@ from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point, quadratic_roo
 from rig_sim.dynamics.limit_cycles.floquet import floquet
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
-from rig_sim.functions.arguments import ParameterRange, parameter_range
+from rig_sim.functions.arguments import ParameterRange, parse_range
 from rig_sim.integrate.events import list_events
 from stickslip.console import application
 from stickslip.errors import InputError
@@ -193,8 +193,8 @@ def test_commands_print_the_promised_keys(capsys):
 
 
 def test_ranges_are_read_and_others_refused():
-    assert parameter_range("damper.c=0.3:0.6:4") == ParameterRange("damper.c", 0.3, 0.6, 4)
-    assert parameter_range("belt.speed=0.1:-1").values()[-1] == -1.0
+    assert parse_range("damper.c=0.3:0.6:4") == ParameterRange("damper.c", 0.3, 0.6, 4)
+    assert parse_range("belt.speed=0.1:-1").values()[-1] == -1.0
     for text in ("c=0:1", "damper.c", "damper.c=1", "damper.c=1:1", "damper.c=0:nan", "damper.c=0:1:1", "damper.c=a:b"):
         with pytest.raises(InputError):
-            parameter_range(text)
+            parse_range(text)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig_sim.dynamics.limit_cycles.point_draws import interval
+from rig_sim.dynamics.limit_cycles.point_draws import estimate_interval
 
 
 @pytest.mark.parametrize("draws", [10, 40, 200])
@@ -12,7 +12,7 @@ def test_the_interval_of_few_draws_holds_as_much_as_that_of_many(draws):
     rng = np.random.default_rng(7)
     held = []
     for row in rng.standard_normal((4000, draws + 1)).tolist():
-        found = interval(row[1:])
+        found = estimate_interval(row[1:])
         held.append(found.lo <= row[0] <= found.hi)
     expected = 0.95 if draws >= 39 else (draws - 1) / (draws + 1)  # of few draws, from the least to the largest
     assert np.mean(held) == pytest.approx(expected, abs=0.012)

@@ -10,10 +10,10 @@ from scipy.integrate import solve_ivp
 
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.exponent import exponent
-from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.analyses.settling import find_attractors
 from rig_sim.dynamics.control import dither
 from rig_sim.dynamics.return_maps import driven as driven_mass
-from rig_sim.dynamics.return_maps.driven import DrivenMap, with_starts
+from rig_sim.dynamics.return_maps.driven import DrivenMap, driven_map_with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT, LINEAR
 from stickslip.console import application
@@ -210,7 +210,7 @@ def test_a_sweep_over_the_belt_draws_its_diagram(capsys, tmp_path):
     ids=str,
 )
 def test_every_motion_ends_in_a_named_outcome(flow, outcomes):
-    rows = attractors(*with_starts(flow, 0.0, 0.0, "slip", 1), 0.0)
+    rows = find_attractors(*driven_map_with_starts(flow, 0.0, 0.0, "slip", 1), 0.0)
     assert {row.outcome for row in rows} == outcomes
     assert all(bool(row.points) == (row.outcome == "completed") for row in rows)
 
@@ -220,7 +220,7 @@ def test_a_drive_far_faster_than_the_mass_ends_by_name(monkeypatch):
     monkeypatch.setattr(driven_mass, "STEPS_OF_VALUE", 200_000)
     monkeypatch.setattr(dither, "STEPS_IN_ALL", 200_000)
     fast = thesis(1e6)
-    (row,) = attractors(*with_starts(fast, 0.0, 0.0, "slip"), 0.0)
+    (row,) = find_attractors(*driven_map_with_starts(fast, 0.0, 0.0, "slip"), 0.0)
     assert (row.attractor, row.points, row.outcome) == (0, (), "step limit")
     found = dither.quench(fast, 0.0, 0.0)
     assert (found.outcome, found.quenched, found.simulated_threshold) == ("step limit", False, None)

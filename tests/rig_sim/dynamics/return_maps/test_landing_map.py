@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from rig_sim.cli.app import app
-from rig_sim.dynamics.analyses.unstable_orbits import periodic_orbits
+from rig_sim.dynamics.analyses.unstable_orbits import find_orbits_in_motion
 from rig_sim.dynamics.control.ogy import lock
 from rig_sim.dynamics.control.search_and_lock import search_and_lock
 from rig_sim.dynamics.return_maps.landing import LandingMap
@@ -61,9 +61,9 @@ def scipy_landing(omega: float, u0: float, t: float, x: float) -> tuple[float, f
 @pytest.mark.parametrize(("omega", "change"), [(1.6, 0.0), (1.1, 0.004)])
 def test_a_landing_is_that_of_scipy(omega: float, change: float) -> None:
     f = driven(omega)
-    state = f.first(0.0, 0.0).state
+    state = f.first_landing(0.0, 0.0).state
     for _ in range(4):
-        landing = f.landing(state, change)
+        landing = f.find_landing(state, change)
         t, x, x_slip = scipy_landing(omega, 0.2 + change, float(state[0]), float(state[1]))
         assert difference(f, landing.state, np.array([t, x])) == pytest.approx([0.0, 0.0], abs=3e-9)
         assert (landing.duration, landing.x_slip) == pytest.approx((t - state[0], x_slip), abs=2e-8)
@@ -75,8 +75,8 @@ def test_unstable_orbits_meet_the_reference(name: str) -> None:
     omega, period = float(name.split("_")[0]), int(name.split("_")[1])
     expected = REFERENCE["unstable_orbits"][name]
     f = driven(omega)
-    found = periodic_orbits(f, orbit(f, f.first(0.3, 0.0).state, 2000), period)[0]
-    landings = [f.landing(point) for point in found.points]
+    found = find_orbits_in_motion(f, orbit(f, f.first_landing(0.3, 0.0).state, 2000), period)[0]
+    landings = [f.find_landing(point) for point in found.points]
     x_slip = [landing.x_slip for landing in landings]
     first = int(np.argmin(np.abs(np.array(x_slip) - expected["X_A"][0])))
     assert np.roll(x_slip, -first) == pytest.approx(expected["X_A"], abs=1e-11)
@@ -103,8 +103,8 @@ def test_both_orbits_of_the_thesis_lock_within_its_budgets(
     omega: float, period: int, budget: float, enough: int
 ) -> None:
     f = driven(omega)
-    starts = [f.first(x, v).state for x, v in np.random.default_rng(3).uniform(-1, 1, (10, 2)).tolist()]
-    found = periodic_orbits(f, orbit(f, starts[0], 3000), period)[0]
+    starts = [f.first_landing(x, v).state for x, v in np.random.default_rng(3).uniform(-1, 1, (10, 2)).tolist()]
+    found = find_orbits_in_motion(f, orbit(f, starts[0], 3000), period)[0]
     held = [attempt for attempt in (lock(f, found, start, budget, 20_000) for start in starts) if attempt.locked]
     assert len(held) >= enough
     for attempt in held:
@@ -119,8 +119,8 @@ def test_both_orbits_of_the_thesis_lock_within_its_budgets(
 def test_two_phases_have_the_same_break_away() -> None:
     # Why the state is the whole landing: with the position at break-away alone these two would be one.
     f = driven(1.6)
-    states = orbit(f, f.first(0.0, 0.0).state, 3000)
-    landings = [f.landing(state) for state in states]
+    states = orbit(f, f.first_landing(0.0, 0.0).state, 3000)
+    landings = [f.find_landing(state) for state in states]
     x_slip = np.array([landing.x_slip for landing in landings])
     lower, upper = REFERENCE["X_A_range"]["value"]
     assert lower - 1e-9 <= x_slip.min() < 0.81
@@ -133,14 +133,14 @@ def test_two_phases_have_the_same_break_away() -> None:
 
 def test_a_ramp_law_and_a_backward_belt_have_landings_too() -> None:
     ramp = driven(1.1, **{"friction.law": 6, "friction.G_stick": -50.0})
-    states = orbit(ramp, ramp.first(0.1, 0.0).state, 300)
+    states = orbit(ramp, ramp.first_landing(0.1, 0.0).state, 300)
     assert len(states) == 300
-    found = periodic_orbits(ramp, states, 1)
+    found = find_orbits_in_motion(ramp, states, 1)
     assert found
     assert abs(np.max(np.abs(difference(ramp, ramp.after(found[0].points[0]), found[0].points[0])))) < 1e-10
     # mirrored, the drive is half a period later
     there, back = driven(1.6), driven(1.6, **{"belt.speed": -0.085})
-    state = there.first(0.2, 0.0).state
+    state = there.first_landing(0.2, 0.0).state
     mirrored = back.after(np.array([state[0] + 0.5 * there.period, -state[1]]))
     assert difference(back, mirrored, there.after(state) * [1, -1] + [0.5 * there.period, 0]) == pytest.approx(
         0, abs=1e-12
@@ -150,7 +150,7 @@ def test_a_ramp_law_and_a_backward_belt_have_landings_too() -> None:
 @pytest.mark.slow
 def test_the_search_of_the_thesis_needs_far_more_than_its_budget() -> None:
     f = driven(1.6)
-    start = f.first(0.0, 0.0).state
+    start = f.first_landing(0.0, 0.0).state
     assert search_and_lock(f, start, 2, 0.0235, steps=8).change is None
     found = search_and_lock(f, start, 2, 0.25, steps=50)
     assert found.change is not None
@@ -160,12 +160,12 @@ def test_the_search_of_the_thesis_needs_far_more_than_its_budget() -> None:
 
 def test_a_motion_under_control_is_sampled_to_its_landings() -> None:
     f = driven(1.6)
-    states = orbit(f, f.first(0.0, 0.0).state, 4)
+    states = orbit(f, f.first_landing(0.0, 0.0).state, 4)
     changes = np.array([0.0, 0.001, -0.002])
     states = states[:1]
     for change in changes:
         states = np.vstack([states, f.after(states[-1], float(change))])
-    t, x, v = f.sampled(states[:-1], changes, 100.0)
+    t, x, v = f.sample_motion(states[:-1], changes, 100.0)
     assert np.all(np.diff(t) >= 0)
     assert (x[0], x[-1], v[0], v[-1]) == pytest.approx((states[0, 1], states[-1, 1], 0.085, 0.085), abs=1e-9)
     assert np.max(v) < 0.085 + 1e-9

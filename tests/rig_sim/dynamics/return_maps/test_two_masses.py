@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig_sim.cli import app as cli
-from rig_sim.dynamics.analyses.periodic_points import periodic_points
+from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
 from rig_sim.dynamics.limit_cycles.fixed_point import two_mass_fixed_point
 from rig_sim.dynamics.return_maps import section
 from rig_sim.dynamics.return_maps import stick as stick_map
@@ -121,7 +121,7 @@ def test_masses_at_rest_to_the_last_bit_do_not_overflow():
 
 @pytest.mark.parametrize("case", REFERENCE["map_fixed_points"], ids=lambda case: str(case["V"]))
 def test_fixed_points_of_the_map_and_their_slopes(case):
-    orbits = periodic_points(StickMap(thesis(case["V"])))
+    orbits = find_periodic_orbits(StickMap(thesis(case["V"])))
     nearest = min(orbits, key=lambda orbit: abs(orbit.points[0] - case["d"]))
     assert nearest.points[0] == pytest.approx(case["d"], abs=case["tol_d"])
     assert nearest.slope == pytest.approx(case["slope"], abs=case["tol_slope"])
@@ -129,7 +129,7 @@ def test_fixed_points_of_the_map_and_their_slopes(case):
 
 @pytest.mark.parametrize("case", REFERENCE["map_period2"], ids=lambda case: str(case["V"]))
 def test_orbits_of_period_two(case):
-    orbits = periodic_points(StickMap(thesis(case["V"])), 2)
+    orbits = find_periodic_orbits(StickMap(thesis(case["V"])), 2)
     stable = case.get("d_stable", case.get("d"))
     assert any(orbit.stable and orbit.points == pytest.approx(stable, abs=case["tol"]) for orbit in orbits)
     if "d_unstable" in case:
@@ -187,7 +187,7 @@ def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(capsys, monkeypatch):
 @pytest.mark.parametrize("command", [["sweep", "two-mass", "--over", "belt.speed=0.1:0.2:41"], ["basins", "two-mass"]])
 def test_a_coupling_too_stiff_for_one_event_is_refused_at_once(capsys, monkeypatch, command):
     """At coupling.a = 1e9 each of 41 values took its 2e7 steps, 10 s, to say "step limit"."""
-    monkeypatch.setattr(stick_map, "events_from", lambda *_: pytest.fail("an event was followed"))
+    monkeypatch.setattr(stick_map, "apply_map", lambda *_: pytest.fail("an event was followed"))
     monkeypatch.setattr(stick_map, "compiled_events", lambda: pytest.fail("an event was followed"))
     assert application.run(cli.app, [*command, "--set", "coupling.a=1e9", "--json"]) == 2
     error = json.loads(capsys.readouterr().out)["error"]
@@ -221,7 +221,7 @@ def test_many_iterates_are_compiled_and_the_same(capsys):
 
 def test_a_map_that_is_nowhere_defined_has_no_orbit_and_says_so_soon():
     f = StickMap(thesis(c=100.0))
-    assert periodic_points(f, 2) == ()
+    assert find_periodic_orbits(f, 2) == ()
     assert f._budget.allowed - f._budget.left <= 200 * 2200  # 2000 places used to take ten times as long
 
 
