@@ -254,6 +254,15 @@ PUBLISHED = {
         _published("power", "Fs - b*(s/v_1)**p", fix={"v_1": 1.0}),
     )
 }
+ARMSTRONG = "B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994) 1083"
+SOURCES = {
+    "stribeck": "A. Tustin, J. IEE 94 (1947) 143",
+    "stribeck-viscous": "A. Tustin, J. IEE 94 (1947) 143",
+    "stribeck-gaussian": ARMSTRONG,
+    "stribeck-gaussian-viscous": ARMSTRONG,
+    "logarithmic": "J. Dieterich, J. Geophys. Res. 84 (1979) 2161",  # steady state
+    "power": "E. Rabinowicz, Proc. Phys. Soc. 71 (1958) 668",
+}
 # Which curves are limits of a published one: jump laws of the six, and other published ones.  An exponential fall, a
 # logarithm and a power include the straight line; a Gaussian fall without a viscous term does not.
 LIMITS: dict[str, tuple[int | str, ...]] = {

@@ -138,10 +138,11 @@ class Ranking(result.RankedLaws):
 
     @property
     def forms(self) -> "pd.DataFrame":
-        """Published forms fitted to the measured curve, a pandas table with one row a form, best first.
+        """The published laws as they were fitted to the record, a pandas table with one row a law, nearest first.
 
-        Columns: ``name``, ``formula``, ``source``, ``chi`` (distance from the measured curve, of its errors),
-        ``inside_band``, and of each parameter its value, "NAME stderr", "NAME lo" and "NAME hi"; levels in the unit of
+        Columns: ``name``, ``formula``, ``source``, ``chi`` (rms residual over the noise of a position),
+        ``inside_band`` (whether its curve stays inside the band of `curve`), and of each parameter its value,
+        "NAME stderr", "NAME lo" and "NAME hi"; missing where the law was not fitted; levels in the unit of
         `curve`.
 
         Raises
@@ -151,12 +152,18 @@ class Ranking(result.RankedLaws):
         """
         import pandas as pd
 
-        forms = self._measured("forms").forms
-        told = ("name", "formula", "source", "chi", "inside_band")
+        self._measured("forms")
+        forms = self.adequacy.forms
+        columns = ("name", "formula", "source", "chi", "inside_band")
+        fitted = [{name: item for name, item in form.parameters.items() if item is not None} for form in forms]
         table = pd.DataFrame(
-            [{name: getattr(form, name) for name in told} | in_columns(form.parameters) for form in forms]
+            [
+                {name: getattr(form, name) for name in columns} | in_columns(parameters)
+                for form, parameters in zip(forms, fitted, strict=True)
+            ],
+            columns=None if forms else columns,
         )
-        table.attrs["units"] = {name: item.unit for form in forms for name, item in form.parameters.items()}
+        table.attrs["units"] = {name: item.unit for parameters in fitted for name, item in parameters.items()}
         return table
 
     def bootstrap(self, n: int = 200, seed: int | None = None) -> "pd.DataFrame":

@@ -90,13 +90,8 @@ def undrawn_report() -> Iterator[None]:
 
 
 def compete_alone(patch: pytest.MonkeyPatch) -> None:
-    """Let no published formula compete that was not named, and compare one with the curve: the richest of them."""
-    from fitting.curve.forms import FORMS
-    from fitting.selection.rivals import OF_THE_SIX
-
-    patch.setattr("fitting.selection.rivals.preferred_forms", lambda forms: [])
-    shown = (*OF_THE_SIX, "stribeck-exponential-viscous")
-    patch.setattr("fitting.curve.forms.FORMS", [form for form in FORMS if form.name in shown])
+    """Let no published formula compete that was not named."""
+    patch.setattr("fitting.selection.rivals.PUBLISHED", {})
 
 
 @pytest.fixture

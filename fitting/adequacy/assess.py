@@ -1,6 +1,6 @@
 """Whether a law describes a record; the friction curve without a law; and what else acts where none does.
 
-`measure` judges the six and measures the curve; `assess` concludes, once it is known which laws are in the set.
+`measure` judges the nearest of the six and measures the curve; `assess` concludes, once all laws have competed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,10 +14,12 @@ from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_S
 from fitting.adequacy.struck import left_out
 from fitting.adequacy.visible import smallest_visible
 from fitting.competitors import ALL_LAWS
-from fitting.curve.measure import band_exit, in_newtons, measure_curve
+from fitting.curve.measure import furthest_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
-from fitting.departures.explain import Question, explain_beside_curve, explain_misfit
+from fitting.departures.base import Base
+from fitting.departures.explain import Question, explain_misfit
+from fitting.departures.fluctuation import fluctuation_share
 from fitting.departures.refit import Refit
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.fit import Fit
@@ -27,21 +29,17 @@ from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
 from stickslip.compute.arrays import Array
 
+# Share of the binned residuals' variance that repeats from slip to slip, from which a misfit is deterministic.
+# Friction that fluctuates at random leaves -0.03 to 0.02, contacts with memory 0.5 to 0.8.
+REPEATS = 0.2
+
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """The adequacy of all runs together, and of each, by the law that was judged."""
+    """The adequacy of all runs together, and of each, by the law of the first row."""
 
-    law: int | str
     together: Adequacy
     runs: tuple[Adequacy, ...]
-    beaten: bool = False
-
-    def by_others(self, laws: int) -> "Assessment":
-        """Return the assessment where a curve other than the ``laws`` of the six describes the runs better."""
-        outcome = NONE_FITTED if laws < len(ALL_LAWS) else NONE_OF_SIX
-        runs = tuple(replace(own, verdict=outcome) for own in self.runs)
-        return replace(self, together=replace(self.together, verdict=outcome), runs=runs, beaten=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,38 +54,43 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    fits: Sequence[Fit]  # of the six, best first
-    members: Sequence[int]  # their set
-    judged: Judged  # the first of it that describes the runs, else the best
+    """The nearest of the six, the friction curve without a law, and the noise."""
+
+    fits: Sequence[Fit]  # of the six
+    judged: Judged  # the nearest of them
     curve: MeasuredCurve | None  # per unit mass
     noise: Array  # (runs,) standard deviation of one position of each run, m
 
 
-def measure(
-    fits: Sequence[Fit], members: Sequence[int], motions: Sequence[MeasuredMotion], alpha: float = 0.05
-) -> Measurement:
-    """Judge the compatible laws (``members``) until one fits, and measure the friction curve without a law."""
-    judged = _first_not_rejected([fit for fit in fits if fit.law in members], motions)
+def measure(fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float = 0.05) -> Measurement:
+    """Judge the nearest of the six, and measure the friction curve with a band of confidence 1 - alpha."""
+    judged = _judged(min(fits, key=lambda fit: fit.geometric_mean_rms), motions)
     noise = np.array([own.noise_m for own in judged.slips])
-    curve = measure_curve(_first(fits, judged.fit.law), noise, alpha)
-    return Measurement(fits, members, judged, curve, noise)
+    return Measurement(fits, judged, measure_curve(_first(fits, judged.fit.law), noise, alpha), noise)
 
 
 def assess(
     measured: Measurement,
-    members: Sequence[FittedLaw],
+    ranked: Sequence[FittedLaw],
+    chosen: Judged,
     motions: Sequence[MeasuredMotion],
     laws: int,
     revolution: float | None = None,
+    *,
+    explain: bool = True,
 ) -> Assessment:
-    """Assess the compatible laws until one is not rejected, and test departures where all are.
+    """Return whether the law of the first row describes the runs, and what else acts where it does not.
 
-    ``revolution`` is the travel per revolution of the encoder, m; None scans for it. Each run of several gets only a
-    goodness of fit and a smallest detectable deviation.
+    ranked: All laws, in the order of the rows.
+    chosen: The first of them.
+    motions: Of each run.
+    laws: How many of the six were asked for.
+    revolution: Travel per revolution of the encoder, m; scanned where it is not known.
+    explain: Whether to look for what else acts; else it is known why no law describes the runs.
+    Returns: Of a single run of several, goodness of fit and the smallest visible departure alone: curve and departures
+        are those of all together.
     """
-    of_six, curve, noise, fits = measured.judged, measured.curve, measured.noise, measured.fits
-    chosen = _first_not_rejected(members, motions, {of_six.fit.law: of_six})
-    rejected = chosen.together.rejected
+    curve, rejected = measured.curve, chosen.together.rejected
     curve_goodness = None
     if curve is not None and (rejected or curve.chi > noise_levels.CLEARLY_ABOVE):
         curve_goodness = _judge_curve(curve, motions)
@@ -100,9 +103,15 @@ def assess(
     else:
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FoundDeparture, ...] = ()
-    if curve is not None and rejected:
-        law = chosen.fit.law if isinstance(chosen.fit, Fit) else of_six.fit.law
-        departures = _departures(_first(fits, law), curve, motions, noise, revolution, of_speed=of_speed)
+    if curve is not None and rejected and explain:
+        nearest = [fit for fit in ranked if isinstance(fit, Fit)] or list(measured.fits)
+        departures = _departures(nearest, curve, motions, measured.noise, revolution)
+    fluctuation = None
+    if rejected and explain and not departures and chosen.together.repeat < REPEATS and chosen.linearised is not None:
+        path = chosen.fit.path()
+        if path is not None:
+            base = Base.of(chosen.linearised, path, motions, revolution)
+            fluctuation = fluctuation_share(base, float(np.max(measured.noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -110,6 +119,7 @@ def assess(
         chosen.together,
         min((size for size in visible if size is not None), default=None),
         departures=departures,
+        fluctuation=fluctuation,
     )
     if curve is not None:
         mass = known_mass(motions[0], curve)
@@ -117,21 +127,34 @@ def assess(
             together,
             curve=_reported(curve, mass, trusted=of_speed),
             curve_goodness=curve_goodness,
-            outside_band={fit.law: band_exit(curve, fit) for fit in fits},
+            outside_band={fit.law: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
             unit="N/kg" if mass is None else "N",
         )
     if len(motions) == 1:
-        return Assessment(chosen.fit.law, together, (together,))
+        return Assessment(together, (together,))
     each = [
         Adequacy(outcome if own.rejected else ADEQUATE if own.judged else None, own.noise_m, own, size)
         for own, size in zip(chosen.each, visible, strict=True)
     ]
-    return Assessment(chosen.fit.law, together, tuple(each))
+    return Assessment(together, tuple(each))
 
 
-def describes_all(fits: Sequence[FittedLaw], motions: Sequence[MeasuredMotion]) -> frozenset[int | str]:
-    """Return which formulas fit to within the noise; one that cannot be judged counts."""
-    return frozenset(fit.law for fit in fits if not _judged(fit, motions).together.rejected)
+def describing(
+    fits: Sequence[FittedLaw],
+    motions: Sequence[MeasuredMotion],
+    noise: float,
+    known: Mapping[int | str, Judged] | None = None,
+) -> dict[int | str, Judged]:
+    """Return the goodness of fit of the laws that may describe the runs, and of the nearest one.
+
+    Those that err `noise_levels.LOST` times the ``noise`` (m) do not.
+    """
+    nearest = min(fits, key=lambda fit: fit.geometric_mean_rms)
+    return {
+        fit.law: (known or {}).get(fit.law) or _judged(fit, motions)
+        for fit in fits
+        if fit is nearest or fit.geometric_mean_rms < noise_levels.LOST * noise
+    }
 
 
 def _first(fits: Sequence[Fit], law: int | str) -> list[Fit]:
@@ -145,8 +168,8 @@ def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float |
 
 
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
-    """Return whether a law fits to within the noise; one that cannot be judged counts."""
-    return not _first_not_rejected(fits, motions).together.rejected
+    """Return whether one of the laws leaves no more than noise, as far as that can be judged."""
+    return any(not _judged(fit, motions).together.rejected for fit in fits)
 
 
 def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
@@ -160,22 +183,6 @@ def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> Mea
     """Return the curve in newtons where the mass is known; k/m without its interval where it is not trusted."""
     curve = replace(curve, k_over_m=replace(curve.k_over_m, trusted=trusted))
     return curve if mass is None else in_newtons(curve, mass)
-
-
-def _first_not_rejected(
-    members: Sequence[FittedLaw],
-    motions: Sequence[MeasuredMotion],
-    known: Mapping[int | str, Judged] | None = None,
-) -> Judged:
-    first = None
-    for fit in members:
-        found = (known or {}).get(fit.law) or _judged(fit, motions)
-        if not found.together.rejected:
-            return found
-        first = first or found
-    if first is None:
-        raise ValueError("no law to assess")
-    return first
 
 
 def _judged(fit: FittedLaw, motions: Sequence[MeasuredMotion]) -> Judged:
@@ -221,17 +228,12 @@ def _departures(
     motions: Sequence[MeasuredMotion],
     noise: Array,
     revolution: float | None,
-    *,
-    of_speed: bool,
 ) -> tuple[FoundDeparture, ...]:
-    """Return the departures that explain the misfit of law and curve, or of the law alone if the curve hides them."""
-    if of_speed and any(form.inside_band for form in curve.forms):
-        return ()
+    """Return the departures with which a law describes the runs; ``fits``, best first."""
 
     def describes(refit: Refit) -> bool:
         fit = next(fit for fit in fits if fit.law == refit.law)
         _, slips = _judged_without_faults(refit.linear, lambda: refit.path, fit, refit.path.windows, motions)
         return not goodness_of_fit(slips)[0].rejected
 
-    asked = Question.of(fits, motions, float(np.max(noise)), revolution)
-    return explain_beside_curve(asked, describes) if of_speed else explain_misfit(asked, curve, describes)
+    return explain_misfit(Question.of(fits, motions, float(np.max(noise)), revolution), curve, describes)

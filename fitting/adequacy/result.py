@@ -1,11 +1,11 @@
 """The assessment of a record: whether a law describes it, and what else is known if none does."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from fitting.adequacy.goodness import GoodnessOfFit
-from fitting.curve.result import BandExit, MeasuredCurve
+from fitting.curve.result import BandExit, FormFit, MeasuredCurve
 from fitting.departures.result import FoundDeparture
 
 ADEQUATE = "adequate"
@@ -30,9 +30,12 @@ class Adequacy:
     # of the curve, where it was judged: no law is adequate, or it leaves far more than the noise
     curve_goodness: GoodnessOfFit | None = None
     # where each law leaves the curve's band the furthest
-    outside_band: Mapping[int, BandExit] = field(default_factory=dict)
+    outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)
     unit: str = "N/kg"  # of the curve's friction
-    departures: tuple[FoundDeparture, ...] = ()  # what would explain the misfit, strongest first
+    departures: tuple[FoundDeparture, ...] = ()  # those with which a law describes the record, strongest first
+    forms: tuple[FormFit, ...] = ()  # the published laws as fitted to the record, nearest first
+    # standard deviation of random friction within slips, over Fs, where that is what no law describes
+    fluctuation: float | None = None
 
     @property
     def said(self) -> str:
@@ -63,11 +66,12 @@ class Adequacy:
             "p_value": found and found.p_value,
             "smallest_visible": self.smallest_visible,
             "departures": [departure.as_json() for departure in self.departures],
-            "curve": None if self.curve is None else curve_as_json(self.curve, self.unit),
+            "curve": None if self.curve is None else curve_as_json(self.curve, self.unit, self.forms),
         }
 
 
-def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
+def curve_as_json(curve: MeasuredCurve, unit: str, forms: Sequence[FormFit]) -> dict[str, Any]:
+    """Return the document's form of a measured curve, with the published laws."""
     k_over_m = curve.k_over_m.as_json()
     del k_over_m["unit"]
     return {
@@ -83,10 +87,10 @@ def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
                 "name": form.name,
                 "formula": form.formula,
                 "source": form.source,
-                "parameters": {name: item.as_json() for name, item in form.parameters.items()},
+                "parameters": {name: item and item.as_json() for name, item in form.parameters.items()},
                 "chi": form.chi,
                 "inside_band": form.inside_band,
             }
-            for form in curve.forms
+            for form in forms
         ],
     }

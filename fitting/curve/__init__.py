@@ -1,1 +1,1 @@
-"""The measured friction curve: a spline fitted to the trajectories, its band, and published forms fitted to it."""
+"""The measured friction curve: a spline fitted to the trajectories, its band."""

@@ -12,20 +12,24 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
+from fitting import noise_levels
 from fitting.curve.level import rest_prior
-from fitting.curve.metric import MeasuredTarget, friction_target, measured_target
+from fitting.curve.metric import GRID_SPEEDS, MeasuredTarget, friction_target, measured_target
 from fitting.curve.spline_fit import SplineFit
-from fitting.driver.driver import best_end, start_beside
+from fitting.driver.driver import CONTAINED_ERROR, FAR_BEYOND_BEST, best_end, start_beside
 from fitting.driver.fit import TaskFit
 from fitting.driver.formula import SPLINE_REACH, FormulaCurve
+from fitting.driver.noise import PassNoise
 from fitting.driver.passes import finish
-from fitting.driver.task import OF_THE_LAW, Task
+from fitting.driver.start_search import Target, find_starts
+from fitting.driver.task import KNOT_POWER, OF_THE_LAW, FitStart, Task
 from fitting.estimation.covariance import covariances
 from fitting.estimation.fitted_law import FittedLaw
-from fitting.law import Law
+from fitting.law import LIMITS, Law
 from fitting.model.parameters import NUISANCE, PER_RUN, Global
 from fitting.model.problem import EstimationProblem
 from fitting.undetermined import Undetermined
@@ -109,16 +113,24 @@ def fit_formula(
     law: Law,
     host: SplineFit,
     *,
+    others: Sequence[FittedLaw] = (),
+    target: MeasuredTarget | None = None,
     asked_for: Law | None = None,
     number: int | None = None,
     together: Sequence[Undetermined] = (),
 ) -> FormulaFit | None:
     """Fit a law with a jump or its own ramp to the measured curve's runs; None where its motion cannot be followed.
 
-    Raises InputError where none of the values tried makes the formula a friction curve.
+    law: With a jump or a ramp of its own.
+    host: The measured curve.
+    others: Other laws fitted to the runs: where the law errs more than constant friction, or than another one that it
+        contains, it starts again where the best of them ended.
+    target: The measured curve in the metric of the record, where it is known already.
+    asked_for, number, together: See `FormulaFit`.
+    Raises InputError: with none of the values tried is the formula a friction curve.
     """
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
-    curve, measured, within_errors = _started(law, host, fastest)
+    curve, measured, within_errors = _started(law, host, fastest, target)
     level_held = host.rest is not None and _has_constant(curve)
     problem = _problem(law, host, rest_free=host.rest is not None and not level_held)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
@@ -130,21 +142,58 @@ def fit_formula(
             friction = curve.at_speeds(theta, measured.alone.speeds)
             rise = measured.alone.constant_beside(friction, measured.level_sd) / host.u[Global.K]
             shared = beside.q[: len(task.places)] + [rise * _is_free_rest(problem, place) for place in task.places]
-            begin = beside._replace(q=np.concatenate([shared, theta]))
-            starts += [(begin, host.at.noise.without_fade), (begin, None)]
-    settled = best_end(task, starts, host.noise)
-    found = None if settled is None else finish(settled, host.noise) or settled
+            starts.append(beside._replace(q=np.concatenate([shared, theta])))
+    settled = best_end(task, [(start, host.at.noise.without_fade) for start in starts], host.noise)
+    best = min(others, key=lambda one: one.geometric_mean_rms, default=None)
+    inner = min((one.geometric_mean_rms for one in others if one.law in contained(law)), default=math.inf)
+    least = math.inf if best is None else best.geometric_mean_rms
+    again: list[tuple[FitStart, PassNoise | None]] = []
+    if settled is None or settled.geometric_mean_rms < noise_levels.LOST * least:
+        again += [(start, None) for start in starts]
+    if best is not None and (settled is None or settled.geometric_mean_rms > CONTAINED_ERROR * inner):
+        again += [(start, best.at.noise.without_fade) for start in _at_end_of(task, best.at)]
+    if again and not (settled and settled.geometric_mean_rms < noise_levels.DESCRIBES * float(np.max(host.noise))):
+        ends = (settled, best_end(task, again, host.noise))
+        settled = min((end for end in ends if end), key=attrgetter("geometric_mean_rms"), default=None)
+    found = settled
+    if settled is not None and settled.geometric_mean_rms < FAR_BEYOND_BEST * least:
+        found = finish(settled, host.noise) or settled
     if found is None or found.path is None:
         return None
     return _read(found, law if asked_for is None else asked_for, number, tuple(together), level_held=level_held)
 
 
-def _started(law: Law, host: SplineFit, fastest: float) -> tuple[FormulaCurve, MeasuredTarget, float]:
-    """Return the formula, its starts' target, and the misfit of one that is off by the curve's errors.
+def contained(law: Law) -> tuple[int | str, ...]:
+    """Return the fitted laws that may err no less than this one: constant friction, and those that it contains."""
+    return (1, *(LIMITS.get(law.name, ())))
+
+
+def _at_end_of(task: Task, neighbour: TaskFit) -> list[FitStart]:
+    """Return where a formula starts from another law's end: nearest to its friction, at the rest that is assumed."""
+    curve, knots = task.curve, np.linspace(0.0, 1.0, GRID_SPEEDS)
+    if not isinstance(curve, FormulaCurve):
+        raise TypeError("not the task of a formula")
+    beside = start_beside(task, neighbour)
+    speeds = curve.fastest / SPLINE_REACH * knots**KNOT_POWER
+    u = task.split(beside.q)[0]
+    raised = float(u[Global.K] * (neighbour.u[Global.DATUM] - u[Global.DATUM]))
+    friction = neighbour.task.friction(neighbour.q, speeds) + raised
+    try:
+        nearest = find_starts(curve.law, Target.of(speeds, friction, float(np.median(np.abs(friction)))), curve.fastest)
+    except InputError:
+        return []
+    shared = beside.q[: len(task.places)]
+    return [beside._replace(q=np.concatenate([shared, curve.theta(start.values)])) for start in nearest]
+
+
+def _started(
+    law: Law, host: SplineFit, fastest: float, target: MeasuredTarget | None
+) -> tuple[FormulaCurve, MeasuredTarget, float]:
+    """Return the formula with its starts, what these are near, and the misfit of one that is off by the curve's errors.
 
     A formula that is far off starts where friction itself is nearest, unless it is no friction there.
     """
-    measured, curve = measured_target(host, host.linearised()), None
+    measured, curve = target or measured_target(host, host.linearised()), None
     within_errors = float(measured.alone.aim.size)
     try:
         curve = FormulaCurve(law, fastest, measured.near)

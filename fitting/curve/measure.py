@@ -8,21 +8,18 @@ import numpy as np
 
 from fitting import noise_levels
 from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
-from fitting.curve.forms import fit_forms
-from fitting.curve.result import BandExit, FormFit, MeasuredCurve
+from fitting.curve.result import BandExit, MeasuredCurve
 from fitting.curve.spline_fit import SplineFit, fit_spline
 from fitting.distributions import normal_quantile, student_quantile
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import Global
-from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 
 # Error over that of the nearest jump law: a ramp law contains its jump law and is always a little nearer, by 1 % at
 # most where there is no ramp.
 RAMP_NEARER = 0.97
-NEWTON = {"m s^-2": "N", "s^-1": "N s/m", "m^-1": "N s^2/m^2", "s m^-2": "N s^3/m^3"}  # units per unit mass, with it
 
 
 def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> MeasuredCurve | None:
@@ -80,21 +77,11 @@ def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
         k_over_m=Parameter(K, error, K - quantile * error, K + quantile * error, "s^-2"),
         chi=fit.chi,
         ramp=ramp,
-        forms=fit_forms(fit, linear, speeds),
         spline_fit=fit,
         linear=linear,
         confidence=1 - alpha,
         cpu_s=clock.process_time() - begun,
     )
-
-
-def band_exit(curve: MeasuredCurve, fit: Fit) -> BandExit:
-    """Return where a law's fitted curve leaves the measured band, per unit mass, the furthest."""
-    p = fit.values
-    friction = np.asarray(  # of a mass slower than the belt: along x
-        force(LAWS[fit.law], -curve.speed, Fs=p.F, G_slip=p.shape * p.F, gamma=p.shape, d=p.d, static=p.static)
-    )
-    return furthest_exit(curve, friction)
 
 
 def furthest_exit(curve: MeasuredCurve, friction: Array) -> BandExit:
@@ -108,18 +95,5 @@ def furthest_exit(curve: MeasuredCurve, friction: Array) -> BandExit:
 
 
 def in_newtons(curve: MeasuredCurve, mass: float) -> MeasuredCurve:
-    """Return the curve and its forms as a force (N) on a mass (kg); k/m stays."""
-    forms = tuple(_form_in_newtons(form, mass) for form in curve.forms)
-    changes = {name: mass * getattr(curve, name) for name in ("friction", "lo", "hi", "shape_half")}
-    return replace(curve, forms=forms, **changes)
-
-
-def _form_in_newtons(form: FormFit, mass: float) -> FormFit:
-    def forced(p: Parameter) -> Parameter:
-        if p.unit not in NEWTON:
-            return p
-        return Parameter(mass * p.value, mass * p.stderr, mass * p.lo, mass * p.hi, NEWTON[p.unit])
-
-    parameters = {name: forced(p) for name, p in form.parameters.items()}
-    fall = None if form.fall is None else forced(form.fall)
-    return replace(form, parameters=parameters, fall=fall, values=mass * form.values)
+    """Return the curve as a force (N) on a mass (kg); k/m stays."""
+    return replace(curve, **{name: mass * getattr(curve, name) for name in ("friction", "lo", "hi", "shape_half")})

@@ -9,32 +9,21 @@ from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import STATED_ERROR, Parameter
 from stickslip.compute.arrays import Array
 
-LEVELS = ("Fs", "Fc")
-
 
 @dataclass(frozen=True, eq=False)
 class FormFit:
+    """A published law as it was fitted to the record.
+
+    ``parameters`` are None where it was not fitted; ``chi`` is the rms residual over the noise of a position, and
+    ``inside_band`` is whether its curve stays inside the band of the measured one.
+    """
+
     name: str
     formula: str
     source: str
-    parameters: dict[str, Parameter]  # with intervals of the curve's confidence; per unit mass
-    fall: Parameter | None  # fs - Fc of a form that has both: determined even where the level of friction is not
-    misfit: float  # chi square: distance from the measured curve in the metric of the record, all else fitted again
-    chi: float  # square root of ``misfit`` over its degrees of freedom
-    bic: float  # ``misfit`` with what the parameters cost; the first form of a table has the lowest
-    inside_band: bool  # whether the misfit is within what noise makes in 95 % of records
-    values: Array  # (k,) the form at the curve's speeds, m/s^2
-
-    @property
-    def determined(self) -> dict[str, Parameter]:
-        """The parameters; Fs - Fc replaces a level Fs or Fc that the record hardly determines."""
-        unknown = [name for name in LEVELS if name in self.parameters and not _known(self.parameters[name])]
-        found = {name: item for name, item in self.parameters.items() if name not in unknown}
-        return found if self.fall is None or not unknown else {"Fs - Fc": self.fall} | found
-
-
-def _known(level: Parameter) -> bool:
-    return level.stderr < STATED_ERROR * abs(level.value)
+    parameters: dict[str, Parameter | None]
+    chi: float | None
+    inside_band: bool
 
 
 @dataclass(frozen=True)
@@ -64,7 +53,6 @@ class MeasuredCurve:
     # weighted rms residual over the noise: well above 1, friction is no function of relative speed on a constant spring
     chi: float
     ramp: float  # Half-width of the ramp that slip begins beyond, m/s; 0 for a jump
-    forms: tuple[FormFit, ...] = field(repr=False)  # best first
     spline_fit: SplineFit = field(repr=False)
     # about the solution; the coordinates of the curve's coefficients are the last unknowns
     linear: LinearisedFit = field(repr=False)

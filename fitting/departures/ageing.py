@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from fitting.data.cycles import CycleSegmentation
-from fitting.departures.result import FoundDeparture
 from fitting.estimation.result import BreakAway
+from processing.record.finding import Finding
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
@@ -26,27 +26,35 @@ ERRORS_SHOWN = 5.0  # standard errors by which an excess, or a growth, is shown
 # high level also makes the stick before it longer.
 
 
-def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation, level_error: float = 0.0) -> FoundDeparture | None:
-    """Return the excess of the break-away level over that of slip; None where it is insignificant or rarely seen.
+def find_other_break_away(
+    events: Sequence[BreakAway], cut: CycleSegmentation, rest: Measured, unit: str
+) -> list[Finding]:
+    """Return that the break-aways disagree with the law's friction at rest; none where they agree, or too few show it.
 
-    ``level_error`` is the error of the break-away force over Fs that all cycles share.
+    events: Of a law that describes the record.
+    rest: Friction at rest, with the error that all cycles share: of rest position and Fs
+        (`fitting.estimation.derived.break_away_level_error`).
     """
     landing = {cycle.number + 1: cycle.landing for cycle in cut.cycles}
     good = [event for event in events if not event.flag and math.isfinite(event.break_away_level)]
     if len(good) < FEWEST_BREAK_AWAYS:
-        return None
+        return []
     ratio = np.array([event.break_away_level / event.kinetic_scale for event in good])
     mean = float(ratio.mean())
-    error = math.hypot(float(ratio.std(ddof=1)) / math.sqrt(ratio.size), level_error)
+    error = math.hypot(float(ratio.std(ddof=1)) / math.sqrt(ratio.size), rest.sd / rest.value)
     known = math.hypot(error, LEAST_EXCESS / ERRORS_SHOWN)
-    if mean - 1 < ERRORS_SHOWN * known:
-        return None
+    if abs(mean - 1) < ERRORS_SHOWN * known:
+        return []
+    measured = mean * rest.value
+    text = (
+        f"break-away: friction at the measured break-aways is {measured:.4g} +- {error * rest.value:.2g} {unit}, that "
+        f"of the law at rest {rest.value:.4g} {unit}"
+    )
     stick = np.array([event.t - landing.get(event.number, math.nan) for event in good])
     growth = _growth(stick, ratio)
-    text = "a break-away level above the level of slip"
     if growth is not None and growth.value > ERRORS_SHOWN * growth.sd:
-        text += f", which grows by about {100 * growth.value:.2g} % for every e-fold of the time at rest"
-    return FoundDeparture("ageing", (mean - 1) / known, "break-away level / Fs", mean, error, "", text)
+        text += f"; it grows by about {100 * growth.value:.2g} % for every e-fold of the time at rest"
+    return [Finding("break-away", text, measured, rest.value, abs(mean - 1) / known)]
 
 
 def _growth(stick: Array, ratio: Array) -> Measured | None:

@@ -21,16 +21,15 @@ class FoundDeparture:
     # standard deviations of a normal variable that is as unlikely, the number of departures and scales that were tried
     # taken into account
     sigmas: float
-    parameter: str  # symbol of its size; "" for one without a parameter
-    value: float  # NaN without a parameter
+    parameter: str  # symbol of its size
+    value: float
     stderr: float
     unit: str
     text: str  # what it says of the rig
     scale: Scale | None = None
     gain: float = 0.0  # by how much the cost falls with it
-    # share of the misfit beyond the noise that it explains: in the fit with it, else in one linear step
-    explained: float = 0.0
-    refitted: bool = False  # whether value and stderr come from a fit with it; else from one linear step
+    explained: float = 0.0  # share of the misfit beyond the noise that it explains
+    refitted: bool = False  # whether value and stderr come from a fit with it
     law: int | None = None  # the law that describes the record together with it, where one does
 
     @property
@@ -38,14 +37,13 @@ class FoundDeparture:
         return Measured(self.value, self.stderr)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form; a number that does not exist is None."""
-        known = bool(self.parameter)
+        """Return the document's form."""
         row: dict[str, Any] = {
             "name": self.name,
             "sigmas": self.sigmas,
-            "parameter": self.parameter or None,
-            "value": self.value if known else None,
-            "stderr": self.stderr if known else None,
+            "parameter": self.parameter,
+            "value": self.value,
+            "stderr": self.stderr,
             "unit": self.unit,
             "text": self.text,
             "explained": self.explained,

@@ -1,16 +1,14 @@
 """Starting values of a formula: its projection on another friction, such as the measured curve.
 
-The parameters in which the formula is linear follow from least squares for trials of the others.  One that bends the
-curve is scanned; more are tried in combination.  For a fit the best of these are improved within the bounds, and
-several valleys count, since the motion decides between them.  For the curve alone the nearest minimum counts. The user
-need not give anything.
+The parameters in which the formula is linear follow from least squares beside trials of the others.  Where one other
+bends the curve, it is scanned; more are tried in combination.  For a fit the best of these are improved within the
+bounds, and several valleys count: motion tells more than a curve.  Nothing is needed from the user.
 """
 
 import math
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from itertools import product
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -108,14 +106,6 @@ class StartSearch:
             what = f"law {self.law.name} is no friction curve with any of the values tried: {why.what}"
             raise InputError(what, why.where, why.do)
         return self._valleys(sorted(improved, key=_order))
-
-    def nearest(self) -> Start:
-        """Return the nearest minimum, even with negative friction.
-
-        At most one parameter bends the curve, with bounds above 0, and only that has bounds: it is scanned, and the
-        others follow by least squares.
-        """
-        return min(self._tried(), key=attrgetter("misfit"))
 
     @cached_property
     def bends(self) -> dict[str, bool]:

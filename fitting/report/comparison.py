@@ -37,13 +37,12 @@ class ComparedRun:
 
     @property
     def law(self) -> int | str | None:
-        """The best requested law; None where no law came near, or the fit failed."""
+        """The law of the first row; None where no law came near, or the fit failed."""
         return None if self._best is None else self._best["law"]
 
     @property
     def _best(self) -> Mapping[str, Any] | None:
-        asked = [row for row in self.document.get("ranking", ()) if row.get("asked", True)]
-        return next((row for row in asked if isinstance(row["law"], int) and row["in_set"]), next(iter(asked), None))
+        return next(iter(self.document.get("ranking", ())), None)
 
     @property
     def members(self) -> tuple[int | str, ...]:

@@ -238,21 +238,23 @@ def smallest_departure(adequacy: Adequacy) -> str:
 
 
 def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
-    if adequacy.curve is None or not adequacy.of_speed:
+    """Return the published laws as they were fitted, nearest first; none where no curve was measured."""
+    if adequacy.curve is None:
         return []
     return [
         (
             form.name,
             symbols.pretty(form.formula),
             ", ".join(
-                f"{name} = {item.value:.4g} ± {item.stderr:.2g} {symbols.pretty(item.unit)}"
-                for name, item in form.determined.items()
+                f"{name} = {item.value:.4g} {symbols.pretty(item.unit)}"
+                for name, item in form.parameters.items()
+                if item is not None
             ),
-            f"{form.chi:.2f}",
+            "not fitted" if form.chi is None else f"{form.chi:.2f}",
             "yes" if form.inside_band else "no",
             form.source,
         )
-        for form in adequacy.curve.forms
+        for form in adequacy.forms
     ]
 
 
@@ -303,20 +305,29 @@ def _shade(value: float) -> str:
 def _row(row: LawResult, colours: Mapping[int | str, str]) -> dict[str, Any]:
     from markupsafe import Markup
 
-    mean, error = row.behind
+    behind, weight = format_evidence(row)
     return {
         "law": row.law,
         "name": row.name if row.formula is None else Markup(mathml.typeset(row.formula)),
         "asked": row.asked,
         "in_set": row.in_set,
         "rms": symbols.pretty(format_length(row.rms_m)),
-        "score": f"{row.score:.1f}",
-        "weight": f"{row.weight:.2f}" if row.weight >= 0.005 else "< 0.01",
-        "behind": "best" if row.score == 0 else f"{mean:.2f} ± {error:.2f}",
+        "misfit": f"{row.misfit:.3g}",
+        "score": "–" if row.score is None else f"{row.score:.1f}",
+        "weight": weight,
+        "behind": behind,
         "orbit": f"{100 * row.orbit:.2g} %",
         "cpu": f"{row.cpu_s:.2f} s",
         "colour": colours[row.law],
     }
+
+
+def format_evidence(row: LawResult) -> tuple[str, str]:
+    """Return how far a law is behind the best one in mean log error, and its weight; dashes without an evidence."""
+    if row.score is None or row.weight is None or row.behind is None:
+        return "–", "–"
+    behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
+    return behind, f"{row.weight:.2f}" if row.weight >= 0.005 else "< 0.01"
 
 
 def _event(event: Any) -> tuple[str, str, str, str, str]:

@@ -4,6 +4,7 @@ In a run file the raw data stay unchanged.  In the file of a joint fit (`daq.run
 between the runs appear once for each: cycles_run1 ..., parameters_run1 ...; runs has the results of each.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -88,8 +89,8 @@ def _table(path: str, of: str, *columns: Field) -> tree.Tree:
     return (
         tree.table(path, columns[0].name, "score", title, optional=True),
         columns[0],
-        Field(f"{path}/score", "f8[l]", "", "log error above the best law's, penalised", f"{of}.score"),
-        Field(f"{path}/weight", "f8[l]", "", "weight of evidence", f"{of}.weight"),
+        Field(f"{path}/score", "f8[l]", "", "log error above the best law's, penalised", value=_evidence(of, "score")),
+        Field(f"{path}/weight", "f8[l]", "", "weight of evidence", value=_evidence(of, "weight")),
         Field(f"{path}/in_set", "u1[l]", "", "1 in the confidence set", f"{of}.in_set"),
         Field(f"{path}/rms", "f8[l]", "m", "of the residuals", f"{of}.rms_m"),
         Field(f"{path}/cycles", "u4[l]", "", "cycles fitted", f"{of}.cycles"),
@@ -100,6 +101,16 @@ def _table(path: str, of: str, *columns: Field) -> tree.Tree:
 
 def _names(of: str) -> Callable[[_Stage], list[str] | None]:
     return lambda stage: [_shown_name(row) for row in attrgetter(of)(stage)] or None
+
+
+def _evidence(of: str, name: str) -> Callable[[_Stage], list[float] | None]:
+    """Return how a column of the evidence is read; NaN where no law describes the record."""
+
+    def column(stage: _Stage) -> list[float] | None:
+        items = [getattr(row, name) for row in attrgetter(of)(stage)]
+        return [math.nan if item is None else item for item in items] or None
+
+    return column
 
 
 def _cycles(path: str) -> tree.Tree:
@@ -159,7 +170,7 @@ ABOUT: tree.Tree = (
     Field("fit/parameters/begin", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[0]),
     Field("fit/parameters/end", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[1]),
     Field("fit/parameters/warnings", "text[i]", "", "in words", "ranking.warnings", optional=True),
-    Field("fit/parameters/not_fitted", "text[i]", "", "laws without a fit, and why", value=_unfitted, optional=True),
+    Field("fit/parameters/not_fitted", "text[u]", "", "laws without a fit, and why", value=_unfitted, optional=True),
     Field("fit/parameters/sha256_smooth", "text", "", "of the smoothed velocity", "smoothed", optional=True),
 )
 RANKING = _table(

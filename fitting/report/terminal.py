@@ -15,7 +15,6 @@ from stickslip.output.lengths import format_length
 if TYPE_CHECKING:
     from rich.table import Table
 
-MOST_FORMS = 4  # shown on the terminal; the document and the report have all
 INTERVAL = 3  # column of the table of parameters that may be broken over two lines
 
 
@@ -39,23 +38,22 @@ def of_ranking(
 
 
 def _laws(ranking: RankedLaws) -> "Table":
-    """Return the ranking; ``behind`` is the mean log error minus the best law's, with its standard error."""
-    table = application.table("friction laws, best first", ("law", "rms error", "behind", "weight", "in set"))
+    """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
+    table = application.table("friction laws, best first", ("law", "rms error", "misfit", "behind", "weight", "in set"))
     for row in ranking.rows:
-        behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
-        weight = f"{row.weight:.2f}" if row.weight >= 0.005 else "<0.01"
         style = "bold" if row.in_set else None
         member = "yes" if row.in_set else "-"
-        table.add_row(row.title, format_length(row.rms_m), behind, weight, member, style=style)
-    for missing in ranking.unfitted:
-        table.add_row(missing.title, "not fitted", "-", "-", "-")
+        shown = (format_length(row.rms_m), f"{row.misfit:.3g}", *page.format_evidence(row), member)
+        table.add_row(row.title, *shown, style=style)
+    for law in ranking.unfitted:
+        table.add_row(law.title, "not fitted", *["-"] * 4)
     return table
 
 
 def _adequacy(adequacy: Adequacy) -> list[Any]:
-    """Return goodness of fit, the published forms of the measured curve, and the departures, in words."""
+    """Return goodness of fit and the departures, in words."""
     lines: list[Any] = []
-    goodness, curve = adequacy.goodness, adequacy.curve
+    goodness = adequacy.goodness
     if goodness is not None:
         lines.append(
             f"goodness of fit: {adequacy.said}; residuals {goodness.misfit:.3g} times the noise of "
@@ -63,21 +61,13 @@ def _adequacy(adequacy: Adequacy) -> list[Any]:
             f"p {format_probability(goodness.p_value)}; "
             f"smallest visible departure of friction: {page.smallest_departure(adequacy)}"
         )
-    if curve is not None and adequacy.rejected and adequacy.of_speed:
-        table = application.table("published forms of the measured curve", ("form", "chi", "inside band", "parameters"))
-        table.columns[0].justify = table.columns[3].justify = "left"
-        table.columns[0].no_wrap = table.columns[3].no_wrap = False
-        for form in curve.forms[:MOST_FORMS]:
-            values = ", ".join(f"{name} = {item.value:.4g} {item.unit}" for name, item in form.determined.items())
-            table.add_row(form.name.replace("-", " "), f"{form.chi:.2f}", "yes" if form.inside_band else "-", values)
-        lines.append(table)
     if adequacy.departures:
-        title = "departures that would explain it" if adequacy.rejected else "beside the law"
+        title = "with a departure of the rig" if adequacy.rejected else "beside the law"
         table = application.table(title, ("departure", "sigmas", "size", "std. error", "unit", "explained"))
         table.columns[0].justify, table.columns[0].overflow = "left", "fold"
         for one in adequacy.departures:
-            value, error = (f"{one.value:.4g}", f"{one.stderr:.2g}") if one.parameter else ("-", "-")
-            table.add_row(one.name, f"{one.sigmas:.1f}", value, error, one.unit, f"{100 * one.explained:.0f} %")
+            size = (f"{one.value:.4g}", f"{one.stderr:.2g}", one.unit, f"{100 * one.explained:.0f} %")
+            table.add_row(one.name, f"{one.sigmas:.1f}", *size)
         lines.append(table)
     return lines
 

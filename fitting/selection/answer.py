@@ -4,76 +4,98 @@ import math
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
-from fitting.adequacy.assess import Assessment, known_mass
+from fitting.adequacy.assess import Assessment, Measurement
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.competitors import ALL_LAWS
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.formula_parameters import formula_level_error, formula_parameters
-from fitting.curve.measure import furthest_exit
-from fitting.curve.result import BandExit
-from fitting.departures.ageing import find_ageing
+from fitting.curve.result import FormFit
+from fitting.departures.ageing import find_other_break_away
+from fitting.drawing import curves
 from fitting.estimation import break_aways, derived
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
+from fitting.law import PUBLISHED, SOURCES
 from fitting.model.problem import Run
 from fitting.selection import rig_intervals, verdict, verdict_warnings
 from fitting.selection.asked import Asked
-from fitting.selection.contradictions import (
-    CONTRADICTED_BY,
-    contradicted_by_all_laws,
-    find_contradictions,
-    name_contradictions,
-    without_those_of_the_law,
-)
+from fitting.selection.contradictions import name_contradictions
+from fitting.selection.judgement import Competition
 from fitting.selection.phase_distance import MeasuredOrbit
-from fitting.selection.result import LawResult, RankedLaws
-from fitting.selection.rivals import Competition
+from fitting.selection.result import LawResult, RankedLaws, UnfittedLaw
 from fitting.selection.verdict_warnings import JudgedRun
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
+from stickslip.units import Measured
 
 Contradictions = list[list[Finding]]  # of each run
 
 
 @dataclass(frozen=True, eq=False)
-class Decision:
-    """The decision about the laws, and its basis."""
+class Contest:
+    """All laws fitted to runs, and what their competition decided."""
 
     asked: Asked
     records: Sequence[Kinematics]  # as smoothed, and in the fit's frame
     runs: Sequence[Run]
-    fits: Sequence[Fit | FormulaFit]  # best first
+    measured: Measurement
     competition: Competition
-    assessed: Assessment
-    described: frozenset[int | str]  # the laws given as formulas that leave no more than noise
+    unfitted: tuple[UnfittedLaw, ...]  # the laws that were not fitted
     sustained: bool  # whether the mass sticks in the long run
-    said: tuple[str, ...] = ()  # what is to be said of formulas that could not be fitted, or not in all
+    warnings: tuple[str, ...] = ()  # about formulas that could not be fitted, or not in all their parameters
 
     @property
     def rejected(self) -> bool:
-        """Whether none of the requested laws describes the runs."""
-        return self.assessed.together.rejected
-
-    @property
-    def beaten(self) -> bool:
-        """Whether rivals describe the runs better than each requested law, which noise may not rule out."""
-        return self.competition.beaten and self.assessed.beaten
+        """Whether no law describes the runs."""
+        return not self.competition.described
 
     @property
     def best(self) -> Fit | FormulaFit:
-        """The best of the requested laws, one of the six where any are in the set, as in the verdict."""
-        law = self.competition.best
-        return next(fit for fit in self.fits if fit.law == law)
+        """The law of the first row."""
+        return self.competition.best
 
-    def trusts(self, fit: Fit | FormulaFit) -> bool:
-        """Return whether a law's intervals hold: it, or a law of its kind, describes the runs."""
-        if isinstance(fit, FormulaFit) and fit.law in self.competition.members:
-            return fit.law in self.described
-        return not self.rejected
+    def described(self) -> list[tuple[int | str, list[dict[str, Parameter]]]]:
+        """Return the laws that describe the runs, best first, each with its parameters of each run."""
+        return [
+            (fit.law, [_parameters(fit, self, number) for number in range(len(self.runs))])
+            for fit in self.competition.fits
+            if self.competition.describes(fit.law)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """A contest with the goodness of fit of its best law, and what contradicts the record."""
+
+    contest: Contest
+    assessed: Assessment
+    contradicted: "Contradictions"  # what of each run's calibration its record contradicts
+    other_contact: Finding | None = None  # that the runs are not of one contact
+
+    @property
+    def asked(self) -> Asked:
+        """What was asked for."""
+        return self.contest.asked
+
+    @property
+    def records(self) -> Sequence[Kinematics]:
+        """The smoothed runs."""
+        return self.contest.records
+
+    @property
+    def runs(self) -> Sequence[Run]:
+        """The runs in the fit's frame."""
+        return self.contest.runs
+
+    @property
+    def competition(self) -> Competition:
+        """The laws in order."""
+        return self.contest.competition
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +108,8 @@ class Rows:
 def ranking(decision: Decision, begun: float) -> RankedLaws:
     """Return the ranking; ``begun`` is the process's CPU time when it began, s."""
     rows = _rows(decision)
-    contradicted, kept_away = _contradicted(decision, rows)
-    words = _words(decision, rows, contradicted, kept_away=kept_away)
-    sides = [_side(decision, number, rows, words, contradicted[number]) for number in range(len(decision.runs))]
+    words = _words(decision, rows)
+    sides = [_side(decision, number, rows, words) for number in range(len(decision.runs))]
     return _together(decision, rows, words, sides, clock.process_time() - begun)
 
 
@@ -120,20 +141,18 @@ def without_law(
 def _rows(decision: Decision) -> Rows:
     """Return the rows of every law, each run's and those of all together."""
     orbits = [MeasuredOrbit.of(run.motion) for run in decision.runs]
-    tables = list(zip(*(_rows_of(fit, decision, orbits) for fit in decision.fits), strict=True))
-    depends = [() if decision.rejected else rig_intervals.law_dependent(own) for own in tables]
+    tables = list(zip(*(_rows_of(fit, decision, orbits) for fit in decision.competition.fits), strict=True))
+    depends = [() if decision.contest.rejected else rig_intervals.law_dependent(own) for own in tables]
     found = [tuple(rig_intervals.over_the_set(own)) for own in tables]
     return Rows(tuple(found[: len(decision.runs)]), found[-1], tuple(depends[: len(decision.runs)]))
 
 
 def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
-    """Return a law's row for each run, and last the row for all; one row for a single run.
-
-    Where no law describes the runs, intervals are withheld.
-    """
-    runs, found = decision.runs, decision.competition
+    """Return a law's row for each run, and last the row for all of them together; one row for a single run."""
+    runs, competition = decision.runs, decision.competition
+    chosen, competitors = competition.chosen, decision.asked.competitors
     parts = [fit.for_run(number) for number in range(len(runs))]
-    parameters = [_parameters(fit, decision, number) for number in range(len(runs))]
+    parameters = [_parameters(fit, decision.contest, number) for number in range(len(runs))]
     distances = [orbit.distance(part) for part, orbit in zip(parts, orbits, strict=True)]
     motions = [run.motion for run in runs]
     if len(runs) > 1:
@@ -147,36 +166,37 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
         LawResult(
             law=fit.law,
             name=LAWS[fit.law].name if isinstance(fit.law, int) else fit.law.replace("-", " "),
-            score=found.score[fit.law],
-            weight=found.weight[fit.law],
-            in_set=fit.law in found.members,
+            score=chosen.score.get(fit.law),
+            weight=chosen.weight.get(fit.law),
+            in_set=fit.law in chosen.members,
             rms_m=part.rms,
+            misfit=competition.misfit[fit.law],
             cycles=len(part.rows),
             parameters=own,
             cpu_s=fit.cpu_s,
-            behind=found.behind[fit.law],
+            behind=chosen.behind.get(fit.law),
             orbit=distance,
             fit=part,
             motion=motion,
-            outside_band=_outside_band(fit, decision),
+            outside_band=decision.assessed.together.outside_band.get(fit.law),
             formula=formula,
-            asked=fit.law in found.asked,
+            asked=fit.law in competitors.laws or fit.law in competitors.names,
         )
         for part, own, distance, motion in zip(parts, parameters, distances, motions, strict=True)
     ]
 
 
-def _parameters(fit: Fit | FormulaFit, decision: Decision, run: int) -> dict[str, Parameter]:
-    """Return a law's parameters of a run; fixed ones as stated."""
-    motion, alpha = decision.runs[run].motion, decision.asked.alpha
+def _parameters(fit: Fit | FormulaFit, contest: Contest, run: int) -> dict[str, Parameter]:
+    """Return a law's parameters of a run; those that were given as they were given."""
+    motion, alpha = contest.runs[run].motion, contest.asked.alpha
     own: dict[str, Parameter]
     if isinstance(fit, Fit):
-        own = derived.derived_parameters(fit, motion, alpha, run, sustained=decision.sustained)
+        own = derived.derived_parameters(fit, motion, alpha, run, sustained=contest.sustained)
     else:
-        own = formula_parameters(fit, motion, alpha, run, sustained=decision.sustained)
-    trusted = decision.trusts(fit)
+        own = formula_parameters(fit, motion, alpha, run, sustained=contest.sustained)
+    trusted = contest.competition.describes(fit.law)
     found = {name: replace(item, trusted=trusted and item.trusted) for name, item in own.items()}
-    for name, value in decision.asked.fixed(fit.law).items():
+    for name, value in contest.asked.fixed(fit.law).items():
         shown = name if name in found or f"{name}/m" not in found else f"{name}/m"
         unit = found[shown].unit if shown in found else ""  # that of a ramp's break-away level, which has none
         found[shown] = Parameter(value, 0.0, value, value, unit, fixed=True)
@@ -185,93 +205,101 @@ def _parameters(fit: Fit | FormulaFit, decision: Decision, run: int) -> dict[str
     return found
 
 
-def _outside_band(fit: Fit | FormulaFit, decision: Decision) -> BandExit | None:
-    """Return the largest exit of a law from the band of the measured curve."""
-    adequacy = decision.assessed.together
-    if isinstance(fit, Fit):
-        return adequacy.outside_band.get(fit.law)
-    if adequacy.curve is None:
-        return None
-    mass = known_mass(decision.runs[0].motion, adequacy.curve)
-    return furthest_exit(adequacy.curve, np.abs(fit.force(-adequacy.curve.speed, mass or 1.0)))
+def _words(decision: Decision, rows: Rows) -> str:
+    """Return the verdict."""
+    if decision.contest.rejected:
+        known = "" if any(decision.contradicted) else None
+        cause = known if decision.other_contact is None else decision.other_contact.text
+        words = verdict.no_law_sentence(rows.together, decision.assessed.together, cause)
+    else:
+        words = verdict.verdict_sentence(
+            rows.together,
+            decision.competition.not_excluded,
+            sustained=decision.contest.sustained,
+            measured=all(run.motion.belt_measured for run in decision.runs),
+            rest_known=all(run.motion.datum_prior is not None for run in decision.runs),
+            runs=len(decision.runs),
+        )
+    return name_contradictions(words, decision.contradicted)
 
 
-def _contradicted(decision: Decision, rows: Rows) -> tuple[Contradictions, bool]:
-    """Return each run's contradicted calibrations, and whether they keep all laws away from it.
-
-    They are those of the best requested law or, where a law holds without the calibration, of that one.
-    """
-    best = [next(row.parameters for row in own if row.law == decision.best.law) for own in rows.runs]
-    motions = [run.motion for run in decision.runs]
-    found = find_contradictions(decision.best, motions, best, decision.records)
-    rivals = [
-        fit
-        for fit in decision.fits
-        if isinstance(fit, FormulaFit) and fit is not decision.best and fit.law in decision.competition.members
-    ]
-    holding = [fit for fit in rivals if fit.law in decision.described]
-    found = without_those_of_the_law(found, holding)
-    far = np.any(np.abs(decision.best.calibration_deviations) > CONTRADICTED_BY)
-    if decision.rejected and not holding and (far or any(found)):
-        effect = "no law describes the record with the stated one"
-        own = contradicted_by_all_laws(decision.asked, decision.runs, decision.records, effect)
-        if any(own):
-            return own, True
-    return found, False
-
-
-def _words(decision: Decision, rows: Rows, contradicted: Contradictions, *, kept_away: bool) -> str:
-    if decision.beaten:
-        return verdict.rival_sentence(rows.together, decision.competition)
-    if decision.rejected:
-        words = verdict.no_law_sentence(rows.together, decision.assessed.together)
-        return name_contradictions(words, contradicted) if kept_away else words
-    measured = all(run.motion.belt_measured for run in decision.runs)
-    words = verdict.verdict_sentence(
-        rows.together,
-        decision.competition,
-        sustained=decision.sustained,
-        measured=measured,
-        runs=len(decision.runs),
-    )
-    return name_contradictions(words, contradicted)
-
-
-def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted: Sequence[Finding]) -> RankedLaws:
+def _side(decision: Decision, number: int, rows: Rows, words: str) -> RankedLaws:
     """Return one run's side: its rows, break-aways, findings and warnings."""
     run, record, own = decision.runs[number], decision.records[number], rows.runs[number]
-    best = next(row for row in own if row.law == decision.best.law)
+    best = own[0]
     events = break_aways.find_break_aways(best.fit, run.motion, run.cut)
     # The fitted belt speed is compared with the stated one more exactly than the sticks that smoothing found.
-    findings = (*(finding for finding in record.findings if finding.code != "belt-speed"), *contradicted)
+    findings = [
+        *(finding for finding in record.findings if finding.code != "belt-speed"),
+        *decision.contradicted[number],
+        *_fluctuation(decision.assessed.together),
+        *([] if decision.other_contact is None else [decision.other_contact]),
+    ]
+    # a mass that merely grazes the belt does not break away from rest
+    if decision.contest.sustained and not decision.contest.rejected:
+        friction = best.fit.values.F * curves.mass(run.motion, best.fit)
+        error = _level_error(decision.contest.best, run, number)
+        findings += find_other_break_away(
+            events, run.cut, Measured(friction, error * friction), curves.unit(run.motion)
+        )
     given = decision.asked.given(best.law)
-    members = decision.competition.members
-    judged = JudgedRun(own, best, members, run.motion, run.cut, record, findings, decision.sustained, given)
+    judged = JudgedRun(own, best, run.motion, run.cut, record, findings, decision.contest.sustained, given)
     together, adequacy = decision.assessed.together, decision.assessed.runs[number]
     warnings = (
         *verdict_warnings.warnings(judged),
-        *decision.said,
+        *decision.contest.warnings,
         *rows.depends[number],
         *verdict_warnings.not_judged(adequacy),
         *verdict_warnings.level_of_curve(together),
     )
-    if decision.sustained and not decision.rejected:  # a mass that merely grazes the belt does not break away from rest
-        aged = find_ageing(events, run.cut, _level_error(decision.best, run, number))
-        if aged is not None:
-            adequacy = replace(adequacy, departures=(*adequacy.departures, aged))
+    if len(decision.runs) == 1:
+        adequacy = _with_forms(adequacy, own, decision.contest.unfitted)
     return RankedLaws(
         verdict=words,
-        members=members,
+        members=decision.competition.members,
         rows=own,
         events=tuple(replace(event, t=run.motion.begin + event.t) for event in events),
         warnings=warnings,
         motion=run.motion,
         cut=run.cut,
         adequacy=adequacy,
-        findings=findings,
+        findings=tuple(findings),
         records=(record,),
         alpha=decision.asked.alpha,
+        unfitted=decision.contest.unfitted,
+        not_excluded=decision.competition.not_excluded,
     )
+
+
+def _fluctuation(adequacy: Adequacy) -> list[Finding]:
+    """Return that friction fluctuates at random within slips, with the share of Fs, where it does."""
+    share = adequacy.fluctuation
+    if share is None:
+        return []
+    text = f"friction fluctuates at random within slips, by about {100 * share:.2g} % of Fs: no law can describe it"
+    return [Finding("random-within-slips", text, share, 0.0, 0.0)]
+
+
+def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], unfitted: Sequence[UnfittedLaw]) -> Adequacy:
+    """Return what is known of a record, with the published laws as they were fitted to it."""
+    forms = [
+        FormFit(
+            name=str(row.law),
+            formula=str(row.formula),
+            source=SOURCES[str(row.law)],
+            parameters={name: row.parameters[name] for name in PUBLISHED[str(row.law)].free},
+            chi=row.misfit,
+            inside_band=row.outside_band is not None and row.outside_band.half_widths <= 1,
+        )
+        for row in sorted(rows, key=attrgetter("misfit"))
+        if row.law in PUBLISHED
+    ]
+    forms += [
+        FormFit(name, str(one.formula), SOURCES[name], dict.fromkeys(PUBLISHED[name].free), None, inside_band=False)
+        for one in unfitted
+        if (name := str(one.law)) in PUBLISHED
+    ]
+    return replace(adequacy, forms=tuple(forms))
 
 
 def _level_error(fit: Fit | FormulaFit, run: Run, number: int) -> float:
@@ -294,12 +322,14 @@ def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Ranked
         warnings=warnings,
         motion=decision.runs[0].motion,
         cut=decision.runs[0].cut,
-        adequacy=decision.assessed.together,
+        adequacy=_with_forms(decision.assessed.together, rows.together, decision.contest.unfitted),
         cpu_s=cpu_s,
         findings=findings,
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
         records=tuple(decision.records),
         alpha=decision.asked.alpha,
+        unfitted=decision.contest.unfitted,
+        not_excluded=decision.competition.not_excluded,
     )
 
 
@@ -307,4 +337,4 @@ def _merged(sides: Sequence[RankedLaws], records: Sequence[Kinematics]) -> tuple
     """Return the warnings and the findings of several runs."""
     names = [record.recording.source.name for record in records]
     warnings = verdict_warnings.merge_warnings([side.warnings for side in sides], names)
-    return warnings, tuple(finding for side in sides for finding in side.findings)
+    return warnings, tuple(dict.fromkeys(finding for side in sides for finding in side.findings))

@@ -44,7 +44,7 @@ RAMP_SCORE_MARGIN = 4.0
 SAME = 0.05
 
 
-def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit | None:
+def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int | str], runs: Sequence[Run]) -> Fit | None:
     """Fit the jump law of a narrow ramp on a compliant belt.
 
     None where a belt was measured, the set's best ramp is not narrow, or its jump law is already in the set, not
@@ -52,7 +52,7 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     """
     if any(run.motion.belt_measured for run in runs):
         return None
-    ramp = next((law for law in members if LAWS[law].ramp), None)
+    ramp = next((law for law in members if isinstance(law, int) and LAWS[law].ramp), None)
     found = {fit.law: fit for fit in fits}
     if ramp is None or ramp - 1 in members or ramp - 1 not in found:
         return None
@@ -116,14 +116,13 @@ def with_open_ramps(
     found = {fit.law: fit for fit in fits}
     joining = []
     for law in chosen.members:
-        ramp = found.get(law + 1) if not LAWS[law].ramp else None
-        if ramp is None or ramp.law in chosen.members:
+        ramp = found.get(law + 1) if isinstance(law, int) and not LAWS[law].ramp else None
+        if ramp is None or law not in found or ramp.law in chosen.members:
             continue
-        extra = ramp.law_parameters - found[law].law_parameters
+        extra = ramp.law_parameters - found[ramp.law - 1].law_parameters
         if chosen.score[ramp.law] - chosen.score[law] > extra * math.log(max(samples, 1.0)) + RAMP_SCORE_MARGIN:
             continue
         width = derived.derived_parameters(ramp, runs[0].motion, alpha, sustained=sustained).get("d")
         if width is None or width.hi > open_width:
             joining.append(ramp.law)
-    members = (*chosen.members, *joining)
-    return replace(chosen, members=members, order=(*members, *(law for law in chosen.order if law not in members)))
+    return replace(chosen, members=(*chosen.members, *joining))

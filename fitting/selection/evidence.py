@@ -15,9 +15,9 @@ law): then the winner's extra parameter does not improve the fit.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,7 @@ TIED_SCORE = 1.0
 # differ by S +- 2 sqrt(S), so that the wrong one leads by more than this in 2 % of the records at most; with half of it
 # in 8 %.  The t-interval does not show this: where motions are nearly the same, differences are small but regular.
 OPEN = 4.0
+SAME_SCORE = 1  # decimals of a score: one curve in two forms differs by less
 
 
 class Residuals(Protocol):
@@ -252,42 +253,59 @@ def prior_misfit(fit: Candidate) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ModelSet:
-    """Order of the laws, members of the set (best first), and score, weight and lag of each law.
+    """Members of the set (best first), and score, weight and lag of each law.
 
     ``behind`` is the mean paired difference of log error to the best law, with its standard error.
     """
 
-    order: tuple[Any, ...]
-    members: tuple[Any, ...]
-    score: dict[Any, float]
-    weight: dict[Any, float]
-    behind: dict[Any, tuple[float, float]]
+    members: tuple[int | str, ...]
+    score: dict[int | str, float]
+    weight: dict[int | str, float]
+    behind: dict[int | str, tuple[float, float]]
 
 
-def model_confidence_set(evidence: Evidence, alpha: float) -> ModelSet:
-    """Apply the set rule to the evidence of at least two units."""
+def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[int | str] | None = None) -> ModelSet:
+    """Apply the set rule to the evidence.
+
+    evidence: At least two units (cycles).
+    alpha: 1 - confidence of the t-interval.
+    among: The laws that describe the record, of which the set is; others have no weight.
+    """
     laws, errors = evidence.laws, evidence.penalised
+    wanted = [k for k, law in enumerate(laws) if among is None or law in among]
     n = errors.shape[1]
     mean = errors.mean(axis=1)
-    winner = int(np.argmin(mean))
+    winner = min(wanted, key=lambda k: float(mean[k]))
     quantile = student_quantile(1 - alpha / 2, n - 1)
     samples = max(n, evidence.samples)
     score = {law: float(2 * samples * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
-    behind = {}
-    for i, law in enumerate(laws):
-        difference = errors[i] - errors[winner]
-        behind[law] = (float(difference.mean()), float(np.std(difference, ddof=1)) / math.sqrt(n))
-    limits = nested(laws[winner])
+    behind = {law: _paired(errors[i], errors[winner]) for i, law in enumerate(laws)}
+    limits, competing = nested(laws[winner]), [laws[k] for k in wanted]
     alike = {
-        law for law in laws if score[law] < (TIED_SCORE if law in limits else OPEN) and laws[winner] not in nested(law)
+        law
+        for law in competing
+        if score[law] < (TIED_SCORE if law in limits else OPEN) and laws[winner] not in nested(law)
     }
-    near = {law for law in laws if behind[law][0] <= quantile * behind[law][1]} | alike
-    members = [law for law in sorted(laws, key=score.__getitem__) if law in near]
+    near = {law for law in competing if behind[law][0] <= quantile * behind[law][1]} | alike
+    # of laws that are one curve in two forms, the first of the evidence comes first
+    members = [law for law in sorted(competing, key=lambda law: round(score[law], SAME_SCORE)) if law in near]
     preferred = [law for law in members if law in limits]
     if preferred:
         first = preferred[0]
         members = [first, *(law for law in members if law != first)]
-    others = [law for law in sorted(laws, key=score.__getitem__) if law not in members]
-    total = sum(math.exp(-value / 2) for value in score.values())
-    weight = {law: math.exp(-value / 2) / total for law, value in score.items()}
-    return ModelSet((*members, *others), tuple(members), score, weight, behind)
+    total = sum(math.exp(-score[law] / 2) for law in competing)
+    weight = {law: math.exp(-score[law] / 2) / total if law in competing else 0.0 for law in laws}
+    return ModelSet(tuple(members), score, weight, behind)
+
+
+def _paired(errors: Array, others: Array) -> tuple[float, float]:
+    """Return the mean difference of log errors (units,), and its standard error."""
+    difference = errors - others
+    return float(difference.mean()), float(np.std(difference, ddof=1)) / math.sqrt(difference.size)
+
+
+def no_larger(errors: Array, best: Array, samples: float, alpha: float) -> bool:
+    """Return whether a law's log errors (units,), without penalties, are no larger than the best law's within noise."""
+    mean, error = _paired(errors, best)
+    quantile = student_quantile(1 - alpha / 2, errors.size - 1)
+    return mean <= quantile * error or 2 * max(errors.size, samples) * mean < OPEN

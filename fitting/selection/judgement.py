@@ -1,63 +1,128 @@
-"""`judge`: compares the laws by their evidence and returns the set of those that the record cannot distinguish."""
+"""`compete`: the one competition of all laws: which describe the record, and which of these it cannot distinguish."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from fitting.adequacy.assess import Judged, describing
+from fitting.curve.formula_fit import FormulaFit
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence
-from fitting.selection.evidence import Evidence, ModelSet
+from fitting.selection.evidence import Evidence, ModelSet, Units
+from stickslip.compute.arrays import Array
 
 
-def judge(
-    fits: Sequence[Fit], laws: Sequence[int], runs: Sequence[Run], alpha: float, *, sustained: bool
-) -> tuple[list[Fit], ModelSet]:
-    """Compare the competing ``laws`` by their evidence; return all fits, best first, and the set.
+@dataclass(frozen=True, eq=False)
+class Competition:
+    """All laws that were fitted, in the order of the rows, and the goodness of fit of those near the noise.
 
-    An equivalent jump law on a compliant belt replaces the best ramp law. Where only formulas compete, the best fit is
-    the set: other fits start from it.
+    ``misfit`` is the rms of each law's residual in the usual cycles, over the noise of a position.  ``not_excluded``
+    are laws outside the set whose residual is no larger than the best law's within the noise of the comparison:
+    parsimony, not the record, excludes them.  Those that contain the best law, which cannot do worse, come last.
     """
-    competing = [fit for fit in fits if fit.law in laws]
-    others = sorted((fit for fit in fits if fit.law not in laws), key=lambda fit: fit.geometric_mean_rms)
-    if not competing:
-        order = tuple(fit.law for fit in others)
-        none = dict.fromkeys(order, 0.0)
-        return others, ModelSet(order, order[:1], none, none, dict.fromkeys(order, (0.0, 0.0)))
-    competing, chosen = _compared(competing, runs, alpha, sustained=sustained)
-    by_law = {fit.law: fit for fit in competing}
-    return [*(by_law[law] for law in chosen.order), *others], chosen
+
+    fits: tuple[Fit | FormulaFit, ...]
+    judged: Mapping[int | str, Judged]
+    chosen: ModelSet
+    misfit: Mapping[int | str, float]
+    not_excluded: tuple[int | str, ...] = ()
+
+    @property
+    def members(self) -> tuple[int | str, ...]:
+        """The set, best first; empty where no law describes the record."""
+        return self.chosen.members
+
+    @property
+    def best(self) -> Fit | FormulaFit:
+        """The law of the first row."""
+        return self.fits[0]
+
+    @property
+    def described(self) -> bool:
+        """Whether a law describes the record."""
+        return bool(self.chosen.members)
+
+    def describes(self, law: int | str) -> bool:
+        """Return whether a law describes the record, as far as that can be judged."""
+        return law in self.judged and not self.judged[law].together.rejected
 
 
-def _compared(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], ModelSet]:
+def compete(
+    fits: Sequence[Fit | FormulaFit], noise: Array, known: Judged, runs: Sequence[Run], alpha: float, *, sustained: bool
+) -> Competition:
+    """Compare all laws by one evidence; the set is one of those that describe the record.
+
+    A jump law on a compliant belt that is equivalent to the best ramp law takes its place.
+
+    noise: (runs,) Standard deviation of one position of each run, m.
+    known: A law whose goodness of fit is known already.
+    sustained: Whether the mass sticks in the long run; else the start-up drags alone are evidence.
+    """
+    motions, by_law = [run.motion for run in runs], {fit.law: fit for fit in fits}
     units = evidence.common_units(fits, runs, sustained=sustained)
-    errors = {fit.law: evidence.unit_errors(fit, runs, units) for fit in fits}
-    for jump, ramp in equivalence.closed_ramps(fits):
+    judged = describing(fits, motions, float(np.max(noise)), {known.fit.law: known})
+    misfit = {law: _misfit(fit, units, noise) for law, fit in by_law.items()}
+    described = {law for law, own in judged.items() if law in by_law and not own.together.rejected}
+    if not described:
+        order = sorted(fits, key=lambda fit: misfit[fit.law])
+        judged = describing(order[:1], motions, float(np.max(noise)), judged) | judged
+        return Competition(tuple(order), judged, ModelSet((), {}, {}, {}), misfit)
+    errors = {law: evidence.unit_errors(fit, runs, units) for law, fit in by_law.items()}
+
+    def six() -> list[Fit]:
+        return [fit for fit in by_law.values() if isinstance(fit, Fit)]
+
+    for jump, ramp in equivalence.closed_ramps(six()):
         if errors[ramp].mean() < errors[jump].mean():
             errors[ramp] = errors[jump]
-    place = {fit.law: i for i, fit in enumerate(fits)}
-    penalised = np.array([evidence.penalised(fit, errors[fit.law], units) for fit in fits])
+    penalised = {law: evidence.penalised(fit, errors[law], units) for law, fit in by_law.items()}
 
     def choose() -> ModelSet:
-        return evidence.model_confidence_set(Evidence(tuple(place), penalised, units.samples), alpha)
+        table = np.array(list(penalised.values()))
+        return evidence.model_confidence_set(Evidence(tuple(penalised), table, units.samples), alpha, described)
 
     chosen = choose()
-    double = equivalence.equivalent_jump_law(fits, chosen.members, runs)
+    double = equivalence.equivalent_jump_law(six(), chosen.members, runs)
     if double is not None:
         jump, ramp = double.law, double.law + 1
         own = evidence.unit_errors(double, runs, units)
         lag = equivalence.mean_excess(own, errors[ramp])
-        if lag < equivalence.SAME:  # one observable, one piece of evidence, unless runs at several speeds split it
+        seen = describing([double], motions, float(np.max(noise)))
+        # one observable, one piece of evidence, unless runs at several speeds split it
+        if lag < equivalence.SAME and not seen[jump].together.rejected:
             apart = len(runs) > 1 and lag < -equivalence.SAME
-            fits = [double if fit.law == jump else fit for fit in fits]
-            penalised[place[jump]] = evidence.penalised(double, own, units) if apart else penalised[place[ramp]]
+            by_law[jump], judged, described = double, judged | seen, described | {jump}
+            errors[jump], misfit[jump] = own, _misfit(double, units, noise)
+            penalised[jump] = evidence.penalised(double, own, units) if apart else penalised[ramp]
             chosen = choose()
-    if (
-        not sustained
-        and chosen.members == (2,)
-        and 1 in place
-        and equivalence.explained_by_belt_ripple(fits[place[2]], errors[2], runs)
-    ):
-        penalised[place[1]] = penalised[place[2]]
-        chosen = choose()
-    return fits, equivalence.with_open_ramps(chosen, fits, runs, alpha, units.samples, sustained=sustained)
+    if not sustained and chosen.members == (2,) and 1 in described:
+        ramp_fit = by_law[2]
+        if isinstance(ramp_fit, Fit) and equivalence.explained_by_belt_ripple(ramp_fit, errors[2], runs):
+            penalised[1] = penalised[2]
+            chosen = choose()
+    chosen = equivalence.with_open_ramps(
+        chosen, [fit for fit in six() if fit.law in described], runs, alpha, units.samples, sustained=sustained
+    )
+    outside = sorted(described.difference(chosen.members), key=chosen.score.__getitem__)
+    first = chosen.members[0]
+    equal = [law for law in outside if evidence.no_larger(errors[law], errors[first], units.samples, alpha)]
+    rest = sorted((law for law in by_law if law not in described), key=misfit.__getitem__)
+    return Competition(
+        tuple(by_law[law] for law in (*chosen.members, *outside, *rest)),
+        judged,
+        chosen,
+        misfit,
+        tuple(sorted(equal, key=lambda law: first in evidence.nested(law))),
+    )
+
+
+def _misfit(fit: Fit | FormulaFit, units: Units, noise: Array) -> float:
+    """Return the rms residual of the usual cycles over the noise of a position."""
+    usual = [
+        (fit.residual[rows], noise[run])
+        for rows, run, counts in zip(fit.rows, fit.windows.run, units.inliers, strict=True)
+        if counts
+    ]
+    return float(np.sqrt(np.mean(np.concatenate([residual / own for residual, own in usual]) ** 2)))

@@ -84,17 +84,15 @@ def fit_runs(
     jobs: int,
     progress: Callable[[float], None] | None,
     scheduler: str | None,
-    *,
-    formulas: bool = False,
 ) -> FittedSix:
     """Fit the laws that may describe the records.
 
-    With ``formulas``, a record that none of the six fits is not rejected yet: a formula may.
+    A record that none of the six comes near is not refused yet: another law may.
     """
     sustained = _check(laws, runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
     doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
-    if not formulas or doubt == screening.SINE_ALONE:
+    if doubt == screening.SINE_ALONE:
         refuse(doubt, records)
     fit_to = partial(_fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:
@@ -112,7 +110,7 @@ def fit_runs(
         )
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
     doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
-    if not formulas or not fits or doubt == screening.SINE_ALONE:
+    if not fits or doubt == screening.SINE_ALONE:
         refuse(doubt, records)
     if not doubt:
         screening.refuse_missing_frames(fits, records)

@@ -9,22 +9,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from daq.runfile.rig import Rig
-from fitting.adequacy.assess import Measurement, assess, describes_all, measure
+from fitting.adequacy.assess import Assessment, assess, measure
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import FormulaFit
 from fitting.data import frame
 from fitting.estimation.fit import Fit
+from fitting.estimation.result import Parameter
 from fitting.law import Bound, Law
 from fitting.model.problem import Run
 from fitting.selection import answer, law_fits, screening
-from fitting.selection.answer import Decision
+from fitting.selection.answer import Contest, Decision
 from fitting.selection.asked import Asked
-from fitting.selection.contradictions import contradicted_by_all_laws
-from fitting.selection.evidence import ModelSet
+from fitting.selection.contradictions import LawParameters, find_contradictions
+from fitting.selection.evidence import nested
 from fitting.selection.given import known_rest, with_given
-from fitting.selection.judgement import judge
-from fitting.selection.result import RankedLaws, UnfittedLaw
-from fitting.selection.rivals import Competition, Formulas, compete, fit_formulas, unfitted
+from fitting.selection.judgement import compete
+from fitting.selection.one_contact import find_other_contact
+from fitting.selection.result import RankedLaws
+from fitting.selection.rivals import fit_formulas, name_better_limit, unfitted
 from processing.record.kinematics import Kinematics
 from stickslip.errors import DataError
 from stickslip.units import Measured
@@ -58,27 +60,40 @@ def rank(
     records = [_smoothed(one) for one in ([kinematics] if isinstance(kinematics, Kinematics) else kinematics)]
     asked.check_together(records)
     runs = _cut(records, rig, asked)
+
+    def refit(free: Sequence[Run]) -> Sequence[LawParameters]:
+        try:
+            return [own for _, own in _contest(replace(asked, progress=None), records, free).described()]
+        except (law_fits.NoLawError, DataError):
+            return []
+
     try:
-        fits, runs, sustained, doubt = law_fits.fit_runs(
-            competitors.searched, runs, records, jobs, progress, scheduler, formulas=bool(competitors.formulas)
-        )
-        fits, chosen = judge(fits, competitors.direct, runs, alpha, sustained=sustained)
-        measured = measure(fits, chosen.members, [run.motion for run in runs], alpha)
-        formulas = fit_formulas(competitors, measured.curve, rivals=sustained)
-        if doubt and not screening.comes_near(formulas.fits, runs):
-            law_fits.refuse(doubt, records)
+        contest = _contest(asked, records, runs)
     except law_fits.NoLawError as refused:
-        effect = "no law comes near the record with the stated one"
-        contradicted = contradicted_by_all_laws(asked, runs, records, effect)
+        contradicted = find_contradictions([], runs, records, refit)
         if refused.stick_slip:
             return answer.without_law(refused.reason, contradicted, asked, runs, records, begun)
         raise screening.refusal(refused.reason, contradicted, runs, records) from None
-    missing = _list_unfitted(fits, formulas, asked, records, sustained=sustained)
-    competition = _compete(fits, chosen, formulas.fits, asked, runs, sustained=sustained)
-    decision = _decided(asked, records, runs, fits, formulas, measured, competition, sustained=sustained)
-    _log(decision)
-    ranking = answer.ranking(decision, begun)
-    return replace(ranking, unfitted=missing, runs=tuple(replace(side, unfitted=missing) for side in ranking.runs))
+    contradicted = find_contradictions([own for _, own in contest.described()], contest.runs, records, refit)
+    other_contact = None
+    if contest.rejected and len(runs) > 1:
+        alone = [_described_alone(asked, record, run) for record, run in zip(records, contest.runs, strict=True)]
+        other_contact = find_other_contact(alone)
+    first, motions = contest.competition.judged[contest.best.law], [run.motion for run in contest.runs]
+    count, revolution = len(competitors.laws), _revolution(records)
+    explain = other_contact is None and not any(contradicted)
+    assessed = assess(contest.measured, contest.competition.fits, first, motions, count, revolution, explain=explain)
+    _log(contest, assessed)
+    return answer.ranking(Decision(contest, assessed, contradicted, other_contact), begun)
+
+
+def _described_alone(asked: Asked, record: Kinematics, run: Run) -> dict[int | str, Mapping[str, Parameter]]:
+    """Return the laws that describe one run of several alone, best first, with its parameters."""
+    try:
+        contest = _contest(replace(asked, progress=None), [record], [run])
+    except (law_fits.NoLawError, DataError):
+        return {}
+    return {law: own[0] for law, own in contest.described()}
 
 
 def _smoothed(kinematics: Kinematics) -> Kinematics:
@@ -106,69 +121,31 @@ def _cut(records: Sequence[Kinematics], rig: Rig | Sequence[Rig] | None, asked: 
     return with_given(runs, asked.competitors)
 
 
-def _compete(
-    fits: Sequence[Fit],
-    chosen: ModelSet,
-    formulas: Sequence[FormulaFit],
-    asked: Asked,
-    runs: Sequence[Run],
-    *,
-    sustained: bool,
-) -> Competition:
-    """Return the set: of the six alone, or of all laws together."""
-    six = [fit for fit in fits if fit.law in asked.competitors.direct]
-    if not formulas:
-        return Competition.of_six(chosen)
-    named: frozenset[int | str] = frozenset((*asked.competitors.laws, *asked.competitors.names))
-    return compete(six, chosen if six else None, formulas, runs, asked.alpha, named, sustained=sustained)
+def _contest(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -> Contest:
+    """Fit all laws to the runs, and let them compete.
 
-
-def _list_unfitted(
-    fits: Sequence[Fit], formulas: Formulas, asked: Asked, records: Sequence[Kinematics], *, sustained: bool
-) -> tuple[UnfittedLaw, ...]:
-    """Return the requested laws that could not be fitted; DataError where no other was requested.
-
-    Laws with sticks are not fitted to a mass without, and are not listed.
+    Raises NoLawError: no law comes near the record.
     """
-    direct, followed = asked.competitors.direct, {fit.law for fit in fits}
-    lost = [unfitted(law, "its motion cannot be followed") for law in direct if law not in followed and sustained]
-    missing = (*lost, *formulas.unfitted)
-    if not followed.intersection(direct) and not {fit.law for fit in formulas.fits}.intersection(
-        (*asked.competitors.names, *asked.competitors.restated)
-    ):
-        reasons = "; ".join(f"law {law.law}: {law.reason}" for law in missing)
+    competitors = asked.competitors
+    six, runs, sustained, doubt = law_fits.fit_runs(
+        competitors.searched, runs, records, asked.jobs, asked.progress, asked.scheduler
+    )
+    measured = measure(six, [run.motion for run in runs], asked.alpha)
+    formulas = fit_formulas(competitors, measured.curve, six)
+    direct = [fit for fit in six if fit.law in competitors.direct]
+    lost = {fit.law: name_better_limit(fit, (1, *nested(fit.law)), six) for fit in direct}
+    fits: list[Fit | FormulaFit] = [*(fit for fit in direct if not lost[fit.law]), *formulas.fits]
+    if doubt and not screening.comes_near(formulas.fits, runs):
+        law_fits.refuse(doubt, records)
+    if sustained:
+        lost |= {law: "its motion cannot be followed" for law in competitors.direct if law not in lost}
+    missing = (*(unfitted(law, why) for law, why in lost.items() if why), *formulas.unfitted)
+    if not any(fit.law in competitors.laws or fit.law in competitors.names for fit in fits):
+        reasons = "; ".join(f"law {row.law}: {row.reason}" for row in missing if row.asked)
         where = ", ".join(record.recording.where for record in records)
         raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")
-    return missing
-
-
-def _decided(
-    asked: Asked,
-    records: Sequence[Kinematics],
-    runs: Sequence[Run],
-    fits: Sequence[Fit],
-    formulas: Formulas,
-    measured: Measurement,
-    competition: Competition,
-    *,
-    sustained: bool,
-) -> Decision:
-    """Return the decision: which laws describe the runs, and the assessment of the others."""
-    motions = [run.motion for run in runs]
-    by_law: dict[int | str, Fit | FormulaFit] = {fit.law: fit for fit in fits}
-    by_law |= {fit.law: fit for fit in formulas.fits}
-    ordered = [by_law[law] for law in competition.order]
-    members = [by_law[law] for law in competition.members if law in competition.asked]
-    # where rivals leave none of them, those that were asked for are judged as if they were alone
-    alone = [fit for fit in ordered if fit.law in competition.asked]
-    named = [fit for fit in alone[:1] if isinstance(fit, FormulaFit)]
-    judged = members or [*named, *(fit for fit in alone if fit.law in measured.members)] or alone[:1]
-    count = len(asked.competitors.laws)
-    assessed = assess(measured, judged, motions, count, _revolution(records))
-    if competition.beaten and not assessed.together.rejected:
-        assessed = assessed.by_others(count)
-    described = describes_all([fit for fit in formulas.fits if fit.law in competition.members], motions)
-    return Decision(asked, records, runs, ordered, competition, assessed, described, sustained, formulas.warnings)
+    competition = compete(fits, measured.noise, measured.judged, runs, asked.alpha, sustained=sustained)
+    return Contest(asked, records, runs, measured, competition, missing, sustained, formulas.warnings)
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
@@ -180,8 +157,8 @@ def _revolution(records: Sequence[Kinematics]) -> float | None:
     return found.pop() if len(found) == 1 else None
 
 
-def _log(decision: Decision) -> None:
-    for fit in decision.fits:
-        member = "in the set" if fit.law in decision.competition.members else "not in the set"
+def _log(contest: Contest, assessed: Assessment) -> None:
+    for fit in contest.competition.fits:
+        member = "in the set" if fit.law in contest.competition.members else "not in the set"
         logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
-    logger.info("goodness of fit: %s", decision.assessed.together.said)
+    logger.info("goodness of fit: %s", assessed.together.said)

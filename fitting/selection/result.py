@@ -51,20 +51,23 @@ class LawResult:
         One of the six by its number, a law given as a formula by its name.
     name : str
         In words.
-    score : float
-        Penalised log error of the record (smaller is better), minus the best law's.
-    weight : float
-        exp(-score/2), normalised over the laws fitted.
+    score : float or None
+        Penalised log error of the record (smaller is better), minus the best law's; None where no law describes the
+        record.
+    weight : float or None
+        exp(-score/2), normalised over the laws that describe the record; None where no law does.
     in_set : bool
         Whether the record cannot distinguish this law from the best one.
     rms_m : float
         m, all windows together.
+    misfit : float
+        Rms residual of the usual cycles over the noise of a position.
     cycles : int
         Cycles fitted.
     parameters : dict
         By name; per unit mass, and in newtons when the mass or the spring's stiffness is known.
     cpu_s : float
-    behind : (float, float)
+    behind : (float, float) or None
         Mean paired difference of log error to the best law, penalty included, and its standard error.
     orbit : float
         Distance of the law's orbit to the measured one, of the orbit's size (`fitting.selection.phase_distance`).
@@ -77,19 +80,20 @@ class LawResult:
     formula : str or None
         Of a law given as one.
     asked : bool
-        Whether it was asked for; else the measured curve prefers it.
+        Whether it was asked for; every published law competes besides.
     """
 
     law: int | str
     name: str
-    score: float
-    weight: float
+    score: float | None
+    weight: float | None
     in_set: bool
     rms_m: float
+    misfit: float
     cycles: int
     parameters: dict[str, Parameter]
     cpu_s: float
-    behind: tuple[float, float]
+    behind: tuple[float, float] | None
     orbit: float
     fit: Fit | FormulaFit = field(repr=False, compare=False)
     motion: MeasuredMotion = field(repr=False, compare=False)
@@ -250,21 +254,22 @@ class LawResult:
 
     def as_json(self) -> dict[str, Any]:
         of_formula = () if self.formula is None else ("formula", "asked")
-        names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "cycles")
-        document: dict[str, Any] = {name: getattr(self, name) for name in names} | {"fitted": True}
+        names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "misfit", "cycles")
+        document: dict[str, Any] = {name: getattr(self, name) for name in names}
         document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
         document["outside_band"] = None if self.outside_band is None else vars(self.outside_band)
-        return document | {"orbit_distance": self.orbit, "cpu_s": self.cpu_s}
+        return document | {"orbit_distance": self.orbit, "cpu_s": self.cpu_s, "fitted": True, "reason": None}
 
 
 @dataclass(frozen=True)
 class UnfittedLaw:
-    """The row, without numbers, of a law that could not be started or followed."""
+    """The row of a law that was not fitted, or not to an end that holds: it has no numbers."""
 
     law: int | str
     name: str
     reason: str
     formula: str | None = None
+    asked: bool = True
 
     @property
     def title(self) -> str:
@@ -274,9 +279,11 @@ class UnfittedLaw:
     def as_json(self) -> dict[str, Any]:
         """Return the document's form, with the keys of `LawResult.as_json`."""
         document: dict[str, Any] = {"law": self.law, "name": self.name}
-        document |= {} if self.formula is None else {"formula": self.formula, "asked": True}
-        document |= {"score": None, "weight": None, "in_set": False, "rms_m": None, "cycles": None, "fitted": False}
+        document |= {} if self.formula is None else {"formula": self.formula, "asked": self.asked}
+        document |= {"score": None, "weight": None, "in_set": False, "rms_m": None, "misfit": None}
         return document | {
+            "cycles": None,
+            "fitted": False,
             "reason": self.reason,
             "parameters": {},
             "outside_band": None,
@@ -289,8 +296,35 @@ class UnfittedLaw:
 class RankedLaws:
     """The laws in order, as `fitting.Ranking` describes them.
 
-    ``members`` compares the laws with each other; ``adequacy`` says whether any describes the record.  ``motion`` and
-    ``cut`` are in the fit's frame, the first run's of several; ``unfitted`` laws follow ``rows`` in tables.
+    Attributes
+    ----------
+    verdict : str
+        A sentence; the laws it names are `members`, unless it says that none describes the record.
+    members : tuple of int or str
+        Model confidence set: laws that the record cannot distinguish, best first.  It compares the laws with each
+        other; whether any of them describes the record is said by ``adequacy``.
+    rows : tuple of LawResult
+        Best first, those in the set before all others; none where the record is stick-slip that no law comes near.
+    events : tuple of BreakAway
+    warnings : tuple of str
+        The texts of the findings among them.
+    findings : tuple of Finding
+        Contradictions between calibration and record, and the faults that smoothing found.
+    motion, cut
+        What was fitted, in the fit's frame; the first run's where there are several.
+    adequacy : Adequacy
+        Of all runs together.
+    cpu_s : float
+    runs : tuple of RankedLaws
+        Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
+    records : tuple of Kinematics
+        The smoothed runs.
+    alpha : float
+        1 - confidence of the intervals.
+    unfitted : tuple of UnfittedLaw
+        The laws that were not fitted, with the reasons.
+    not_excluded : tuple of int or str
+        Laws outside the set whose residual is no larger than the best law's within the noise of the comparison.
     """
 
     verdict: str
@@ -307,6 +341,7 @@ class RankedLaws:
     records: tuple[Kinematics, ...] = field(default=(), repr=False)
     alpha: float = 0.05
     unfitted: tuple[UnfittedLaw, ...] = ()
+    not_excluded: tuple[int | str, ...] = ()
 
     @property
     def laws_in_set(self) -> tuple[int, ...]:
@@ -315,12 +350,8 @@ class RankedLaws:
 
     @property
     def best(self) -> LawResult:
-        """The best row of those that were asked for: of the six where some are in the set, which the verdict names.
-
-        There is none where no law came near the record.
-        """
-        asked = [row for row in self.rows if row.asked]
-        return next((row for row in asked if isinstance(row.law, int) and row.in_set), asked[0])
+        """The first row; there is none where no law came near the record."""
+        return self.rows[0]
 
     @property
     def table(self) -> "tuple[LawResult | UnfittedLaw, ...]":
@@ -351,6 +382,7 @@ class RankedLaws:
             "verdict": self.verdict,
             "set": list(self.laws_in_set),
             "rivals": [row.law for row in self.rivals if row.in_set],
+            "not_excluded": list(self.not_excluded),
             "ranking": [row.as_json() for row in self.table],
             "cycles": [event.as_json() for event in self.events],
             "warnings": list(self.warnings),
@@ -460,7 +492,7 @@ class RankedLaws:
                     str(row.law),
                     row.formula or row.name,
                     f"{1e6 * row.rms_m:.4g}",
-                    f"{row.weight:.2f}",
+                    "" if row.weight is None else f"{row.weight:.2f}",
                     "yes" if row.in_set else "no",
                 )
                 for row in self.rows

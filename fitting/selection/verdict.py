@@ -7,18 +7,13 @@ from fitting import noise_levels
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.competitors import ALL_LAWS, Competitors
-from fitting.curve.result import FormFit
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.fit import Fit
 from fitting.model.parameters import Global
 from fitting.selection.result import LawResult
-from fitting.selection.rivals import Competition
 from stickslip.output.lengths import format_length
 
 OTHER_SPEEDS = " or runs at other belt speeds"
-# Chi of a published form.  The true one is outside the 95 % band in one record of twenty, at 1.3 to 2.0, other forms at
-# 4 and more.
-NEAR_FORM = 2.5
 SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
     frozenset((3, 4)): f"a belt tachometer{OTHER_SPEEDS}",
@@ -30,29 +25,40 @@ SPLITS = {
 
 def verdict_sentence(
     rows: Sequence[LawResult],
-    competition: Competition,
+    not_excluded: Sequence[int | str],
     *,
     sustained: bool,
     measured: bool = False,
+    rest_known: bool = True,
     runs: int = 1,
 ) -> str:
     """Return the verdict: the law, or the compatible laws, and why; rows are best first.
 
-    Without ``sustained`` sticks friction is constant; ``measured`` is whether the belt's counts were used.
+    rows: Best first.
+    not_excluded: Laws outside the set that fit equally well.
+    sustained: Whether the record has sustained sticks; without them friction is constant.
+    measured: Whether the belt's own counts were used.
+    rest_known: Whether the rest position of the spring was stated.
+    runs: How many were fitted together.
     """
     members = [row for row in rows if row.in_set]
     six = [row for row in members if isinstance(row.law, int)]
     others = [row for row in members if not isinstance(row.law, int)]
     cycles = f"{rows[0].cycles} cycles" if runs == 1 else f"{rows[0].cycles} cycles of {runs} runs"
-    if not six:
-        return _named_sentence(rows, others, competition, cycles)
-    asked = [row for row in rows if isinstance(row.law, int)]
-    if sustained:
+    of_six = [row for row in rows if isinstance(row.law, int)]
+    if rows[0].formula is not None:
+        words = _of_formula(rows, members, cycles)
+    elif sustained:
         alone = len([row for row in rows if row.asked]) == 1
-        words = _of_six(asked, six, cycles, measured=measured, runs=runs, alone=alone)
+        words = f"{_of_six(of_six, six, cycles, measured=measured, runs=runs, alone=alone)}{_as_well(others)}"
     else:
-        words = _constant_friction(asked, six, measured=measured)
-    return f"{words}{_as_well(others)}"
+        words = f"{_constant_friction(of_six, six, measured=measured)}{_as_well(others)}"
+    equal = next((row for row in rows if row.law in not_excluded[:1]), None)
+    if equal is not None and f"; {equal.label} " not in words:  # unless it was named as the next best
+        words += f"; {equal.called} fits equally well"
+    if not rest_known and any(not isinstance(law, int) for law in (*(row.law for row in others), *not_excluded)):
+        words += ": the spring's rest position (--x0) would help to distinguish them"
+    return words
 
 
 def _of_six(
@@ -70,7 +76,7 @@ def _of_six(
                 f"{best.called} on a belt that slows under load, or {others}: equivalent, the record cannot "
                 f"distinguish them ({fit}); {split} would"
             )
-        gap = abs(members[1].behind[0] - best.behind[0])
+        gap = abs(_lag(members[1]) - _lag(best))
         return (
             f"{best.called} or {others}: {cycles} cannot distinguish them (their errors differ by "
             f"{100 * math.expm1(gap):.0f} %, within the scatter between cycles); {split} would"
@@ -78,8 +84,12 @@ def _of_six(
     rest = [row for row in rows if not row.in_set]
     if not rest:
         return f"{best.called}{', the only law fitted' if alone else ''}: {fit}"
-    rival = min(rest, key=lambda row: row.score)
-    return f"{best.called}: {fit}; {_behind(best, rival)}"
+    return f"{best.called}: {fit}; {_behind(best, rest[0])}"
+
+
+def _lag(row: LawResult) -> float:
+    """Return the mean log error behind the best law's."""
+    return 0.0 if row.behind is None else row.behind[0]
 
 
 def _behind(best: LawResult, other: LawResult) -> str:
@@ -109,21 +119,19 @@ def _is_compliant(row: LawResult) -> bool:
     return isinstance(row.fit, Fit) and Global.COMPLIANCE in row.fit.active
 
 
-def _named_sentence(
-    rows: Sequence[LawResult], members: Sequence[LawResult], competition: Competition, cycles: str
-) -> str:
-    """Return the verdict where requested formulas exclude all six from the set."""
-    best = members[0]
+def _of_formula(rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str) -> str:
+    """Return the verdict where a law given as a formula is the best."""
+    best = rows[0]
     head = f"{best.called}: {cycles} fit to {format_length(best.rms_m)} rms, {best.shown}"
     if len(members) > 1:
         others = " or ".join(f"{row.called} ({row.shown})" for row in members[1:])
         head = f"{head}; or {others}: the record cannot distinguish them"
     six = next((row for row in rows if isinstance(row.law, int)), None)
-    if six is None:
+    if six is None or six.in_set:
         rest = [row for row in rows if not row.in_set]
-        return f"{head}; {_behind(best, min(rest, key=lambda row: row.score))}" if rest else head
-    lead = competition.lead(best.law, six.law)
+        return f"{head}; {_behind(best, rest[0])}" if rest and six is None else head
     whole = len([row for row in rows if isinstance(row.law, int)]) == len(ALL_LAWS)
+    lead = 0.5 * ((six.score or 0.0) - (best.score or 0.0))
     return f"{head}; {six.called}{', the best of the six,' if whole else ''} is behind by {lead:.3g} in log evidence"
 
 
@@ -135,65 +143,39 @@ def _as_well(others: Sequence[LawResult]) -> str:
     return f"; {named} describes the record as well"
 
 
-def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
-    """Return the verdict where no law fits: what friction does instead, and how far off the laws are."""
+def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy, cause: str | None) -> str:
+    """Return the verdict on a record that no law describes: what friction does instead, and how far off the laws are.
+
+    rows: Best first.
+    cause: Why no law does, where that is known already.
+    """
     asked = [row for row in rows if row.asked]
-    best = asked[0]
     if len(asked) == 1:
-        head = f"{best.called} does not describe this record"
+        head = f"{asked[0].called} does not describe this record"
     else:
-        which = "laws fitted" if adequacy.verdict == NONE_FITTED or best.formula is not None else "six laws"
-        head = f"none of the {which} describes this record"
-    parts = [part for part in (_instead(adequacy), _left_over(best, adequacy, len(asked))) if part]
-    return f"{head}: {'; '.join(parts)}"
-
-
-def rival_sentence(rows: Sequence[LawResult], competition: Competition) -> str:
-    """Return the verdict where rivals describe a record better than each law, which noise may not rule out."""
-    best = next(row for row in rows if row.asked)
-    rival, *others = [row for row in rows if row.in_set]
-    six = [row for row in rows if isinstance(row.law, int)]
-    which = "of the six" if len(six) == len(ALL_LAWS) and best in six else "of the laws fitted"
-    equal = f"; {' and '.join(row.called for row in others)} cannot be distinguished from it" if others else ""
-    return (
-        f"{best.called} is the best {which}; {rival.called} describes the record better "
-        f"(by {competition.lead(rival.law, best.law):.3g} in log evidence): {rival.shown}{equal}"
-    )
+        custom = adequacy.verdict == NONE_FITTED or any(row.formula is not None for row in asked)
+        head = f"none of the {'laws fitted' if custom else 'six laws'} describes this record"
+    parts = [_instead(adequacy) if cause is None else cause, _left_over(rows[0], adequacy, len(rows))]
+    return f"{head}, nor does a published curve: {'; '.join(part for part in parts if part)}"
 
 
 def _instead(adequacy: Adequacy) -> str:
     """Return what the record shows instead of a law."""
-    departures, curve = adequacy.departures, adequacy.curve
-    strongest = ""
-    if departures:
-        first = departures[0]
-        host = f"law {first.law} describes it together with" if first.refitted and first.law else "strongest departure:"
-        strongest = f"{host} {first.text} ({_size(first)})"
-    if adequacy.of_speed and curve is not None:
-        follows = "friction follows a curve of relative speed"
-        inside = next((form for form in curve.forms if form.inside_band), None)
-        if inside is not None:
-            return f"{follows}, {_named(inside)}"
-        if strongest:
-            return strongest
-        nearest = min(curve.forms, key=lambda form: form.bic)
-        if nearest.chi < NEAR_FORM:
-            return f"{follows} that is nearly {_named(nearest)}, but outside its band"
-        return f"{follows} that is none of the published forms"
-    memory = "friction that remembers, or an effect that was not tested, is possible"
-    return f"no curve of relative speed on a constant spring describes it either; {strongest or memory}"
-
-
-def _named(form: FormFit) -> str:
-    values = ", ".join(f"{name} = {item.value:.3g} {item.unit}" for name, item in form.determined.items())
-    return f"{form.name.replace('-', ' ')} ({values})"
+    if adequacy.departures:
+        first = adequacy.departures[0]
+        return f"law {first.law} describes it together with {first.text} ({_size(first)})"
+    if adequacy.of_speed:
+        return "friction follows a curve of relative speed that is none of these"
+    if adequacy.fluctuation is not None:
+        return (
+            f"friction fluctuates at random within slips, by about {100 * adequacy.fluctuation:.2g} % of Fs (nothing "
+            "of the residual repeats from cycle to cycle)"
+        )
+    return "a deterministic effect that none of these models has: the residual repeats from cycle to cycle"
 
 
 def _size(departure: FoundDeparture) -> str:
-    sure = f"{departure.sigmas:.2g} standard deviations"
-    if not departure.parameter:
-        return sure
-    return f"{departure.parameter} = {departure.value:.3g} +- {departure.stderr:.2g} {departure.unit}, {sure}"
+    return f"{departure.parameter} = {departure.value:.3g} +- {departure.stderr:.2g} {departure.unit}"
 
 
 def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:

@@ -24,8 +24,7 @@ class JudgedRun:
     """One run and its results, the subjects of warnings."""
 
     rows: Sequence[LawResult]  # best first
-    best: LawResult  # the best of those that were asked for
-    members: Sequence[int | str]  # the set, best first
+    best: LawResult  # the first row
     motion: MeasuredMotion
     cut: CycleSegmentation
     record: Kinematics

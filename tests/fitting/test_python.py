@@ -129,12 +129,14 @@ def test_a_fixed_parameter_has_no_covariance_and_no_profile(run):
         found.best.profile("gamma")
 
 
-def test_curve_and_forms_are_tables_with_errors(ranking):
-    curve, forms = ranking.curve, ranking.forms
+def test_curve_and_forms_are_tables_with_errors(ranking, run):
+    curve, forms = ranking.curve, fitting.rank(run, laws=(5, "stribeck")).forms
     assert ((curve.lo < curve.friction) & (curve.friction < curve.hi)).all()
     assert curve.attrs["units"]["friction"] == "N"
-    hyperbolic = forms[forms.name == "hyperbolic"].iloc[0]
-    assert abs(hyperbolic["gamma"] - 9.6) < 3 * hyperbolic["gamma stderr"]
+    stribeck = forms[forms.name == "stribeck"].iloc[0]
+    assert stribeck["chi"] > 2  # it is law 5
+    assert stribeck["v_s"] > 0
+    assert not stribeck["inside_band"]
 
 
 def test_a_data_set_has_samples_parameters_and_curve(ranking):

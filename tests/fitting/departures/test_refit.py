@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from fitting.departures.explain import Question, base_of, confirm, explain_beside_curve, explain_misfit
+from fitting.departures import explain
+from fitting.departures.explain import Question, base_of, confirm, explain_misfit
 from fitting.departures.strongest import strongest
 
 K = 10.5552
@@ -19,8 +20,15 @@ def asked(*fits):
     return Question.of(fits, fits[0].problem.motions, NOISE)
 
 
-def explained(fit, **laws):
-    return explain_misfit(asked(fit, *laws.values()))
+def explained(fit, chi=40.0, **laws):
+    """Explain the misfit of a law beside a free curve that shows no departure of its own."""
+    curve = SimpleNamespace(chi=chi, linear=None, spline_fit=SimpleNamespace(path=None))
+    question = asked(fit, *laws.values())
+    with pytest.MonkeyPatch.context() as patch:
+        whole = explain.strongest
+        patch.setattr(explain.Base, "of", classmethod(lambda *_: None))
+        patch.setattr(explain, "strongest", lambda base: [] if base is None else whole(base))
+        return explain_misfit(question, curve, lambda refit: refit.usual_rms < 1.05 * NOISE)
 
 
 def test_a_hard_spring_is_fitted_with_the_law(fitted):
@@ -64,7 +72,7 @@ def test_a_strong_guide_is_fitted_with_the_law(fitted, guide, gamma):
 def test_a_drag_that_the_free_curve_takes_up_is_fitted_with_the_law(fitted):
     """A linear step alone gave its size: 9 % too little."""
     fit = fitted(scatter=0.03, drag=0.15)
-    first = explain_beside_curve(asked(fit), lambda refit: refit.usual_rms < 1.05 * NOISE)[0]
+    first = explained(fit, chi=1.0)[0]
     assert (first.name, first.refitted, first.law) == ("drag-quadratic", True, 5)
     assert first.value == pytest.approx(0.15 / 0.3, rel=0.04)
     assert abs(first.value - 0.15 / 0.3) < 4 * first.stderr
@@ -82,8 +90,6 @@ def test_the_law_is_found_together_with_the_departure(fitted):
 
 def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeypatch):
     """The first was named: law 5, at 1.005 times the noise, hid law 3 at 0.97 and a spring 11 % harder."""
-    from fitting.departures import explain
-
     fits = [SimpleNamespace(problem=SimpleNamespace(curve=law), law=law, at=law) for law in (5, 3)]
     left = {5: 1.005 * NOISE, 3: 0.97 * NOISE}
     monkeypatch.setattr(explain, "base_of", lambda fit, records, revolution: fit)
@@ -105,3 +111,9 @@ def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
     others = [one for one in strongest(base_of(fit, records)) if one.departure.name == "second-mode"]
     assert others
     assert confirm(others[0].at, asked(fit)) is None
+
+
+def test_a_departure_that_no_law_describes_the_record_with_is_not_named(fitted, monkeypatch):
+    # A wheel, a second mass or "friction that remembers" was named with the size of one linear step.
+    monkeypatch.setattr(explain, "refit_with", lambda *_, **__: None)
+    assert explained(fitted(scatter=0.03, k3=HARD)) == ()

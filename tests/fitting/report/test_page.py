@@ -112,9 +112,10 @@ def test_the_cost_stands_below_the_evidence_and_the_method(page):
     assert not re.search(r"\bCPU\b", page[:cost])
 
 
-def test_rivals_and_published_forms_have_errors(ranked, belt_rig, page):
-    forms = page[page.index("Published forms") :]
-    assert re.search(r"gamma = [\d.]+ ± [\d.]+ s/m", forms)
+def test_every_published_law_is_listed_with_its_misfit(page):
+    forms = page[page.index("Published laws") :]
+    assert re.search(r"v_s = [\d.]+ m/s</td><td class=\"n\">[\d.]+</td>", forms)
+    assert len(re.findall("<td>stribeck[a-z-]*</td><td>Fc", forms)) == 4
 
 
 def test_a_line_of_each_law_is_told_apart_without_its_colour(page):

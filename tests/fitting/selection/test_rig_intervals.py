@@ -9,7 +9,7 @@ from fitting.selection.rig_intervals import law_dependent, over_the_set
 
 def row(law, v_dr, error, *, in_set=True, **others):
     parameters = {"v_dr": Parameter(v_dr, error, v_dr - 2 * error, v_dr + 2 * error, "m/s"), **others}
-    return LawResult(law, "", 0.0, 0.5, in_set, 1e-5, 20, parameters, 1.0, (0.0, 0.0), 0.0, None, None)
+    return LawResult(law, "", 0.0, 0.5, in_set, 1e-5, 1.0, 20, parameters, 1.0, (0.0, 0.0), 0.0, None, None)
 
 
 def test_an_interval_contains_those_of_the_other_laws_in_the_set():

@@ -1,0 +1,59 @@
+"""Friction that fluctuates at random within a slip: how large it must be to leave what a law leaves.
+
+Random friction acts on the fitted motion and all unknowns are fitted again, to first order in it.  Its correlation time
+is the one for which what is then left, with the noise, has the correlation time of the residual.
+"""
+
+import math
+
+import numpy as np
+
+from fitting.departures.base import Base, usual_rms
+from fitting.forces.departure import Forcing
+from stickslip.compute.arrays import Array, autocorrelation_time
+
+DRAWS, SEED = 6, 5  # the size is then known to a third; the same draws for every record
+HARMONICS = 64  # sines whose sum is one draw
+# Correlation times of the friction that are tried, over that of the residual: a position follows a force late.
+TIMES_TRIED = (1.0, 0.5, 0.25, 0.125, 0.0625)
+
+
+def fluctuation_share(base: Base, noise: float) -> float | None:
+    """Return the standard deviation of random friction over the friction at rest; None beside an unstable motion.
+
+    ``noise`` is the standard deviation of a position, m.
+    """
+    linear, path = base.linear, base.path
+    excess = usual_rms(linear.residual, linear.rows) ** 2 - noise**2
+    if not excess > 0:
+        return None
+    rng = np.random.default_rng(SEED)
+    white = noise * rng.standard_normal((linear.residual.size, DRAWS))
+    friction = np.where(path.stuck, 0.0, path.friction)[:, None]
+    steps = np.diff(path.windows.time)
+    seen = _correlation(linear.residual, base)
+    found: list[tuple[float, float]] = []
+    for share in TIMES_TRIED:
+        time = share * seen * float(np.median(steps[steps > 0])) / math.sqrt(2 * math.pi)
+        left = linear.refit(base.respond([Forcing(acceleration=friction * _random(path.time, time, rng))]))
+        unit = float(np.median([usual_rms(one, linear.rows) for one in left.T]))
+        if math.isfinite(unit) and unit > 0:
+            size = math.sqrt(excess) / unit
+            times = [_correlation(one, base) for one in (size * left + white).T]
+            found.append((abs(math.log(float(np.median(times)) / seen)), size))
+    return min(found)[1] if found else None
+
+
+def _correlation(residual: Array, base: Base) -> float:
+    """Return the correlation time of residuals (N,), in samples."""
+    return autocorrelation_time([residual[rows] for rows in base.linear.rows])
+
+
+def _random(time: Array, correlation: float, rng: np.random.Generator) -> Array:
+    """Return random numbers of unit variance at times (M,), s, with a Gaussian correlation; shape (M, DRAWS)."""
+    rate = rng.standard_normal((HARMONICS, DRAWS)) / correlation
+    phase = rng.uniform(0.0, 2 * math.pi, (HARMONICS, DRAWS))
+    total = np.zeros((time.size, DRAWS))
+    for one, shift in zip(rate, phase, strict=True):
+        total += np.cos(time[:, None] * one + shift)
+    return math.sqrt(2 / HARMONICS) * total

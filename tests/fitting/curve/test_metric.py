@@ -1,0 +1,35 @@
+"""The metric of the measured curve: the lowest coefficients follow a formula; published laws are found on their own."""
+
+import numpy as np
+import pytest
+
+from fitting.curve.metric import followed
+from fitting.driver.start_search import Target, find_starts
+from fitting.law import PUBLISHED
+
+SPEEDS = np.linspace(0.0, 0.5, 200)
+TRUE = {
+    "stribeck": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.004},
+    "stribeck-viscous": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.08, "Fv": 0.4},
+    "stribeck-gaussian": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.4},
+    "stribeck-gaussian-viscous": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.15, "Fv": 0.5},
+    "logarithmic": {"Fs": 9.0, "b": 0.3, "v_0": 1e-7},
+    "power": {"Fs": 4.6, "b": 3.0, "p": 0.4},
+}
+
+
+@pytest.mark.parametrize("law", PUBLISHED.values(), ids=lambda law: law.name)
+def test_a_published_law_is_found_on_its_own_curve(law):
+    friction = law.curve.value(SPEEDS, TRUE[law.name] | dict(law.fix or {}))
+    found = find_starts(law, Target.of(SPEEDS, friction, 1e-3))[0]
+    assert found.values == pytest.approx(TRUE[law.name], rel=1e-3)
+    assert found.misfit < 1e-2
+
+
+def test_an_unknown_without_curvature_does_not_follow_a_form():
+    """Where the search for the curve had failed (law 5, 10 samples a slip) a negative one made every form NaN."""
+    curvature = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, -1e-3]])
+    cross = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 3.0]])
+    found = followed(curvature, cross)
+    assert found[:2] == pytest.approx(np.linalg.inv(curvature[:2, :2]) @ cross[:, :2].T)
+    assert not found[2].any()
