@@ -33,7 +33,8 @@ class Adequacy:
     outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)
     unit: str = "N/kg"  # of the curve's friction
     departures: tuple[FoundDeparture, ...] = ()  # those with which a law describes the record, strongest first
-    forms: tuple[FormFit, ...] = ()  # the published laws as fitted to the record, nearest first
+    # The published laws as fitted to the record, nearest first.
+    forms: tuple[FormFit, ...] = field(default=(), repr=False)
     # standard deviation of random friction within slips, over Fs, where that is what no law describes
     fluctuation: float | None = None
 

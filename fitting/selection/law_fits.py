@@ -84,15 +84,18 @@ def fit_runs(
     jobs: int,
     progress: Callable[[float], None] | None,
     scheduler: str | None,
+    *,
+    custom: bool = False,
 ) -> FittedSix:
     """Fit the laws that may describe the records.
 
-    A record that none of the six comes near is not refused yet: another law may.
+    A record that rough fits of the six do not come near is refused, unless a ``custom`` law was requested that may; one
+    that their fits do not come near is not refused yet.
     """
     sustained = _check(laws, runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
     doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
-    if doubt == screening.SINE_ALONE:
+    if not custom or doubt == screening.SINE_ALONE:
         refuse(doubt, records)
     fit_to = partial(_fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:

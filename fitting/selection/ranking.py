@@ -128,7 +128,13 @@ def _contest(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -
     """
     competitors = asked.competitors
     six, runs, sustained, doubt = law_fits.fit_runs(
-        competitors.searched, runs, records, asked.jobs, asked.progress, asked.scheduler
+        competitors.searched,
+        runs,
+        records,
+        asked.jobs,
+        asked.progress,
+        asked.scheduler,
+        custom=bool(competitors.formulas),
     )
     measured = measure(six, [run.motion for run in runs], asked.alpha)
     formulas = fit_formulas(competitors, measured.curve, six)

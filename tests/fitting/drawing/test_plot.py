@@ -53,10 +53,13 @@ def test_what_a_file_says_is_escaped_in_the_table(ranking):
 
 def test_the_data_frame_has_a_row_a_law_with_its_parameters(ranking):
     rows = ranking.to_dataframe()
-    assert rows["law"].tolist() == [5]
+    assert rows["law"].tolist() == [row.law for row in (*ranking.rows, *ranking.unfitted)]
+    assert rows["law"][0] == 5
     assert rows["gamma hi"][0] == ranking.best.parameters["gamma"].hi
     assert rows.attrs["units"]["gamma"] == "s/m"
-    assert replace(ranking, rows=()).to_dataframe().empty
+    unfitted = replace(ranking, rows=()).to_dataframe()
+    assert unfitted["law"].tolist() == [row.law for row in ranking.unfitted]
+    assert replace(ranking, rows=(), unfitted=()).to_dataframe().empty
 
 
 def test_the_curve_is_drawn_where_it_was_measured_and_the_law_in_its_band(ranking):
