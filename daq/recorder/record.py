@@ -93,6 +93,17 @@ def check_output(request: RecordRequest) -> None:
         raise journal_exists(request.part)
 
 
+def _check_again(request: RecordRequest, writer: journal.Writer) -> None:
+    """Refuse a run file that another recording has completed since `check_output`, before anything is recorded."""
+    from stickslip.output.atomic import refuse_existing
+
+    try:
+        refuse_existing(request.output, request.force)
+    except InputError:
+        writer.remove()
+        raise
+
+
 def journal_exists(part: Path) -> InputError:
     """Return the error of a journal that exists already: another recorder's, or an unfinished one."""
     if claim.is_locked(part):
@@ -133,6 +144,7 @@ def record(
     try:
         samples = count_samples(request.duration_s, plan.rate_hz)
         writer = journal.Writer(request.part, _make_board_header(request, board, identity, plan, samples, warnings))
+        _check_again(request, writer)
     except FileExistsError as error:
         board.close()
         raise journal_exists(request.part) from error

@@ -69,7 +69,8 @@ def explain_misfit(asked: Question, curve: MeasuredCurve, describes: Judge) -> t
     tried: list[Tested] = []
     refits: list[Refit] = []
     for base, tested in lists:
-        if refits or _explained(base, tested, asked) < LEAST_EXPLAINED:
+        # Near the noise a share of the misfit says nothing.
+        if refits or not (near or _explained(base, tested, asked) > LEAST_EXPLAINED):
             break
         for rival in tested:
             strong = rival is tested[0] or (refits and rival.score.gain > RIVAL_GAIN * tested[0].score.gain)

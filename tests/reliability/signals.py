@@ -187,7 +187,7 @@ def _ended_badly(code: int, err: str, known: set[int]) -> bool:
     At a Ctrl-C before it has come to our modules the interpreter ends as it does, with a traceback of its own.
     """
     ours = any(f"{ROOT / package}{os.sep}" in err for package in PACKAGES)
-    if not ours and (code == -signal.SIGINT or "init_import_site" in err):
+    if not ours and (code == -signal.SIGINT or "Fatal Python error: init_" in err):
         return False
     return code not in known or "Traceback" in err or "hung" in err
 
