@@ -11,6 +11,7 @@ from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence
 from fitting.selection.evidence import Evidence, ModelSet, Units
+from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 
 
@@ -65,6 +66,13 @@ def compete(
     judged = describing(fits, motions, float(np.max(noise)), {known.fit.law: known})
     misfit = {law: _misfit(fit, units, noise) for law, fit in by_law.items()}
     described = {law for law, own in judged.items() if law in by_law and not own.together.rejected}
+    if not described:  # a jump on a belt that slows under load may describe what no ramp does at several speeds
+        ramps = [law for law in sorted(misfit, key=misfit.__getitem__) if isinstance(law, int) and LAWS[law].ramp]
+        double = equivalence.equivalent_jump_law([fit for fit in fits if isinstance(fit, Fit)], ramps[:1], runs)
+        seen = {} if double is None else describing([double], motions, float(np.max(noise)))
+        if double is not None and not seen[double.law].together.rejected:
+            by_law[double.law], judged, described = double, judged | seen, {double.law}
+            misfit[double.law] = _misfit(double, units, noise)
     if not described:
         order = sorted(fits, key=lambda fit: misfit[fit.law])
         judged = describing(order[:1], motions, float(np.max(noise)), judged) | judged

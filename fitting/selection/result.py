@@ -439,7 +439,8 @@ class RankedLaws:
             table.append(flat | in_columns(row.parameters))
             units |= {name: item.unit for name, item in row.parameters.items()}
         for unfitted in self.unfitted:
-            table.append({key: value for key, value in unfitted.as_json().items() if not table or key in (*table[0], "reason")})
+            flat = unfitted.as_json()
+            table.append({key: flat[key] for key in flat if not table or key in (*table[0], "reason")})
         frame = pd.DataFrame(table)
         frame.attrs["units"] = units
         return frame

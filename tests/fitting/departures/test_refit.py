@@ -20,7 +20,7 @@ def asked(*fits):
     return Question.of(fits, fits[0].problem.motions, NOISE)
 
 
-def explained(fit, chi=40.0, **laws):
+def explained(fit, chi=40.0, describes=lambda refit: True, **laws):
     """Explain the misfit of a law beside a free curve that shows no departure of its own."""
     curve = SimpleNamespace(chi=chi, linear=None, spline_fit=SimpleNamespace(path=None))
     question = asked(fit, *laws.values())
@@ -28,7 +28,7 @@ def explained(fit, chi=40.0, **laws):
         whole = explain.strongest
         patch.setattr(explain.Base, "of", classmethod(lambda *_: None))
         patch.setattr(explain, "strongest", lambda base: [] if base is None else whole(base))
-        return explain_misfit(question, curve, lambda refit: refit.usual_rms < 1.05 * NOISE)
+        return explain_misfit(question, curve, describes)
 
 
 def test_a_hard_spring_is_fitted_with_the_law(fitted):
@@ -49,7 +49,6 @@ def test_a_hard_spring_is_fitted_with_the_law(fitted):
         ("belt-ripple", {"ripple": ((0.015, 0.7), (0.01, 2.9))}, 0.0022),
         ("second-mode", {"second_mass": (0.006, 0.006 * OMEGA**2, 0.006 * 0.02 * OMEGA)}, 0.02),
         ("friction-by-belt-position", {"by_belt_position": (0.05, 1.6)}, 0.05),
-        ("friction-by-mass-position", {"by_mass_position": (0.05, 0.1)}, 0.05),
     ],
 )
 def test_the_size_after_the_refit_is_within_a_few_percent(fitted, name, changes, size):
@@ -72,7 +71,7 @@ def test_a_strong_guide_is_fitted_with_the_law(fitted, guide, gamma):
 def test_a_drag_that_the_free_curve_takes_up_is_fitted_with_the_law(fitted):
     """A linear step alone gave its size: 9 % too little."""
     fit = fitted(scatter=0.03, drag=0.15)
-    first = explained(fit, chi=1.0)[0]
+    first = explained(fit, chi=1.0, describes=lambda refit: refit.usual_rms < 1.05 * NOISE)[0]
     assert (first.name, first.refitted, first.law) == ("drag-quadratic", True, 5)
     assert first.value == pytest.approx(0.15 / 0.3, rel=0.04)
     assert abs(first.value - 0.15 / 0.3) < 4 * first.stderr
@@ -111,6 +110,12 @@ def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
     others = [one for one in strongest(base_of(fit, records)) if one.departure.name == "second-mode"]
     assert others
     assert confirm(others[0].at, asked(fit)) is None
+
+
+@pytest.mark.slow
+def test_a_departure_whose_motion_cannot_be_followed_is_not_named(fitted):
+    # Friction by the mass's position was named with the size of one linear step, which was right to 5 %.
+    assert explained(fitted(scatter=0.03, by_mass_position=(0.05, 0.1))) == ()
 
 
 def test_a_departure_that_no_law_describes_the_record_with_is_not_named(fitted, monkeypatch):

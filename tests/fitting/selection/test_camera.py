@@ -61,7 +61,7 @@ def test_a_millimetre_of_noise_leaves_the_truth_in_the_set_without_a_false_alarm
 def test_intervals_under_a_millimetre_of_noise_contain_the_truth(track, seed):
     # Slips that began up to 54 mm/s faster than the belt held the search in local minima: Fs was 4.5 and 3 standard
     # errors off, gamma 2.9 and 2.4.
-    (row,) = rank(smooth(track(5, 1e-3, seed)), laws=(5,)).rows
+    row = next(row for row in rank(smooth(track(5, 1e-3, seed)), laws=(5,)).rows if row.law == 5)
     for name, true in {"Fs/m": 35.184 * 0.13068, "gamma": 9.618, "k/m": 35.184, "v_dr": 0.22}.items():
         assert row.parameters[name].lo <= true <= row.parameters[name].hi
 
