@@ -138,8 +138,8 @@ def render(
         said=ranking.verdict,
         verdict=symbols.pretty(ranking.verdict),
         alone=len(ranking.members) == 1 and not ranking.adequacy.rejected,
-        rows=[_row(row, colours) for row in ranking.rows],
-        unfitted=ranking.unfitted,
+        rows=[_row(row, colours) for row in ranking.rows if _is_on_first_screen(row, ranking)],
+        unfitted=[row for row in ranking.unfitted if row.asked],
         best=ranking.best if ranking.rows else None,
         parameters=[(name, *format_interval(item)) for name, item in _best(ranking).items()],
         rivals=[_rival(row) for row in ranking.rivals if row.in_set and row is not ranking.best],
@@ -300,6 +300,11 @@ def _signed(value: float) -> str:
 def _shade(value: float) -> str:
     """Return the colour of a cell: blue for errors of the same sign, orange for those of opposite sign."""
     return f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})"
+
+
+def _is_on_first_screen(row: LawResult, ranking: RankedLaws) -> bool:
+    """Return whether a law was requested or may be the contact's; the table of published laws has the others."""
+    return row.asked or row.in_set or row is ranking.best or row.law in ranking.not_excluded
 
 
 def _row(row: LawResult, colours: Mapping[int | str, str]) -> dict[str, Any]:
