@@ -81,8 +81,8 @@ def orbits(ranking: RankedLaws) -> str:
 
     It is the cycle with the median error of the best law.
     """
-    rows, colours = by_law(ranking), colours_of(ranking)
-    columns = min(len(rows), 3)
+    rows = [row for row in by_law(ranking) if row.asked or row.in_set or row.law == ranking.best.law]
+    colours, columns = colours_of(ranking), min(len(rows), 3)
     lines = math.ceil(len(rows) / columns)
     typical = [typical_cycle(side.best) for side in ranking.sides]
     measured = [measured_motion(side, cycle)[1:] for side, cycle in zip(ranking.sides, typical, strict=True)]
