@@ -128,11 +128,6 @@ def plain(value: Any) -> Any:
     return value
 
 
-def format_number(value: float, form: str) -> str:
-    """Return a number as text in a format such as '.4g'; ``-`` where `plain` makes it null."""
-    return format(value, form) if math.isfinite(value) else "-"
-
-
 def print_json(value: Any) -> None:
     sys.stdout.write(json.dumps(plain(value), allow_nan=False) + "\n")
     sys.stdout.flush()
