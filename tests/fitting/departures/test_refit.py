@@ -23,7 +23,7 @@ def asked(*fits):
 
 def explained(fit, chi=40.0, describes=lambda refit: True, **laws):
     """Explain the misfit of a law beside a free curve that shows no departure of its own."""
-    curve = SimpleNamespace(chi=chi, linear=None, spline_fit=SimpleNamespace(path=None))
+    curve = SimpleNamespace(chi=chi, linear=None, spline_fit=SimpleNamespace(path=object()))
     question = asked(fit, *laws.values())
     with pytest.MonkeyPatch.context() as patch:
         whole = explain.strongest
