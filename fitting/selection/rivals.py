@@ -19,7 +19,7 @@ from fitting.curve.formula_fit import FormulaFit, contained, fit_formula
 from fitting.curve.metric import MeasuredTarget, measured_target
 from fitting.curve.result import MeasuredCurve
 from fitting.curve.spline_fit import SplineFit
-from fitting.driver.driver import CONTAINED_ERROR
+from fitting.driver.driver import WORSE
 from fitting.driver.start_search import Target, find_starts
 from fitting.estimation.fit import Fit
 from fitting.law import PUBLISHED, Law
@@ -110,7 +110,7 @@ def _fit(
     """Fit one formula, or return why it is not fitted."""
     if not asked:
         least = min(other.geometric_mean_rms for other in others)
-        reached = min(noise_levels.DESCRIBES * float(np.max(host.noise)), CONTAINED_ERROR * least)
+        reached = min(noise_levels.DESCRIBES * float(np.max(host.noise)), WORSE * least)
         for other in others:
             if other.law in evidence.nested(law.name) and other.geometric_mean_rms < reached:
                 return f"it contains law {other.law}, which no other law fits better: the record cannot exclude it"
@@ -145,9 +145,7 @@ def name_better_limit(
         for other in others
         if other.law in limits
         and other.law != fit.law
-        and (
-            fit.geometric_mean_rms > CONTAINED_ERROR * other.geometric_mean_rms or fit.rms > CONTAINED_ERROR * other.rms
-        )
+        and (fit.geometric_mean_rms > WORSE * other.geometric_mean_rms or fit.rms > WORSE * other.rms)
     ]
     return f"its fit errs more than law {better[0].law}" if better else None
 
