@@ -16,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fitting import noise_levels
-from fitting.competitors import ALL_LAWS
 from fitting.driver.curves import LawCurve
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.noise import PassNoise
 from fitting.driver.overtaking import find_overtaking, with_overtaking
 from fitting.driver.passes import (
@@ -33,6 +32,7 @@ from fitting.driver.passes import (
     with_own_static,
 )
 from fitting.driver.task import FitStart, Task, law_task
+from fitting.law import SIX, Law
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
 from stickslip.compute.arrays import Array
@@ -49,7 +49,7 @@ NARROW_START = 0.02  # width over the first one, of a ramp that starts next to n
 WORSE = 1.0005  # error over a neighbour's, from which a task starts again from that one's fit
 
 
-def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
+def fit_from(task: Task, start: FitStart, noise: PassNoise) -> Fit | None:
     """Fit a task from the end of another fit, with its noise; None where the motion cannot be followed."""
     first = first_pass(task, start, noise)
     settled = None if first is None else settle(first)
@@ -58,7 +58,7 @@ def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
 
 def best_end(
     task: Task, starts: Sequence[tuple[FitStart, PassNoise | None]], noise_m: Array | None = None
-) -> TaskFit | None:
+) -> Fit | None:
     """Settle a task from each start until one reaches the noise; return the best fit.
 
     Starts come with the noise of their fit, likeliest first; the best after its first pass is settled first, and one
@@ -66,8 +66,8 @@ def best_end(
     resolution.
     """
     reached = noise_levels.DESCRIBES * (task.resolution if noise_m is None else float(np.max(noise_m)))
-    best: TaskFit | None = None
-    tried: list[TaskFit] = []
+    best: Fit | None = None
+    tried: list[Fit] = []
     for start, noise in starts:
         first = first_pass(task, start, noise)
         tried += [] if first is None else [first]
@@ -83,19 +83,19 @@ def best_end(
 
 
 def fit_laws(
-    laws: Sequence[int],
+    laws: Sequence[Law],
     runs: Sequence[Run],
-    among: Sequence[int] = ALL_LAWS,
+    among: Sequence[Law] = tuple(SIX.values()),
     *,
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
     scheduler: str | None = None,
-) -> list[TaskFit]:
+) -> list[Fit]:
     """Fit laws to runs of one contact; jump laws first, without those whose motion cannot be followed.
 
     All laws ``among`` are searched, so that a fit does not depend on which others are requested.
     """
-    tasks = [law_task(law, runs) for law in sorted(among)]
+    tasks = [law_task(law, runs) for law in sorted(among, key=lambda law: law.name)]
     asked = set(laws)
 
     def searched(done: int) -> None:
@@ -103,12 +103,8 @@ def fit_laws(
             progress(len(asked) * done / len(tasks))
 
     with workers(min(jobs, len(tasks)), scheduler) as each:
-        found = fit_all(tasks, lambda task: _law(task) in asked, each, searched)
-    return sorted(found, key=lambda one: (one.task.curve.ramp, _law(one.task)))
-
-
-def _law(task: Task) -> int:
-    return task.curve.law if isinstance(task.curve, LawCurve) else 0
+        found = fit_all(tasks, lambda task: task.curve.law in asked, each, searched)
+    return sorted(found, key=lambda one: one.task.curve.ramp)
 
 
 def fit_all(
@@ -116,7 +112,7 @@ def fit_all(
     asked: Callable[[Task], bool] = lambda _: True,
     each: Map = map,
     progress: Callable[[int], None] = lambda _: None,
-) -> list[TaskFit]:
+) -> list[Fit]:
     """Fit tasks to the same runs, and return those ``asked`` for in the order given."""
     fits = fit_first_passes(tasks, each, progress)
     fits = improve_near_best(fits, settle_lower, GIVEN_UP_BEYOND_BEST, each)
@@ -125,7 +121,7 @@ def fit_all(
     fits = improve_near_best(fits, with_own_static, FAR_BEYOND_BEST, each)
     for fit in fits:
         if fit is not None:
-            logger.debug("settled: law %d, %.4g um", _law(fit.task), 1e6 * fit.geometric_mean_rms)
+            logger.debug("settled: law %s, %.4g um", fit.law.name, 1e6 * fit.geometric_mean_rms)
     wanted = [task for task in tasks if asked(task)]
     needed = [asked(task) or any(other.curve.contains(task.curve) for other in wanted) for task in tasks]
     fits, needed_tasks = list(compress(fits, needed)), list(compress(tasks, needed))
@@ -134,9 +130,9 @@ def fit_all(
     return [fit for fit in finished if fit is not None and asked(fit.task)]
 
 
-def fit_first_passes(tasks: Sequence[Task], each: Map, progress: Callable[[int], None]) -> list[TaskFit | None]:
+def fit_first_passes(tasks: Sequence[Task], each: Map, progress: Callable[[int], None]) -> list[Fit | None]:
     """Return the first pass of each task from the regression, tried again where none reaches the noise."""
-    fits: list[TaskFit | None] = []
+    fits: list[Fit | None] = []
     for fit in each(regressed_pass, tasks):
         fits.append(fit)
         progress(len(fits))
@@ -145,7 +141,7 @@ def fit_first_passes(tasks: Sequence[Task], each: Map, progress: Callable[[int],
     return list(each(retry_first_pass, list(zip(tasks, fits, strict=True))))
 
 
-def retry_first_pass(first: tuple[Task, TaskFit | None]) -> TaskFit | None:
+def retry_first_pass(first: tuple[Task, Fit | None]) -> Fit | None:
     """Return the best of a first pass, one with less noise assumed, and, without convergence, another one.
 
     Much noise leads out of poor minima of single cycles; less lets a wrong law follow a valley that calibrations as
@@ -159,8 +155,8 @@ def retry_first_pass(first: tuple[Task, TaskFit | None]) -> TaskFit | None:
 
 
 def improve_near_best(
-    fits: Sequence[TaskFit | None], improve: Callable[[TaskFit], TaskFit | None], times: float, each: Map
-) -> list[TaskFit | None]:
+    fits: Sequence[Fit | None], improve: Callable[[Fit], Fit | None], times: float, each: Map
+) -> list[Fit | None]:
     """Return the fits, improved where their error is within so many times that of the best."""
     limit = times * least_error(fits)
     near = [fit for fit in fits if fit is not None and fit.geometric_mean_rms <= limit]
@@ -168,23 +164,23 @@ def improve_near_best(
     return [improved.get(id(fit)) or fit for fit in fits]
 
 
-def settle_lower(fit: TaskFit) -> TaskFit:
+def settle_lower(fit: Fit) -> Fit:
     """Return a settled fit, or the fit where settling raises the error: a wrong law may take all its cycles as odd."""
     settled = settle(fit)
     return fit if settled is None or fits_worse(settled, fit) else settled
 
 
-def least_error(fits: Sequence[TaskFit | None]) -> float:
+def least_error(fits: Sequence[Fit | None]) -> float:
     """Return the least error, m; 0 of no fit."""
     return min((fit.geometric_mean_rms for fit in fits if fit is not None), default=0.0)
 
 
-def fits_worse(fit: TaskFit | None, other: TaskFit) -> bool:
+def fits_worse(fit: Fit | None, other: Fit) -> bool:
     """Return whether a fit is worse than another of the same samples: a thinned record shows a smaller residual."""
     return fit is None or (fit.whole == other.whole and fit.geometric_mean_rms > WORSE * other.geometric_mean_rms)
 
 
-def select_better(fit: TaskFit | None, other: TaskFit | None) -> TaskFit | None:
+def select_better(fit: Fit | None, other: Fit | None) -> Fit | None:
     """Return the fit of the same samples with the smaller error; the first where both are equal."""
     if fit is None or other is None:
         return fit or other
@@ -195,13 +191,13 @@ class Restart(NamedTuple):
     """A task, its fit so far, and the better fits from which it starts again."""
 
     task: Task
-    fit: TaskFit | None
-    neighbours: Sequence[TaskFit]
+    fit: Fit | None
+    neighbours: Sequence[Fit]
 
 
 def exchange_starts(
-    tasks: Sequence[Task], fits: Sequence[TaskFit | None], each: Map, tried: Sequence[TaskFit | None] = ()
-) -> list[TaskFit | None]:
+    tasks: Sequence[Task], fits: Sequence[Fit | None], each: Map, tried: Sequence[Fit | None] = ()
+) -> list[Fit | None]:
     """Start each task that fits worse than a neighbour again from that one's fit; keep the better fit.
 
     A wrong or weakly determined law has several minima, and no start of its own is always in the lowest one. From the
@@ -218,7 +214,7 @@ def exchange_starts(
     return [ends.get(k) or fit for k, fit in enumerate(fits)]
 
 
-def list_better_neighbours(task: Task, fit: TaskFit | None, others: Sequence[TaskFit], limit: float) -> list[TaskFit]:
+def list_better_neighbours(task: Task, fit: Fit | None, others: Sequence[Fit], limit: float) -> list[Fit]:
     """Return the better fits from which a task starts again: of a curve that it contains, on its contact, of all.
 
     A fit above the ``limit`` of the error, or of every sample, starts from a curve that it contains alone.
@@ -231,7 +227,7 @@ def list_better_neighbours(task: Task, fit: TaskFit | None, others: Sequence[Tas
     return list(dict.fromkeys(best))
 
 
-def start_at_neighbours(restart: Restart) -> TaskFit | None:
+def start_at_neighbours(restart: Restart) -> Fit | None:
     """Return the best fit of a task from its neighbours, each with that one's noise; None if none is better.
 
     From a neighbour of every sample only the last pass is made.
@@ -251,7 +247,7 @@ def start_at_neighbours(restart: Restart) -> TaskFit | None:
     return None if fit is before else fit
 
 
-def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
+def start_beside(task: Task, donor: Fit, narrow: float = 1.0) -> FitStart:
     """Return a warm start of a task from another fit: its shared unknowns, windows and friction.
 
     A new ramp starts with ``narrow`` of its first width.
@@ -268,7 +264,7 @@ def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
     return FitStart(np.concatenate([u[list(task.places)], mine.start, np.zeros(task.widths[2])]), donor.local)
 
 
-def mark_overtaking(fits: Sequence[TaskFit | None], each: Map) -> list[TaskFit | None]:
+def mark_overtaking(fits: Sequence[Fit | None], each: Map) -> list[Fit | None]:
     """Settle fits of one curve again with the cycles that one of them finds overtaking the belt.
 
     A ramp may fit such a cycle by a very low level, where its jump shows that it is spoilt.
@@ -279,7 +275,7 @@ def mark_overtaking(fits: Sequence[TaskFit | None], each: Map) -> list[TaskFit |
         if fit is not None and fit.geometric_mean_rms < FAR_BEYOND_BEST * fit.task.resolution
     }
     seen = {k: find_overtaking(fit) for k, fit in near.items()}
-    marked: dict[int, TaskFit] = {}
+    marked: dict[int, Fit] = {}
     for k, fit in enumerate(fits):
         if fit is None:
             continue
