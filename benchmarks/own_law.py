@@ -17,8 +17,8 @@ import numpy as np
 
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from fitting import rank
 from fitting.competitors import restated
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.units import Measured
 

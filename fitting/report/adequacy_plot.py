@@ -12,7 +12,7 @@ from fitting.report.chart import SMALL, Axes, legend_rows, picture, text_width
 from fitting.report.motion_plot import BROAD, PALE, fitted_motion, measured_motion, typical_cycle
 from fitting.report.scale import AxisScale
 from fitting.report.symbols import pretty
-from fitting.selection.result import LawResult, RankedLaws
+from fitting.selection.result import LawResult, Ranking
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import format_length
 
@@ -20,16 +20,16 @@ HALF, BESIDE = 560.0, 18.0  # px: of the picture of orbits, and for the name of 
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 
 
-def by_law(ranking: RankedLaws) -> list[LawResult]:
+def by_law(ranking: Ranking) -> list[LawResult]:
     """Return the rows in the order of their laws: the six by number, then formulas, best first."""
     return sorted(ranking.rows, key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
 
 
-def colours_of(ranking: RankedLaws) -> dict[int | str, str]:
+def colours_of(ranking: Ranking) -> dict[int | str, str]:
     return law_colours(row.law for row in ranking.rows)
 
 
-def measured_curve(ranking: RankedLaws) -> str:
+def measured_curve(ranking: Ranking) -> str:
     """Draw friction against relative speed: the measured curve with its band, over the laws, and a zoom near 0.
 
     Compatible laws are heavier; an undetermined level of friction is that of the measured curve.
@@ -66,7 +66,7 @@ def measured_curve(ranking: RankedLaws) -> str:
     return picture("measured-curve", WIDE, height, drawn, about)
 
 
-def _force(ranking: RankedLaws, row: LawResult, speed: Array) -> Array:
+def _force(ranking: Ranking, row: LawResult, speed: Array) -> Array:
     """Return a law's friction at relative speeds, at the level of the measured curve if undetermined."""
     force = np.abs(curves.curve(row.fit, ranking.motion, -speed))
     curve = ranking.adequacy.curve
@@ -76,7 +76,7 @@ def _force(ranking: RankedLaws, row: LawResult, speed: Array) -> Array:
     return force + float(np.mean(curve.friction - at))
 
 
-def orbits(ranking: RankedLaws) -> str:
+def orbits(ranking: Ranking) -> str:
     """Draw phase portraits of the laws over a measured cycle of each run, with the error.
 
     It is the cycle with the median error of the best law.

@@ -8,7 +8,7 @@ from fitting.data.cycles import Cycle
 from fitting.drawing.palette import DASH, INK, MEASURED, NARROW, run_colour, run_dash
 from fitting.report.chart import BOTTOM, CLOSE, ROW, Axes, legend_rows, picture
 from fitting.report.scale import AxisScale
-from fitting.selection.result import LawResult, RankedLaws
+from fitting.selection.result import LawResult, Ranking
 from stickslip.compute.arrays import Array
 
 MM = 1e3  # positions are drawn in mm, speeds in m/s
@@ -31,7 +31,7 @@ def extent(cycle: Cycle) -> slice:
     return slice(min(first for first, _ in parts), max(end for _, end in parts))
 
 
-def measured_motion(side: RankedLaws, cycle: Cycle | None = None) -> Part:
+def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
     """Return the smoothed motion of a run or of one cycle."""
     motion, samples = side.motion, slice(None) if cycle is None else extent(cycle)
     time = motion.begin + motion.time[samples]
@@ -57,7 +57,7 @@ def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> lis
     ]
 
 
-def begins(ranking: RankedLaws) -> list[float]:
+def begins(ranking: Ranking) -> list[float]:
     """Return the offsets of each run's times, s, that put the runs one after another."""
     if not ranking.runs:
         return [0.0]
@@ -67,12 +67,12 @@ def begins(ranking: RankedLaws) -> list[float]:
     return list(np.cumsum(spans + gap) - spans - gap - firsts)
 
 
-def time_label(ranking: RankedLaws) -> str:
+def time_label(ranking: Ranking) -> str:
     """Return the label of the times that `begins` shifts."""
     return "time, one run after another (s)" if ranking.runs else "time (s)"
 
 
-def record(ranking: RankedLaws) -> str:
+def record(ranking: Ranking) -> str:
     """Draw position and velocity of the whole record, and the best law's motion in every window."""
     measured, fitted = [], []
     for side, begin in zip(ranking.sides, begins(ranking), strict=True):
@@ -83,7 +83,7 @@ def record(ranking: RankedLaws) -> str:
     return _over_time("record", ranking, measured, fitted, time_label(ranking), "Position and velocity of the record")
 
 
-def cycle(ranking: RankedLaws) -> str:
+def cycle(ranking: Ranking) -> str:
     """Draw position and velocity of a typical cycle of each run against the time since its break-away.
 
     Positions are the readings, velocities are smoothed.
@@ -102,7 +102,7 @@ def cycle(ranking: RankedLaws) -> str:
 
 
 def _over_time(
-    name: str, ranking: RankedLaws, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
+    name: str, ranking: Ranking, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
 ) -> str:
     """Draw position above velocity against time: the measurement broad and pale, the fit thin and dark."""
     runs, opacity = [("measured", MEASURED)], PALE_RUN if ranking.runs else PALE

@@ -14,7 +14,7 @@ from fitting.adequacy.result import Adequacy
 from fitting.drawing.palette import law_colours, run_colour
 from fitting.estimation.result import Parameter
 from fitting.report import mathml, symbols
-from fitting.selection.result import LawResult, RankedLaws
+from fitting.selection.result import LawResult, Ranking
 from fitting.selection.verdict import format_probability
 from processing.record.kinematics import Kinematics
 from processing.statistics import StickSlipStatistics, pooled
@@ -114,7 +114,7 @@ def now() -> str:
 
 
 def render(
-    ranking: RankedLaws, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
+    ranking: Ranking, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
 ) -> str:
     """Return the report as HTML; motions and statistics are those of each run."""
     from markupsafe import Markup
@@ -159,7 +159,7 @@ def render(
     )
 
 
-def _best(ranking: RankedLaws) -> dict[str, Parameter]:
+def _best(ranking: Ranking) -> dict[str, Parameter]:
     return ranking.best.parameters if ranking.rows else {}
 
 
@@ -177,7 +177,7 @@ def _rival(row: LawResult) -> dict[str, Any]:
     return {"label": row.label, "asked": row.asked, "parameters": shown}
 
 
-def _run(number: int, side: RankedLaws, kinematics: Kinematics) -> dict[str, Any]:
+def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
     """Return the page's data of one run: its source, what was fitted, and how well."""
     recording, cut, motion = kinematics.recording, side.cut, side.motion
     best = side.best if side.rows else None
@@ -272,7 +272,7 @@ def moment(stated: str) -> str:
         return stated
 
 
-def _correlations(ranking: RankedLaws) -> dict[str, Any] | None:
+def _correlations(ranking: Ranking) -> dict[str, Any] | None:
     """Return the correlations of the parameters as a triangle of cells, and the strongest, in descending order."""
     correlations = ranking.correlations()
     if correlations is None:
@@ -302,7 +302,7 @@ def _shade(value: float) -> str:
     return f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})"
 
 
-def _is_on_first_screen(row: LawResult, ranking: RankedLaws) -> bool:
+def _is_on_first_screen(row: LawResult, ranking: Ranking) -> bool:
     """Return whether a law was requested or may be the contact's; the table of published laws has the others."""
     return row.asked or row.in_set or row is ranking.best or row.law in ranking.not_excluded
 

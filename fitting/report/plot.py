@@ -25,7 +25,7 @@ from fitting.report.adequacy_plot import by_law, colours_of
 from fitting.report.chart import LEFT, SMALL, Axes, legend_rows, picture, text_width
 from fitting.report.motion_plot import BROAD, PALE, PALE_RUN, begins, fitted_motion, measured_motion, time_label
 from fitting.report.scale import AxisScale
-from fitting.selection.result import LawResult, RankedLaws
+from fitting.selection.result import LawResult, Ranking
 from processing.statistics import StickSlipStatistics, pooled
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import shown_length
@@ -38,7 +38,7 @@ RESIDUAL, NOISE = "model minus measurement", "noise, ±2 sd"
 BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
 
 
-def portrait(ranking: RankedLaws) -> str:
+def portrait(ranking: Ranking) -> str:
     """Draw velocity against position of the whole record, and the best law's motion in every window."""
     runs = [measured_motion(side)[1:] for side in ranking.sides]
     x, v = (np.concatenate(parts_of) for parts_of in zip(*runs, strict=True))
@@ -61,14 +61,14 @@ def portrait(ranking: RankedLaws) -> str:
     return picture("portrait", NARROW, 350, [axes], about)
 
 
-def _legend(ranking: RankedLaws, colour: str, label: str) -> list[tuple[str, str]]:
+def _legend(ranking: Ranking, colour: str, label: str) -> list[tuple[str, str]]:
     """Return colour and label of each run: the arguments for a single run, else those of its number."""
     if not ranking.runs:
         return [(colour, label)]
     return [(run_colour(number), f"run {number}") for number in range(1, len(ranking.runs) + 1)]
 
 
-def friction(ranking: RankedLaws) -> str:
+def friction(ranking: Ranking) -> str:
     """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest."""
     motion = ranking.motion
     clouds = [curves.points(side.best.fit, side.motion)[:2] for side in ranking.sides]
@@ -97,7 +97,7 @@ def friction(ranking: RankedLaws) -> str:
     return picture("friction", NARROW, 350, [axes], about)
 
 
-def residuals(ranking: RankedLaws) -> str:
+def residuals(ranking: Ranking) -> str:
     """Draw model minus measurement with the noise band: the best law over time and phase, a rival over phase."""
     best = ranking.best
     others = (row for row in ranking.rows if row is not best and not row.in_set)
@@ -130,11 +130,11 @@ def residuals(ranking: RankedLaws) -> str:
     return picture("residuals", WIDE, 265, drawn, about)
 
 
-def _whole(ranking: RankedLaws) -> str:
+def _whole(ranking: Ranking) -> str:
     return "all runs" if ranking.runs else "whole record"
 
 
-def evidence(ranking: RankedLaws) -> str:
+def evidence(ranking: Ranking) -> str:
     """Draw each cycle's error under each law, the basis of the ranking."""
     rows = list(reversed(ranking.rows))
     errors = [1e6 * row.fit.cycle_rms for row in rows]
@@ -153,7 +153,7 @@ def evidence(ranking: RankedLaws) -> str:
     return picture("evidence", NARROW, height, [axes], about)
 
 
-def cost(ranking: RankedLaws) -> str:
+def cost(ranking: Ranking) -> str:
     """Draw each law's error against the CPU time of its fit."""
     time, error = np.array([row.cpu_s for row in ranking.rows]), 1e6 * np.array([row.rms_m for row in ranking.rows])
     across = AxisScale(0.0, 1.12 * max(float(time.max()), 1e-3))
@@ -176,7 +176,7 @@ def cost(ranking: RankedLaws) -> str:
     return picture("cost", NARROW, 230, [axes], about)
 
 
-def levels(ranking: RankedLaws) -> str:
+def levels(ranking: Ranking) -> str:
     """Draw the friction level of each cycle at break-away and in the slip, against time."""
     runs = []
     for side, begin in zip(ranking.sides, begins(ranking), strict=True):
@@ -194,7 +194,7 @@ def levels(ranking: RankedLaws) -> str:
     return picture("levels", NARROW, 270, [axes], about)
 
 
-def break_aways(statistics: Sequence[StickSlipStatistics], ranking: RankedLaws, unit: str) -> str:
+def break_aways(statistics: Sequence[StickSlipStatistics], ranking: Ranking, unit: str) -> str:
     """Draw the break-away levels: their distribution, their trend, and level against stick time."""
     counted, shown_as = pooled(statistics), _legend(ranking, COLOURS[2], "")
     factor, shown = shown_length(unit)
@@ -239,7 +239,7 @@ PICTURES = (motion_plot.cycle, motion_plot.record, portrait, friction, residuals
 WITHOUT_LAW = (motion_plot.record, portrait)
 
 
-def draw(ranking: RankedLaws, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
+def draw(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
     """Return the pictures of the report as ``<svg>`` elements by name; without a law only the measured ones."""
     shown = PICTURES if ranking.rows else WITHOUT_LAW
     drawn = {one.__name__: one(ranking) for one in shown}

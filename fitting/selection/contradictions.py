@@ -74,16 +74,6 @@ def _of_runs(
     return found
 
 
-def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:
-    """Return a verdict with the calibrations that its law contradicts, each once."""
-    clauses = {}
-    for one in (one for own in contradicted for one in own):
-        unit, name = UNITS[one.code], one.code.replace("-", " ")
-        if one.code not in clauses:
-            clauses[one.code] = f"{name} (stated {one.expected:.3g} {unit}, the record shows {one.value:.3g} {unit})"
-    return f"{verdict}; it contradicts the stated {' and '.join(clauses.values())}" if clauses else verdict
-
-
 def _compared(motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig) -> Iterator[Finding]:
     """Yield each calibration beside what a law shows of it."""
     if motion.stated_speed is not None and not parameters["v_dr"].fixed:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from daq.runfile import joint, listing, store
+from fitting import rank
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.errors import DataError, InputError
 
@@ -212,7 +212,7 @@ def test_a_joint_fit_is_listed_and_is_no_run(files, fitted, tmp_path, capsys):
 @pytest.mark.parametrize("content", ["mine", "run", "joint fit"])
 def test_a_foreign_file_is_refused_before_a_joint_fit_and_replaced_by_force(files, tmp_path, content):
     copies = [Path(shutil.copy(path, tmp_path)) for path in files]
-    named = [joint.FittedRun(path, store.load(path).digest, "", "") for path in copies]
+    named = [store.load(path) for path in copies]
     place = joint.name_output(copies[:2])
     if content == "mine":
         place.write_text(content)
