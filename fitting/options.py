@@ -1,23 +1,23 @@
 """The options of a fit, the same for every run, checked where they are made: by the command, and from Python."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from numbers import Real
 
 from daq.runfile.rig import Rig
 from fitting.competitors import Competitors
+from fitting.law import SIX, Law
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
 LEAST_ALPHA = 1e-9  # surer is no interval
-SIX = Competitors()
 
 
 @dataclass(frozen=True)
 class Options:
     """Which laws are fitted, to which part of the runs, and how; None keeps what a run's calibration states."""
 
-    competitors: Competitors = SIX
+    competitors: Competitors = field(default_factory=Competitors)
     mass: Measured | None = None  # kg
     stiffness: Measured | None = None  # N/m
     x0: Measured | None = None  # m
@@ -48,12 +48,10 @@ class Options:
             other = "--datum" if self.datum is not None else "--datum-sd"
             raise InputError(f"--x0 and {other} together", "command line", "give --x0 alone, with +-: --datum is -x0")
 
-    def fixed(self, law: int | str) -> dict[str, float]:
+    def fixed(self, law: Law) -> dict[str, float]:
         """Return the fixed parameters of a law; none for one that was not requested."""
-        requested = (one for one in self.competitors.every if law in (one, getattr(one, "name", None)))
-        return {
-            name: given.low for one in requested for name, given in self.competitors.of_law(one).items() if given.fixed
-        }
+        given = self.competitors.of_law(law) if self.competitors.asks(law) else {}
+        return {name: one.low for name, one in given.items() if one.fixed}
 
     def check_joint(self) -> None:
         """Raise InputError for options of a single run."""
@@ -87,10 +85,10 @@ class Options:
     @property
     def laws_fitted(self) -> list[str]:
         """The fitted laws in words, unless the six alone, and the conditions on them."""
-        laws, names = self.competitors.laws, self.competitors.names
+        laws, names = ([law.name for law in laws] for laws in (self.competitors.six, self.competitors.formulas))
         said = []
-        if laws != SIX.laws and laws:
-            said.append(f"law{'s' * (len(laws) > 1)} {', '.join(map(str, laws))}")
+        if laws and len(laws) < len(SIX):
+            said.append(f"law{'s' * (len(laws) > 1)} {', '.join(laws)}")
         if names:
             said.append(f"{'with ' if laws else ''}law{'s' * (len(names) > 1)} {', '.join(names)}")
         if self.competitors.fix:

@@ -10,16 +10,13 @@ from typing import Any
 import numpy as np
 
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
-from fitting.competitors import ALL_LAWS
-from fitting.curve.formula_fit import FormulaFit
-from fitting.curve.formula_parameters import formula_level_error, formula_parameters
 from fitting.curve.result import FormFit
 from fitting.departures.ageing import find_other_break_away
 from fitting.drawing import curves
+from fitting.driver.fit import Fit
 from fitting.estimation import break_aways, derived
-from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
-from fitting.law import PUBLISHED, SOURCES
+from fitting.law import PUBLISHED, SIX, SOURCES
 from fitting.model.problem import Run
 from fitting.options import Options
 from fitting.selection import rig_intervals, verdict, verdict_warnings
@@ -28,7 +25,6 @@ from fitting.selection.phase_distance import MeasuredOrbit
 from fitting.selection.result import LawResult, Ranking
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from rig_sim.friction.law import LAWS
 from stickslip.units import Measured
 
 Contradictions = Sequence[Sequence[Finding]]  # of each run
@@ -81,7 +77,7 @@ def without_law(
     begun: float,
 ) -> Ranking:
     """Return the verdict on stick-slip that no law fits: no rows, and what is known without a law."""
-    outcome = NONE_OF_SIX if options.competitors.laws == ALL_LAWS else NONE_FITTED
+    outcome = NONE_OF_SIX if len(options.competitors.six) == len(SIX) else NONE_FITTED
     laws = "none of the six laws" if outcome == NONE_OF_SIX else outcome
     words = verdict.name_contradictions(f"stick-slip, but {laws}: {reason}", contradicted)
     sides = []
@@ -107,14 +103,14 @@ def without_law(
 def describing(competition: Competition, options: Options) -> dict[int | str, list[dict[str, Parameter]]]:
     """Return the laws that describe the runs, best first, each with its parameters of each run."""
     return {
-        fit.law: [_parameters(fit, competition, options, number) for number in range(len(competition.runs))]
+        fit.law.key: [_parameters(fit, competition, options, number) for number in range(len(competition.runs))]
         for fit in competition.fits
         if competition.describes(fit.law)
     }
 
 
 def _rows_of(
-    fit: Fit | FormulaFit,
+    fit: Fit,
     competition: Competition,
     options: Options,
     orbits: Sequence[MeasuredOrbit],
@@ -132,11 +128,10 @@ def _rows_of(
             together |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
         parts, parameters, motions = [*parts, fit], [*parameters, together], [*motions, motions[0]]
         distances.append(math.sqrt(float(np.mean(np.square(distances)))))
-    formula = None if isinstance(fit, Fit) or fit.number is not None else fit.asked_for.formula
     return [
         LawResult(
-            law=fit.law,
-            name=LAWS[fit.law].name if isinstance(fit.law, int) else fit.law.replace("-", " "),
+            law=fit.law.key,
+            name=fit.law.words,
             score=chosen.score.get(fit.law),
             weight=chosen.weight.get(fit.law),
             in_set=fit.law in chosen.members,
@@ -149,22 +144,18 @@ def _rows_of(
             orbit=distance,
             fit=part,
             motion=motion,
-            outside_band=adequacy.outside_band.get(fit.law),
-            formula=formula,
-            asked=fit.law in competitors.laws or fit.law in competitors.names,
+            outside_band=adequacy.outside_band.get(fit.law.key),
+            formula=None if fit.law.number else fit.law.formula,
+            asked=competitors.asks(fit.law),
         )
         for part, own, distance, motion in zip(parts, parameters, distances, motions, strict=True)
     ]
 
 
-def _parameters(fit: Fit | FormulaFit, competition: Competition, options: Options, run: int) -> dict[str, Parameter]:
+def _parameters(fit: Fit, competition: Competition, options: Options, run: int) -> dict[str, Parameter]:
     """Return a law's parameters of a run; those that were given as they were given."""
-    motion, alpha, sustained = competition.runs[run].motion, options.alpha, competition.sustained
-    own: dict[str, Parameter]
-    if isinstance(fit, Fit):
-        own = derived.derived_parameters(fit, motion, alpha, run, sustained=sustained)
-    else:
-        own = formula_parameters(fit, motion, alpha, run, sustained=sustained)
+    motion = competition.runs[run].motion
+    own = derived.derived_parameters(fit, motion, options.alpha, run, sustained=competition.sustained)
     trusted = competition.describes(fit.law)
     found = {name: replace(item, trusted=trusted and item.trusted) for name, item in own.items()}
     for name, value in options.fixed(fit.law).items():
@@ -193,13 +184,13 @@ def _side(
     # a mass that merely grazes the belt does not break away from rest
     if competition.sustained and competition.described:
         friction = rows[0].fit.values.F * curves.mass(run.motion, rows[0].fit)
-        error = _level_error(competition.best, run, number)
+        error = derived.break_away_level_error(competition.best, run.motion, number)
         findings += find_other_break_away(
             events, run.cut, Measured(friction, error * friction), curves.unit(run.motion)
         )
     return Ranking(
         verdict="",
-        members=competition.members,
+        members=tuple(law.key for law in competition.members),
         rows=rows,
         events=tuple(replace(event, t=run.motion.begin + event.t) for event in events),
         warnings=(),
@@ -210,16 +201,9 @@ def _side(
         records=(record,),
         alpha=options.alpha,
         unfitted=competition.unfitted,
-        not_excluded=competition.not_excluded,
+        not_excluded=tuple(law.key for law in competition.not_excluded),
         sustained=competition.sustained,
     )
-
-
-def _level_error(fit: Fit | FormulaFit, run: Run, number: int) -> float:
-    """Return the error of a run's break-away level that all cycles share."""
-    if isinstance(fit, Fit):
-        return derived.break_away_level_error(fit, run.motion, number)
-    return formula_level_error(fit, number)
 
 
 def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], competition: Competition) -> Adequacy:

@@ -10,15 +10,12 @@ from dataclasses import replace
 
 from daq.runfile.rig import Rig
 from fitting.adequacy.assess import assess, measure
-from fitting.curve.formula_fit import FormulaFit
 from fitting.data import frame
-from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.problem import Run
 from fitting.options import Options
 from fitting.selection import answer, law_fits, screening
 from fitting.selection.contradictions import LawParameters, find_contradictions
-from fitting.selection.evidence import nested
 from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import Competition, compete
 from fitting.selection.one_contact import find_other_contact
@@ -72,15 +69,15 @@ def rank(
         competition.judged[competition.best.law],
         competition.curve,
         competition.noise,
-        [fit for fit in competition.fits if isinstance(fit, Fit)] or competition.six,
+        [fit for fit in competition.fits if fit.law.has_kernel] or competition.six,
         [run.motion for run in competition.runs],
-        len(options.competitors.laws),
+        len(options.competitors.six),
         _revolution(records),
         explain=other_contact is None and not any(contradicted),
     )
     for fit in competition.fits:
         member = "in the set" if fit.law in competition.members else "not in the set"
-        logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
+        logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law.name, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
     logger.info("goodness of fit: %s", adequacies[0].said)
     return answer.build_ranking(competition, options, records, adequacies, contradicted, other_contact, begun)
 
@@ -113,15 +110,16 @@ def _compete(
     six, runs, sustained, doubt = law_fits.fit_runs(options, runs, records, progress)
     nearest, curve = measure(six, [run.motion for run in runs], options.alpha)
     formulas, missing, warnings = fit_formulas(competitors, curve, six)
-    direct = [fit for fit in six if fit.law in competitors.direct]
-    lost = {fit.law: name_better_limit(fit, (1, *nested(fit.law)), six) for fit in direct}
-    fits: list[Fit | FormulaFit] = [*(fit for fit in direct if not lost[fit.law]), *formulas]
+    direct = [fit for fit in six if competitors.asks(fit.law) and competitors.by_kernel(fit.law)]
+    lost = {fit.law: name_better_limit(fit, six) for fit in direct}
+    fits = [*(fit for fit in direct if not lost[fit.law]), *formulas]
     if doubt and not screening.comes_near(formulas, runs):
         law_fits.refuse(doubt, records)
     if sustained:
-        lost |= {law: "its motion cannot be followed" for law in competitors.direct if law not in lost}
+        followed = {*lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}
+        lost |= {law: "its motion cannot be followed" for law in competitors.laws if law not in followed}
     missing = [*(unfitted(law, why) for law, why in lost.items() if why), *missing]
-    if not any(fit.law in competitors.laws or fit.law in competitors.names for fit in fits):
+    if not any(competitors.asks(fit.law) for fit in fits):
         reasons = "; ".join(f"law {row.law}: {row.reason}" for row in missing if row.asked)
         where = ", ".join(record.recording.where for record in records)
         raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")

@@ -8,7 +8,6 @@ from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.competitors import ALL_LAWS
 from fitting.departures.result import FoundDeparture
-from fitting.estimation.fit import Fit
 from fitting.model.parameters import Global
 from fitting.selection.contradictions import UNITS
 from fitting.selection.result import LawResult, Ranking
@@ -129,7 +128,7 @@ def _constant_friction(rows: Sequence[LawResult], members: Sequence[LawResult], 
 
 def _is_compliant(row: LawResult) -> bool:
     """Return whether one of the six was fitted on a belt that slows under load."""
-    return isinstance(row.fit, Fit) and Global.COMPLIANCE in row.fit.active
+    return row.formula is None and Global.COMPLIANCE in row.fit.places
 
 
 def _of_formula(rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str) -> str:

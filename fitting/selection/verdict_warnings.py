@@ -9,7 +9,6 @@ from fitting.adequacy.result import Adequacy
 from fitting.model.parameters import Global
 from fitting.model.problem import NARROWEST_RAMP
 from fitting.selection.result import Ranking
-from rig_sim.friction.law import LAWS
 
 POOR_ERROR = 0.003  # error over the motion's range: five times what 12 % scatter, ripple and jitter leave over
 
@@ -57,10 +56,10 @@ def _unfinished(side: Ranking) -> str:
 
 def _hidden_ramp(side: Ranking) -> float | None:
     """Return the width (m/s) below which the best law may have a hidden ramp; None where not tested."""
-    jump = side.best.law
-    if not isinstance(jump, int) or not side.sustained or LAWS[jump].ramp:
+    jump = side.best.fit.law
+    if not jump.has_kernel or jump.ramp or not side.sustained:
         return None
-    row = next((row for row in side.rows if row.law == jump + 1), None)
+    row = next((row for row in side.rows if row.fit.law.is_ramp_of(jump)), None)
     if row is None or row.in_set or "d" not in row.parameters or row.parameters["d"].fixed:
         return None
     near = row.rms_m < 1.05 * side.best.rms_m

@@ -111,7 +111,7 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, tmp_path, b
     # A fit used to stand beside a smoothed motion, or even a recording, that it was not made from.
     path = tmp_path / "run.h5"
     shutil.copy(run, path)
-    options = Options(competitors=Competitors((5,)))
+    options = Options(competitors=Competitors.of(5))
     done = job.fit_runs([job.load_run(path, options)], options)
     job.save(done, None, "")
     stage.save(smooth(store.load(path), method="sg"), path)
