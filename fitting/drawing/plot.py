@@ -12,7 +12,7 @@ from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.drawing import curves
 from fitting.drawing.palette import INK, MEASURED, law_styles
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from stickslip.compute.arrays import Array
 from stickslip.output.plot import STYLE, figure
 
@@ -24,19 +24,19 @@ COLUMNS = 140  # of a line of the title
 MOST_POINTS = 12_000
 USUAL = 99.5  # percentile of the force balance up to which it is drawn
 
-Shown = Sequence[tuple[FittedLaw, str, dict[str, Any]]]  # laws, best first, each with its name and line style
+Shown = Sequence[tuple[Fit, str, dict[str, Any]]]  # laws, best first, each with its name and line style
 
 
 def friction(
-    laws: Sequence[tuple[FittedLaw, str]],
+    laws: Sequence[tuple[Fit, str]],
     motion: MeasuredMotion,
     measured: MeasuredCurve | None,
     title: str,
     axes: "Axes | None" = None,
 ) -> Figure:
     """Return friction against relative speed (m/s), all speeds (in ``axes``) and the low ones; laws best first."""
-    styles = law_styles(fit.law for fit, _ in laws)
-    shown = [(fit, name, styles[fit.law]) for fit, name in laws]
+    styles = law_styles(fit.law.key for fit, _ in laws)
+    shown = [(fit, name, styles[fit.law.key]) for fit, name in laws]
     with mpl.rc_context(fname=STYLE):
         if axes is not None:
             draw(axes, shown, motion, measured)
@@ -83,12 +83,12 @@ def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCu
     axes.set(xlim=(0, reach), xlabel="relative speed (m/s)", ylabel=f"friction ({curves.unit(motion)})")
 
 
-def _force(fit: FittedLaw, motion: MeasuredMotion, speed: Array) -> Array:
+def _force(fit: Fit, motion: MeasuredMotion, speed: Array) -> Array:
     """Return a law's friction against relative speeds (n,), positive where it opposes the slip."""
     return motion.sign * curves.curve(fit, motion, -motion.sign * speed)
 
 
-def _draw_balance(axes: "Axes", fit: FittedLaw, motion: MeasuredMotion) -> list[float]:
+def _draw_balance(axes: "Axes", fit: Fit, motion: MeasuredMotion) -> list[float]:
     """Draw the force balance at the samples, and return the ends of the usual values."""
     w, force, _ = curves.points(fit, motion)
     thin = slice(None, None, max(1, w.size // MOST_POINTS))
