@@ -21,7 +21,7 @@ from processing.record.kinematics import Kinematics
 from stickslip import units
 from stickslip.errors import InputError, StickslipError
 from stickslip.output import suffix
-from stickslip.units import Stated
+from stickslip.units import Measured, Stated
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -295,28 +295,35 @@ def _read_options(
     fix: Mapping[str, float | str] | None = None,
     bounds: Mapping[str, Bound] | None = None,
     start: Mapping[str, float | str] | None = None,
-    *,
-    belt_speed: Stated | None = None,
-    begin: float | str | None = None,
-    end: float | str | None = None,
-    excluded: int | Sequence[int] = (),
-    alpha: float = 0.05,
-    jobs: int = 1,
-    scheduler: str | None = None,
-    **rig: Stated | None,
+    **values: Any,
 ) -> Options:
-    """Return the options of keywords of `rank`, of which those of the ``rig`` are quantities."""
-    return Options(
-        laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start),
-        **{name: units.read_stated(value, name) for name, value in rig.items()},  # type: ignore[arg-type]
-        belt_speed=belt_speed if belt_speed == "channel" else units.read_stated(belt_speed, "belt_speed"),
-        begin=units.exact_in_si(begin, "time", "begin"),
-        end=units.exact_in_si(end, "time", "end"),
-        excluded=(excluded,) if isinstance(excluded, int) else tuple(excluded),
-        alpha=alpha,
-        jobs=jobs,
-        scheduler=scheduler,
-    )
+    """Return the options of keywords of `rank`."""
+    competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
+    return Options(competitors, **{name: READ.get(name, _as_given)(value, name) for name, value in values.items()})
+
+
+def _as_given(value: Any, _: str) -> Any:
+    return value
+
+
+def _read_time(value: float | str | None, name: str) -> float | None:
+    return units.exact_in_si(value, "time", name)
+
+
+def _read_speed(value: Stated | None, name: str) -> Measured | str | None:
+    return "channel" if value == "channel" else units.read_stated(value, name)
+
+
+def _read_cycles(value: int | Sequence[int], _: str) -> tuple[int, ...]:
+    return (value,) if isinstance(value, int) else tuple(value)
+
+
+READ: dict[str, Callable[[Any, str], Any]] = {
+    **dict.fromkeys(("mass", "stiffness", "x0", "damping"), units.read_stated),
+    **dict.fromkeys(("begin", "end"), _read_time),
+    "belt_speed": _read_speed,
+    "excluded": _read_cycles,
+}
 
 
 def _rigs(rig: Rig | Sequence[Rig] | None, count: int) -> Sequence[Rig | None]:

@@ -4,19 +4,17 @@ import math
 import time as clock
 from collections.abc import Sequence
 from dataclasses import replace
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
-from fitting.curve.result import FormFit
 from fitting.departures.ageing import find_other_break_away
 from fitting.drawing import curves
 from fitting.driver.fit import Fit
 from fitting.estimation import break_aways, derived
 from fitting.estimation.result import Parameter
-from fitting.law import PUBLISHED, SIX, SOURCES
+from fitting.law import SIX
 from fitting.model.problem import Run
 from fitting.options import Options
 from fitting.selection import rig_intervals, verdict, verdict_warnings
@@ -64,8 +62,7 @@ def build_ranking(
         sides.append(replace(side, warnings=warnings))
     rows = tuple(rig_intervals.over_the_set(tables[-1]))
     events = tuple(event for side in sides for event in side.events)
-    adequacy = _with_forms(together, rows, competition)
-    return _complete(sides, contradicted, begun, rows=rows, events=events, adequacy=adequacy)
+    return _complete(sides, contradicted, begun, rows=rows, events=events, adequacy=together)
 
 
 def without_law(
@@ -204,28 +201,6 @@ def _side(
         not_excluded=tuple(law.key for law in competition.not_excluded),
         sustained=competition.sustained,
     )
-
-
-def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], competition: Competition) -> Adequacy:
-    """Return what is known of a record, with the published laws as they were fitted to it."""
-    forms = [
-        FormFit(
-            name=str(row.law),
-            formula=str(row.formula),
-            source=SOURCES[str(row.law)],
-            parameters={name: row.parameters[name] for name in PUBLISHED[str(row.law)].free},
-            chi=row.misfit,
-            inside_band=row.outside_band is not None and row.outside_band.half_widths <= 1,
-        )
-        for row in sorted(rows, key=attrgetter("misfit"))
-        if row.law in PUBLISHED
-    ]
-    forms += [
-        FormFit(name, str(one.formula), SOURCES[name], dict.fromkeys(PUBLISHED[name].free), None, inside_band=False)
-        for one in competition.unfitted
-        if (name := str(one.law)) in PUBLISHED
-    ]
-    return replace(adequacy, forms=tuple(forms))
 
 
 def _complete(sides: Sequence[Ranking], contradicted: Contradictions, begun: float, **of_all: Any) -> Ranking:

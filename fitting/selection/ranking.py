@@ -15,10 +15,9 @@ from fitting.estimation.result import Parameter
 from fitting.model.problem import Run
 from fitting.options import Options
 from fitting.selection import answer, law_fits, screening
-from fitting.selection.contradictions import LawParameters, find_contradictions
+from fitting.selection.contradictions import LawParameters, find_contradictions, find_other_contact
 from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import Competition, compete
-from fitting.selection.one_contact import find_other_contact
 from fitting.selection.result import Ranking
 from fitting.selection.rivals import fit_formulas, name_better_limit, unfitted
 from processing.record.kinematics import Kinematics

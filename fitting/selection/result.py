@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from fitting.driver.fit import Fit
 from fitting.estimation.derived import RUNS_OWN, correlations
 from fitting.estimation.motion_at import motion_at
 from fitting.estimation.result import STATED_ERROR, BreakAway, Correlations, Parameter, in_columns
-from fitting.law import TITLES
+from fitting.law import PUBLISHED, SOURCES, TITLES
 from fitting.selection import resampling
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
@@ -47,8 +48,45 @@ def numbers(values: "ArrayLike", name: str) -> Array:
         raise InputError(f"{name} is {values!r:.40}", name, do) from None
 
 
+class _Row:
+    """A law of the ranking, whether it was fitted or not."""
+
+    law: int | str
+    name: str
+    misfit: float | None
+    parameters: dict[str, Parameter]
+    outside_band: BandExit | None
+    formula: str | None
+
+    @property
+    def title(self) -> str:
+        """The law in a table: its number and name, or its name and formula."""
+        return f"{self.law} {self.name}" if self.formula is None else f"{self.law}: {self.formula}"
+
+    def as_json(self) -> dict[str, Any]:
+        of_formula = () if self.formula is None else ("formula", "asked")
+        names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "misfit", "cycles")
+        document: dict[str, Any] = {name: getattr(self, name) for name in names}
+        document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
+        document["outside_band"] = None if self.outside_band is None else vars(self.outside_band)
+        more = {"orbit_distance": "orbit", "cpu_s": "cpu_s", "fitted": "fitted", "reason": "reason"}
+        return document | {key: getattr(self, name) for key, name in more.items()}
+
+    def as_form(self) -> dict[str, Any]:
+        """Return a published law as a row of `Ranking.published`."""
+        name, band = str(self.law), self.outside_band
+        return {
+            "name": name,
+            "formula": self.formula,
+            "source": SOURCES[name],
+            "parameters": {own: self.parameters.get(own) for own in PUBLISHED[name].free},
+            "chi": self.misfit,
+            "inside_band": band is not None and band.half_widths <= 1,
+        }
+
+
 @dataclass(frozen=True)
-class LawResult:
+class LawResult(_Row):
     """One row of the ranking.
 
     Attributes
@@ -107,10 +145,8 @@ class LawResult:
     formula: str | None = None
     asked: bool = True
 
-    @property
-    def title(self) -> str:
-        """The law in a table: its number and name, or its name and formula."""
-        return _title(self)
+    fitted = True
+    reason = None
 
     @property
     def label(self) -> str:
@@ -256,17 +292,9 @@ class LawResult:
             do = f"take those of one run: ranking.runs[0].row({self.law!r})"
             raise InputError(f"{self.fit.runs} runs together have no common time", what, do)
 
-    def as_json(self) -> dict[str, Any]:
-        of_formula = () if self.formula is None else ("formula", "asked")
-        names = ("law", "name", *of_formula, "score", "weight", "in_set", "rms_m", "misfit", "cycles")
-        document: dict[str, Any] = {name: getattr(self, name) for name in names}
-        document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
-        document["outside_band"] = None if self.outside_band is None else vars(self.outside_band)
-        return document | {"orbit_distance": self.orbit, "cpu_s": self.cpu_s, "fitted": True, "reason": None}
-
 
 @dataclass(frozen=True)
-class UnfittedLaw:
+class UnfittedLaw(_Row):
     """The row of a law that was not fitted, or not to an end that holds: it has no numbers."""
 
     law: int | str
@@ -274,23 +302,10 @@ class UnfittedLaw:
     reason: str
     formula: str | None = None
     asked: bool = True
+    parameters: dict[str, Parameter] = field(default_factory=dict, init=False)
 
-    @property
-    def title(self) -> str:
-        """The law in a table, as in `LawResult.title`."""
-        return _title(self)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the document's form, with the keys of `LawResult.as_json`."""
-        document: dict[str, Any] = {"law": self.law, "name": self.name}
-        document |= {} if self.formula is None else {"formula": self.formula, "asked": self.asked}
-        document |= dict.fromkeys(("score", "weight", "in_set", "rms_m", "misfit", "cycles")) | {"in_set": False}
-        document |= {"fitted": False, "reason": self.reason, "parameters": {}}
-        return document | dict.fromkeys(("outside_band", "orbit_distance", "cpu_s"))
-
-
-def _title(row: LawResult | UnfittedLaw) -> str:
-    return f"{row.law} {row.name}" if row.formula is None else f"{row.law}: {row.formula}"
+    fitted = in_set = False
+    score = weight = rms_m = misfit = cycles = outside_band = orbit = cpu_s = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -389,6 +404,12 @@ class Ranking:
         return tuple(row for row in self.rows if isinstance(row.law, str))
 
     @property
+    def published(self) -> list[dict[str, Any]]:
+        """The published laws, nearest first, as `forms` has them; parameters are None where a law was not fitted."""
+        nearest: list[_Row] = sorted(self.rows, key=attrgetter("misfit"))
+        return [row.as_form() for row in (*nearest, *self.unfitted) if row.law in PUBLISHED]
+
+    @property
     def sides(self) -> "tuple[Ranking, ...]":
         """The side of each run; of a single run the ranking itself."""
         return self.runs or (self,)
@@ -408,7 +429,7 @@ class Ranking:
 
     def as_json(self) -> dict[str, Any]:
         """Return the command's JSON document."""
-        document = {
+        document: dict[str, Any] = {
             "verdict": self.verdict,
             "set": list(self.laws_in_set),
             "rivals": [row.law for row in self.rivals if row.in_set],
@@ -421,6 +442,11 @@ class Ranking:
             "correlations": None if (found := self.correlations()) is None else found.as_json(),
             "cpu_s": self.cpu_s,
         }
+        if self.adequacy.curve is not None:
+            document["adequacy"]["curve"]["forms"] = [
+                form | {"parameters": {name: item and item.as_json() for name, item in form["parameters"].items()}}
+                for form in self.published
+            ]
         if self.runs:
             document["cycles"] = [
                 {"run": number} | event.as_json()
@@ -560,16 +586,13 @@ class Ranking:
         import pandas as pd
 
         self._measured("forms")
-        forms = self.adequacy.forms
         columns = ("name", "formula", "source", "chi", "inside_band")
-        fitted = [{name: item for name, item in form.parameters.items() if item is not None} for form in forms]
-        table = pd.DataFrame(
-            [
-                {name: getattr(form, name) for name in columns} | in_columns(parameters)
-                for form, parameters in zip(forms, fitted, strict=True)
-            ],
-            columns=None if forms else columns,
-        )
+        fitted = [{name: item for name, item in form["parameters"].items() if item} for form in self.published]
+        rows = [
+            {name: form[name] for name in columns} | in_columns(parameters)
+            for form, parameters in zip(self.published, fitted, strict=True)
+        ]
+        table = pd.DataFrame(rows, columns=None if rows else columns)
         table.attrs["units"] = {name: item.unit for parameters in fitted for name, item in parameters.items()}
         return table
 
