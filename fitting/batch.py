@@ -3,9 +3,9 @@
 import os
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 from fitting import job
 from fitting.job import LoadedRun
 from fitting.options import Options
-from fitting.report import comparison, page
+from fitting.report import page
 from fitting.report.comparison import ComparedRun
 from fitting.selection.result import Ranking
 from stickslip import errors
@@ -26,23 +26,6 @@ SEVERITY = (errors.EXIT_DONE, errors.EXIT_UNDECIDED, errors.EXIT_NO_LAW, *FAILUR
 Outcome = tuple[Ranking, str] | StickslipError  # of a run: its ranking and the page of its report, or why it has none
 
 
-@dataclass(frozen=True)
-class BatchRow:
-    file: Path
-    document: dict[str, Any]
-    failure: StickslipError | None = None
-
-    @property
-    def code(self) -> int:
-        """The exit code of this run alone."""
-        return job.exit_code(self.document) if self.failure is None else self.failure.exit_code
-
-    def as_json(self) -> dict[str, Any]:
-        if self.failure is None:
-            return {"file": self.file} | self.document
-        return {"file": self.file, "error": self.failure.as_json()} | self.failure.data
-
-
 def fit(
     files: Sequence[Path],
     places: Sequence[Path],
@@ -50,17 +33,18 @@ def fit(
     progress: Callable[[float], None] | None = None,
     *,
     force: bool = False,
-) -> list[BatchRow]:
+) -> list[ComparedRun]:
     """Fit every run separately; this process alone reads and writes the files.
 
     ``places`` are those of the reports, if wanted; the workers of a dask scheduler need no files; ``progress`` gets the
     number of finished runs. An unusable run becomes a row; DeviceError is raised only where all workers were lost
     before the first run had finished.
     """
-    rows: list[BatchRow] = []
-    pairs = [(file, places[number] if places else None) for number, file in enumerate(files)]
-    outcomes = fit_each(files, _read(pairs, options, force), options, draw=bool(places))
-    for (file, place), outcome in zip(pairs, outcomes, strict=True):
+    rows: list[ComparedRun] = []
+    reports: Sequence[Path | None] = places or [None] * len(files)
+    loads = [partial(_load, file, report, options, force) for file, report in zip(files, reports, strict=True)]
+    outcomes = fit_each(files, loads, options, draw=bool(places))
+    for file, place, outcome in zip(files, reports, outcomes, strict=True):
         rows.append(_saved(file, place, outcome, force))
         if progress is not None:
             progress(float(len(rows)))
@@ -68,13 +52,13 @@ def fit(
 
 
 def fit_each(
-    files: Sequence[Path], runs: Iterable[LoadedRun | StickslipError], options: Options, *, draw: bool = False
+    files: Sequence[Path], loads: Sequence[Callable[[], LoadedRun]], options: Options, *, draw: bool = False
 ) -> Iterator[Outcome]:
-    """Yield the result of each run, in order; raises as `fit`."""
+    """Load each run and yield its result, in order; raises as `fit`."""
     done, work = 0, partial(_fitted, options=replace(options, jobs=1, scheduler=None), draw=draw)
     try:
         with workers(min(options.jobs, len(files)), options.scheduler) as each:
-            for outcome in each(work, runs):
+            for outcome in each(work, map(_read, files, loads)):
                 yield outcome
                 done += 1
     except DeviceError as error:
@@ -83,19 +67,24 @@ def fit_each(
         yield from [error] * (len(files) - done)
 
 
-def exit_code(rows: Sequence[BatchRow]) -> int:
+def _code(row: ComparedRun) -> int:
+    """Return the exit code of a run alone."""
+    return job.exit_code(row.document) if row.failure is None else row.failure.exit_code
+
+
+def exit_code(rows: Sequence[ComparedRun]) -> int:
     """Return the worst failure's code, else 6 when no law describes a run, 5 when a run is undecided, else 0."""
-    return max((row.code for row in rows), key=SEVERITY.index, default=errors.EXIT_DONE)
+    return max(map(_code, rows), key=SEVERITY.index, default=errors.EXIT_DONE)
 
 
-def summary(rows: Sequence[BatchRow]) -> str:
-    count = Counter(errors.EXIT_BUG if row.failure else row.code for row in rows)
+def summary(rows: Sequence[ComparedRun]) -> str:
+    count = Counter(errors.EXIT_BUG if row.failure else _code(row) for row in rows)
     without = f"{count[errors.EXIT_NO_LAW]} that no law describes, " if count[errors.EXIT_NO_LAW] else ""
     undecided = f"{count[errors.EXIT_UNDECIDED]} undecided"
     return f"{count[errors.EXIT_DONE]} decided, {undecided}, {without}{count[errors.EXIT_BUG]} failed"
 
 
-def text(rows: Sequence[BatchRow], compared: Path | None) -> list[Any]:
+def text(rows: Sequence[ComparedRun], compared: Path | None) -> list[Any]:
     """Return the printed table of file, set and verdict, or of errors, and all warnings."""
     table = application.table("runs fitted one by one", ("file", "set", "verdict"))
     table.columns[0].overflow = table.columns[2].overflow = "fold"
@@ -114,12 +103,7 @@ def text(rows: Sequence[BatchRow], compared: Path | None) -> list[Any]:
     return lines
 
 
-def compare(rows: Sequence[BatchRow], path: Path, alpha: float, *, force: bool = False) -> None:
-    runs = [ComparedRun(row.file, row.document, row.failure.what if row.failure else "") for row in rows]
-    comparison.write(runs, path, alpha, summary(rows), force=force)
-
-
-def read_failure(error: Exception, file: Path) -> StickslipError:
+def _failure(error: Exception, file: Path) -> StickslipError:
     """Return what stopped the fit of a run as an error with its message and exit code."""
     if isinstance(error, StickslipError):
         return copy(error)  # without the frames, and their arrays, that a traceback keeps
@@ -131,18 +115,19 @@ def read_failure(error: Exception, file: Path) -> StickslipError:
     return StickslipError(what, str(file), "this is a bug: fit this run alone, without --json, and report it")
 
 
-def _read(
-    pairs: Sequence[tuple[Path, Path | None]], options: Options, force: bool
-) -> Iterator[LoadedRun | StickslipError]:
-    """Read each run; an existing file in place of its report that is not its report is a failure."""
-    for file, place in pairs:
-        try:
-            run = job.load_run(file, options)
-            if place is not None:
-                page.refuse_foreign_file(place, [run.recording.digest], files=[file], force=force)
-            yield run
-        except Exception as error:
-            yield read_failure(error, file)
+def _load(file: Path, report: Path | None, options: Options, force: bool) -> LoadedRun:
+    """Read a run; an existing file in place of its report that is not its report is an InputError."""
+    run = job.load_run(file, options)
+    if report is not None:
+        page.refuse_foreign_file(report, [run.recording.digest], files=[file], force=force)
+    return run
+
+
+def _read(file: Path, load: Callable[[], LoadedRun]) -> LoadedRun | StickslipError:
+    try:
+        return load()
+    except Exception as error:
+        return _failure(error, file)
 
 
 def _fitted(run: LoadedRun | StickslipError, options: Options, draw: bool) -> Outcome:
@@ -152,16 +137,16 @@ def _fitted(run: LoadedRun | StickslipError, options: Options, draw: bool) -> Ou
         ranking = job.fit_runs([run], options)
         return ranking, job.draw(ranking) if draw else ""
     except Exception as error:
-        return read_failure(error, run.recording.source)
+        return _failure(error, run.recording.source)
 
 
-def _saved(file: Path, place: Path | None, outcome: Outcome, force: bool) -> BatchRow:
+def _saved(file: Path, place: Path | None, outcome: Outcome, force: bool) -> ComparedRun:
     """Save the result and the report, and return the row."""
     if isinstance(outcome, StickslipError):
-        return BatchRow(file, {}, outcome)
+        return ComparedRun(file, {}, outcome)
     ranking, text = outcome
     try:
         job.save(ranking, place, text, force=force)
     except Exception as error:
-        return BatchRow(file, {}, read_failure(error, file))
-    return BatchRow(file, ranking.as_json() | {"report": place})
+        return ComparedRun(file, {}, _failure(error, file))
+    return ComparedRun(file, ranking.as_json() | {"report": place})

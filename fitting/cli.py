@@ -85,7 +85,7 @@ def fit(
 
 def _fit_each(files: "Sequence[Path]", options: "Options", outputs: OutputFlags, places: "Places") -> Answer:
     from fitting import batch
-    from fitting.report import table
+    from fitting.report import comparison, table
 
     force, compared = outputs.force, places.comparison
     with application.progress("fitting", float(len(files)), "runs") as progress:
@@ -93,7 +93,7 @@ def _fit_each(files: "Sequence[Path]", options: "Options", outputs: OutputFlags,
     if outputs.csv is not None:
         table.write(outputs.csv, [(row.file, row.document.get("ranking", ())) for row in rows])
     if compared is not None:
-        batch.compare(rows, compared, options.alpha, force=force)
+        comparison.write(rows, compared, options.alpha, batch.summary(rows), force=force)
     data = {"runs": [row.as_json() for row in rows], "comparison": compared}
     return Answer(data, batch.text(rows, compared), batch.exit_code(rows))
 

@@ -1,8 +1,9 @@
 """``fitting.rank``: of a run, a file, a smoothed motion, two arrays, or several runs of one contact; `rank_each`."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -272,15 +273,9 @@ def rank_each(
     rigs = _rigs(rig, len(given))
     files = [Path(run) if isinstance(run, str | os.PathLike) else _recording(run).source for run in given]
 
-    def load_each() -> Iterator[LoadedRun | StickslipError]:
-        for file, run, own in zip(files, given, rigs, strict=True):
-            try:
-                yield _loaded(run, own, read)
-            except Exception as error:
-                yield batch.read_failure(error, file)
-
+    loads = [partial(_loaded, run, own, read) for run, own in zip(given, rigs, strict=True)]
     ranked = RankedRuns()
-    for file, outcome in zip(files, batch.fit_each(files, load_each(), read), strict=True):
+    for file, outcome in zip(files, batch.fit_each(files, loads, read), strict=True):
         if isinstance(outcome, StickslipError):
             ranked.append(RankedRun(file, None, outcome))
         else:

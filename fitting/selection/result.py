@@ -492,14 +492,11 @@ class Ranking:
 
         table: list[dict[str, Any]] = []
         units: dict[str, str] = {}
-        for row in self.rows:
+        for row in self.table:
             flat = row.as_json()
             del flat["outside_band"], flat["parameters"]
             table.append(flat | in_columns(row.parameters))
             units |= {name: item.unit for name, item in row.parameters.items()}
-        for unfitted in self.unfitted:
-            flat = unfitted.as_json()
-            table.append({key: flat[key] for key in flat if not table or key in (*table[0], "reason")})
         frame = pd.DataFrame(table)
         frame.attrs["units"] = units
         return frame

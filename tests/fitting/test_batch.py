@@ -17,8 +17,8 @@ import daq
 import fitting
 from daq.runfile.rig import Rig
 from fitting import batch, cli, job
-from fitting.batch import BatchRow
 from fitting.options import Options
+from fitting.report.comparison import ComparedRun
 from processing.smoothing import smooth
 from stickslip.compute import cluster, workers
 from stickslip.console import application
@@ -106,7 +106,7 @@ def test_a_batch_is_a_table_on_the_screen(folder, capsys):
 )
 def test_the_exit_code_of_a_batch(codes, expected):
     rows = [
-        BatchRow(
+        ComparedRun(
             Path("x"),
             {
                 "set": [5, 6] if code == 5 else [5],
