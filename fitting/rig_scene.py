@@ -27,7 +27,6 @@ from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.driver.curves import FreeCurve, FrictionCurve
 from fitting.driver.fit import Fit
-from fitting.driver.formula import FormulaCurve
 from fitting.estimation.covariance import covariance
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
@@ -114,7 +113,7 @@ class FittedRig:
     @property
     def free(self) -> tuple[str, ...]:
         """The parameters of the law that were fitted."""
-        return self.curve.free if isinstance(self.curve, FormulaCurve) else tuple(self.keys)
+        return tuple(self.keys) if self.curve.kind else self.curve.free
 
     @property
     def sized(self) -> bool:
@@ -213,7 +212,7 @@ def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedSc
         unknowns, spread = rig.unknowns, _held(covariance(fit, fit.least_squares.precision), rig)
         level = _level_of_law(ranking, rig)
     else:
-        unknowns, spread = rig.unknowns + _move_of_rest(measured, rig), _held(_covariance_of_curve(measured), rig)
+        unknowns, spread = rig.unknowns + _move_of_rest(rig), _held(_covariance_of_curve(measured), rig)
         level = _level_of_curve(measured, statistics, rig)
     static = None
     if level is not None:
@@ -259,7 +258,7 @@ def _choose(ranking: RankedLaws) -> tuple[Fit, MeasuredCurve | None]:
             "--save-scene",
             "leave it out; departures in the report may say what is missing",
         )
-    return adequacy.curve.spline_fit.at, adequacy.curve
+    return adequacy.curve.spline_fit, adequacy.curve
 
 
 def _level_of_law(ranking: RankedLaws, rig: FittedRig) -> BreakAwayLevel | None:
@@ -282,13 +281,13 @@ def _level_of_curve(curve: MeasuredCurve, statistics: StickSlipStatistics, rig: 
         p = rig.values(unknowns)
         return p.K * (place.value - p.datum) + p.damping * p.v_dr - rig.at_rest(unknowns)
 
-    return BreakAwayLevel(excess, curve.spline_fit.fit.values.K * place.sd, STATIC_ERRORS, LEAST_STATIC)
+    return BreakAwayLevel(excess, curve.spline_fit.values.K * place.sd, STATIC_ERRORS, LEAST_STATIC)
 
 
 def _held(spread: Array, rig: FittedRig) -> Array:
     """Return a covariance (p, p) with the rest position fixed, where nothing but the assumption determines it."""
     fit, curve = rig.fit, rig.curve
-    assumed = curve.law is None or fit.level_held or curve.kind in ("constant", "linear")
+    assumed = curve.law is None or fit.held_rest is not None or curve.kind in ("constant", "linear")
     if rig.motion.datum_prior is not None or not assumed:
         return spread
     place = rig.slots.index(Global.DATUM)
@@ -299,23 +298,23 @@ def _held(spread: Array, rig: FittedRig) -> Array:
 
 def _covariance_of_curve(curve: MeasuredCurve) -> Array:
     """Return the covariance by the scatter between cycles, no smaller than the noise makes each variance."""
-    noise, scattered = covariances(curve.spline_fit.linearised())
+    noise, scattered = covariances(curve.linear)
     wider = np.sqrt(np.maximum(np.diag(noise) / np.maximum(np.diag(scattered), 1e-300), 1.0))
     return np.asarray(scattered * wider[:, None] * wider)
 
 
-def _move_of_rest(curve: MeasuredCurve, rig: FittedRig) -> Array:
+def _move_of_rest(rig: FittedRig) -> Array:
     """Return the move of the unknowns (n,) to the spring's rest that a measured curve is given: see the module."""
-    moved, spline_fit = np.zeros(rig.unknowns.size), curve.spline_fit
+    moved = np.zeros(rig.unknowns.size)
     if rig.motion.datum_prior is not None:
         return moved
     place = rig.slots.index(Global.DATUM)
-    default = datum_calibration(rig.motion) if spline_fit.rest is None else spline_fit.rest
+    default = rig.fit.held_rest or datum_calibration(rig.motion)
     moved[place] = default.value - rig.unknowns[place]
-    knots = spline_fit.spline.knots
+    knots = rig.fit.spline.knots
     friction = rig.friction(rig.unknowns + moved, np.linspace(0.0, knots[-1], 20 * knots.size))
     missing = max(0.0, LEAST_FRICTION * float(np.ptp(friction)) - float(friction.min()))
-    moved[place] -= missing / spline_fit.fit.values.K
+    moved[place] -= missing / rig.fit.values.K
     return moved
 
 

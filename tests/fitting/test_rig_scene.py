@@ -8,7 +8,9 @@ import pytest
 
 import rig_sim
 from fitting.rig_scene import of_ranking
+from fitting.selection.ranking import rank
 from processing.record.finding import Finding
+from processing.smoothing import smooth
 from processing.statistics import from_kinematics
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.scenes.draws import draw_changes
@@ -85,9 +87,9 @@ def test_the_scene_breaks_away_where_the_record_did(belt_rig, tmp_path, static):
     assert scene(tmp_path / "rig.toml").friction.static == pytest.approx(static, rel=0.01)
 
 
-def test_break_aways_below_the_law_at_rest_move_the_law_to_them(ranked):
+def test_break_aways_below_the_law_at_rest_move_the_law_to_them(belt_rig):
     """The scene had the fitted Fs, and broke away beyond every break-away of the record."""
-    ranking = ranked(law=5)
+    ranking = rank(smooth(belt_rig.recording(law=5, duration=12.0)), laws=(5,))
     low = Finding("break-away", "lower", 0.95, 1.0, 50.0)
     statistics = from_kinematics(ranking.records[0])
     fitted, moved = (of_ranking(one, statistics) for one in (ranking, replace(ranking, findings=(low,))))

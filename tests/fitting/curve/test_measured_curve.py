@@ -52,7 +52,7 @@ def test_a_curve_is_measured_where_the_best_law_is_wrong(measured, contact):
     assert half_widths(result) > 2
     assert (in_newtons(result.curve, 0.3).friction == 0.3 * result.curve.friction).all()
     nearest = nearest_published(result)
-    assert nearest.law == "stribeck"
+    assert nearest.law.name == "stribeck"
     assert nearest.own_values["Fs"] == pytest.approx(result.contact.Fs / result.contact.m, rel=0.03)
     assert nearest.own_values["v_s"] == pytest.approx(0.1, rel=0.03)
 
