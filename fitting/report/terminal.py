@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitting.adequacy.result import Adequacy
 from fitting.report import page
-from fitting.report.symbols import MOTION, formula_of
+from fitting.report.symbols import MOTION, formula
 from fitting.selection.result import RankedLaws
 from fitting.selection.verdict import format_probability
 from stickslip.console import application
@@ -25,7 +25,7 @@ def of_ranking(
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
     lines: list[Any] = [f"verdict: {ranking.verdict}"]
     if ranking.rows:
-        law = f"{ranking.best.label}: {formula_of(ranking.best)}; {MOTION}"
+        law = f"{ranking.best.label}: {formula(ranking.best.fit.law)}; {MOTION}"
         unfitted = [f"law {row.law} was not fitted: {row.reason}" for row in ranking.unfitted]
         lines += [_laws(ranking), *unfitted, _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
