@@ -32,7 +32,7 @@ from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
 from fitting.model.wear import FEWEST_LEVELS
-from fitting.selection.result import RankedLaws
+from fitting.selection.result import Ranking
 from processing.statistics import StickSlipStatistics
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError
@@ -197,14 +197,12 @@ class BreakAwayLevel(NamedTuple):
     least_share: float
 
 
-def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedScene:
+def of_ranking(ranking: Ranking) -> FittedScene:
     """Return the scene of the best law, or of the measured curve; DataError where neither describes the record.
 
     Slips hardly constrain friction at rest.  Where the break-aways disagree with a law (finding ``break-away``), or no
     law describes the record, the break-aways decide: a higher level is the contact's own, ``friction.static``; else the
     curve passes through them, weighted by both errors.
-
-    statistics: Of the first run.
     """
     fit, measured = _choose(ranking)
     rig = FittedRig(fit, ranking.motion)
@@ -213,7 +211,7 @@ def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedSc
         level = _level_of_law(ranking, rig)
     else:
         unknowns, spread = rig.unknowns + _move_of_rest(rig), _held(_covariance_of_curve(measured), rig)
-        level = _level_of_curve(measured, statistics, rig)
+        level = _level_of_curve(measured, ranking.statistics[0], rig)
     static = None
     if level is not None:
         gap, slopes = level.excess(unknowns), _slopes(level.excess, unknowns, spread)
@@ -243,7 +241,7 @@ def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedSc
     )
 
 
-def _choose(ranking: RankedLaws) -> tuple[Fit, MeasuredCurve | None]:
+def _choose(ranking: Ranking) -> tuple[Fit, MeasuredCurve | None]:
     """Return the fit that describes the record, with the measured curve where it is that one's."""
     adequacy = ranking.adequacy
     if ranking.rows and not adequacy.rejected:
@@ -261,7 +259,7 @@ def _choose(ranking: RankedLaws) -> tuple[Fit, MeasuredCurve | None]:
     return adequacy.curve.spline_fit, adequacy.curve
 
 
-def _level_of_law(ranking: RankedLaws, rig: FittedRig) -> BreakAwayLevel | None:
+def _level_of_law(ranking: Ranking, rig: FittedRig) -> BreakAwayLevel | None:
     """Return the level of the break-aways where they disagree with the law; a belt that slows under load has none."""
     finding = next((each for each in ranking.sides[0].findings if each.code == "break-away"), None)
     if finding is None or Global.COMPLIANCE in rig.fit.places:
@@ -381,7 +379,7 @@ def _scatter(fit: Fit) -> float:
     return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0
 
 
-def text(scene: FittedScene, ranking: RankedLaws, run: Path) -> str:
+def text(scene: FittedScene, ranking: Ranking, run: Path) -> str:
     """Return the TOML file of a scene fitted to a ``run``."""
     values = dict(zip(scene.keys, scene.values.tolist(), strict=True))
     assumed = "mass.m" not in values
@@ -430,9 +428,9 @@ def _toml(value: Any) -> str:
     return f"[{', '.join(map(_toml, value))}]"
 
 
-def save(path: Path, ranking: RankedLaws, statistics: StickSlipStatistics, run: Path) -> None:
+def save(path: Path, ranking: Ranking, run: Path) -> None:
     """Write the scene of a ranking, in place of an older file: see `refuse_existing`."""
-    content = text(of_ranking(ranking, statistics), ranking, run)
+    content = text(of_ranking(ranking), ranking, run)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(content, encoding="utf-8")
 

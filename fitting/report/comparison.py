@@ -10,7 +10,7 @@ from typing import Any
 from fitting.drawing.palette import INK, law_styles
 from fitting.estimation.result import Parameter
 from fitting.report import page, symbols
-from stickslip.errors import InputError
+from stickslip.errors import InputError, StickslipError
 from stickslip.output import atomic
 from stickslip.version import VERSION
 
@@ -25,11 +25,11 @@ HEAD, PER_RUN = 0.8, 0.23  # inches of a panel: its title and labels, and each r
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One run: its file, the document of its fit (empty where it failed), and the error."""
+    """One run: its file, and the document of its fit, or why it has none."""
 
     file: Path
     document: Mapping[str, Any]
-    problem: str = ""
+    failure: StickslipError | None = None
 
     @property
     def law(self) -> int | str | None:
@@ -57,6 +57,11 @@ class ComparedRun:
         parameters = best.get("parameters", {})
         others = (name for name in parameters if name not in (*NOT_SHOWN, *SHOWN) and f"{name}/m" not in parameters)
         return [name for name in SHOWN if name in parameters] + (list(others) if "formula" in best else [])
+
+    def as_json(self) -> dict[str, Any]:
+        if self.failure is None:
+            return {"file": self.file, **self.document}
+        return {"file": self.file, "error": self.failure.as_json()} | self.failure.data
 
     def parameter(self, name: str) -> Parameter | None:
         """Return a parameter of the best law; None if it has no such parameter."""
@@ -119,7 +124,7 @@ def _row(number: int, run: ComparedRun, names: Sequence[str], styles: Styles) ->
         "number": number,
         "file": run.file.name,
         "laws": ", ".join(map(str, run.members)) or "–",
-        "verdict": symbols.pretty(run.document["verdict"]) if run.document else f"error: {run.problem}",
+        "verdict": symbols.pretty(run.document["verdict"]) if run.failure is None else f"error: {run.failure.what}",
         "colour": styles[run.law]["color"] if run.law is not None else "",
         "parameters": [_value(run.parameter(name)) for name in names] if run.law is not None else [],
     }
@@ -156,4 +161,4 @@ def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, 
             axes.remove()
         drawn.axes[0].set_yticks(range(1, len(runs) + 1), [f"run {number}" for number in range(1, len(runs) + 1)])
         drawn.axes[0].set_ylim(len(runs) + 0.6, 0.4)
-        return pictures.embed(drawn, "comparison", f"Values and intervals of {', '.join(names)} of each run.")
+        return pictures.embed(drawn, f"Values and intervals of {', '.join(names)} of each run.", "comparison")

@@ -20,8 +20,8 @@ from fitting.data.cycles import Cycle
 from fitting.drawing import plot
 from fitting.drawing.palette import COLOURS, DASHED, INK, MEASURED, law_styles, run_colour, run_dash, run_mark
 from fitting.report.symbols import pretty
-from fitting.selection.result import LawResult, RankedLaws
-from processing.statistics import StickSlipStatistics, pooled
+from fitting.selection.result import LawResult, Ranking
+from processing.statistics import pooled
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import format_length, shown_length
 from stickslip.output.plot import STYLE
@@ -52,7 +52,7 @@ def look() -> AbstractContextManager[None]:
     return mpl.rc_context(LOOK, fname=STYLE)
 
 
-def embed(drawn: Figure, name: str, about: str) -> str:
+def embed(drawn: Figure, about: str, name: str) -> str:
     """Return a figure as an ``<svg>`` element with a unique ``name``; ``about`` is the text alternative."""
     buffer = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
@@ -75,17 +75,17 @@ def by_law(rows: Sequence[LawResult]) -> list[LawResult]:
     return sorted(rows, key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
 
 
-def shown_rows(ranking: RankedLaws) -> list[LawResult]:
+def shown_rows(ranking: Ranking) -> list[LawResult]:
     """Return the laws that were requested or may be the contact's, best first."""
     may_be = ranking.not_excluded
     return [row for row in ranking.rows if row.asked or row.in_set or row is ranking.best or row.law in may_be]
 
 
-def _styles(ranking: RankedLaws) -> dict[int | str, dict[str, Any]]:
+def _styles(ranking: Ranking) -> dict[int | str, dict[str, Any]]:
     return law_styles(row.law for row in ranking.rows)
 
 
-def _runs(ranking: RankedLaws, colour: str, label: str) -> list[dict[str, Any]]:
+def _runs(ranking: Ranking, colour: str, label: str) -> list[dict[str, Any]]:
     """Return colour, label and mark of each run: the arguments for a single run, else those of its number."""
     if not ranking.runs:
         return [{"color": colour, "label": label, **run_mark(1)}]
@@ -93,7 +93,7 @@ def _runs(ranking: RankedLaws, colour: str, label: str) -> list[dict[str, Any]]:
     return [{"color": run_colour(number), "label": f"run {number}", **run_mark(number)} for number in numbers]
 
 
-def _measured_lines(ranking: RankedLaws) -> list[dict[str, Any]]:
+def _measured_lines(ranking: Ranking) -> list[dict[str, Any]]:
     """Return the style of each run's measured motion."""
     broad = {"lw": BROAD, "alpha": PALE_RUN if ranking.runs else PALE, "marker": ""}
     runs = enumerate(_runs(ranking, MEASURED, "measured"), start=1)
@@ -146,7 +146,7 @@ def extent(cycle: Cycle) -> slice:
     return slice(min(first for first, _ in parts), max(end for _, end in parts))
 
 
-def measured_motion(side: RankedLaws, cycle: Cycle | None = None) -> Part:
+def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
     """Return the smoothed motion of a run or of one cycle."""
     motion, samples = side.motion, slice(None) if cycle is None else extent(cycle)
     time = motion.begin + motion.time[samples]
@@ -173,7 +173,7 @@ def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> Par
     return np.hstack(parts)
 
 
-def begins(ranking: RankedLaws) -> list[float]:
+def begins(ranking: Ranking) -> list[float]:
     """Return the offsets of each run's times, s, that put the runs one after another."""
     if not ranking.runs:
         return [0.0]
@@ -183,12 +183,12 @@ def begins(ranking: RankedLaws) -> list[float]:
     return list(np.cumsum(spans + gap) - spans - gap - firsts)
 
 
-def time_label(ranking: RankedLaws) -> str:
+def time_label(ranking: Ranking) -> str:
     """Return the label of the times that `begins` shifts."""
     return "time, one run after another (s)" if ranking.runs else "time (s)"
 
 
-def record(ranking: RankedLaws) -> tuple[Figure, str]:
+def record(ranking: Ranking) -> tuple[Figure, str]:
     """Draw position and velocity of the whole record, and the best law's motion in every window."""
     measured, fitted = [], []
     for side, begin in zip(ranking.sides, begins(ranking), strict=True):
@@ -199,7 +199,7 @@ def record(ranking: RankedLaws) -> tuple[Figure, str]:
     return _over_time(ranking, measured, fitted, time_label(ranking), "Position and velocity of the record")
 
 
-def cycle(ranking: RankedLaws) -> tuple[Figure, str]:
+def cycle(ranking: Ranking) -> tuple[Figure, str]:
     """Draw position (the readings) and smoothed velocity of a typical cycle of each run since its break-away."""
     measured, fitted = [], []
     for side in ranking.sides:
@@ -213,7 +213,7 @@ def cycle(ranking: RankedLaws) -> tuple[Figure, str]:
 
 
 def _over_time(
-    ranking: RankedLaws, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
+    ranking: Ranking, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
 ) -> tuple[Figure, str]:
     """Draw position above velocity against time: the measurement broad and pale, the fit thin and dark."""
     drawn, cells = panels(NARROW, 3.3, 2, sharex=True)
@@ -235,7 +235,7 @@ def _over_time(
     return drawn, f"{about}: {' and '.join(words)}."
 
 
-def portraits(ranking: RankedLaws) -> tuple[Figure, str]:
+def portraits(ranking: Ranking) -> tuple[Figure, str]:
     """Draw phase portraits of the laws over a measured cycle of each run, the one with the best law's median error.
 
     Without a law the whole record is drawn.
@@ -266,7 +266,7 @@ def portraits(ranking: RankedLaws) -> tuple[Figure, str]:
     return drawn, "Phase portraits of one cycle: as measured, and over it each law as fitted."
 
 
-def friction(ranking: RankedLaws) -> tuple[Figure, str]:
+def friction(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the measured curve with its band, and the laws that the record cannot tell from the best."""
     drawn, ((axes,),) = panels(NARROW, 3.3)
     styles = _styles(ranking)
@@ -278,7 +278,7 @@ def friction(ranking: RankedLaws) -> tuple[Figure, str]:
     return drawn, f"Friction against relative speed: measured without a law, with its band, and {named}."
 
 
-def laws(ranking: RankedLaws) -> tuple[Figure, str]:
+def laws(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the measured curve with its band and all shown laws, at all speeds and at low ones."""
     drawn, cells = panels(WIDE, 3.4, 1, 2)
     styles = _styles(ranking)
@@ -288,7 +288,7 @@ def laws(ranking: RankedLaws) -> tuple[Figure, str]:
     return drawn, "Friction against relative speed: the curves of the laws, at all speeds and at low ones."
 
 
-def residuals(ranking: RankedLaws) -> tuple[Figure, str]:
+def residuals(ranking: Ranking) -> tuple[Figure, str]:
     """Draw model minus measurement with the noise band: the best law over time and phase, a rival over phase."""
     best, styles = ranking.best, _styles(ranking)
     others = (row for row in ranking.rows if row is not best and not row.in_set)
@@ -321,7 +321,7 @@ def _since_break_away(row: LawResult) -> Array:
     return phase
 
 
-def evidence(ranking: RankedLaws) -> tuple[Figure, str]:
+def evidence(ranking: Ranking) -> tuple[Figure, str]:
     """Draw each cycle's error under each law, the basis of the ranking."""
     rows, styles = ranking.rows[::-1], _styles(ranking)
     named = [f"{row.label}{' *' if row.in_set else ''}" for row in rows]
@@ -339,7 +339,7 @@ def evidence(ranking: RankedLaws) -> tuple[Figure, str]:
     return drawn, "Error of each cycle under each law."
 
 
-def levels(ranking: RankedLaws) -> tuple[Figure, str]:
+def levels(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the friction level of each cycle at break-away and in the slip, against time."""
     drawn, ((axes,),) = panels(NARROW, 2.8)
     for number, (side, begin) in enumerate(zip(ranking.sides, begins(ranking), strict=True)):
@@ -356,9 +356,10 @@ def levels(ranking: RankedLaws) -> tuple[Figure, str]:
     return drawn, "Friction level of each cycle at break-away and in the slip, against time."
 
 
-def break_aways(ranking: RankedLaws, statistics: Sequence[StickSlipStatistics]) -> tuple[Figure, str]:
+def break_aways(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the break-away levels: their distribution, their trend, and level against stick time."""
-    counted, (factor, unit) = pooled(statistics), shown_length("m")
+    statistics, (factor, unit) = ranking.statistics, shown_length("m")
+    counted = pooled(statistics)
     time = np.concatenate([begin + run.column("t") for begin, run in zip(begins(ranking), statistics, strict=True)])
     level = factor * counted.column("break_away_m")
     mean = float(level.mean())
@@ -383,23 +384,13 @@ def break_aways(ranking: RankedLaws, statistics: Sequence[StickSlipStatistics]) 
     return drawn, "Break-away levels: their distribution, and against time and stick time."
 
 
-PICTURES: tuple[Callable[[RankedLaws], tuple[Figure, str]], ...] = (
-    friction,
-    cycle,
-    record,
-    portraits,
-    laws,
-    residuals,
-    evidence,
-    levels,
-)
-WITHOUT_LAW = (record, portraits)
+Picture = Callable[[Ranking], tuple[Figure, str]]  # with its text alternative
+PICTURES: tuple[Picture, ...] = (friction, cycle, record, portraits, laws, residuals, evidence, levels)
 
 
-def draw(ranking: RankedLaws, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
+def draw(ranking: Ranking) -> dict[str, str]:
     """Return the pictures of the report as ``<svg>`` elements by name; without a law only the measured ones."""
+    shown: list[Picture] = [*(PICTURES if ranking.rows else (record, portraits))]
+    shown += [break_aways] if pooled(ranking.statistics).rows("m") else []
     with look():
-        drawn = {one.__name__: one(ranking) for one in (PICTURES if ranking.rows else WITHOUT_LAW)}
-        if pooled(statistics).rows("m"):
-            drawn["break_aways"] = break_aways(ranking, statistics)
-        return {name: embed(drawn, name, about) for name, (drawn, about) in drawn.items()}
+        return {picture.__name__: embed(*picture(ranking), name=picture.__name__) for picture in shown}

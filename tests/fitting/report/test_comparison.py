@@ -22,7 +22,7 @@ def runs(ranked):
     unlike = ranked(law=5).as_json() | {"verdict": "no law comes near", "ranking": [], "set": []}
     documents = [five, three, lawless, unlike]
     found = [ComparedRun(Path(f"{number}.h5"), document) for number, document in enumerate(documents)]
-    return [*found, ComparedRun(Path("<i>bad.h5"), {}, "no such file")]
+    return [*found, ComparedRun(Path("<i>bad.h5"), {}, InputError("no such file"))]
 
 
 def test_every_run_is_there_with_its_verdict_or_what_went_wrong(runs):

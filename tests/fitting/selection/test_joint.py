@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from daq.runfile import joint, listing, store
+from fitting import rank
 from fitting.drawing import palette
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
 from fitting.report import page, pictures
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
-from processing.statistics import from_kinematics
 from stickslip.errors import DataError, InputError
 
 from .. import command
@@ -215,7 +214,7 @@ def test_a_joint_fit_is_listed_and_is_no_run(files, fitted, tmp_path, capsys):
 @pytest.mark.parametrize("content", ["mine", "run", "joint fit"])
 def test_a_foreign_file_is_refused_before_a_joint_fit_and_replaced_by_force(files, tmp_path, content):
     copies = [Path(shutil.copy(path, tmp_path)) for path in files]
-    named = [joint.FittedRun(path, store.load(path).digest, "", "") for path in copies]
+    named = [store.load(path) for path in copies]
     place = joint.name_output(copies[:2])
     if content == "mine":
         place.write_text(content)
@@ -253,11 +252,9 @@ def test_reports_of_a_batch_are_numbered(files, tmp_path):
 
 
 def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five):
-    counted = [from_kinematics(motion) for motion in runs_of(5, 2)]
     with pictures.look():
-        drawn = [picture(law_five) for picture in (pictures.cycle, pictures.record, pictures.residuals)]
-        drawn.append(pictures.break_aways(law_five, counted))
-        texts = [pictures.embed(figure, "one", about) for figure, about in drawn]
+        shown = (pictures.cycle, pictures.record, pictures.residuals, pictures.break_aways)
+        texts = [pictures.embed(*picture(law_five), "one") for picture in shown]
     for text in texts:
         for number in (1, 2, 3):
             assert f">run {number}</text>" in text
@@ -266,8 +263,7 @@ def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five
 
 def test_the_page_of_a_joint_fit_has_a_line_and_a_row_of_each_run(runs_of, law_five):
     """The first screen asked for the one belt speed of the joint fit, which has one of each run."""
-    motions = runs_of(5, 2)
-    text = page.render(law_five, motions, [from_kinematics(motion) for motion in motions], 0.05)
+    text = page.render(law_five)
     for number, side in enumerate(law_five.runs, start=1):
         speed = side.best.parameters["v_dr"]
         assert f"<p>run {number}: " in text

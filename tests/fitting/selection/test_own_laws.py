@@ -13,14 +13,11 @@ import pytest
 import fitting
 from daq.runfile import listing
 from daq.runfile.rig import Rig
-from fitting import job
+from fitting import job, rank
 from fitting.estimation.derived import RUNS_OWN
 from fitting.law import SIX
-from fitting.ranked import Ranking
 from fitting.report import page
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
-from processing.statistics import from_kinematics
 from rig_sim.motion.play import events
 from rig_sim.scenes.scene import scene
 from stickslip.console import application
@@ -206,7 +203,7 @@ def test_parameters_that_enter_only_as_a_product_are_said_to_be_undetermined(hyp
     ],
 )
 def test_a_law_that_cannot_be_fitted_is_a_row_that_says_why(hyperbolic, formula, reason):
-    ranking = Ranking.of(rank(hyperbolic, laws=(5, fitting.Law("mine", formula))))
+    ranking = rank(hyperbolic, laws=(5, fitting.Law("mine", formula)))
     assert ranking.best.law == 5
     fitted, missing = ranking.as_json()["ranking"]
     assert (fitted["fitted"], missing["fitted"], missing["law"], missing["formula"]) == (True, False, "mine", formula)
@@ -273,7 +270,7 @@ def test_runs_are_fitted_together_with_a_formula(belt_rig):
 
 
 def test_the_report_draws_a_formula_in_every_picture(won):
-    text = page.render(won.ranking, [won.motion], [from_kinematics(won.motion)], 0.05)
+    text = page.render(won.ranking)
     assert "Does law mine describe the record?" in text
     assert "Parameters of law mine" in text
     # in each row of the ranking, and with every formula
