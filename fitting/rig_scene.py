@@ -207,7 +207,7 @@ def of_ranking(ranking: Ranking) -> FittedScene:
     fit, measured = _choose(ranking)
     rig = FittedRig(fit, ranking.motion)
     if measured is None:
-        unknowns, spread = rig.unknowns, _held(covariance(fit, fit.least_squares.precision), rig)
+        unknowns, spread = rig.unknowns, _held(covariance(fit), rig)
         level = _level_of_law(ranking, rig)
     else:
         unknowns, spread = rig.unknowns + _move_of_rest(rig), _held(_covariance_of_curve(measured), rig)
