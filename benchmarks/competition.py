@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pages
 from scipy.integrate import solve_ivp
 
 import fitting

@@ -11,7 +11,7 @@ import numpy as np
 
 from fitting.curve.level import rest_prior
 from fitting.departures.base import Base, usual_rms
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.forces.departure import Forcing
 from stickslip.compute.arrays import Array, autocorrelation_time
 
@@ -21,9 +21,7 @@ HARMONICS = 64  # sines whose sum is one draw
 TIMES_TRIED = (1.0, 0.5, 0.25, 0.125, 0.0625)
 
 
-def fluctuation_share(
-    base: Base, fit: FittedLaw, count_repeated: Callable[[Array], Array], noise: float
-) -> float | None:
+def fluctuation_share(base: Base, fit: Fit, count_repeated: Callable[[Array], Array], noise: float) -> float | None:
     """Return the standard deviation of random friction over the friction at rest.
 
     None where more of the residual repeats from slip to slip than random friction leaves, or beside an unstable motion.
@@ -57,7 +55,7 @@ def fluctuation_share(
     return min(found)[1] * fit.values.F / _friction_at_rest(fit)
 
 
-def _friction_at_rest(fit: FittedLaw) -> float:
+def _friction_at_rest(fit: Fit) -> float:
     """Return friction at the break-aways (m/s^2) by the stretch of the spring from the stated or assumed rest position.
 
     A law that does not describe the record may end at any level: 100 times the true one was seen.

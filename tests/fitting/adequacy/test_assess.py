@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import daq
-from fitting import job
+from fitting import job, rank
 from fitting.adequacy.result import NOT_OF_SPEED
 from fitting.selection import answer
-from fitting.selection.ranking import rank
 from processing.record.finding import Finding
 from processing.smoothing import smooth
 
