@@ -246,7 +246,7 @@ def start_at_neighbours(restart: Restart) -> Fit | None:
             else:
                 first = first_pass(task, start, neighbour.noise.without_fade)
                 end = None if first is None else settle_lower(first)
-            fit = end if end is not None and fits_worse(fit, end) else fit
+            fit = select_better(fit, end)
     return None if fit is before else fit
 
 

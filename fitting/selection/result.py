@@ -722,7 +722,7 @@ class Ranking:
         target, digests = Path(path), [record.recording.digest for record in self.records]
         suffix.check(target, suffix.PAGE, "--report", {suffix.PDF: "then print the page from a browser"})
         page.refuse_foreign_file(target, digests, files=self._files, force=force)
-        text = page.render(self, self.records, self.statistics, self.alpha)
+        text = page.render(self)
         page.write(text, target, digests, files=self._files, force=force)
         return target
 
@@ -756,7 +756,7 @@ class Ranking:
         target = Path(path)
         suffix.check(target, suffix.TOML, "--save-scene", {})
         rig_scene.refuse_existing(target, self._files, force=force)
-        rig_scene.save(target, self, self.statistics[0], Path(self.records[0].recording.name))
+        rig_scene.save(target, self, Path(self.records[0].recording.name))
         return target
 
     @property
