@@ -3,8 +3,9 @@
 `measure` judges the nearest of the six and measures the curve; `assess` concludes, once all laws have competed.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -24,10 +25,11 @@ from fitting.departures.refit import Refit
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.fit import Fit
 from fitting.estimation.fitted_law import FittedLaw
-from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.linearised import LinearisedFit, Repeat
+from fitting.least_squares.problem import Block
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
-from stickslip.compute.arrays import Array
+from stickslip.compute.arrays import Array, Mask
 
 # Share of the binned residuals' variance that repeats from slip to slip, from which a misfit is deterministic.
 # Friction that fluctuates at random leaves -0.03 to 0.02, contacts with memory 0.5 to 0.8.
@@ -45,11 +47,20 @@ class Assessment:
 @dataclass(frozen=True, eq=False)
 class Judged:
     fit: FittedLaw
-    linearised: LinearisedFit | None
-    usual: LinearisedFit | None
+    faults: Mask | None  # (cycles,) those that a fault of the record spoilt; None where derivatives cannot be followed
     slips: tuple[RunSlips, ...]
     together: GoodnessOfFit
     each: tuple[GoodnessOfFit, ...]
+
+    @property
+    def linearised(self) -> LinearisedFit | None:
+        return None if self.faults is None else LinearisedFit.at(self.fit.at)
+
+    @property
+    def usual(self) -> LinearisedFit | None:
+        """The fit without these cycles."""
+        linear = self.linearised
+        return None if linear is None or self.faults is None else linear.without(self.faults)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +118,10 @@ def assess(
         nearest = [fit for fit in ranked if isinstance(fit, Fit)] or list(measured.fits)
         departures = _departures(nearest, curve, motions, measured.noise, revolution)
     fluctuation = None
-    if rejected and explain and not departures and chosen.together.repeat < REPEATS and chosen.linearised is not None:
-        path = chosen.fit.path()
-        if path is not None:
-            base = Base.of(chosen.linearised, path, motions, revolution)
+    if rejected and explain and not departures and chosen.together.repeat < REPEATS:
+        path, linear = chosen.fit.path(), chosen.linearised
+        if path is not None and linear is not None:
+            base = Base.of(linear, path, motions, revolution)
             fluctuation = fluctuation_share(base, float(np.max(measured.noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
@@ -162,9 +173,8 @@ def _first(fits: Sequence[Fit], law: int | str) -> list[Fit]:
 
 
 def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
-    if chosen.usual is None:
-        return (None,) * len(motions)
-    return smallest_visible(chosen.fit, chosen.usual, chosen.slips)
+    usual = chosen.usual
+    return (None,) * len(motions) if usual is None else smallest_visible(chosen.fit, usual, chosen.slips)
 
 
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
@@ -189,36 +199,35 @@ def _judged(fit: FittedLaw, motions: Sequence[MeasuredMotion]) -> Judged:
     linearised = LinearisedFit.at(fit.at)
     if linearised is None:
         # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
-        usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
-        slips = judge(fit.residual, _unchanged, fit, motions, nowhere)
+        faults, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
+        slips = judge(fit.residual, partial(_unchanged, fit.windows.blocks), fit, motions, nowhere)
     else:
-        usual, slips = _judged_without_faults(linearised, fit.path, fit, fit.windows, motions)
-    return Judged(fit, linearised, usual, slips, *goodness_of_fit(slips))
+        faults, slips = _judged_without_faults(linearised, fit.at.path_in, fit, fit.windows, motions)
+    return Judged(fit, faults, slips, *goodness_of_fit(slips))
 
 
-def _unchanged(residuals: Array) -> Array:
-    return residuals
+def _unchanged(blocks: Sequence[Block], residuals: Repeat) -> Iterator[tuple[Block, Array]]:
+    return zip(blocks, residuals(blocks), strict=True)
 
 
 def _judged_without_faults(
     linear: LinearisedFit,
-    path: Callable[[], Path | None],
+    path_in: Callable[[Block], Path | None],
     fit: FittedLaw,
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
-) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:
-    """Return the fit without the cycles that a fault of the record spoilt, and the slips; makes ``path`` if needed."""
+) -> tuple[Mask, tuple[RunSlips, ...]]:
+    """Return the cycles (cycles,) that a fault of the record spoilt, and the slips of the fit without them."""
     spoilt = windows.spoilt(linear.residual)
     landings = np.array([cycle.landing for cycle in fit.cycles])
-    faults = left_out(path() if spoilt.any() else None, linear, landings, spoilt, windows.run)
+    faults = left_out(path_in, linear, landings, spoilt, windows.run)
     usual = linear.without(faults)
-    return usual, judge(usual.residual, usual.refit, fit, motions, faults, windows)
+    return faults, judge(usual.residual, usual.refit, fit, motions, faults, windows)
 
 
 def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
     spline = curve.spline_fit
-    path = spline.path
-    _, slips = _judged_without_faults(curve.linear, lambda: path, spline.fit, path.windows, motions)
+    _, slips = _judged_without_faults(curve.linear, spline.at.path_in, spline.fit, spline.at.windows, motions)
     return goodness_of_fit(slips)[0]
 
 
@@ -233,7 +242,7 @@ def _departures(
 
     def describes(refit: Refit) -> bool:
         fit = next(fit for fit in fits if fit.law == refit.law)
-        _, slips = _judged_without_faults(refit.linear, lambda: refit.path, fit, refit.path.windows, motions)
+        _, slips = _judged_without_faults(refit.linear, lambda _: refit.path, fit, refit.path.windows, motions)
         return not goodness_of_fit(slips)[0].rejected
 
     return explain_misfit(Question.of(fits, motions, float(np.max(noise)), revolution), curve, describes)

@@ -9,9 +9,9 @@ gives the same number.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -20,12 +20,13 @@ from fitting.adequacy.statistics import CycleSquares, SlipBins, SlipStatistics, 
 from fitting.data.frame import MeasuredMotion
 from fitting.distributions import gamma_tail, gamma_upper_quantile
 from fitting.estimation.fitted_law import FittedLaw
+from fitting.estimation.linearised import Repeat
+from fitting.least_squares.problem import MOST_AT_ONCE, Block
 from fitting.model.windows import SPOILT, ShootingWindows
-from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.arrays import Array, Integers, Mask
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13  # seed of the repetitions: the same for every record
-MOST_AT_ONCE = 2_000_000  # residuals held at a time: 16 MB an array
 FEWEST_SLIPS = 2  # at least: what repeats needs two
 # Probability below which noise is not what made the residuals.  The tails are those of a gamma distribution with the
 # moments of 60 repetitions of a linearised refit, so small probabilities are rough; 1e-6 is five standard deviations.
@@ -92,9 +93,43 @@ class RunSlips:
         return repeat, smooth, NOISE_KNOWN * rms
 
 
+class Repetitions:
+    """Draws of a run's noise, repeated block by block of its samples: the same each time."""
+
+    def __init__(self, noise: PositionNoise, rng: np.random.Generator, samples: int) -> None:
+        self.noise, self.begin = noise, rng.bit_generator.state
+        for first in range(0, 0 if noise.rounded_alone else samples, MOST_AT_ONCE):
+            rng.standard_normal(min(MOST_AT_ONCE, samples - first))
+        self.shift = float(rng.uniform(-0.5, 0.5)) if noise.pitch else 0.0
+
+    def restart(self) -> np.random.Generator:
+        rng = np.random.default_rng()
+        rng.bit_generator.state = self.begin
+        return rng
+
+
+def draw_noise(
+    repeated: Sequence[Sequence[Repetitions]],
+    position: Array,
+    velocity: Array,
+    owner: Integers,
+    blocks: Sequence[Block],
+) -> Iterator[Array]:
+    """Yield repetitions (n, B) of the noise in each block, m, from those ``repeated`` of each run."""
+    rngs = [[one.restart() for one in runs] for runs in repeated]
+    for block in blocks:
+        run, x, v = owner[block.rows], position[block.rows], velocity[block.rows]
+        drawn = np.empty((run.size, len(repeated)))
+        for j, runs in enumerate(repeated):
+            for k, (one, rng) in enumerate(zip(runs, rngs[j], strict=True)):
+                own = run == k
+                drawn[own, j] = one.noise.draw(x[own], v[own], rng, one.shift)
+        yield drawn
+
+
 def judge(
     residual: Array,
-    refit: Callable[[Array], Array],
+    refit: Callable[[Repeat], Iterable[tuple[Block, Array]]],
     fit: FittedLaw,
     motions: Sequence[MeasuredMotion],
     left_out: Mask,
@@ -118,35 +153,29 @@ def judge(
     landings = np.array([cycle.landing for cycle in fit.cycles])
     judged = [~left_out & (windows.run == run) for run in range(len(motions))]
     bins = [SlipBins.cut(windows, landings, own, run) for run, own in enumerate(judged)]
-    repeated: list[list[tuple[Array, Array, Array]]] = [[] for _ in motions]
-    rng = np.random.default_rng(SEED)
-    at_once = max(1, min(REPETITIONS, MOST_AT_ONCE // position.size))
-    for first in range(0, REPETITIONS, at_once):
-        drawn = np.empty((position.size, min(at_once, REPETITIONS - first)))
-        for j in range(drawn.shape[1]):
-            for run, noise in enumerate(noises):
-                own = owner == run
-                drawn[own, j] = noise.draw(position[own], velocity[own], rng)
-        left = refit(drawn)
-        for run, cut in enumerate(bins):
-            if cut.slips >= FEWEST_SLIPS:
-                squares = cycle_squares(left, windows.rows)[judged[run]]
-                repeated[run].append((cut.sums(left), cut.sums(left**2), squares))
+    rng, samples = np.random.default_rng(SEED), np.bincount(owner, minlength=len(motions)).tolist()
+    repeated = [
+        [Repetitions(noise, rng, n) for noise, n in zip(noises, samples, strict=True)] for _ in range(REPETITIONS)
+    ]
+    parts = []
+    for block, left in refit(partial(draw_noise, repeated, position, velocity, owner)):
+        squares = cycle_squares(left, windows.rows[block.cycles])
+        parts.append((squares, *(part for cut in bins for part in (cut.sums(left, block), cut.sums(left**2, block)))))
+    null_squares, *null_sums = (np.concatenate(part) for part in zip(*parts, strict=True))
     seen_squares = cycle_squares(residual[:, None], windows.rows)
     found = []
-    for run, (noise, cut, draws) in enumerate(zip(noises, bins, repeated, strict=True)):
-        parts = [np.hstack(part) for part in zip(*draws, strict=True)] if draws else [np.zeros((0, 1))] * 3
-        own = np.flatnonzero(windows.run == run)
+    for run, (noise, cut) in enumerate(zip(noises, bins, strict=True)):
+        judgeable, own = cut.slips >= FEWEST_SLIPS, np.flatnonzero(windows.run == run)
         found.append(
             RunSlips(
                 noise=noise,
                 noise_m=noise.sd(velocity[owner == run]),
                 bins=cut,
-                seen=cut.statistics(residual[:, None]) if draws else SlipStatistics(*np.zeros((4, 1))),
-                null_sums=parts[0],
-                null_squares=parts[1],
+                seen=cut.statistics(residual[:, None]) if judgeable else SlipStatistics(*np.zeros((4, 1))),
+                null_sums=null_sums[2 * run],
+                null_squares=null_sums[2 * run + 1],
                 cycles=CycleSquares(seen_squares[judged[run]]),
-                null_cycles=CycleSquares(parts[2]),
+                null_cycles=CycleSquares(null_squares[judged[run]]),
                 counted=judged[run],
                 left_out=tuple(fit.cycles[k].number for k in own if left_out[k]),
             )

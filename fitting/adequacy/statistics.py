@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from fitting.least_squares.problem import Block
 from fitting.model.windows import ShootingWindows
 from stickslip.compute.arrays import Array, Integers, Mask
 
@@ -53,7 +54,7 @@ class CycleSquares:
 
 def cycle_squares(residuals: Array, rows: Sequence[slice]) -> Array:
     """Return the mean square of residuals (N, B) in each cycle, m^2, shape (cycles, B)."""
-    first = np.array([own.start for own in rows])
+    first = np.array([own.start - rows[0].start for own in rows])
     count = np.array([own.stop - own.start for own in rows])
     return np.asarray(np.add.reduceat(residuals**2, first, axis=0) / count[:, np.newaxis])
 
@@ -93,9 +94,15 @@ class SlipBins:
         occupied, starts, count = np.unique(np.concatenate(cell), return_index=True, return_counts=True)
         return cls(np.concatenate(rows), starts, occupied // bins, occupied % bins, count.astype(float), slips, bins)
 
-    def sums(self, values: Array) -> Array:
-        """Return the sum of values (N, B) in each bin, shape (occupied bins, B)."""
-        return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
+    def sums(self, values: Array, block: Block | None = None) -> Array:
+        """Return the sum of values (N, B) in each bin, shape (occupied bins, B); of a block, those of its bins."""
+        if block is None:
+            return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
+        first, last = np.searchsorted(self.rows, (block.rows.start, block.rows.stop))
+        starts = self.starts[np.searchsorted(self.starts, first) : np.searchsorted(self.starts, last)]
+        if not starts.size:
+            return np.zeros((0, values.shape[1]))
+        return np.asarray(np.add.reduceat(values[self.rows[first:last] - block.rows.start], starts - first, axis=0))
 
     def per_slip(self, binned: Array) -> Array:
         """Return the sum over the bins (occupied bins, B) of each slip, shape (slips, B)."""

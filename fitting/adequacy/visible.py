@@ -9,15 +9,18 @@ it cannot follow at all is detected at half of the size.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
 from fitting.adequacy.goodness import REJECTED, RunSlips, least
 from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.fitted_law import FittedLaw
-from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.linearised import LinearisedFit, Repeat
+from fitting.least_squares.problem import Block, UnfollowableError
 from fitting.model.parameters import PER_RUN, Global
+from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
 from stickslip.compute.arrays import Array
 
@@ -34,12 +37,17 @@ def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[
 
     None where no slip is judged, the motion cannot be followed, or even an amplitude of Fs would not be detected.
     """
-    waves = departure_waves(fit)
+    waves = departure_waves(fit, linearised.derivatives.blocks)
     if waves is None:
         return (None,) * len(slips)
-    left = linearised.refit(waves)
-    squares = cycle_squares(left, linearised.rows)
-    return tuple(_percent([half_seen(own, *wave) for wave in zip(left.T, squares.T, strict=True)]) for own in slips)
+    parts = []
+    for block, left in linearised.refit(waves):
+        squares = cycle_squares(left, linearised.rows[block.cycles])
+        binned = (part for own in slips for part in (own.bins.sums(left, block), own.bins.sums(left**2, block)))
+        parts.append((squares, *binned))
+    squares, *sums = (np.concatenate(part).T for part in zip(*parts, strict=True))
+    waves_of = [zip(sums[2 * run], sums[2 * run + 1], squares, strict=True) for run in range(len(slips))]
+    return tuple(_percent([half_seen(own, *wave) for wave in of]) for own, of in zip(slips, waves_of, strict=True))
 
 
 def _percent(sizes: Sequence[float]) -> float | None:
@@ -48,31 +56,51 @@ def _percent(sizes: Sequence[float]) -> float | None:
     return typical if math.isfinite(typical) else None
 
 
-def departure_waves(fit: FittedLaw) -> Array | None:
-    """Return the response of the positions to waves as large as the friction, shape (N, waves), m."""
-    path = fit.path()
-    if path is None or not path.slips.any():
-        return None
-    F = np.exp(fit.u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
+def departure_waves(fit: FittedLaw, blocks: Sequence[Block]) -> Repeat | None:
+    """Return the response of the positions to waves as large as the friction, (n, waves) of each block, m."""
+    fastest, low, high = 0.0, math.inf, -math.inf
+    for block in blocks:
+        path = fit.at.path_in(block)
+        if path is None:
+            return None
+        fastest = max(fastest, float(np.max(path.slip_speed, where=path.slips, initial=0.0)))
+        low, high = min(low, float(path.position.min())), max(high, float(path.position.max()))
+    return partial(_respond, fit, fastest, high - low) if fastest > 0 else None
+
+
+def _respond(fit: FittedLaw, fastest: float, travel: float, blocks: Sequence[Block]) -> Iterator[Array]:
+    for block in blocks:
+        path = fit.at.path_in(block)
+        if path is None:
+            raise UnfollowableError
+        yield tangents(path, _waves(path, fit.u, fastest, travel))
+
+
+def _waves(path: Path, u: Array, fastest: float, travel: float) -> Array:
+    """Return the acceleration (M, waves) by each wave."""
+    F = np.exp(u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
     level = np.where(path.slips, path.side * path.level * F, 0.0)
     friction = np.where(path.slips, path.friction, 0.0)
-    turn = 2 * math.pi * path.slip_speed / float(np.max(path.slip_speed[path.slips]))
-    place = 2 * math.pi * path.position / float(np.ptp(path.position))
+    turn = 2 * math.pi * path.slip_speed / fastest
+    place = 2 * math.pi * path.position / travel
     waves = [
         size * shape(number * argument)
         for size, argument, numbers in ((level, turn, PERIODS), (friction, place, PERIODS_OF_TRAVEL))
         for number in numbers
         for shape in (np.sin, np.cos)
     ]
-    return tangents(path, np.stack(waves, axis=1))
+    return np.stack(waves, axis=1)
 
 
-def half_seen(own: RunSlips, wave: Array, by_cycle: Array) -> float:
-    """Return the amplitude of a wave (N,), of Fs, that rejects half of a run's repetitions; inf without one."""
+def half_seen(own: RunSlips, wave: Array, square: Array, by_cycle: Array) -> float:
+    """Return the amplitude of a wave, of Fs, that rejects half of a run's repetitions; inf without one.
+
+    Given are the sums of the wave and of its square in each bin, and its mean square (cycles,).
+    """
     if not own.judged:
         return math.inf
     draws = slice(None, None, COUNTED_EVERY)
-    sums, squares = own.bins.sums(wave[:, None]), own.bins.sums(wave[:, None] ** 2)
+    sums, squares = wave[:, None], square[:, None]
     whole, null_whole = float(np.mean(by_cycle[own.counted])), own.null_cycles.rms[draws] ** 2
     repeat, smooth, rms = own.limits(REJECTED)
 

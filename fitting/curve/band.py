@@ -25,7 +25,7 @@ def covariances(linear: LinearisedFit) -> tuple[Array, Array]:
     noise = linear.covariance
     own = linear.gradients
     cycles = own.shape[0]
-    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + linear.prior_precision
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + linear.priors.precision
     return noise, np.einsum("ik,kl,lj->ij", noise, meat, noise, optimize=False)
 
 
@@ -38,7 +38,7 @@ def seen_speeds(fit: SplineFit) -> Array:
 def curve_columns(fit: SplineFit, s: Array) -> Array:
     """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns and the ramp's half-width."""
     found = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), fit.basis.slopes))
-    if Global.D in fit.places and fit.path.curve.ramp:
+    if Global.D in fit.places and fit.curve.ramp:
         h = 1e-4 * fit.spline.knots[-1]
         found[:, fit.places.index(Global.D)] = -(fit.spline(s + h) - fit.spline(s - h)) / (2 * h)
     return found

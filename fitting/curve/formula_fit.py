@@ -158,7 +158,7 @@ def fit_formula(
     found = settled
     if settled is not None and settled.geometric_mean_rms < FAR_BEYOND_BEST * least:
         found = finish(settled, host.noise) or settled
-    if found is None or found.path is None:
+    if found is None or not found.can_be_followed:
         return None
     return _read(found, law if asked_for is None else asked_for, number, tuple(together), level_held=level_held)
 
@@ -226,7 +226,7 @@ def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
 
 
 def _ramp_width(host: SplineFit) -> float:
-    return float(host.u[Global.D]) if host.path.curve.ramp else 0.0
+    return float(host.u[Global.D]) if host.curve.ramp else 0.0
 
 
 def _has_constant(curve: FormulaCurve) -> bool:

@@ -66,7 +66,7 @@ def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
     columns, widening = curve_columns(fit, speeds), quantile / normal_quantile(1 - alpha / 2)
     half = half_widths(columns, both, 1 - alpha, widening)
     friction = fit.spline(speeds)
-    ramp = float(fit.u[Global.D]) if fit.path.curve.ramp else 0.0
+    ramp = float(fit.u[Global.D]) if fit.curve.ramp else 0.0
     K, error = float(fit.u[Global.K]), float(np.sqrt(max(covariance[0, 0] for covariance in both)))
     return MeasuredCurve(
         speed=speeds + ramp,

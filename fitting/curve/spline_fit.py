@@ -23,7 +23,7 @@ from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import EstimationProblem
-from fitting.sensitivity.path import Path
+from fitting.sensitivity.path import Curve
 from fitting.sensitivity.spline import FrictionSpline
 from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array, Mask
@@ -34,7 +34,6 @@ from stickslip.units import Measured
 class SplineFit:
     fit: Fit  # the law's, whose windows, calibrations and contact it has
     at: TaskFit  # where the driver ended
-    path: Path  # along every sample, with the curve
     noise: Array  # (runs,) standard deviation of one position, m
     rest: Measured | None  # of the first run's spring, where no datum was fitted (`fitting.curve.level`)
 
@@ -62,21 +61,30 @@ class SplineFit:
 
     @property
     def spline(self) -> FrictionSpline:
-        spline = self.path.curve.spline
+        spline = self.curve.spline
         if spline is None:
             raise RuntimeError("a spline fit follows a spline")
         return spline
 
+    @cached_property
+    def curve(self) -> Curve:
+        curve = self.at.curve_on_path
+        if curve is None:
+            raise RuntimeError("a spline fit has a curve")
+        return curve
+
     @property
     def u(self) -> Array:
-        return self.path.u
+        u = self.at.u
+        u[Global.LOG_F :: PER_RUN] = 0.0
+        return u
 
     @cached_property
     def chi(self) -> float:
         """Weighted rms residual over the noise."""
         task = self.task
-        w = np.repeat(task.weights, [rows.stop - rows.start for rows in task.rows])
-        own = self.noise[self.at.windows.run][task.owner]
+        w = task.weight
+        own = self.noise[self.at.windows.run].repeat(np.diff(task.first))
         return math.sqrt(float(np.sum(w * self.at.residual**2) / np.sum(w * own**2)))
 
     @property
@@ -99,11 +107,16 @@ class SplineFit:
             raise RuntimeError("a spline fit has a path")
         if self.rest is None:
             return linear
-        place, beside = self.places.index(Global.DATUM), unseen(self.places, self.path)
-        shared, precision = linear.shared.copy(), linear.prior_precision.copy()
-        shared[:, place] = -np.einsum("ij,j->i", shared[:, : beside.size], beside)
+        place, beside = self.places.index(Global.DATUM), unseen(self.places, self.curve, self.u)
+        precision = linear.priors.precision.copy()
         precision[place, place] = 1 / self.rest.sd**2
-        return replace(linear, shared=shared, prior_precision=precision)
+
+        def move(part: Array) -> Array:
+            part = part.copy()
+            part[:, place] = -np.einsum("ij,j->i", part[:, : beside.size], beside)
+            return part
+
+        return linear.changed(move, linear.priors._replace(precision=precision))
 
 
 def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
@@ -128,9 +141,7 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
     starts = [(law_end, fit.at.noise.without_fade), *((start, None) for start in _regressed(task))]
     settled = best_end(task, starts, noise)
     found = None if settled is None else finish(settled, noise) or settled
-    if found is None or found.path is None:
-        return None
-    return SplineFit(fit, found, found.path, noise, rest)
+    return SplineFit(fit, found, noise, rest) if found is not None and found.can_be_followed else None
 
 
 def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None:

@@ -10,6 +10,7 @@ from fitting.data.frame import MeasuredMotion
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Forcing
 from fitting.forces.fitted_motion import FittedMotion
+from fitting.least_squares.problem import Derivatives
 from fitting.model.problem import COARSE_SAMPLES
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.flow import SEARCH_STEP
@@ -53,13 +54,13 @@ class Base:
         path = follow(windows, self.path.curve, self.path.u, self.path.local, longest_step=SEARCH_STEP)
         if path is None:
             return self
-        linear = replace(
-            self.linear,
-            shared=blocks.mean(self.linear.shared),
-            local=blocks.mean(self.linear.local),
-            residual=blocks.mean(self.linear.residual),
-            rows=blocks.rows,
-            weights=self.linear.weights * stride,
+        derivatives = blocks.mean(self.linear.derivatives.columns())
+        linear = LinearisedFit.of(
+            Derivatives(windows.blocks, lambda block: derivatives[block.rows]),
+            blocks.mean(self.linear.residual),
+            blocks.rows,
+            self.linear.weights * stride,
+            self.linear.priors,
         )
         trajectory = FittedMotion.from_path(path, self.trajectory.records, linear.residual, self.trajectory.revolution)
         return Base(linear, path, trajectory)

@@ -63,7 +63,8 @@ def explain_misfit(asked: Question, curve: MeasuredCurve, describes: Judge) -> t
     """
     near = curve.chi < noise_levels.DESCRIBES
     bases = [] if asked.first is None else [asked.first]
-    bases += [] if near else [Base.of(curve.linear, curve.spline_fit.path, asked.records, asked.revolution)]
+    path = None if near else curve.spline_fit.at.path
+    bases += [] if path is None else [Base.of(curve.linear, path, asked.records, asked.revolution)]
     lists = [(base, strongest(base)) for base in bases]
     lists = sorted((one for one in lists if one[1]), key=lambda one: -_explained(one[0], one[1], asked))
     tried: list[Tested] = []

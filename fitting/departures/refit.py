@@ -100,14 +100,8 @@ def _judged(fit: TaskFit, host: TaskFit, law: int | None, noise: Array) -> Refit
         return None
     first, k = fit.q.size - force.width, force.departure.columns
     size = fit.q[first:]
-    order = [*range(first), *range(first + k, fit.q.size)]  # its own scale is adjusted besides
-    without = replace(
-        linear,
-        shared=np.ascontiguousarray(linear.shared[:, order]),
-        prior_precision=linear.prior_precision[np.ix_(order, order)],
-        prior_gradient=linear.prior_gradient[order],
-    )
-    errors = score(without, linear.shared[:, first : first + k], [k])[0]
+    without = linear.with_shared([*range(first), *range(first + k, fit.q.size)])  # its own scale is adjusted besides
+    errors = score(without, linear.derivatives.columns(slice(first, first + k)), [k])[0]
     coefficients = force.coefficients(size)
     if errors is None or (force.departure.drag is not None and not coefficients[0] > 0):
         return None

@@ -11,9 +11,9 @@ from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.normal_equations import SchurComplement
-from fitting.least_squares.problem import LeastSquaresProblem
+from fitting.least_squares.problem import Block, Derivatives, LeastSquaresProblem
 from fitting.model.windows import ShootingWindows
-from fitting.sensitivity.path import Path
+from fitting.sensitivity.path import Curve, Path
 from stickslip.compute.arrays import Array
 
 
@@ -46,15 +46,27 @@ class TaskFit:
         """The start of another pass of the same task."""
         return FitStart(self.q, self.local)
 
-    @cached_property
+    @property
     def path(self) -> Path | None:
         """The fitted motion, for tangents; None where it cannot be followed."""
         return self.model.path(self.q, self.local)
 
-    @cached_property
-    def jacobian(self) -> Array | None:
-        """Derivatives of the positions by all unknowns, shape (N, p + n + m + 6); None without a path."""
-        return None if self.path is None else self.model.jacobian(self.path, self.q)
+    @property
+    def can_be_followed(self) -> bool:
+        return all(self.path_in(block) is not None for block in self.windows.blocks)
+
+    @property
+    def curve_on_path(self) -> Curve | None:
+        """The friction of a path."""
+        return self.task.curve.on_path(self.task.split(self.q)[1], self.q[: len(self.task.places)])
+
+    def path_in(self, block: Block) -> Path | None:
+        return self.model.path_in(block, self.q, self.local)
+
+    @property
+    def derivatives(self) -> Derivatives:
+        """Derivatives (N, p + n + m + 6) of the positions by all unknowns."""
+        return self.model.all_derivatives(self.q, self.local)
 
     @cached_property
     def cycle_rms(self) -> Array:

@@ -122,8 +122,7 @@ class FittedLaw(ABC):
     @property
     def curve_on_path(self) -> Curve | None:
         """The friction of a path."""
-        task = self.at.task
-        return task.curve.on_path(task.split(self.at.q)[1], self.at.q[: len(task.places)])
+        return self.at.curve_on_path
 
     def path(self) -> Path | None:
         """Return the fitted motion along the windows, for tangents; None where it cannot be followed."""

@@ -92,7 +92,7 @@ def _candidates(
         yield formula_given(law, competitors.of_law(law), motion), None
     for number, law in competitors.restated.items():
         yield formula_given(law, competitors.of_law(number), motion), number
-    ramp = curve is not None and bool(curve.spline_fit.path.curve.ramp)
+    ramp = curve is not None and bool(curve.spline_fit.curve.ramp)
     for law in PUBLISHED.values():
         if law.name not in competitors.names:
             yield replace(law, ramp=ramp), None

@@ -59,7 +59,8 @@ def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
     sums, squares, whole, _ = repetitions(0.0)
     own = RunSlips(None, 1.0, bins, None, sums, squares, whole, whole, np.ones(slips, bool), ())
     wave = np.tile(np.sin(2 * np.pi * 3 * np.arange(samples) / samples), slips)
-    size = visible.half_seen(own, wave, cycle_squares(wave[:, None], cycles)[:, 0])
+    binned = bins.sums(wave[:, None])[:, 0], bins.sums(wave[:, None] ** 2)[:, 0]
+    size = visible.half_seen(own, *binned, cycle_squares(wave[:, None], cycles)[:, 0])
     rejected = []
     *_, noise = repetitions(size * wave[:, None])
     for k in range(draws):
@@ -67,7 +68,7 @@ def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
         mine = CycleSquares(cycle_squares(noise[:, k : k + 1], cycles))
         rejected.append(probability(replace(own, seen=seen, cycles=mine)) < REJECTED)
     assert 0.2 < np.mean(rejected) < 0.8
-    assert visible.half_seen(own, 1e-3 * wave, 1e-6 * np.ones(slips)) == np.inf
+    assert visible.half_seen(own, 1e-3 * binned[0], 1e-6 * binned[1], 1e-6 * np.ones(slips)) == np.inf
 
 
 def test_a_probability_is_that_of_the_null_distribution():

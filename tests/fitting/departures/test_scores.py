@@ -131,7 +131,7 @@ def test_blocks_of_samples_give_the_gains_of_all_samples(base_of):
 
 def test_a_column_that_the_fit_already_adjusts_is_not_tested(base_of):
     base = base_of(scatter=0.03)
-    assert score(base.linear, base.linear.shared[:, :1] * 3.0, [1]) == [None]
+    assert score(base.linear, base.linear.derivatives.columns(slice(1)) * 3.0, [1]) == [None]
 
 
 def test_more_trials_take_standard_deviations_away():
