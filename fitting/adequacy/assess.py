@@ -23,9 +23,9 @@ from fitting.departures.explain import Question, explain_misfit
 from fitting.departures.fluctuation import fluctuation_share
 from fitting.departures.refit import Refit
 from fitting.departures.result import FoundDeparture
-from fitting.estimation.fit import Fit
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit, Repeat
+from fitting.law import Law
 from fitting.least_squares.problem import Block
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
@@ -46,7 +46,7 @@ class Assessment:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    fit: FittedLaw
+    fit: Fit
     faults: Mask | None  # (cycles,) those that a fault of the record spoilt; None where derivatives cannot be followed
     slips: tuple[RunSlips, ...]
     together: GoodnessOfFit
@@ -54,7 +54,7 @@ class Judged:
 
     @property
     def linearised(self) -> LinearisedFit | None:
-        return None if self.faults is None else LinearisedFit.at(self.fit.at)
+        return None if self.faults is None else LinearisedFit.at(self.fit)
 
     @property
     def usual(self) -> LinearisedFit | None:
@@ -82,7 +82,7 @@ def measure(fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float
 
 def assess(
     measured: Measurement,
-    ranked: Sequence[FittedLaw],
+    ranked: Sequence[Fit],
     chosen: Judged,
     motions: Sequence[MeasuredMotion],
     laws: int,
@@ -115,11 +115,11 @@ def assess(
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FoundDeparture, ...] = ()
     if curve is not None and rejected and explain:
-        nearest = [fit for fit in ranked if isinstance(fit, Fit)] or list(measured.fits)
+        nearest = [fit for fit in ranked if fit.law.has_kernel] or list(measured.fits)
         departures = _departures(nearest, curve, motions, measured.noise, revolution)
     fluctuation = None
     if rejected and explain and not departures and chosen.together.repeat < REPEATS:
-        path, linear = chosen.fit.path(), chosen.linearised
+        path, linear = chosen.fit.path, chosen.linearised
         if path is not None and linear is not None:
             base = Base.of(linear, path, motions, revolution)
             fluctuation = fluctuation_share(base, float(np.max(measured.noise)))
@@ -138,7 +138,7 @@ def assess(
             together,
             curve=_reported(curve, mass, trusted=of_speed),
             curve_goodness=curve_goodness,
-            outside_band={fit.law: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
+            outside_band={fit.law.key: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
             unit="N/kg" if mass is None else "N",
         )
     if len(motions) == 1:
@@ -151,11 +151,11 @@ def assess(
 
 
 def describing(
-    fits: Sequence[FittedLaw],
+    fits: Sequence[Fit],
     motions: Sequence[MeasuredMotion],
     noise: float,
-    known: Mapping[int | str, Judged] | None = None,
-) -> dict[int | str, Judged]:
+    known: Mapping[Law, Judged] | None = None,
+) -> dict[Law, Judged]:
     """Return the goodness of fit of the laws that may describe the runs, and of the nearest one.
 
     Those that err `noise_levels.LOST` times the ``noise`` (m) do not.
@@ -168,7 +168,7 @@ def describing(
     }
 
 
-def _first(fits: Sequence[Fit], law: int | str) -> list[Fit]:
+def _first(fits: Sequence[Fit], law: Law) -> list[Fit]:
     return sorted(fits, key=lambda fit: fit.law != law)
 
 
@@ -195,14 +195,14 @@ def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> Mea
     return curve if mass is None else in_newtons(curve, mass)
 
 
-def _judged(fit: FittedLaw, motions: Sequence[MeasuredMotion]) -> Judged:
-    linearised = LinearisedFit.at(fit.at)
+def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:
+    linearised = LinearisedFit.at(fit)
     if linearised is None:
         # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
         faults, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
         slips = judge(fit.residual, partial(_unchanged, fit.windows.blocks), fit, motions, nowhere)
     else:
-        faults, slips = _judged_without_faults(linearised, fit.at.path_in, fit, fit.windows, motions)
+        faults, slips = _judged_without_faults(linearised, fit.path_in, fit, fit.windows, motions)
     return Judged(fit, faults, slips, *goodness_of_fit(slips))
 
 
@@ -213,7 +213,7 @@ def _unchanged(blocks: Sequence[Block], residuals: Repeat) -> Iterator[tuple[Blo
 def _judged_without_faults(
     linear: LinearisedFit,
     path_in: Callable[[Block], Path | None],
-    fit: FittedLaw,
+    fit: Fit,
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
 ) -> tuple[Mask, tuple[RunSlips, ...]]:
@@ -226,8 +226,8 @@ def _judged_without_faults(
 
 
 def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
-    spline = curve.spline_fit
-    _, slips = _judged_without_faults(curve.linear, spline.at.path_in, spline.fit, spline.at.windows, motions)
+    fit = curve.spline_fit
+    _, slips = _judged_without_faults(curve.linear, fit.path_in, fit, fit.windows, motions)
     return goodness_of_fit(slips)[0]
 
 

@@ -19,7 +19,7 @@ from fitting.adequacy.noise import PositionNoise, estimate_noise
 from fitting.adequacy.statistics import CycleSquares, SlipBins, SlipStatistics, cycle_squares
 from fitting.data.frame import MeasuredMotion
 from fitting.distributions import gamma_tail, gamma_upper_quantile
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.estimation.linearised import Repeat
 from fitting.least_squares.problem import MOST_AT_ONCE, Block
 from fitting.model.windows import SPOILT, ShootingWindows
@@ -130,7 +130,7 @@ def draw_noise(
 def judge(
     residual: Array,
     refit: Callable[[Repeat], Iterable[tuple[Block, Array]]],
-    fit: FittedLaw,
+    fit: Fit,
     motions: Sequence[MeasuredMotion],
     left_out: Mask,
     windows: ShootingWindows | None = None,

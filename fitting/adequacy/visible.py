@@ -16,7 +16,7 @@ import numpy as np
 
 from fitting.adequacy.goodness import REJECTED, RunSlips, least
 from fitting.adequacy.statistics import cycle_squares
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit, Repeat
 from fitting.least_squares.problem import Block, UnfollowableError
 from fitting.model.parameters import PER_RUN, Global
@@ -32,7 +32,7 @@ COUNTED_EVERY = 2
 BISECTIONS = 12  # bisections: to 0.4 %
 
 
-def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
+def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
     """Return for each run the wave amplitude that half of its repetitions detect, % of Fs; median over the waves.
 
     None where no slip is judged, the motion cannot be followed, or even an amplitude of Fs would not be detected.
@@ -56,11 +56,11 @@ def _percent(sizes: Sequence[float]) -> float | None:
     return typical if math.isfinite(typical) else None
 
 
-def departure_waves(fit: FittedLaw, blocks: Sequence[Block]) -> Repeat | None:
+def departure_waves(fit: Fit, blocks: Sequence[Block]) -> Repeat | None:
     """Return the response of the positions to waves as large as the friction, (n, waves) of each block, m."""
     fastest, low, high = 0.0, math.inf, -math.inf
     for block in blocks:
-        path = fit.at.path_in(block)
+        path = fit.path_in(block)
         if path is None:
             return None
         fastest = max(fastest, float(np.max(path.slip_speed, where=path.slips, initial=0.0)))
@@ -68,9 +68,9 @@ def departure_waves(fit: FittedLaw, blocks: Sequence[Block]) -> Repeat | None:
     return partial(_respond, fit, fastest, high - low) if fastest > 0 else None
 
 
-def _respond(fit: FittedLaw, fastest: float, travel: float, blocks: Sequence[Block]) -> Iterator[Array]:
+def _respond(fit: Fit, fastest: float, travel: float, blocks: Sequence[Block]) -> Iterator[Array]:
     for block in blocks:
-        path = fit.at.path_in(block)
+        path = fit.path_in(block)
         if path is None:
             raise UnfollowableError
         yield tangents(path, _waves(path, fit.u, fastest, travel))

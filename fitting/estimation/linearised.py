@@ -13,7 +13,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import (
     NormalEquations,
@@ -81,9 +81,9 @@ class LinearisedFit:
         return cls(derivatives, residual, rows, weights, priors, blocks)
 
     @classmethod
-    def at(cls, fit: TaskFit) -> "LinearisedFit | None":
+    def at(cls, fit: Fit) -> "LinearisedFit | None":
         """Linearise a fit; None where the motion cannot be followed there."""
-        task = fit.problem
+        task = fit.least_squares
         known = fit.windows.rows, task.weights, priors(task, fit.q, fit.local)
         try:
             return cls.of(fit.derivatives, fit.residual, *known)
