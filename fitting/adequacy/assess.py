@@ -18,10 +18,9 @@ from fitting.curve.measure import furthest_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
-from fitting.departures.explain import Question, explain_misfit
+from fitting.departures.explain import Refit, explain_misfit
 from fitting.departures.fluctuation import fluctuation_share
-from fitting.departures.refit import Refit
-from fitting.departures.result import FoundDeparture
+from fitting.departures.result import FittedDeparture
 from fitting.estimation.fit import Fit
 from fitting.estimation.fitted_law import FittedLaw
 from fitting.estimation.linearised import LinearisedFit
@@ -102,16 +101,14 @@ def assess(
         outcome = NONE_FITTED
     else:
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
-    departures: tuple[FoundDeparture, ...] = ()
+    departures: tuple[FittedDeparture, ...] = ()
     if curve is not None and rejected and explain:
         nearest = [fit for fit in ranked if isinstance(fit, Fit)] or list(measured.fits)
         departures = _departures(nearest, curve, motions, measured.noise, revolution)
     fluctuation = None
     if rejected and explain and not departures and chosen.together.repeat < REPEATS and chosen.linearised is not None:
-        path = chosen.fit.path()
-        if path is not None:
-            base = Base.of(chosen.linearised, path, motions, revolution)
-            fluctuation = fluctuation_share(base, float(np.max(measured.noise)))
+        base = Base.at(chosen.fit.at, motions, revolution, chosen.linearised)
+        fluctuation = None if base is None else fluctuation_share(base, float(np.max(measured.noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -228,12 +225,12 @@ def _departures(
     motions: Sequence[MeasuredMotion],
     noise: Array,
     revolution: float | None,
-) -> tuple[FoundDeparture, ...]:
+) -> tuple[FittedDeparture, ...]:
     """Return the departures with which a law describes the runs; ``fits``, best first."""
 
     def describes(refit: Refit) -> bool:
-        fit = next(fit for fit in fits if fit.law == refit.law)
-        _, slips = _judged_without_faults(refit.linear, lambda: refit.path, fit, refit.path.windows, motions)
+        base = refit.base
+        _, slips = _judged_without_faults(base.linear, lambda: base.path, refit.fit, base.path.windows, motions)
         return not goodness_of_fit(slips)[0].rejected
 
-    return explain_misfit(Question.of(fits, motions, float(np.max(noise)), revolution), curve, describes)
+    return explain_misfit(fits, curve, motions, float(np.max(noise)), revolution, describes)

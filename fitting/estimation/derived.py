@@ -175,7 +175,8 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
     slots = columns(fit.active, fit.runs)[run]
     known = slots >= 0
     active = [Global(slot) for slot in slots[known]]
-    spread = np.array(covariances(fit, fit.precision))[:, known][:, :, known]
+    places = np.flatnonzero(known)  # unknowns of a force come after them
+    spread = np.array(covariances(fit, fit.at.problem.precision))[:, places][:, :, places]
     law, unseen = LAWS[fit.law], np.zeros(len(active))
     if law.curve == "constant":
         # The datum is held in the fit; Fs/k moves against it, and of a ramp its width and the belt's speed with that.

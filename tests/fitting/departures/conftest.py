@@ -12,7 +12,6 @@ from fitting.departures.base import Base
 from fitting.driver.driver import fit_all
 from fitting.driver.task import law_task
 from fitting.estimation.fit import Fit
-from fitting.estimation.linearised import LinearisedFit
 from fitting.model.problem import Run
 from processing.smoothing import smooth
 
@@ -45,6 +44,6 @@ def base_of(fitted):
     @cache
     def of(**changes):
         found = fitted(**changes)
-        return Base.of(LinearisedFit.at(found.at), found.path(), found.problem.motions)
+        return Base.at(found.at, found.problem.motions)
 
     return of
