@@ -237,10 +237,13 @@ def _drag_rows(fit: Residuals, drag: tuple[int, int]) -> slice:
     return slice(int(first), int(first + count))
 
 
-def penalised(fit: Candidate, errors: Array, units: Units) -> Array:
-    """Return the log errors with the penalties for the law's parameters and for contradicted calibrations."""
+def penalised(fit: Candidate, errors: Array, units: Units, belts: int = 0) -> Array:
+    """Return the log errors with the penalties for the law's parameters and for contradicted calibrations.
+
+    ``belts`` is the number of belts whose compliance this fit alone has as a parameter.
+    """
     n = max(units.samples, errors.size)
-    return errors + (fit.law_parameters * math.log(n) + prior_misfit(fit)) / (2 * n)
+    return errors + ((fit.law_parameters + belts) * math.log(n) + prior_misfit(fit)) / (2 * n)
 
 
 def prior_misfit(fit: Candidate) -> float:
