@@ -13,7 +13,8 @@ from daq.runfile.nexus import EVERY
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig, find_replaced
 from fitting.adequacy.result import ADEQUATE
-from fitting.competitors import ALL_LAWS, Competitors
+from fitting.competitors import Competitors
+from fitting.law import SIX
 from fitting.report import page as report
 from fitting.report import stage as store
 from fitting.selection.ranking import rank
@@ -31,7 +32,7 @@ from stickslip.units import Measured, with_error
 MISSING_AT_ENDS = 0.01
 
 
-SIX = Competitors()
+ALL_SIX = Competitors()
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class FitOptions:
     ``begin`` and ``end`` are times (s) of the run; ``report`` is whether to make the page.
     """
 
-    competitors: Competitors = SIX
+    competitors: Competitors = ALL_SIX
     mass: Measured | None = None
     stiffness: Measured | None = None
     x0: Measured | None = None
@@ -211,10 +212,10 @@ def fitted_part(runs: Sequence[LoadedRun], times: Sequence[Array], options: FitO
 
 def _fitted_laws(competitors: Competitors) -> list[str]:
     """Return the fitted laws in words, unless the six alone, and the conditions on them."""
-    laws, names = competitors.laws, competitors.names
+    laws, names = ([law.name for law in laws] for laws in (competitors.six, competitors.formulas))
     said = []
-    if laws != ALL_LAWS and laws:
-        said.append(f"law{'s' * (len(laws) > 1)} {', '.join(map(str, laws))}")
+    if laws and len(laws) < len(SIX):
+        said.append(f"law{'s' * (len(laws) > 1)} {', '.join(laws)}")
     if names:
         said.append(f"{'with ' if laws else ''}law{'s' * (len(names) > 1)} {', '.join(names)}")
     if competitors.fix:

@@ -1,4 +1,4 @@
-"""`Law`: a custom friction curve, or a published one by its name, fitted together with the six.
+"""`Law`: a friction curve with its contact: one of the six, a published one, or a custom one.
 
 ``s`` is the slip speed, m/s; every other name of the formula is a parameter, per unit mass as Fs/m is.
 
@@ -23,10 +23,15 @@ from numbers import Real
 from typing import Any
 
 from rig_sim.friction.formula import SPEED, Formula
+from rig_sim.friction.law import LAWS, NESTED
+from rig_sim.friction.law import Law as Kind
 from stickslip import units
 from stickslip.errors import InputError, nearest
 
 NAME = re.compile(r"[A-Za-z][\w-]*")
+CONSTANT, LINEAR, HYPERBOLIC = "Fs", "Fs - G_slip*s", "Fs/(1 + gamma*s)"  # curves of the six
+FORMULAS = {"constant": CONSTANT, "linear": LINEAR, "hyperbolic": HYPERBOLIC}
+OF_SIX = [(str(kind.number), FORMULAS[kind.curve], bool(kind.ramp)) for kind in LAWS.values()]
 SPEED_WORDS = re.compile(r"[svuwx]|[vu]_?(rel|r|slip)|speed|vel\w*|slip\w*|[sx]_?dot", re.IGNORECASE)  # meant as s
 # Part of a derivative beside those by other parameters, over the whole, or singular value over the largest: below,
 # derivatives are dependent; above 1e-6 they are not.
@@ -115,7 +120,7 @@ class Law:
         if not (isinstance(self.name, str) and isinstance(self.formula, str)):
             what = f"name and formula are {self.name!r:.40} and {self.formula!r:.40}"
             raise InputError(what, "law", 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")')
-        if not NAME.fullmatch(self.name):
+        if not NAME.fullmatch(self.name) and (self.name, self.formula, self.ramp) not in OF_SIX:
             raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
         known = self.curve.parameters
         if not known:
@@ -142,6 +147,42 @@ class Law:
     @cached_property
     def curve(self) -> Formula:
         return Formula.parse(self.formula)
+
+    @property
+    def number(self) -> int | None:
+        """That of one of the six."""
+        return int(self.name) if self.name.isdecimal() else None
+
+    @property
+    def key(self) -> int | str:
+        """The law in results: its number, or its name."""
+        return self.number or self.name
+
+    @property
+    def words(self) -> str:
+        """Its name in words."""
+        return LAWS[self.number].name if self.number else self.name.replace("-", " ")
+
+    @property
+    def has_kernel(self) -> bool:
+        """Whether a kernel of its own follows it; other curves are followed through a spline."""
+        return self.number is not None and self == SIX[self.number]
+
+    @property
+    def kind(self) -> Kind:
+        """The law of the six that it is, or by which a formula on this contact is regressed."""
+        return LAWS[self.number or (6 if self.ramp else 5)]
+
+    def is_ramp_of(self, other: "Law") -> bool:
+        """Return whether this is the other law with a ramp."""
+        same = self.formula == other.formula and bool(self.number) == bool(other.number)
+        return same and self.ramp and not other.ramp
+
+    def contains(self, other: "Law") -> bool:
+        """Return whether the other law is a limit of this one; a formula has those of either contact."""
+        if self.number:
+            return other.number in NESTED[self.number]
+        return other.formula in LIMITS.get(self.name, ())
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -237,12 +278,18 @@ class Law:
         return f"{self.name}: {self.formula}"
 
 
+SIX = {
+    int(name): Law(name, formula, ramp=ramp, bounds=dict.fromkeys(Formula.parse(formula).parameters, (0.0, None)))
+    for name, formula, ramp in OF_SIX
+}
+STRIBECK, GAUSSIAN = "Fc + (Fs - Fc)*exp(-s/v_s)", "Fc + (Fs - Fc)*exp(-(s/v_s)**2)"
+
+
 def _published(name: str, formula: str, **more: Mapping[str, float]) -> Law:
     positive = [own for own in ("Fs", "Fc", "v_s", "v_0", "p") if re.search(rf"\b{own}\b", formula)]
     return Law(name, formula, bounds=dict.fromkeys(positive, (0.0, None)), fix=more.get("fix"))
 
 
-STRIBECK, GAUSSIAN = "Fc + (Fs - Fc)*exp(-s/v_s)", "Fc + (Fs - Fc)*exp(-(s/v_s)**2)"
 PUBLISHED = {
     law.name: law
     for law in (
@@ -263,15 +310,15 @@ SOURCES = {
     "logarithmic": "J. Dieterich, J. Geophys. Res. 84 (1979) 2161",  # steady state
     "power": "E. Rabinowicz, Proc. Phys. Soc. 71 (1958) 668",
 }
-# Which curves are limits of a published one: jump laws of the six, and other published ones.  An exponential fall, a
-# logarithm and a power include the straight line; a Gaussian fall without a viscous term does not.
-LIMITS: dict[str, tuple[int | str, ...]] = {
-    "stribeck": (1, 3),
-    "stribeck-viscous": (1, 3, "stribeck"),
-    "stribeck-gaussian": (1,),
-    "stribeck-gaussian-viscous": (1, 3, "stribeck-gaussian"),
-    "logarithmic": (1, 3),
-    "power": (1, 3),
+# Which curves are limits of a published one.  An exponential fall, a logarithm and a power include the straight line; a
+# Gaussian fall without a viscous term does not.
+LIMITS = {
+    "stribeck": (CONSTANT, LINEAR),
+    "stribeck-viscous": (CONSTANT, LINEAR, STRIBECK),
+    "stribeck-gaussian": (CONSTANT,),
+    "stribeck-gaussian-viscous": (CONSTANT, LINEAR, GAUSSIAN),
+    "logarithmic": (CONSTANT, LINEAR),
+    "power": (CONSTANT, LINEAR),
 }
 TITLES = {
     "stribeck": "a Stribeck curve",

@@ -22,12 +22,12 @@ from typing import NamedTuple
 import numpy as np
 
 from fitting.curve.band import covariances
-from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.result import MeasuredCurve
 from fitting.curve.spline_fit import SplineFit
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.covariance import covariance, upper_bound
-from fitting.estimation.fit import Fit
+from fitting.driver.fit import Fit
+from fitting.driver.formula import FormulaCurve
+from fitting.estimation.covariance import covariance
 from fitting.law import Law
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
@@ -35,7 +35,6 @@ from fitting.model.problem import datum_calibration
 from fitting.model.wear import FEWEST_LEVELS
 from fitting.selection.result import RankedLaws
 from processing.statistics import StickSlipStatistics
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError
 from stickslip.output import atomic
@@ -100,7 +99,7 @@ def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedSc
     adequacy = ranking.adequacy
     if not adequacy.rejected and ranking.rows:
         fit = ranking.best.fit
-        return of_formula(ranking, fit) if isinstance(fit, FormulaFit) else of_law(ranking, fit)
+        return of_law(ranking, fit) if fit.task.curve.kind else of_formula(ranking, fit)
     if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
         raise DataError(
             f"no scene: {adequacy.verdict}, and no friction curve describes the record",
@@ -112,17 +111,17 @@ def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedSc
 
 def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
     motion = ranking.motion
-    law = LAWS[fit.law]
-    slots = columns(fit.active, fit.runs)[0]
+    law = fit.law.kind
+    slots = columns(fit.places, len(fit.problem.runs))[0]
     known = slots >= 0
-    spread = covariance(fit, fit.precision)[np.ix_(known, known)]
+    spread = covariance(fit, fit.least_squares.precision)[np.ix_(known, known)]
     unknowns_of_run = fit.u[:PER_RUN]
     static = None if law.ramp else _static(ranking)
     names = ["spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs"]
     names += {"hyperbolic": ["friction.gamma"], "linear": ["friction.G_slip"], "constant": []}[law.curve]
     names += ["friction.d"] if law.ramp else []
-    names += ["friction.static"] if static or Global.STATIC in fit.active else []
-    names += ["droop.fraction"] if Global.COMPLIANCE in fit.active else []
+    names += ["friction.static"] if static or Global.STATIC in fit.places else []
+    names += ["droop.fraction"] if Global.COMPLIANCE in fit.places else []
 
     def scene_of(unknowns: Array, calibration: Calibration, factor: float, length: float) -> dict[str, float]:
         u = unknowns_of_run.copy()
@@ -141,25 +140,27 @@ def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
     if motion.datum_prior is None and law.curve != "hyperbolic":
         spread = _held(spread, slots[known].tolist().index(Global.DATUM))
     propagated = _propagated(scene_of, unknowns_of_run[slots[known]], spread, motion, names)
-    return _built(ranking, fit.law, propagated, static, np.empty(0), ramp=False)
+    return _built(ranking, law.number, propagated, static, np.empty(0), ramp=False)
 
 
-def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
+def of_formula(ranking: RankedLaws, fit: Fit) -> FittedScene:
     """Return the scene of a formula; DataError where its belt slows under load, which a scene cannot have."""
-    motion, law, at = ranking.motion, fit.asked_for, fit.at
+    motion, law, curve = ranking.motion, fit.law, fit.task.curve
+    if not isinstance(curve, FormulaCurve):
+        raise TypeError("not the fit of a formula")
     places = [place % PER_RUN for place in fit.places if place < PER_RUN]
     if Global.COMPLIANCE in places:
         what = "no scene: a belt that slows under load is not modelled beside a formula"
         raise DataError(what, "--save-scene", "leave it out")
-    index = [*(k for k, place in enumerate(fit.places) if place < PER_RUN), *range(len(fit.places), at.q.size)]
-    spread = upper_bound(*fit.spreads)[np.ix_(index, index)]
+    index = [*(k for k, place in enumerate(fit.places) if place < PER_RUN), *range(len(fit.places), fit.q.size)]
+    spread = covariance(fit, fit.least_squares.precision)[np.ix_(index, index)]
     if motion.datum_prior is None and fit.level_held:
         spread = _held(spread, places.index(Global.DATUM))
     taken = _scene_names(law)
     sized = bool(law.dimensions) or ranking.motion.per_mass
     static = None if fit.problem.ramp else _static(ranking)
     names = ["spring.k", "spring.x0", "belt.speed", "damper.c"]
-    names += [f"friction.{taken[name]}" for name in fit.curve.law.free]
+    names += [f"friction.{taken[name]}" for name in curve.free]
     names += ["friction.d"] if fit.problem.ramp else []
     names += ["friction.static"] if static else []
 
@@ -170,15 +171,15 @@ def of_formula(ranking: RankedLaws, fit: FormulaFit) -> FittedScene:
         m = calibration.mass_for(p.K, factor)
         scene = _rig_of(p, m, motion.sign, length)
         scene |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
-        for name, value in fit.curve.values(unknowns[len(places) :]).items():
+        for name, value in curve.values(u, unknowns[len(places) :]).items():
             force, speed = law.dimensions.get(name, (0, 0))
             scene[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
         return scene
 
-    propagated = _propagated(scene_of, at.q[index], spread, motion, names)
+    propagated = _propagated(scene_of, fit.q[index], spread, motion, names)
     calibration = Calibration(motion.mass, motion.stiffness, motion.length_error)
-    at_fit = scene_of(at.q[index], calibration, 1.0, 1.0)
-    keys = [f"friction.{taken[name]}" for name in law.curve.parameters if name not in fit.curve.law.free]
+    at_fit = scene_of(fit.q[index], calibration, 1.0, 1.0)
+    keys = [f"friction.{taken[name]}" for name in law.curve.parameters if name not in curve.free]
     text = law.curve.renamed({name: key for name, key in taken.items() if name != key}).text
     built = _built(ranking, 0, propagated, static, np.empty(0), ramp=fit.problem.ramp)
     return replace(
@@ -389,7 +390,7 @@ def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion
     )
 
 
-def _scatter(fit: Fit | FormulaFit) -> float:
+def _scatter(fit: Fit) -> float:
     """Return the standard deviation of the cycles' levels about their trend, of Fs, beyond noise, or 0."""
     run = fit.for_run(0)
     table = run.windows.table
@@ -400,7 +401,7 @@ def _scatter(fit: Fit | FormulaFit) -> float:
     centred = time - time.mean()
     left = level - level.mean() - centred * float(np.sum(centred * level) / np.sum(centred**2))
     square = float(np.sum(left**2)) / (level.size - 2)
-    blocks = fit.solution.blocks if isinstance(fit, Fit) else fit.at.solution.blocks
+    blocks = fit.solution.blocks
     noise = float(np.median(np.linalg.inv(blocks.Hl)[:, PerCycle.LEVEL, PerCycle.LEVEL]))
     return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0
 

@@ -21,9 +21,9 @@ from fitting.departures.base import Base
 from fitting.departures.explain import Refit, explain_misfit
 from fitting.departures.fluctuation import fluctuation_share
 from fitting.departures.result import FittedDeparture
-from fitting.estimation.fit import Fit
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
+from fitting.law import Law
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
 from stickslip.compute.arrays import Array
@@ -43,7 +43,7 @@ class Assessment:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    fit: FittedLaw
+    fit: Fit
     linearised: LinearisedFit | None
     usual: LinearisedFit | None
     slips: tuple[RunSlips, ...]
@@ -70,7 +70,7 @@ def measure(fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float
 
 def assess(
     measured: Measurement,
-    ranked: Sequence[FittedLaw],
+    ranked: Sequence[Fit],
     chosen: Judged,
     motions: Sequence[MeasuredMotion],
     laws: int,
@@ -103,11 +103,11 @@ def assess(
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FittedDeparture, ...] = ()
     if curve is not None and rejected and explain:
-        nearest = [fit for fit in ranked if isinstance(fit, Fit)] or list(measured.fits)
+        nearest = [fit for fit in ranked if fit.law.has_kernel] or list(measured.fits)
         departures = _departures(nearest, curve, motions, measured.noise, revolution)
     fluctuation = None
     if rejected and explain and not departures and chosen.together.repeat < REPEATS and chosen.linearised is not None:
-        base = Base.at(chosen.fit.at, motions, revolution, chosen.linearised)
+        base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
         fluctuation = None if base is None else fluctuation_share(base, float(np.max(measured.noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
@@ -124,7 +124,7 @@ def assess(
             together,
             curve=_reported(curve, mass, trusted=of_speed),
             curve_goodness=curve_goodness,
-            outside_band={fit.law: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
+            outside_band={fit.law.key: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
             unit="N/kg" if mass is None else "N",
         )
     if len(motions) == 1:
@@ -137,11 +137,11 @@ def assess(
 
 
 def describing(
-    fits: Sequence[FittedLaw],
+    fits: Sequence[Fit],
     motions: Sequence[MeasuredMotion],
     noise: float,
-    known: Mapping[int | str, Judged] | None = None,
-) -> dict[int | str, Judged]:
+    known: Mapping[Law, Judged] | None = None,
+) -> dict[Law, Judged]:
     """Return the goodness of fit of the laws that may describe the runs, and of the nearest one.
 
     Those that err `noise_levels.LOST` times the ``noise`` (m) do not.
@@ -154,7 +154,7 @@ def describing(
     }
 
 
-def _first(fits: Sequence[Fit], law: int | str) -> list[Fit]:
+def _first(fits: Sequence[Fit], law: Law) -> list[Fit]:
     return sorted(fits, key=lambda fit: fit.law != law)
 
 
@@ -182,14 +182,14 @@ def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> Mea
     return curve if mass is None else in_newtons(curve, mass)
 
 
-def _judged(fit: FittedLaw, motions: Sequence[MeasuredMotion]) -> Judged:
-    linearised = LinearisedFit.at(fit.at)
+def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:
+    linearised = LinearisedFit.at(fit)
     if linearised is None:
         # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
         usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
         slips = judge(fit.residual, _unchanged, fit, motions, nowhere)
     else:
-        usual, slips = _judged_without_faults(linearised, fit.path, fit, fit.windows, motions)
+        usual, slips = _judged_without_faults(linearised, lambda: fit.path, fit, fit.windows, motions)
     return Judged(fit, linearised, usual, slips, *goodness_of_fit(slips))
 
 
@@ -200,7 +200,7 @@ def _unchanged(residuals: Array) -> Array:
 def _judged_without_faults(
     linear: LinearisedFit,
     path: Callable[[], Path | None],
-    fit: FittedLaw,
+    fit: Fit,
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
 ) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:

@@ -21,7 +21,7 @@ import numpy as np
 from fitting.adequacy.goodness import REJECTED, TESTS, RunSlips
 from fitting.adequacy.statistics import SlipBins
 from fitting.distributions import fisher_quantile
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.tangents import tangents
@@ -31,7 +31,7 @@ PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameter
 PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spring makes up for most
 
 
-def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
+def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
     """Return for each run the wave amplitude that half of its repetitions detect, % of Fs; median over the waves.
 
     None where no slip is judged, the motion cannot be followed, or even an amplitude of Fs would not be detected.
@@ -58,9 +58,9 @@ def half_seen(information: float, bins: SlipBins) -> float:
     return math.sqrt(noncentrality / information) if information > 0 else math.inf
 
 
-def departure_waves(fit: FittedLaw) -> Array | None:
+def departure_waves(fit: Fit) -> Array | None:
     """Return the response of the positions to waves as large as the friction, shape (N, waves), m."""
-    path = fit.path()
+    path = fit.path
     if path is None or not path.slips.any():
         return None
     F = np.exp(fit.u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])

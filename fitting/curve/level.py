@@ -14,14 +14,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fitting.estimation.fit import Fit
+from fitting.driver.fit import Fit
 from fitting.least_squares import elimination
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import Run
 from fitting.sensitivity.path import Path
-from rig_sim.friction.curve import magnitude
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array, Mask
 from stickslip.compute.compile import compiled
 from stickslip.units import Measured
@@ -52,7 +50,7 @@ def assumed_rest(fit: Fit) -> Measured | None:
     None where a calibration determines the level: of a rest position, or of the sticking speed where the load changes
     it.
     """
-    yields = LAWS[fit.law].ramp or Global.COMPLIANCE in fit.active
+    yields = fit.law.ramp or Global.COMPLIANCE in fit.places
     for motion in fit.problem.motions:
         if motion.datum_prior is not None or (yields and (motion.belt_measured or motion.belt_prior is not None)):
             return None
@@ -61,9 +59,8 @@ def assumed_rest(fit: Fit) -> Measured | None:
 
 def law_scatters(fit: Fit, noise: Array) -> bool:
     """Return `levels_scatter` of a law's fit, by its friction at the belt's speed."""
-    law, p = LAWS[fit.law], fit.values
-    friction = float(magnitude(law.curve_code, p.v_dr, p.F, p.shape * p.F, p.shape))
-    return levels_scatter(fit.solution, fit.inlier_cycles, friction / p.K, noise)
+    friction = float(fit.task.friction(fit.q, np.array([fit.values.v_dr]))[0])
+    return levels_scatter(fit.solution, fit.inlier_cycles, friction / fit.values.K, noise)
 
 
 def levels_scatter(solution: Solution, inlier: Mask, stretch: float, noise: Array) -> bool:

@@ -11,10 +11,9 @@ from fitting.curve.band import covariances, curve_columns, half_widths, seen_spe
 from fitting.curve.result import BandExit, MeasuredCurve
 from fitting.curve.spline_fit import SplineFit, fit_spline
 from fitting.distributions import normal_quantile, student_quantile
-from fitting.estimation.fit import Fit
+from fitting.driver.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import Global
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 
 # Error over that of the nearest jump law: a ramp law contains its jump law and is always a little nearer, by 1 % at
@@ -48,7 +47,7 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
 def _contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
     """Return the best fit of each contact, first that to try first, and whether the laws prefer a ramp."""
     by_error = sorted(fits, key=lambda fit: fit.geometric_mean_rms)
-    nearest = [next((fit for fit in by_error if LAWS[fit.law].ramp == ramp), None) for ramp in (0, 1)]
+    nearest = [next((fit for fit in by_error if fit.law.ramp == ramp), None) for ramp in (False, True)]
     jump, ramp = nearest
     if jump is None or ramp is None:
         return [fit for fit in nearest if fit is not None], False

@@ -14,10 +14,9 @@ from fitting.curve.level import assumed_rest, law_scatters, levels_scatter, move
 from fitting.driver.coordinates import CurveCoordinates
 from fitting.driver.curves import FreeCurve
 from fitting.driver.driver import best_end
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.passes import finish, regressed_start
 from fitting.driver.task import FitStart, Task, curve_knots, free_curve_task, regressed_curve
-from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.problem import LeastSquaresProblem
@@ -25,7 +24,6 @@ from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.spline import FrictionSpline
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array, Mask
 from stickslip.units import Measured
 
@@ -33,7 +31,7 @@ from stickslip.units import Measured
 @dataclass(frozen=True, eq=False)
 class SplineFit:
     fit: Fit  # the law's, whose windows, calibrations and contact it has
-    at: TaskFit  # where the driver ended
+    at: Fit  # where the driver ended
     path: Path  # along every sample, with the curve
     noise: Array  # (runs,) standard deviation of one position, m
     rest: Measured | None  # of the first run's spring, where no datum was fitted (`fitting.curve.level`)
@@ -54,7 +52,7 @@ class SplineFit:
     @property
     def task(self) -> LeastSquaresProblem:
         """The problem of the last pass: unknowns are ``places``, then the curve's coordinates."""
-        return self.at.problem
+        return self.at.least_squares
 
     @property
     def solution(self) -> Solution:
@@ -125,7 +123,7 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
     if beside is None:
         return None
     task, law_end = beside
-    starts = [(law_end, fit.at.noise.without_fade), *((start, None) for start in _regressed(task))]
+    starts = [(law_end, fit.noise.without_fade), *((start, None) for start in _regressed(task))]
     settled = best_end(task, starts, noise)
     found = None if settled is None else finish(settled, noise) or settled
     if found is None or found.path is None:
@@ -138,14 +136,14 @@ def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None
 
     None where the law's ramp is as wide as the slips are fast.
     """
-    ramp = bool(LAWS[fit.law].ramp)
+    ramp = fit.law.ramp
     problem, local = _problem(fit, rest), fit.local.copy()
     knots = curve_knots(problem.runs, float(fit.u[Global.D]) if ramp else 0.0)
     if knots[-1] <= 0:
         return None
     spline = FrictionSpline.over(knots)
     s = np.linspace(0.0, knots[-1], 20 * knots.size)
-    friction = fit.at.task.friction(fit.at.q, s)
+    friction = fit.task.friction(fit.q, s)
     u, coefficients = fit.u, np.einsum("ik,k->i", spline.projection(s), friction)
     if rest is not None:
         u, coefficients = moved_to(u, coefficients, rest, ramp=ramp)
@@ -172,7 +170,7 @@ def _regressed(task: Task) -> list[FitStart]:
 
 def _started_below(fit: Fit, local: Array) -> Array:
     """Return the cycles' own unknowns; a start beyond the belt's speed is replaced by the smoothed motion's."""
-    if LAWS[fit.law].ramp:
+    if fit.law.ramp:
         return local
     smoothed = fit.windows.starting_values(fit.problem.motions)
     beyond = local[:, PerCycle.V_SLIP] > fit.windows.fastest_starts(fit.u)[:, PerCycle.V_SLIP]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fitting.data.frame import MeasuredMotion
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.model import Model
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Forcing
@@ -20,7 +20,7 @@ from stickslip.compute.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    fit: TaskFit
+    fit: Fit
     linear: LinearisedFit
     path: Path
     motion: FittedMotion
@@ -28,7 +28,7 @@ class Base:
     @classmethod
     def at(
         cls,
-        fit: TaskFit,
+        fit: Fit,
         records: Sequence[MeasuredMotion],
         revolution: float | None = None,
         linear: LinearisedFit | None = None,

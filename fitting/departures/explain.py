@@ -19,11 +19,10 @@ from fitting.departures.library import DEPARTURES
 from fitting.departures.result import FittedDeparture, Scale
 from fitting.departures.scores import Score, log_probability, score, sigmas
 from fitting.departures.strongest import LEAST_SIGMAS, Candidate, rank_candidates
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.passes import finish, first_pass, regressed_start, settle
 from fitting.driver.task import FitStart, Task
 from fitting.estimation.derived import derived_parameters
-from fitting.estimation.fit import Fit
 from fitting.forces.force import Force
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
@@ -51,7 +50,7 @@ class Refit:
 
     @property
     def force(self) -> Force:
-        (force,) = self.fit.at.task.forces
+        (force,) = self.fit.task.forces
         return force
 
     @property
@@ -96,7 +95,7 @@ def _candidates(
     The test of a drag, on a law that has ended far away without it, is a poor guess, and its fit does not start there.
     """
     near = curve.chi < noise_levels.DESCRIBES  # there a share of the misfit says nothing
-    bases = [Base.at(best.at, records, revolution)]
+    bases = [Base.at(best, records, revolution)]
     if not near:
         bases.append(Base.at(curve.spline_fit.at, records, revolution, curve.linear))
     tried = []
@@ -112,10 +111,10 @@ def _candidates(
 def fit_with(candidate: Candidate, fits: Sequence[Fit], noise: float) -> Refit | None:
     """Fit a departure with the best laws; None where none reaches the noise."""
     refits = []
-    curves: list[int] = []
+    curves: list[str] = []
     for fit in fits:
-        if fit.problem.curve not in curves and len(curves) < MOST_LAWS:
-            curves.append(fit.problem.curve)
+        if fit.law.formula not in curves and len(curves) < MOST_LAWS:
+            curves.append(fit.law.formula)
             refit = _fit_with(candidate, fit, noise, tested=fit is fits[0])
             refits += [] if refit is None else [refit]
     best = min(refits, key=lambda refit: refit.usual_rms, default=None)
@@ -127,17 +126,17 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
 
     The law that was ``tested`` starts at its end: another may have ended far away without the departure.
     """
-    task = replace(fit.at.task, forces=(Force(candidate.departure, candidate.scale),))
+    task = replace(fit.task, forces=(Force(candidate.departure, candidate.scale),))
     noises = np.full(fit.runs, noise)
-    first = first_pass(task, _start(task, fit.at if tested else None, candidate.size))
+    first = first_pass(task, _start(task, fit if tested else None, candidate.size))
     settled = None if first is None else settle(first, noises)
     if settled is None or settled.geometric_mean_rms > GIVEN_UP_ABOVE_NOISE * noise:
         return None
     finished = finish(settled, noises)
-    return None if finished is None else _with_errors(finished, fit.at)
+    return None if finished is None else _with_errors(finished, fit)
 
 
-def _start(task: Task, end: TaskFit | None, size: Array) -> FitStart:
+def _start(task: Task, end: Fit | None, size: Array) -> FitStart:
     """Return the end of a fit, or the regression, with the departure as tested; a drag is regressed too."""
     (force,), start = task.forces, regressed_start(task) if end is None else end.start
     if force.departure.drag is None:
@@ -149,15 +148,14 @@ def _start(task: Task, end: TaskFit | None, size: Array) -> FitStart:
     return regressed_start(task)._replace(q=np.concatenate([u[list(task.places)], [max(drag, 0.0)]]))
 
 
-def _with_errors(at: TaskFit, host: TaskFit) -> Refit | None:
+def _with_errors(fit: Fit, host: Fit) -> Refit | None:
     """Return a fit with the errors of its departure; None where it is not significant, or a drag is negative."""
-    fit = Fit.of(at)
-    base = Base.at(at, fit.problem.motions)
+    base = Base.at(fit, fit.problem.motions)
     if base is None:
         return None
-    (force,), linear = at.task.forces, base.linear
-    first, k = at.q.size - force.width, force.departure.columns
-    order = [*range(first), *range(first + k, at.q.size)]  # its own scale is adjusted besides
+    (force,), linear = fit.task.forces, base.linear
+    first, k = fit.q.size - force.width, force.departure.columns
+    order = [*range(first), *range(first + k, fit.q.size)]  # its own scale is adjusted besides
     without = replace(
         linear,
         shared=np.ascontiguousarray(linear.shared[:, order]),
@@ -165,7 +163,7 @@ def _with_errors(at: TaskFit, host: TaskFit) -> Refit | None:
         prior_gradient=linear.prior_gradient[order],
     )
     step = score(without, linear.shared[:, first : first + k])
-    coefficients = force.coefficients(at.q[first:])
+    coefficients = force.coefficients(fit.q[first:])
     if step is None or (force.departure.drag is not None and not coefficients[0] > 0):
         return None
     log_p = log_probability(coefficients, step.covariance, len(linear.rows))
@@ -185,7 +183,7 @@ def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
         parameter, unit = departure.with_mass
         size = Measured(size.value * record.mass.value, size.sd * record.mass.value)
     misfit = refit.score.gain + refit.base.misfit_beyond_noise(noise)
-    scale = refit.force.scale_of(refit.fit.at.q[-1:])
+    scale = refit.force.scale_of(refit.fit.q[-1:])
     return FittedDeparture(
         name=departure.name,
         sigmas=sigmas(refit.score.log_p, len(DEPARTURES)),
@@ -195,7 +193,7 @@ def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
         unit=unit,
         text=departure.says(counted=record.counted),
         explained=min(refit.score.gain / misfit, 1.0) if misfit > 0 else 0.0,
-        law=refit.fit.law,
+        law=refit.fit.law.key,
         parameters=derived_parameters(refit.fit, record, alpha),
         scale=Scale(departure.scale, scale, departure.scale_unit) if math.isfinite(scale) else None,
     )

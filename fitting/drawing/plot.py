@@ -12,7 +12,7 @@ from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.drawing import curves
 from fitting.drawing.palette import INK, MEASURED, law_colours
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from stickslip.output.plot import STYLE, figure
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ COLUMNS = 140  # of a line of the title
 MOST_POINTS = 12_000
 
 
-Shown = Sequence[tuple[FittedLaw, str]]  # laws, best first, each with what it is called
+Shown = Sequence[tuple[Fit, str]]  # laws, best first, each with what it is called
 
 
 def friction(
@@ -71,8 +71,8 @@ def _draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredC
 def _curves(axes: "Axes", laws: Shown, motion: MeasuredMotion, reach: float) -> None:
     """Draw each law from just above 0, where a jump has no value, to a relative speed, m/s."""
     speed = reach * np.linspace(0, 1, 401)[1:] ** 2  # densest near 0, where a ramp bends
-    colours = law_colours(fit.law for fit, _ in laws)
+    colours = law_colours(fit.law.key for fit, _ in laws)
     for place, (fit, name) in enumerate(laws):
         force = motion.sign * curves.curve(fit, motion, -motion.sign * speed)
         style = (0, (5, 3)) if place else "-"
-        axes.plot(speed, force, color=colours[fit.law], lw=1.6, ls=style, zorder=3, label=name)
+        axes.plot(speed, force, color=colours[fit.law.key], lw=1.6, ls=style, zorder=3, label=name)

@@ -12,9 +12,8 @@ from functools import partial
 import numpy as np
 
 from fitting import noise_levels
-from fitting.competitors import ALL_LAWS
 from fitting.driver.curves import LawCurve
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.noise import PassNoise
 from fitting.driver.overtaking import find_overtaking, with_overtaking
 from fitting.driver.passes import (
@@ -30,6 +29,7 @@ from fitting.driver.passes import (
     with_own_static,
 )
 from fitting.driver.task import FitStart, Task, law_task
+from fitting.law import SIX, Law
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
 from stickslip.compute.arrays import Array
@@ -53,7 +53,7 @@ CONTAINED_ERROR = 1.0005  # error over that of the curve that it contains: a ram
 CLOSED_RAMP = 0.02
 
 
-def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
+def fit_from(task: Task, start: FitStart, noise: PassNoise) -> Fit | None:
     """Fit a task from the end of another fit, with its noise; None where the motion cannot be followed."""
     first = first_pass(task, start, noise)
     settled = None if first is None else settle(first)
@@ -62,7 +62,7 @@ def fit_from(task: Task, start: FitStart, noise: PassNoise) -> TaskFit | None:
 
 def best_end(
     task: Task, starts: Sequence[tuple[FitStart, PassNoise | None]], noise_m: Array | None = None
-) -> TaskFit | None:
+) -> Fit | None:
     """Settle a task from each start until one reaches the noise; return the best fit.
 
     Starts come with the noise of their fit, likeliest first; the best after its first pass is settled first, and one
@@ -70,8 +70,8 @@ def best_end(
     resolution.
     """
     reached = noise_levels.DESCRIBES * (task.resolution if noise_m is None else float(np.max(noise_m)))
-    best: TaskFit | None = None
-    tried: list[TaskFit] = []
+    best: Fit | None = None
+    tried: list[Fit] = []
     for start, noise in starts:
         first = first_pass(task, start, noise)
         tried += [] if first is None else [first]
@@ -87,19 +87,19 @@ def best_end(
 
 
 def fit_laws(
-    laws: Sequence[int],
+    laws: Sequence[Law],
     runs: Sequence[Run],
-    among: Sequence[int] = ALL_LAWS,
+    among: Sequence[Law] = tuple(SIX.values()),
     *,
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
     scheduler: str | None = None,
-) -> list[TaskFit]:
+) -> list[Fit]:
     """Fit laws to runs of one contact; jump laws first, without those whose motion cannot be followed.
 
     All laws ``among`` are searched, so that a fit does not depend on which others are requested.
     """
-    tasks = [law_task(law, runs) for law in sorted(among)]
+    tasks = [law_task(law, runs) for law in sorted(among, key=lambda law: law.name)]
     asked = set(laws)
 
     def searched(done: int) -> None:
@@ -107,12 +107,8 @@ def fit_laws(
             progress(len(asked) * done / len(tasks))
 
     with workers(min(jobs, len(tasks)), scheduler) as each:
-        found = fit_all(tasks, lambda task: _law(task) in asked, each, searched)
-    return sorted(found, key=lambda one: (one.task.curve.ramp, _law(one.task)))
-
-
-def _law(task: Task) -> int:
-    return task.curve.law if isinstance(task.curve, LawCurve) else 0
+        found = fit_all(tasks, lambda task: task.curve.law in asked, each, searched)
+    return sorted(found, key=lambda one: one.task.curve.ramp)
 
 
 def fit_all(
@@ -120,7 +116,7 @@ def fit_all(
     asked: Callable[[Task], bool] = lambda _: True,
     each: Map = map,
     progress: Callable[[int], None] = lambda _: None,
-) -> list[TaskFit]:
+) -> list[Fit]:
     """Fit tasks to the same runs, and return those ``asked`` for in the order given.
 
     A curve that contains another comes after it; each starts from the regression and from others better after one pass.
@@ -141,7 +137,7 @@ def fit_all(
     limit = FAR_BEYOND_BEST * min((one.geometric_mean_rms for one in found), default=0.0)
     found = list(each(partial(_with_static, limit=limit), found))
     for one in found:
-        logger.debug("settled: law %d, %.4g um", _law(one.task), 1e6 * one.geometric_mean_rms)
+        logger.debug("settled: law %s, %.4g um", one.law.name, 1e6 * one.geometric_mean_rms)
     limit = FAR_BEYOND_BEST * min((one.geometric_mean_rms for one in found), default=0.0)
     wanted = [one for one in found if asked(one.task)]
     needed = [
@@ -151,13 +147,13 @@ def fit_all(
     return [one for one in needed if asked(one.task)]
 
 
-def _from_regression(tasks: Sequence[Task], each: Map, progress: Callable[[int], None]) -> list[TaskFit | None]:
+def _from_regression(tasks: Sequence[Task], each: Map, progress: Callable[[int], None]) -> list[Fit | None]:
     """Return the first pass of each task from the regression, or one with less assumed noise where that is better.
 
     Much noise leads out of poor minima of single cycles; less lets a wrong law follow a valley that calibrations as
     strong as that noise close. Once a task reaches the noise, others start from it instead.
     """
-    found: list[TaskFit | None] = []
+    found: list[Fit | None] = []
     for one in each(regressed_pass, tasks):
         found.append(one)
         progress(len(found))
@@ -167,11 +163,11 @@ def _from_regression(tasks: Sequence[Task], each: Map, progress: Callable[[int],
     return [other if one is None else _better(one, other) for one, other in zip(found, others, strict=True)]
 
 
-def _with_less_noise(task: Task) -> TaskFit | None:
+def _with_less_noise(task: Task) -> Fit | None:
     return regressed_pass(task, assumed_noise(task, LESS_NOISE_ASSUMED))
 
 
-def _from_donors(k: int, tasks: Sequence[Task], first: Sequence[TaskFit | None]) -> TaskFit | None:
+def _from_donors(k: int, tasks: Sequence[Task], first: Sequence[Fit | None]) -> Fit | None:
     """Return the first pass of task k, or a better one that starts from another fit."""
     task, own = tasks[k], first[k]
     far = noise_levels.LOST * task.resolution
@@ -185,19 +181,19 @@ def _from_donors(k: int, tasks: Sequence[Task], first: Sequence[TaskFit | None])
     return own
 
 
-def _settled(at: TaskFit, limit: float) -> TaskFit:
+def _settled(at: Fit, limit: float) -> Fit:
     return at if at.geometric_mean_rms > limit else settle(at) or at
 
 
-def _with_static(at: TaskFit, limit: float) -> TaskFit:
+def _with_static(at: Fit, limit: float) -> Fit:
     return at if at.geometric_mean_rms > limit else with_own_static(at)
 
 
-def _finished(at: TaskFit, limit: float) -> TaskFit:
+def _finished(at: Fit, limit: float) -> Fit:
     return at if at.geometric_mean_rms > limit else finish(at) or at
 
 
-def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
+def start_beside(task: Task, donor: Fit, narrow: float = 1.0) -> FitStart:
     """Return a warm start of a task from another fit: its shared unknowns, windows and friction.
 
     A new ramp starts with ``narrow`` of its first width.
@@ -214,7 +210,7 @@ def start_beside(task: Task, donor: TaskFit, narrow: float = 1.0) -> FitStart:
     return FitStart(np.concatenate([u[list(task.places)], mine.start, np.zeros(task.widths[2])]), donor.local)
 
 
-def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit]:
+def _donors(task: Task, k: int, first: Sequence[Fit | None]) -> list[Fit]:
     """Return the fits a task may start from: its curve without a ramp, and the best other."""
     others = [one for j, one in enumerate(first) if j != k and one is not None]
     inner = [one for one in others if task.curve.is_ramp_of(one.task.curve)]
@@ -222,7 +218,7 @@ def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit
     return [*inner, *best]
 
 
-def _again(found: list[TaskFit], each: Map) -> list[TaskFit]:
+def _again(found: list[Fit], each: Map) -> list[Fit]:
     """Restart tasks with their windows at the smoothed motion, where even the best of them is lost."""
     lowest = min((one.geometric_mean_rms for one in found), default=0.0)
     if not found or lowest <= noise_levels.LOST * found[0].task.resolution:
@@ -232,7 +228,7 @@ def _again(found: list[TaskFit], each: Map) -> list[TaskFit]:
     return [_better(one, trials.get(id(one))) for one in found]
 
 
-def from_left_starts(found: list[TaskFit], left: Sequence[TaskFit | None], each: Map) -> list[TaskFit]:
+def from_left_starts(found: list[Fit], left: Sequence[Fit | None], each: Map) -> list[Fit]:
     """Settle tasks from their own regression too where even the best of them is lost.
 
     ``left`` are these first passes, None where already chosen. With few samples a slip the regression is far off, and
@@ -245,15 +241,15 @@ def from_left_starts(found: list[TaskFit], left: Sequence[TaskFit | None], each:
     return [_better(one, trial) for one, trial in zip(found, trials, strict=True)]
 
 
-def _restarted(at: TaskFit) -> TaskFit | None:
+def _restarted(at: Fit) -> Fit | None:
     return first_pass(at.task, restarted_windows(at))
 
 
-def _better(one: TaskFit, other: TaskFit | None) -> TaskFit:
+def _better(one: Fit, other: Fit | None) -> Fit:
     return other if other is not None and other.geometric_mean_rms < one.geometric_mean_rms else one
 
 
-def _overtaking(found: Sequence[TaskFit], each: Map) -> list[TaskFit]:
+def _overtaking(found: Sequence[Fit], each: Map) -> list[Fit]:
     """Settle fits of one curve again with the cycles that one of them finds overtaking the belt.
 
     A ramp may fit such a cycle by a very low level, where its jump shows that it is spoilt.
@@ -272,15 +268,15 @@ def _overtaking(found: Sequence[TaskFit], each: Map) -> list[TaskFit]:
     return out
 
 
-def _resettled(at: TaskFit | None) -> TaskFit | None:
+def _resettled(at: Fit | None) -> Fit | None:
     return None if at is None else settle(at)
 
 
-def _is_ramp_of(one: TaskFit, other: TaskFit) -> bool:
+def _is_ramp_of(one: Fit, other: Fit) -> bool:
     return one.task.curve.is_ramp_of(other.task.curve)
 
 
-def beside_better(found: list[TaskFit], each: Map) -> list[TaskFit]:
+def beside_better(found: list[Fit], each: Map) -> list[Fit]:
     """Restart a curve slightly worse than another on the same contact from that one.
 
     Without a datum, a ramp with constant levels determines v_dr - d alone: a search stops anywhere in that valley.
@@ -298,7 +294,7 @@ def beside_better(found: list[TaskFit], each: Map) -> list[TaskFit]:
     return _kept(found, pairs, each, settle)
 
 
-def _contained(found: list[TaskFit], again: Callable[[TaskFit], TaskFit | None], each: Map) -> list[TaskFit]:
+def _contained(found: list[Fit], again: Callable[[Fit], Fit | None], each: Map) -> list[Fit]:
     """Restart a curve with a larger error than one that it contains from there: it can only improve."""
     pairs = []
     for one in found:
@@ -309,7 +305,7 @@ def _contained(found: list[TaskFit], again: Callable[[TaskFit], TaskFit | None],
     return _kept(found, pairs, each, again)
 
 
-def _opened(found: list[TaskFit], each: Map) -> list[TaskFit]:
+def _opened(found: list[Fit], each: Map) -> list[Fit]:
     """Restart a jump with a larger error than the same curve with a closed ramp from there.
 
     Otherwise only single cycles are restarted: in harsh records one in twenty has a better minimum.
@@ -323,30 +319,30 @@ def _opened(found: list[TaskFit], each: Map) -> list[TaskFit]:
     return [by_id.get(id(one)) or one for one in found]
 
 
-def _with_ramps(found: Sequence[TaskFit]) -> list[tuple[TaskFit, TaskFit]]:
+def _with_ramps(found: Sequence[Fit]) -> list[tuple[Fit, Fit]]:
     """Return each ramp with the same curve without it."""
     return [(one, other) for one in found for other in found if _is_ramp_of(one, other)]
 
 
 def _kept(
-    found: list[TaskFit],
-    pairs: Sequence[tuple[TaskFit, TaskFit]],
+    found: list[Fit],
+    pairs: Sequence[tuple[Fit, Fit]],
     each: Map,
-    again: Callable[[TaskFit], TaskFit | None],
-) -> list[TaskFit]:
+    again: Callable[[Fit], Fit | None],
+) -> list[Fit]:
     """Return the fits; the first of each pair is replaced by a better one started from the second."""
     trials = zip(pairs, each(partial(_moved, again=again), pairs), strict=True)
     by_id = {id(pair[0]): trial for pair, trial in trials}
     return [_better(one, by_id.get(id(one))) for one in found]
 
 
-def _is_closed(ramp: TaskFit, jump: TaskFit) -> bool:
+def _is_closed(ramp: Fit, jump: Fit) -> bool:
     slowest = min(motion.belt_speed for motion in ramp.task.problem.motions)
     hidden = jump.geometric_mean_rms < noise_levels.NEAR * jump.task.resolution
     return hidden or float(ramp.u[Global.D]) < CLOSED_RAMP * slowest
 
 
-def _moved(pair: tuple[TaskFit, TaskFit], again: Callable[[TaskFit], TaskFit | None]) -> TaskFit | None:
+def _moved(pair: tuple[Fit, Fit], again: Callable[[Fit], Fit | None]) -> Fit | None:
     """Return the first task fitted from the second's end, with its noise; None where it cannot be followed.
 
     A law that is far off takes the misfit for noise: where it ends worse than the second, its first pass or start

@@ -14,7 +14,7 @@ import numpy as np
 
 from fitting import noise_levels
 from fitting.driver.curves import LawCurve
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.model import Model
 from fitting.driver.nodes import SampleNodes
 from fitting.driver.noise import PassNoise
@@ -26,7 +26,6 @@ from fitting.model.parameters import PER_RUN, RIPPLE, Global
 from fitting.model.problem import thinned_to
 from fitting.sensitivity import flow
 from fitting.sensitivity.path import Path
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 
 
@@ -81,7 +80,7 @@ def regressed_start(task: Task) -> FitStart:
     return FitStart(np.concatenate([shared, task.curve.start, np.zeros(task.widths[2])]), local)
 
 
-def restarted_windows(at: TaskFit) -> FitStart:
+def restarted_windows(at: Fit) -> FitStart:
     """Return a restart: the fit's shared unknowns, with all windows at the smoothed motion.
 
     The first shared unknowns may have held some cycles in poor minima, and these held them in turn.
@@ -96,7 +95,7 @@ def assumed_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
     return PassNoise(times * resolution, np.ones(len(task.problem.cycles)))
 
 
-def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> TaskFit | None:
+def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> Fit | None:
     """Fit on the thinned record; None where the start cannot be followed.
 
     ``noise`` is that of a fitted start; for others nearly any misfit is taken for noise.
@@ -110,7 +109,7 @@ def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> T
     return replace(_with_noise(at, first=True), cpu_s=clock.process_time() - begun)
 
 
-def regressed_pass(task: Task, noise: PassNoise | None = None) -> TaskFit | None:
+def regressed_pass(task: Task, noise: PassNoise | None = None) -> Fit | None:
     """Return the first pass from the regression; a belt's ripple is free only after the rest has converged.
 
     Under the large noise of a first pass any frequency fits as well as that of the sticks.
@@ -124,13 +123,13 @@ def regressed_pass(task: Task, noise: PassNoise | None = None) -> TaskFit | None
     return first_pass(task, FitStart(_beside(task, held.u, held), held.local), held.noise)
 
 
-def unmoved(task: Task, start: FitStart, at: TaskFit) -> TaskFit | None:
+def unmoved(task: Task, start: FitStart, at: Fit) -> Fit | None:
     """Return a task at its start, before the first step, with the samples and noise of another fit."""
     model = Model(task, at.windows, at.model.longest_step)
     return _one_pass(model, start, at.noise.without_fade, AT_START, FIRST_DAMPING)
 
 
-def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
+def settle(at: Fit, noise_m: Array | None = None) -> Fit | None:
     """Fit again with the noise and the weights of the previous pass, until these no longer change.
 
     A known noise of a position, ``noise_m`` (runs,), m, is approached in steps, whatever a pass shows.
@@ -150,26 +149,26 @@ def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
     return replace(at, cpu_s=spent + clock.process_time() - begun)
 
 
-def _searched(at: TaskFit) -> TaskFit | None:
+def _searched(at: Fit) -> Fit | None:
     """Return another pass on the thinned record, from the end of a fit."""
     model = Model(at.task, at.windows, flow.SEARCH_STEP, at.model.near)
     return _one_pass(model, FitStart(at.q, restarted(at)), at.noise, SEARCH, LATER_DAMPING)
 
 
-def with_cycles_of(pair: tuple[TaskFit, TaskFit]) -> TaskFit | None:
+def with_cycles_of(pair: tuple[Fit, Fit]) -> Fit | None:
     """Return the first fit settled with the cheaper cycles of the second; None without one."""
     at, other = pair
     residual = at.model.residual(at.q, other.local) if other.local.shape == at.local.shape else None
     if residual is None:
         return None
-    own = cost_by_cycle(at.problem, at.local, at.residual)
-    better = cost_by_cycle(at.problem, other.local, residual) < CYCLE_GAIN * own
+    own = cost_by_cycle(at.least_squares, at.local, at.residual)
+    better = cost_by_cycle(at.least_squares, other.local, residual) < CYCLE_GAIN * own
     if not better.any():
         return None
     return settle(replace(at, local=np.where(better[:, None], other.local, at.local)))
 
 
-def with_own_static(at: TaskFit) -> TaskFit:
+def with_own_static(at: Fit) -> Fit:
     """Return the fit of a ramp with a separate break-away level where that gains on the thinned record.
 
     It is settled from several starts until one reaches the noise. A level free from the first pass on ends in poor
@@ -193,7 +192,7 @@ def with_own_static(at: TaskFit) -> TaskFit:
     return replace(best if gain >= STATIC_GAIN else at, cpu_s=at.cpu_s + clock.process_time() - begun)
 
 
-def _static_starts(task: Task, at: TaskFit) -> list[Array]:
+def _static_starts(task: Task, at: Fit) -> list[Array]:
     """Return unknowns (13 runs,) with a break-away level, from the end of a fit without one.
 
     A curve without a level rises towards rest to come near the break-aways, and the regression of the smoothed slips is
@@ -213,7 +212,7 @@ def _static_starts(task: Task, at: TaskFit) -> list[Array]:
     return [*between, *others]
 
 
-def _beside(task: Task, u: Array, at: TaskFit) -> Array:
+def _beside(task: Task, u: Array, at: Fit) -> Array:
     """Return the unknowns of a task with other free places, at u (13 runs,) and the end of a fit."""
     u = np.clip(u, task.problem.lower, task.problem.upper)
     return np.concatenate([u[list(task.places)], at.q[len(at.task.places) :]])
@@ -222,12 +221,11 @@ def _beside(task: Task, u: Array, at: TaskFit) -> Array:
 def _set_static(task: Task, u: Array, level: float) -> None:
     """Change the break-away level in u (13 runs,), with the same friction in slip and slope in stick."""
     if isinstance(task.curve, LawCurve):
-        code = LAWS[task.curve.law].curve_code
         for own in u.reshape(-1, PER_RUN):
-            own[:] = parameters.to_array(starts.with_static(code, parameters.values(own), level))
+            own[:] = parameters.to_array(starts.with_static(task.curve.code, parameters.values(own), level))
 
 
-def _static_gain(at: TaskFit) -> float:
+def _static_gain(at: Fit) -> float:
     """Return the approximate gain of a break-away level in log likelihood; inf where the ramp has none."""
     if Global.STATIC not in at.task.places:
         return math.inf
@@ -235,7 +233,7 @@ def _static_gain(at: TaskFit) -> float:
     return 0.5 * (excess / sd) ** 2 if sd > 0 else 0.0
 
 
-def finish(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
+def finish(at: Fit, noise_m: Array | None = None) -> Fit | None:
     """Fit again with every sample, through nodes; None where these shorter steps cannot be followed.
 
     ``noise_m`` (runs,) is the noise of a position, m, where known better than by this curve's residual.
@@ -265,7 +263,7 @@ def finish(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
 
 def _whole(
     task: Task, start: FitStart, settled: PassNoise, near: Path | None, *, below_belt: bool = False
-) -> TaskFit | None:
+) -> Fit | None:
     noise = settled.for_last_pass
     whole = task.problem.windows(thinned=False)
     nodes = SampleNodes.of(whole, [thinned_to(run) for run in task.problem.runs])
@@ -285,10 +283,10 @@ def _whole(
     solution = levenberg_marquardt.last_step(problem, last.solution)
     if solution is None:
         return None
-    return TaskFit(every, solution.u, solution.local, solution.residual, settled, problem, solution, whole=True)
+    return Fit(every, solution.u, solution.local, solution.residual, settled, problem, solution, whole=True)
 
 
-def _started_below_belt(at: TaskFit, noise: PassNoise) -> TaskFit:
+def _started_below_belt(at: Fit, noise: PassNoise) -> Fit:
     """Refit slips that start faster than the belt from a slower start, and keep the better fit.
 
     Beyond the belt's speed friction points the other way until the mass sticks, and the cycle's break-away then fixes
@@ -298,7 +296,7 @@ def _started_below_belt(at: TaskFit, noise: PassNoise) -> TaskFit:
     problem, curve = at.task.problem, at.task.curve
     fastest = at.windows.fastest_starts(at.u)
     beyond = (at.local > fastest).any(axis=1) & noise.inliers
-    if curve.ramp or not isinstance(curve, LawCurve) or LAWS[curve.law].curve == "constant" or not beyond.any():
+    if curve.ramp or not isinstance(curve, LawCurve) or curve.law.kind.curve == "constant" or not beyond.any():
         return at
     fresh = starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u)
     below = np.minimum(np.where(beyond[:, None], fresh, at.local), fastest)
@@ -306,13 +304,13 @@ def _started_below_belt(at: TaskFit, noise: PassNoise) -> TaskFit:
     return found if found is not None and found.solution.cost < at.solution.cost else at
 
 
-def restarted(at: TaskFit) -> Array:
+def restarted(at: Fit) -> Array:
     """Return the cycles' own unknowns, those of outlying cycles from the smoothed motion where that costs less.
 
     A cycle with a velocity step has several minima, and a poor one distorts the fit although its weight is low.
     """
     cycles = np.flatnonzero(~at.noise.inliers)
-    part = at.problem.of_cycles(at.q, cycles)
+    part = at.least_squares.of_cycles(at.q, cycles)
     if part is None:
         return at.local
     problem = at.task.problem
@@ -333,13 +331,13 @@ def _over(near: Path | None, windows: object) -> Path | None:
     return None if near is None else replace(near, windows=windows)  # type: ignore[arg-type]
 
 
-def _with_noise(at: TaskFit, *, first: bool) -> TaskFit:
+def _with_noise(at: Fit, *, first: bool) -> Fit:
     return replace(at, noise=at.noise.seen(at.task, at.windows, at.residual, at.local, first=first))
 
 
 def _one_pass(
     model: Model, start: FitStart, noise: PassNoise, limits: Limits, damping: float, *, below_belt: bool = False
-) -> TaskFit | None:
+) -> Fit | None:
     """Minimise under assumed noise; forces along the path are evaluated anew until they settle."""
     model.settle(*start, FOLLOWED)
     problem = least_squares_problem(model, noise, start.q, below_belt=below_belt)
@@ -359,7 +357,7 @@ def _one_pass(
     if solution is None:
         return None
     residual = model.residual(solution.u, solution.local)
-    return None if residual is None else TaskFit(model, solution.u, solution.local, residual, noise, problem, solution)
+    return None if residual is None else Fit(model, solution.u, solution.local, residual, noise, problem, solution)
 
 
 def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_belt: bool = False) -> LeastSquaresProblem:

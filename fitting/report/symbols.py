@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from fitting.competitors import FORMULAS
+from fitting.law import FORMULAS
 from fitting.report import mathml
 from fitting.selection.result import LawResult
 from rig_sim.friction.law import LAWS

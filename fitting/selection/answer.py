@@ -10,16 +10,13 @@ import numpy as np
 
 from fitting.adequacy.assess import Assessment, Measurement
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
-from fitting.competitors import ALL_LAWS
-from fitting.curve.formula_fit import FormulaFit
-from fitting.curve.formula_parameters import formula_level_error, formula_parameters
 from fitting.curve.result import FormFit
 from fitting.departures.ageing import find_other_break_away
 from fitting.drawing import curves
+from fitting.driver.fit import Fit
 from fitting.estimation import break_aways, derived
-from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
-from fitting.law import PUBLISHED, SOURCES
+from fitting.law import PUBLISHED, SIX, SOURCES
 from fitting.model.problem import Run
 from fitting.selection import rig_intervals, verdict, verdict_warnings
 from fitting.selection.asked import Asked
@@ -30,7 +27,6 @@ from fitting.selection.result import LawResult, RankedLaws, UnfittedLaw
 from fitting.selection.verdict_warnings import JudgedRun
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from rig_sim.friction.law import LAWS
 from stickslip.units import Measured
 
 Contradictions = list[list[Finding]]  # of each run
@@ -55,14 +51,14 @@ class Contest:
         return not self.competition.described
 
     @property
-    def best(self) -> Fit | FormulaFit:
+    def best(self) -> Fit:
         """The law of the first row."""
         return self.competition.best
 
     def described(self) -> list[tuple[int | str, list[dict[str, Parameter]]]]:
         """Return the laws that describe the runs, best first, each with its parameters of each run."""
         return [
-            (fit.law, [_parameters(fit, self, number) for number in range(len(self.runs))])
+            (fit.law.key, [_parameters(fit, self, number) for number in range(len(self.runs))])
             for fit in self.competition.fits
             if self.competition.describes(fit.law)
         ]
@@ -123,7 +119,7 @@ def without_law(
 ) -> RankedLaws:
     """Return the verdict on stick-slip that no law fits: no rows, and what is known without a law."""
     words = name_contradictions(verdict.refused_sentence(reason, asked.competitors), contradicted)
-    outcome = NONE_OF_SIX if asked.competitors.laws == ALL_LAWS else NONE_FITTED
+    outcome = NONE_OF_SIX if len(asked.competitors.six) == len(SIX) else NONE_FITTED
     sides = []
     for run, record, contradictions in zip(runs, records, contradicted, strict=True):
         adequacy = Adequacy(outcome, run.motion.resolution)
@@ -147,7 +143,7 @@ def _rows(decision: Decision) -> Rows:
     return Rows(tuple(found[: len(decision.runs)]), found[-1], tuple(depends[: len(decision.runs)]))
 
 
-def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
+def _rows_of(fit: Fit, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
     """Return a law's row for each run, and last the row for all of them together; one row for a single run."""
     runs, competition = decision.runs, decision.competition
     chosen, competitors = competition.chosen, decision.asked.competitors
@@ -161,11 +157,10 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
             together |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
         parts, parameters, motions = [*parts, fit], [*parameters, together], [*motions, motions[0]]
         distances.append(math.sqrt(float(np.mean(np.square(distances)))))
-    formula = None if isinstance(fit, Fit) or fit.number is not None else fit.asked_for.formula
     return [
         LawResult(
-            law=fit.law,
-            name=LAWS[fit.law].name if isinstance(fit.law, int) else fit.law.replace("-", " "),
+            law=fit.law.key,
+            name=fit.law.words,
             score=chosen.score.get(fit.law),
             weight=chosen.weight.get(fit.law),
             in_set=fit.law in chosen.members,
@@ -178,22 +173,18 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
             orbit=distance,
             fit=part,
             motion=motion,
-            outside_band=decision.assessed.together.outside_band.get(fit.law),
-            formula=formula,
-            asked=fit.law in competitors.laws or fit.law in competitors.names,
+            outside_band=decision.assessed.together.outside_band.get(fit.law.key),
+            formula=None if fit.law.number else fit.law.formula,
+            asked=competitors.asks(fit.law),
         )
         for part, own, distance, motion in zip(parts, parameters, distances, motions, strict=True)
     ]
 
 
-def _parameters(fit: Fit | FormulaFit, contest: Contest, run: int) -> dict[str, Parameter]:
+def _parameters(fit: Fit, contest: Contest, run: int) -> dict[str, Parameter]:
     """Return a law's parameters of a run; those that were given as they were given."""
     motion, alpha = contest.runs[run].motion, contest.asked.alpha
-    own: dict[str, Parameter]
-    if isinstance(fit, Fit):
-        own = derived.derived_parameters(fit, motion, alpha, run, sustained=contest.sustained)
-    else:
-        own = formula_parameters(fit, motion, alpha, run, sustained=contest.sustained)
+    own = derived.derived_parameters(fit, motion, alpha, run, sustained=contest.sustained)
     trusted = contest.competition.describes(fit.law)
     found = {name: replace(item, trusted=trusted and item.trusted) for name, item in own.items()}
     for name, value in contest.asked.fixed(fit.law).items():
@@ -214,7 +205,7 @@ def _words(decision: Decision, rows: Rows) -> str:
     else:
         words = verdict.verdict_sentence(
             rows.together,
-            decision.competition.not_excluded,
+            [law.key for law in decision.competition.not_excluded],
             sustained=decision.contest.sustained,
             measured=all(run.motion.belt_measured for run in decision.runs),
             rest_known=all(run.motion.datum_prior is not None for run in decision.runs),
@@ -238,11 +229,11 @@ def _side(decision: Decision, number: int, rows: Rows, words: str) -> RankedLaws
     # a mass that merely grazes the belt does not break away from rest
     if decision.contest.sustained and not decision.contest.rejected:
         friction = best.fit.values.F * curves.mass(run.motion, best.fit)
-        error = _level_error(decision.contest.best, run, number)
+        error = derived.break_away_level_error(decision.contest.best, run.motion, number)
         findings += find_other_break_away(
             events, run.cut, Measured(friction, error * friction), curves.unit(run.motion)
         )
-    given = decision.asked.given(best.law)
+    given = decision.asked.given(best.fit.law)
     judged = JudgedRun(own, best, run.motion, run.cut, record, findings, decision.contest.sustained, given)
     together, adequacy = decision.assessed.together, decision.assessed.runs[number]
     warnings = (
@@ -256,7 +247,7 @@ def _side(decision: Decision, number: int, rows: Rows, words: str) -> RankedLaws
         adequacy = _with_forms(adequacy, own, decision.contest.unfitted)
     return RankedLaws(
         verdict=words,
-        members=decision.competition.members,
+        members=tuple(law.key for law in decision.competition.members),
         rows=own,
         events=tuple(replace(event, t=run.motion.begin + event.t) for event in events),
         warnings=warnings,
@@ -267,7 +258,7 @@ def _side(decision: Decision, number: int, rows: Rows, words: str) -> RankedLaws
         records=(record,),
         alpha=decision.asked.alpha,
         unfitted=decision.contest.unfitted,
-        not_excluded=decision.competition.not_excluded,
+        not_excluded=tuple(law.key for law in decision.competition.not_excluded),
     )
 
 
@@ -302,13 +293,6 @@ def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], unfitted: Sequenc
     return replace(adequacy, forms=tuple(forms))
 
 
-def _level_error(fit: Fit | FormulaFit, run: Run, number: int) -> float:
-    """Return the error of a run's break-away level that all cycles share."""
-    if isinstance(fit, Fit):
-        return derived.break_away_level_error(fit, run.motion, number)
-    return formula_level_error(fit, number)
-
-
 def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[RankedLaws], cpu_s: float) -> RankedLaws:
     """Return the ranking of all runs together; of a single run its side."""
     if len(sides) == 1:
@@ -316,7 +300,7 @@ def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Ranked
     warnings, findings = _merged(sides, decision.records)
     return RankedLaws(
         verdict=words,
-        members=decision.competition.members,
+        members=tuple(law.key for law in decision.competition.members),
         rows=rows.together,
         events=tuple(event for side in sides for event in side.events),
         warnings=warnings,
@@ -329,7 +313,7 @@ def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Ranked
         records=tuple(decision.records),
         alpha=decision.asked.alpha,
         unfitted=decision.contest.unfitted,
-        not_excluded=decision.competition.not_excluded,
+        not_excluded=tuple(law.key for law in decision.competition.not_excluded),
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from numbers import Real
 
 from fitting.competitors import Competitors, Given
+from fitting.law import Law
 from processing.record.kinematics import Kinematics
 from stickslip.errors import InputError
 from stickslip.units import Measured
@@ -34,12 +35,11 @@ class Asked:
     def __post_init__(self) -> None:
         check_numbers(self.alpha, self.jobs)
 
-    def given(self, law: int | str) -> dict[str, Given]:
+    def given(self, law: Law) -> dict[str, Given]:
         """Return the conditions on a law's parameters; none for a rival that was not requested."""
-        own = next((one for one in self.competitors.every if law in (one, getattr(one, "name", None))), None)
-        return {} if own is None else self.competitors.of_law(own)
+        return self.competitors.of_law(law) if self.competitors.asks(law) else {}
 
-    def fixed(self, law: int | str) -> dict[str, float]:
+    def fixed(self, law: Law) -> dict[str, float]:
         return {name: given.low for name, given in self.given(law).items() if given.fixed}
 
     def check_together(self, records: Sequence[Kinematics]) -> None:

@@ -15,16 +15,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from fitting.curve.formula_fit import FormulaFit
 from fitting.driver.driver import CONTAINED_ERROR, fit_from
+from fitting.driver.fit import Fit
 from fitting.driver.task import FitStart, law_task
 from fitting.estimation import derived
 from fitting.estimation.covariance import without_level_errors
-from fitting.estimation.fit import Fit
+from fitting.law import Law
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
 from fitting.selection.evidence import ModelSet
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
@@ -35,21 +34,18 @@ WIDEST_BELT_LOSS = 0.03
 SAME_ERROR = 0.05
 
 
-def fit_on_compliant_belt(
-    fits: Sequence[Fit | FormulaFit], runs: Sequence[Run], alpha: float, *, sustained: bool
-) -> Fit | None:
+def fit_on_compliant_belt(fits: Sequence[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> Fit | None:
     """Fit the jump law of the nearest ramp on a belt that slows under load.
 
     None where the belt was measured, the ramp is wider than any belt's loss, or its jump law fits as well.
     """
     if any(run.motion.belt_measured for run in runs):
         return None
-    six = {fit.law: fit for fit in fits if isinstance(fit, Fit)}
-    ramps = [fit for law, fit in six.items() if LAWS[law].ramp and law - 1 in six]
-    if not ramps:
+    kernels = [fit for fit in fits if fit.law.has_kernel]
+    pairs = [(jump, ramp) for jump in kernels for ramp in kernels if ramp.law.is_ramp_of(jump.law)]
+    if not pairs:
         return None
-    near = min(ramps, key=lambda fit: fit.geometric_mean_rms)
-    jump = six[near.law - 1]
+    jump, near = min(pairs, key=lambda pair: pair[1].geometric_mean_rms)
     if jump.geometric_mean_rms <= CONTAINED_ERROR * near.geometric_mean_rms:
         return None
     if _width(near, runs, alpha, sustained=sustained)[0] > WIDEST_BELT_LOSS:
@@ -59,14 +55,14 @@ def fit_on_compliant_belt(
     u[Global.COMPLIANCE :: PER_RUN] = compliance
     compliant = [replace(run, motion=replace(run.motion, compliance=Measured(compliance, compliance))) for run in runs]
     task = law_task(jump.law, compliant)
-    fit = fit_from(task, FitStart(u[list(task.places)], near.local), near.at.noise.without_fade)
-    return None if fit is None else without_level_errors(Fit.of(fit))
+    fit = fit_from(task, FitStart(u[list(task.places)], near.local), near.noise.without_fade)
+    return None if fit is None else without_level_errors(fit)
 
 
 def with_indistinct_contacts(
     chosen: ModelSet,
-    fits: Mapping[int | str, Fit | FormulaFit],
-    errors: Mapping[int | str, Array],
+    fits: Mapping[Law, Fit],
+    errors: Mapping[Law, Array],
     runs: Sequence[Run],
     alpha: float,
     *,
@@ -81,8 +77,9 @@ def with_indistinct_contacts(
     errors: The log errors of each (units,).
     """
     members = list(chosen.members)
-    for jump, ramp in ((fits.get(law - 1), fits.get(law)) for law, row in LAWS.items() if row.ramp):
-        if not (isinstance(jump, Fit) and isinstance(ramp, Fit)) or (jump.law in members) == (ramp.law in members):
+    pairs = [(jump, ramp) for jump in fits.values() for ramp in fits.values() if ramp.law.is_ramp_of(jump.law)]
+    for jump, ramp in pairs:
+        if (jump.law in members) == (ramp.law in members):
             continue
         member, other = (jump, ramp) if jump.law in members else (ramp, jump)
         if float(np.mean(errors[other.law] - errors[member.law])) > SAME_ERROR:
@@ -93,7 +90,7 @@ def with_indistinct_contacts(
     return replace(chosen, members=tuple(members))
 
 
-def slows_under_load(fit: Fit | FormulaFit) -> bool:
+def slows_under_load(fit: Fit) -> bool:
     """Return whether a fit is on a belt whose compliance was fitted, not measured."""
     return any(motion.compliance is not None and not motion.belt_measured for motion in fit.problem.motions)
 

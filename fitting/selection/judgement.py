@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fitting.adequacy.assess import Judged, describing
-from fitting.curve.formula_fit import FormulaFit
-from fitting.estimation.fit import Fit
+from fitting.driver.fit import Fit
+from fitting.law import Law
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence
 from fitting.selection.evidence import Evidence, ModelSet, Units
@@ -23,19 +23,19 @@ class Competition:
     parsimony, not the record, excludes them.  Those that contain the best law, which cannot do worse, come last.
     """
 
-    fits: tuple[Fit | FormulaFit, ...]
-    judged: Mapping[int | str, Judged]
+    fits: tuple[Fit, ...]
+    judged: Mapping[Law, Judged]
     chosen: ModelSet
-    misfit: Mapping[int | str, float]
-    not_excluded: tuple[int | str, ...] = ()
+    misfit: Mapping[Law, float]
+    not_excluded: tuple[Law, ...] = ()
 
     @property
-    def members(self) -> tuple[int | str, ...]:
+    def members(self) -> tuple[Law, ...]:
         """The set, best first; empty where no law describes the record."""
         return self.chosen.members
 
     @property
-    def best(self) -> Fit | FormulaFit:
+    def best(self) -> Fit:
         """The law of the first row."""
         return self.fits[0]
 
@@ -44,13 +44,13 @@ class Competition:
         """Whether a law describes the record."""
         return bool(self.chosen.members)
 
-    def describes(self, law: int | str) -> bool:
+    def describes(self, law: Law) -> bool:
         """Return whether a law describes the record, as far as that can be judged."""
         return law in self.judged and not self.judged[law].together.rejected
 
 
 def compete(
-    fits: Sequence[Fit | FormulaFit], noise: Array, known: Judged, runs: Sequence[Run], alpha: float, *, sustained: bool
+    fits: Sequence[Fit], noise: Array, known: Judged, runs: Sequence[Run], alpha: float, *, sustained: bool
 ) -> Competition:
     """Compare all laws by one evidence; the set is one of those that describe the record.
 
@@ -63,9 +63,9 @@ def compete(
     compliant = equivalence.fit_on_compliant_belt(fits, runs, alpha, sustained=sustained)
     contenders = [*fits, *([] if compliant is None else [compliant])]
     units = evidence.common_units(contenders, runs, sustained=sustained)
-    by_law: dict[int | str, Fit | FormulaFit] = {}
-    errors: dict[int | str, Array] = {}
-    penalised: dict[int | str, Array] = {}
+    by_law: dict[Law, Fit] = {}
+    errors: dict[Law, Array] = {}
+    penalised: dict[Law, Array] = {}
     for fit in contenders:
         own = evidence.unit_errors(fit, runs, units)
         paid = evidence.penalised(fit, own, units, belts=len(runs) if fit is compliant else 0)
@@ -93,11 +93,11 @@ def compete(
         judged,
         chosen,
         misfit,
-        tuple(sorted(equal, key=lambda law: first in evidence.nested(law))),
+        tuple(sorted(equal, key=lambda law: law.contains(first))),
     )
 
 
-def _misfit(fit: Fit | FormulaFit, units: Units, noise: Array) -> float:
+def _misfit(fit: Fit, units: Units, noise: Array) -> float:
     """Return the rms residual of the usual cycles over the noise of a position."""
     usual = [
         (fit.residual[rows], noise[run])

@@ -7,12 +7,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from fitting.adequacy.assess import describes
-from fitting.competitors import ALL_LAWS
 from fitting.data import cycles, ripple
 from fitting.data.frame import MeasuredMotion
 from fitting.driver import driver
+from fitting.driver.fit import Fit
 from fitting.estimation.covariance import without_level_errors
-from fitting.estimation.fit import Fit
+from fitting.law import SIX, Law
 from fitting.model.problem import Run
 from fitting.selection import evidence, screening
 from fitting.selection.evidence import FEWEST_CYCLES
@@ -22,7 +22,7 @@ from stickslip.errors import DataError, InputError
 # Error in the start-up drag over what a rippling belt leaves: a steady belt that leaves more was none.  On belts
 # with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.
 STEADY_DRAG_ERROR = 1.3
-CONSTANT = (1, 2)  # laws of constant friction, which alone make a mass graze the belt
+CONSTANT = (SIX[1], SIX[2])  # laws of constant friction, which alone make a mass graze the belt
 MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each costs another fit of all laws
 
 
@@ -78,7 +78,7 @@ def _excluded(run: Run) -> frozenset[int]:
 
 
 def fit_runs(
-    laws: Sequence[int],
+    laws: Sequence[Law],
     runs: Sequence[Run],
     records: Sequence[Kinematics],
     jobs: int,
@@ -124,13 +124,15 @@ def fit_runs(
     return FittedSix(fits, list(runs), sustained, doubt)
 
 
-def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = ALL_LAWS, **how: Any) -> list[Fit]:
+def _fit_laws(
+    laws: Sequence[Law], runs: Sequence[Run], among: Sequence[Law] = tuple(SIX.values()), **how: Any
+) -> list[Fit]:
     """Fit laws by the driver; without the errors of the levels as information."""
-    return [without_level_errors(Fit.of(one)) for one in driver.fit_laws(laws, runs, among, **how)]
+    return [without_level_errors(one) for one in driver.fit_laws(laws, runs, among, **how)]
 
 
 def _fit_other_ripples(
-    laws: Sequence[int], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
+    laws: Sequence[Law], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run]]:
     """Fit the laws with the other possible ripples of the sticks, until one is described; return the best fits."""
     best = fits, run
@@ -157,7 +159,7 @@ def _other_ripples(run: Run) -> list[Run]:
 
 
 def _fit_grazing(
-    laws: Sequence[int], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
+    laws: Sequence[Law], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run], bool]:
     """Fit the laws to a mass that grazes the belt; also return the runs and whether it sticks often.
 
@@ -196,7 +198,7 @@ def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
     return alone and not describes(fits, [run.motion for run in runs])
 
 
-def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
+def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     """Return whether the mass sticks in the long run; DataError unless there are enough cycles of one kind."""
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from stickslip.compute.arrays import Array
 
 MOST_POINTS = 4000  # points of each curve
@@ -28,7 +28,7 @@ class MeasuredOrbit:
         size = np.ptp(points, axis=0)
         return cls(size, cKDTree(points / size))
 
-    def distance(self, fit: FittedLaw) -> float:
+    def distance(self, fit: Fit) -> float:
         """Return the rms distance of one run's law orbit to the measured one, of the orbit's size in each axis.
 
         Differences in time alone, such as a late slip, do not count.
@@ -38,7 +38,7 @@ class MeasuredOrbit:
         return float(np.sqrt(np.mean(distances**2)))
 
 
-def orbit(fit: FittedLaw) -> Array:
+def orbit(fit: Fit) -> Array:
     """Return position and velocity of a law in all windows; shape (samples, 2)."""
     x = fit.windows.position + fit.residual
     parts = []

@@ -11,9 +11,7 @@ from dataclasses import replace
 from daq.runfile.rig import Rig
 from fitting.adequacy.assess import Assessment, assess, measure
 from fitting.competitors import ALL_LAWS, Competitors
-from fitting.curve.formula_fit import FormulaFit
 from fitting.data import frame
-from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.law import Bound, Law
 from fitting.model.problem import Run
@@ -21,7 +19,6 @@ from fitting.selection import answer, law_fits, screening
 from fitting.selection.answer import Contest, Decision
 from fitting.selection.asked import Asked
 from fitting.selection.contradictions import LawParameters, find_contradictions
-from fitting.selection.evidence import nested
 from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import compete
 from fitting.selection.one_contact import find_other_contact
@@ -80,7 +77,7 @@ def rank(
         alone = [_described_alone(asked, record, run) for record, run in zip(records, contest.runs, strict=True)]
         other_contact = find_other_contact(alone)
     first, motions = contest.competition.judged[contest.best.law], [run.motion for run in contest.runs]
-    count, revolution = len(competitors.laws), _revolution(records)
+    count, revolution = len(competitors.six), _revolution(records)
     explain = other_contact is None and not any(contradicted)
     assessed = assess(contest.measured, contest.competition.fits, first, motions, count, revolution, explain=explain)
     _log(contest, assessed)
@@ -138,15 +135,16 @@ def _contest(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -
     )
     measured = measure(six, [run.motion for run in runs], asked.alpha)
     formulas = fit_formulas(competitors, measured.curve, six)
-    direct = [fit for fit in six if fit.law in competitors.direct]
-    lost = {fit.law: name_better_limit(fit, (1, *nested(fit.law)), six) for fit in direct}
-    fits: list[Fit | FormulaFit] = [*(fit for fit in direct if not lost[fit.law]), *formulas.fits]
+    direct = [fit for fit in six if competitors.asks(fit.law) and competitors.by_kernel(fit.law)]
+    lost = {fit.law: name_better_limit(fit, six) for fit in direct}
+    fits = [*(fit for fit in direct if not lost[fit.law]), *formulas.fits]
     if doubt and not screening.comes_near(formulas.fits, runs):
         law_fits.refuse(doubt, records)
     if sustained:
-        lost |= {law: "its motion cannot be followed" for law in competitors.direct if law not in lost}
+        followed = {*lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}
+        lost |= {law: "its motion cannot be followed" for law in competitors.laws if law not in followed}
     missing = (*(unfitted(law, why) for law, why in lost.items() if why), *formulas.unfitted)
-    if not any(fit.law in competitors.laws or fit.law in competitors.names for fit in fits):
+    if not any(competitors.asks(fit.law) for fit in fits):
         reasons = "; ".join(f"law {row.law}: {row.reason}" for row in missing if row.asked)
         where = ", ".join(record.recording.where for record in records)
         raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")
@@ -166,5 +164,5 @@ def _revolution(records: Sequence[Kinematics]) -> float | None:
 def _log(contest: Contest, assessed: Assessment) -> None:
     for fit in contest.competition.fits:
         member = "in the set" if fit.law in contest.competition.members else "not in the set"
-        logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
+        logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law.name, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
     logger.info("goodness of fit: %s", assessed.together.said)

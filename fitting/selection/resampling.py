@@ -19,19 +19,17 @@ from typing import NamedTuple
 import numpy as np
 
 from fitting.competitors import PER_MASS
-from fitting.curve.formula_fit import FormulaFit
-from fitting.curve.formula_parameters import independent_formula_parameters
 from fitting.data.frame import MeasuredMotion
+from fitting.driver.fit import Fit
+from fitting.driver.formula import FormulaCurve
 from fitting.estimation.covariance import covariances
 from fitting.estimation.derived import independent_parameters
-from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model.parameters import PER_RUN, Global
 from fitting.selection.given import SIGNED, UNKNOWNS
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError, InputError, nearest
 
@@ -44,18 +42,15 @@ FEWEST_FITTED = 0.9
 PROFILE_REACH, PROFILE_STEPS = 3.0, 6
 
 
-def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int | None) -> dict[str, Array]:
+def bootstrap(fit: Fit, motion: MeasuredMotion, n: int, seed: int | None) -> dict[str, Array]:
     """Return parameters of fits of n draws of cycles: by name arrays (draws,), per unit mass, of the first run.
 
     Raises InputError for fewer than two draws, and DataError where more than a tenth of them cannot be fitted.
     """
     if not (isinstance(n, int) and n >= 2):
         raise InputError(f"n is {n!r}", "bootstrap", "give 2 draws or more; 200 show a standard error to 5 %")
-    rng, problem = np.random.default_rng(seed), fit.at.problem
-    if isinstance(fit, FormulaFit):
-        shown = independent_formula_parameters(fit, motion)
-    else:
-        shown = independent_parameters(fit, motion)
+    rng, problem = np.random.default_rng(seed), fit.least_squares
+    shown = independent_parameters(fit, motion)
     spread = np.where(problem.precision > 0, 1 / np.sqrt(np.where(problem.precision > 0, problem.precision, 1.0)), 0.0)
     found = []
     for _ in range(n):
@@ -68,7 +63,7 @@ def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int |
             local_precision=problem.local_precision * weight[:, np.newaxis],
             prior=np.clip(prior, problem.lower, problem.upper),
         )
-        solution = _fitted(drawn, fit.at.q, fit.at.local)
+        solution = _fitted(drawn, fit.q, fit.local)
         if solution is not None:
             found.append(shown.at(solution.u, unseen) * longer**shown.lengths)
     if len(found) < FEWEST_FITTED * n:
@@ -77,24 +72,22 @@ def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int |
     return dict(zip(shown.names, np.array(found).T, strict=True))
 
 
-def profile(
-    fit: Fit | FormulaFit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], name: str
-) -> dict[str, Array]:
+def profile(fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], name: str) -> dict[str, Array]:
     """Return ``value`` (k,) of a parameter, and with it fixed there ``deviance`` (k,) and ``rms_m`` (k,).
 
     ``name`` is an unknown of the fit: per unit mass or, with a known mass, in newtons; unknown, fixed or dependent ones
     raise InputError, a motion that cannot be followed DataError.
     """
     if name not in parameters:
-        raise InputError(f"law {fit.law} has no parameter {name!r}", "profile", nearest(name, list(parameters)))
+        raise InputError(f"law {fit.law.name} has no parameter {name!r}", "profile", nearest(name, list(parameters)))
     item, place = parameters[name], _unknown(fit, motion, name)
     if place is None:
         able = [other for other in parameters if _unknown(fit, motion, other) and not parameters[other].fixed]
         raise InputError(f"{name} follows from other parameters", "profile", f"take one of {', '.join(able)}")
-    problem = fit.at.problem
+    problem = fit.least_squares
     if item.fixed or problem.lower[place.number] == problem.upper[place.number]:
         raise InputError(f"{name} is fixed", "profile", "name a parameter that is fitted, or leave it out of fix")
-    least = _fitted(problem, fit.at.q, fit.at.local) or fit.at.solution
+    least = _fitted(problem, fit.q, fit.local) or fit.solution
     middle, sd = float(least.u[place.number]), _deviation(fit, place.number)
     found = [(place.value(middle), least)]
     for side in (-1.0, 1.0):
@@ -125,18 +118,17 @@ class _Unknown(NamedTuple):
     value: Callable[[float], float]
 
 
-def _unknown(fit: Fit | FormulaFit, motion: MeasuredMotion, name: str) -> _Unknown | None:
+def _unknown(fit: Fit, motion: MeasuredMotion, name: str) -> _Unknown | None:
     """Return the unknown of a parameter, None where it follows from others."""
     plain = name.removesuffix(PER_MASS)
-    if isinstance(fit, FormulaFit) and plain in fit.curve.law.free:
-        k = fit.curve.law.free.index(plain)
-        factor = _newtons(motion, name, fit.asked_for.dimensions.get(plain, (0, 0))[0])
-        index = len(fit.at.task.places) + k
-        return None if factor is None else _scaled(index, factor, by_log=bool(fit.curve.by_log[k]))
+    curve = fit.task.curve
+    if isinstance(curve, FormulaCurve) and plain in curve.free:
+        k = curve.free.index(plain)
+        factor = _newtons(motion, name, fit.law.dimensions.get(plain, (0, 0))[0])
+        return None if factor is None else _scaled(len(fit.places) + k, factor, by_log=bool(curve.by_log[k]))
     per_mass = f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in UNKNOWNS else name
-    slot, places = UNKNOWNS.get(per_mass), [place % PER_RUN for place in fit.at.task.places]
-    curve = LAWS[fit.law].curve if isinstance(fit, Fit) else ""
-    if slot is None or slot not in places or (slot == Global.SHAPE and curve != "hyperbolic"):
+    slot, places = UNKNOWNS.get(per_mass), [place % PER_RUN for place in fit.places]
+    if slot is None or slot not in places or (slot == Global.SHAPE and curve.kind != "hyperbolic"):
         return None
     factor = _newtons(motion, name, int(per_mass != name))
     sign = motion.sign if name in SIGNED else 1.0
@@ -154,10 +146,9 @@ def _scaled(index: int, factor: float, *, by_log: bool) -> _Unknown:
     return _Unknown(index, (lambda u: factor * math.exp(u)) if by_log else (lambda u: factor * u))
 
 
-def _deviation(fit: Fit | FormulaFit, index: int) -> float:
+def _deviation(fit: Fit, index: int) -> float:
     """Return the standard error of an unknown."""
-    spreads = fit.spreads if isinstance(fit, FormulaFit) else np.array(covariances(fit, fit.precision))
-    return math.sqrt(float(spreads[:, index, index].max()))
+    return math.sqrt(max(float(own[index, index]) for own in covariances(fit, fit.least_squares.precision)))
 
 
 def _held(problem: LeastSquaresProblem, index: int, value: float) -> LeastSquaresProblem:

@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.adequacy.result import Adequacy
-from fitting.curve.formula_fit import FormulaFit
-from fitting.curve.formula_parameters import formula_correlations
 from fitting.curve.result import BandExit
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.drawing import curves
+from fitting.driver.fit import Fit
 from fitting.estimation.derived import RUNS_OWN, correlations
-from fitting.estimation.fit import Fit
 from fitting.estimation.motion_at import motion_at
 from fitting.estimation.result import STATED_ERROR, BreakAway, Correlations, Parameter, in_columns
 from fitting.law import TITLES
@@ -71,7 +69,7 @@ class LawResult:
         Mean paired difference of log error to the best law, penalty included, and its standard error.
     orbit : float
         Distance of the law's orbit to the measured one, of the orbit's size (`fitting.selection.phase_distance`).
-    fit : Fit or FormulaFit
+    fit : Fit
         The fit itself, in its frame: per unit mass, with a belt that runs towards +x.
     motion : MeasuredMotion
         Of the run; the first one's where there are several.
@@ -95,7 +93,7 @@ class LawResult:
     cpu_s: float
     behind: tuple[float, float] | None
     orbit: float
-    fit: Fit | FormulaFit = field(repr=False, compare=False)
+    fit: Fit = field(repr=False, compare=False)
     motion: MeasuredMotion = field(repr=False, compare=False)
     outside_band: BandExit | None = None
     formula: str | None = None
@@ -130,10 +128,10 @@ class LawResult:
 
     def is_own(self, name: str) -> bool:
         """Return whether a parameter is the curve's, and not the same one in other units."""
-        if not isinstance(self.fit, FormulaFit):
+        if self.fit.task.curve.kind:
             return name in CURVE and name not in ("k/m", "v_dr")
         own = name.removesuffix("/m")
-        return name.startswith("(") or (own in self.fit.asked_for.free and f"{name}/m" not in self.parameters)
+        return name.startswith("(") or (own in self.fit.law.free and f"{name}/m" not in self.parameters)
 
     def position(self, t: "ArrayLike") -> Array:
         """Return the fitted position, m, as the record reads it.
@@ -236,7 +234,7 @@ class LawResult:
 
         from fitting.selection import resampling
 
-        if len(self.fit.at.task.problem.runs) > self.fit.runs:
+        if self.fit.run is not None:
             do = "take ranking.best.profile(name), of all runs together"
             raise InputError("one run of several that were fitted together", "profile", do)
         found = pd.DataFrame(resampling.profile(self.fit, self.motion, self.parameters, name))
@@ -417,7 +415,7 @@ class RankedLaws:
         if not self.rows or not all(item.trusted for item in self.best.parameters.values()):
             return None
         fit, motion = self.best.fit, self.sides[0].motion
-        found = formula_correlations(fit, motion) if isinstance(fit, FormulaFit) else correlations(fit, motion)
+        found = correlations(fit, motion)
         if not self.runs:
             return found
         return replace(found, names=tuple(f"{name} (1)" if name in RUNS_OWN else name for name in found.names))

@@ -14,17 +14,16 @@ import numpy as np
 from daq.runfile.rest_position import explain_impossible
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import REST_SPEED, SLIP_SPEED, MeasuredMotion
+from fitting.driver.fit import Fit
 from fitting.driver.passes import first_pass, regressed_start
 from fitting.driver.task import law_task
-from fitting.estimation.fit import Fit
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.law import SIX, Law
 from fitting.least_squares.linear import least_squares
 from fitting.model.problem import Run
 from fitting.selection import lost_frames
 from fitting.selection.evidence import constant_friction_limit
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array, Integers
 from stickslip.errors import DataError, InputError
 
@@ -160,7 +159,7 @@ def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) ->
 
     Only finished fits have the residuals of every sample that this requires.
     """
-    best = min((fit for fit in fits if fit.at.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
+    best = min((fit for fit in fits if fit.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
     for run, record in enumerate(records):
         share = None if best is None else lost_frames.missing_share(best, record, run)
         if share is not None:
@@ -255,7 +254,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int,
     return ""
 
 
-def reject_by_coarse_fits(laws: Sequence[int], runs: Sequence[Run], *, sustained: bool) -> str:
+def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained: bool) -> str:
     """Return why no law can describe the runs, from rough fits of a few cycles, or "" once one law fits.
 
     Real stick-slip passes with the first law: windows and levels are free enough for any of the six to reach
@@ -265,8 +264,8 @@ def reject_by_coarse_fits(laws: Sequence[int], runs: Sequence[Run], *, sustained
         return SINE_ALONE
     few = [replace(run, cut=replace(run.cut, cycles=_spread_out(run.cut.used))) for run in runs]
     longest = max(_slip_length(run.motion, run.cut) for run in few)
-    for law in SCREENING_ORDER:
-        if law in laws or (law in (1, 2) and not sustained):
+    for law in map(SIX.__getitem__, SCREENING_ORDER):
+        if law in laws or (law.kind.curve == "constant" and not sustained):
             task = law_task(law, few)
             fit = first_pass(task, regressed_start(task))
             if fit is not None and fit.misfit < SCREENED_ERROR * longest:
@@ -291,7 +290,7 @@ def swings_alone(swings: int) -> str:
     return f"{swings} whole swing{'' if swings == 1 else 's'} in it, and no stick"
 
 
-def comes_near(fits: Sequence[FittedLaw], runs: Sequence[Run]) -> bool:
+def comes_near(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
     """Return whether one of some laws comes near the runs."""
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
     return any(fit.misfit < WORST_ERROR * longest for fit in fits)
@@ -308,10 +307,12 @@ def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
     if not near:
         return NONE_NEAR
     best = min(near, key=lambda fit: fit.geometric_mean_rms)
-    if LAWS[best.law].ramp and best.values.d > best.values.v_dr:
-        return f"law {best.law} fits best, with a ramp wider than the belt speed"
+    if best.law.ramp and best.values.d > best.values.v_dr:
+        return f"law {best.law.name} fits best, with a ramp wider than the belt speed"
     if sustained and best.values.F < LEAST_FRICTION * best.values.K * longest:
-        return f"law {best.law} fits best, with friction below {LEAST_FRICTION:g} of the spring's force over a slip"
+        return (
+            f"law {best.law.name} fits best, with friction below {LEAST_FRICTION:g} of the spring's force over a slip"
+        )
     return ""
 
 

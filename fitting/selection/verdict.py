@@ -8,7 +8,6 @@ from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.departures.result import FittedDeparture
-from fitting.estimation.fit import Fit
 from fitting.model.parameters import Global
 from fitting.selection.result import LawResult
 from stickslip.output.lengths import format_length
@@ -116,7 +115,7 @@ def _constant_friction(rows: Sequence[LawResult], members: Sequence[LawResult], 
 
 def _is_compliant(row: LawResult) -> bool:
     """Return whether one of the six was fitted on a belt that slows under load."""
-    return isinstance(row.fit, Fit) and Global.COMPLIANCE in row.fit.active
+    return row.formula is None and Global.COMPLIANCE in row.fit.places
 
 
 def _of_formula(rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str) -> str:
@@ -198,7 +197,7 @@ def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
 
 def refused_sentence(reason: str, competitors: Competitors) -> str:
     """Return the verdict on stick-slip that was rejected before or after its laws were fitted."""
-    which = "none of the six laws" if competitors.laws == ALL_LAWS else "none of the laws fitted"
+    which = "none of the six laws" if len(competitors.six) == len(ALL_LAWS) else "none of the laws fitted"
     return f"stick-slip, but {which}: {reason}"
 
 

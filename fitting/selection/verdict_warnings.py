@@ -14,7 +14,6 @@ from fitting.model.problem import NARROWEST_RAMP
 from fitting.selection.result import LawResult
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from rig_sim.friction.law import LAWS
 
 POOR_ERROR = 0.003  # error over the motion's range: five times what 12 % scatter, ripple and jitter leave over
 
@@ -75,10 +74,10 @@ class JudgedRun:
     @property
     def hidden_ramp(self) -> float | None:
         """The width (m/s) below which the best law may have a hidden ramp; None where not tested."""
-        jump = self.best.law
-        if not isinstance(jump, int) or not self.sustained or LAWS[jump].ramp:
+        jump = self.best.fit.law
+        if not jump.has_kernel or jump.ramp or not self.sustained:
             return None
-        row = next((row for row in self.rows if row.law == jump + 1), None)
+        row = next((row for row in self.rows if row.fit.law.is_ramp_of(jump)), None)
         if row is None or row.in_set or "d" not in row.parameters or row.parameters["d"].fixed:
             return None
         near = row.rms_m < 1.05 * self.best.rms_m

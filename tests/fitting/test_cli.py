@@ -111,7 +111,7 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, tmp_path, b
     path = tmp_path / "run.h5"
     shutil.copy(run, path)
     done = job.fit_runs(
-        [job.load_run(path, job.FitOptions())], job.FitOptions(competitors=Competitors((5,)), report=False)
+        [job.load_run(path, job.FitOptions())], job.FitOptions(competitors=Competitors.of(5), report=False)
     )
     done.save(None)
     stage.save(smooth(store.load(path), method="sg"), path)

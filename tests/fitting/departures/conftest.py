@@ -11,7 +11,7 @@ from fitting.data import cycles, frame, ripple
 from fitting.departures.base import Base
 from fitting.driver.driver import fit_all
 from fitting.driver.task import law_task
-from fitting.estimation.fit import Fit
+from fitting.law import SIX
 from fitting.model.problem import Run
 from processing.smoothing import smooth
 
@@ -32,7 +32,8 @@ def fitted(belt_rig, tmp_path_factory):
         found = ripple.find_ripple(motion, cut)
         if found is not None:
             cut = cycles.segment_cycles(found.removed(motion))
-        return Fit.of(*fit_all([law_task(law, [Run(motion, cut, found)])]))
+        (fit,) = fit_all([law_task(SIX[law], [Run(motion, cut, found)])])
+        return fit
 
     return of
 
@@ -44,6 +45,6 @@ def base_of(fitted):
     @cache
     def of(**changes):
         found = fitted(**changes)
-        return Base.at(found.at, found.problem.motions)
+        return Base.at(found, found.problem.motions)
 
     return of

@@ -9,6 +9,7 @@ from fitting.departures import explain
 from fitting.departures.base import Base
 from fitting.departures.explain import explain_misfit, fit_with
 from fitting.departures.strongest import find_candidates
+from fitting.law import SIX
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -87,19 +88,19 @@ def test_the_law_is_found_together_with_the_departure(fitted):
 
 def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeypatch):
     """The first was named: law 5, at 1.005 times the noise, hid law 3 at 0.97 and a spring 11 % harder."""
-    fits = [SimpleNamespace(problem=SimpleNamespace(curve=law), law=law) for law in (5, 3)]
-    left = {5: 1.005 * NOISE, 3: 0.97 * NOISE}
+    fits = [SimpleNamespace(law=SIX[law]) for law in (5, 3)]
+    left = {SIX[5]: 1.005 * NOISE, SIX[3]: 0.97 * NOISE}
     monkeypatch.setattr(
         explain, "_fit_with", lambda _, fit, noise, tested: SimpleNamespace(law=fit.law, usual_rms=left[fit.law])
     )
-    assert fit_with(None, fits, NOISE).law == 3
-    left[3] = 1.2 * NOISE
-    assert fit_with(None, fits, NOISE).law == 5
+    assert fit_with(None, fits, NOISE).law == SIX[3]
+    left[SIX[3]] = 1.2 * NOISE
+    assert fit_with(None, fits, NOISE).law == SIX[5]
 
 
 def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
     fit = fitted(scatter=0.03, k3=HARD)
-    found = find_candidates(Base.at(fit.at, fit.problem.motions), NOISE)
+    found = find_candidates(Base.at(fit, fit.problem.motions), NOISE)
     others = [candidate for candidate in found if candidate.departure.name == "second-mode"]
     assert others
     assert fit_with(others[0], [fit], NOISE) is None

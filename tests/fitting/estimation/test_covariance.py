@@ -11,7 +11,7 @@ from fitting.data import cycles, frame
 from fitting.driver.driver import fit_laws
 from fitting.estimation.covariance import covariance, without_level_errors
 from fitting.estimation.derived import correlations, derived_parameters
-from fitting.estimation.fit import Fit
+from fitting.law import SIX
 from fitting.least_squares.normal_equations import NormalEquations
 from fitting.model.problem import Run
 from processing.smoothing import smooth
@@ -36,7 +36,7 @@ def fit_with(slopes, guess):
         solution=SimpleNamespace(blocks=blocks),
         residual=misfit,
         sigma=np.ones(1),
-        at=SimpleNamespace(problem=SimpleNamespace(weights=np.ones(count))),
+        least_squares=SimpleNamespace(weights=np.ones(count)),
         problem=SimpleNamespace(level_prior=1.0),
         windows=SimpleNamespace(run=np.zeros(count, int), table=np.array([(k, 0, k, 1, 0, 0) for k in range(count)])),
     )
@@ -90,9 +90,9 @@ def test_without_a_datum_the_error_of_the_level_is_that_of_its_mean_over_the_cyc
     # The prior of the levels, five times wider than their scatter, went into it: it was four times too large.
     recording = replace(belt_rig.recording(law=5, delta=5e-5), rig=Rig())
     motion = frame.from_kinematics(smooth(recording), recording.rig, None)
-    (fit,) = map(Fit.of, fit_laws((5,), [Run(motion, cycles.segment_cycles(motion))]))
+    (fit,) = fit_laws((SIX[5],), [Run(motion, cycles.segment_cycles(motion))])
     level = derived_parameters(fit, motion, 0.05)["Fs/m"]
-    assert level.stderr == pytest.approx(level.value * fit.at.noise.scatter / np.sqrt(len(fit.rows)), rel=0.3)
+    assert level.stderr == pytest.approx(level.value * fit.noise.scatter / np.sqrt(len(fit.rows)), rel=0.3)
     assert level.lo < 35.184 * 0.13068 < level.hi
 
 
@@ -101,7 +101,7 @@ def test_levels_that_differ_by_their_errors_alone_do_not_show_the_belt_speed_of_
     """Without a datum and without scatter only v_dr - d is known; v_dr used to be off by a hundred standard errors."""
     recording = replace(belt_rig.recording(law=4, scatter=0.0), rig=Rig())
     motion = frame.from_kinematics(smooth(recording), recording.rig, None)
-    (fit,) = (without_level_errors(Fit.of(one)) for one in fit_laws((4,), [Run(motion, cycles.segment_cycles(motion))]))
+    (fit,) = (without_level_errors(one) for one in fit_laws((SIX[4],), [Run(motion, cycles.segment_cycles(motion))]))
     found = derived_parameters(fit, motion, 0.05)
     assert found["v_dr"].lo < belt_rig.Scene().belt < found["v_dr"].hi
     assert found["v_dr"].stderr > 0.2 * found["d"].value

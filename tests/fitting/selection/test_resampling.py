@@ -22,15 +22,15 @@ def ranking(belt_rig):
 
 def by_scipy(fit, held):
     """Return the least objective with unknowns held (index to value) and the others fitted by scipy at once."""
-    problem = fit.at.problem
-    free = [place for place in range(fit.at.q.size) if place not in held]
-    cycles, p = fit.at.local.shape, len(free)
+    problem = fit.least_squares
+    free = [place for place in range(fit.q.size) if place not in held]
+    cycles, p = fit.local.shape, len(free)
     weight = np.sqrt(problem.weights)[problem.owner]
     prior, local_prior = np.sqrt(problem.precision), np.sqrt(problem.local_precision)
     known = prior > 0
 
     def unpacked(z):
-        u = fit.at.q.copy()
+        u = fit.q.copy()
         u[list(held)] = list(held.values())
         u[free] = z[:p]
         return u, z[p:].reshape(cycles)
@@ -45,15 +45,15 @@ def by_scipy(fit, held):
         _, tangent = problem.evaluate(*unpacked(z), True)
         tangent, own = tangent * weight[:, None], np.zeros((tangent.shape[0], cycles[0], cycles[1]))
         for k in range(cycles[0]):
-            own[problem.owner == k, k] = tangent[problem.owner == k, fit.at.q.size :]
+            own[problem.owner == k, k] = tangent[problem.owner == k, fit.q.size :]
         rows = np.hstack([tangent[:, free], own.reshape(tangent.shape[0], -1)])
         shared = np.zeros((int(known.sum()), z.size))
         shared[:, :p] = np.diag(prior)[np.ix_(known, free)]
         locals_ = np.hstack([np.zeros((local_prior.size, p)), np.diag(local_prior.ravel())])
         return np.vstack([rows, shared, locals_])
 
-    start = np.concatenate([fit.at.q[free], fit.at.local.ravel()])
-    low = np.concatenate([problem.lower[free], np.full(fit.at.local.size, -np.inf)])
+    start = np.concatenate([fit.q[free], fit.local.ravel()])
+    low = np.concatenate([problem.lower[free], np.full(fit.local.size, -np.inf)])
     high = np.concatenate([problem.upper[free], np.broadcast_to(problem.local_upper, cycles).ravel()])
     start = np.clip(start, np.nextafter(low, np.inf), np.nextafter(high, -np.inf))
     found = least_squares(residuals, start, slopes, (low, high), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
@@ -65,7 +65,7 @@ def test_a_profile_is_that_of_scipy(ranking):
     """Beside a damping that cannot be negative it rises faster on one side."""
     row = ranking.best
     found = resampling.profile(row.fit, ranking.motion, row.parameters, "gamma")
-    place = row.fit.at.task.places.index(Global.SHAPE)
+    place = row.fit.places.index(Global.SHAPE)
     least = by_scipy(row.fit, {})
     for end in (0, -1):
         rise = 2 * (by_scipy(row.fit, {place: found["value"][end]}) - least)

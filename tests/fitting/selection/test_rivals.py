@@ -9,7 +9,7 @@ import pytest
 from fitting import job
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import fit_formula
-from fitting.curve.formula_parameters import formula_parameters
+from fitting.estimation.derived import derived_parameters
 from fitting.law import PUBLISHED, Law
 from fitting.selection.ranking import rank
 from fitting.selection.rivals import fit_formulas
@@ -80,7 +80,7 @@ def test_law_5_as_a_formula_gives_what_law_5_gives(ranked):
     law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
     found = fit_formula(law, curve.spline_fit)
     assert found.rms == pytest.approx(row.rms_m, rel=1e-3)
-    stiffness = formula_parameters(found, ranked(law=5, duration=10.0).motion, 0.05)["k/m"]
+    stiffness = derived_parameters(found, ranked(law=5, duration=10.0).motion, 0.05)["k/m"]
     assert stiffness.value == pytest.approx(row.parameters["k/m"].value, abs=0.1 * row.parameters["k/m"].stderr)
     assert found.own_values["gamma"] == pytest.approx(p.shape, rel=1e-3)
 
@@ -95,9 +95,9 @@ def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
         for sign in (-1.0, 1.0):
             q = at.u.copy()
             q[place] += sign * step * max(abs(q[place]), 1.0)
-            sides.append(found.at.problem.evaluate(q, at.local, False)[0])
+            sides.append(found.least_squares.evaluate(q, at.local, False)[0])
         numeric = (sides[1] - sides[0]) / (2 * step * max(abs(at.u[place]), 1.0))
-        own = found.at.jacobian[:, place]
+        own = found.jacobian[:, place]
         assert np.max(np.abs(numeric - own)) < 2e-3 * np.max(np.abs(own))
 
 
