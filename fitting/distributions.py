@@ -17,10 +17,6 @@ def chi_square_quantile(p: float, freedom: float) -> float:
     return 2 * float(special.gammaincinv(0.5 * freedom, p))
 
 
-def fisher_quantile(p: float, numerator: float, denominator: float) -> float:
-    return float(special.fdtri(numerator, denominator, p))
-
-
 def fisher_log_tail(value: float, numerator: float, denominator: float) -> float:
     """Return the log p-value of ``value`` under Fisher's F; -inf below the smallest number."""
     probability = float(special.fdtrc(numerator, denominator, max(value, 0.0)))
@@ -30,3 +26,7 @@ def fisher_log_tail(value: float, numerator: float, denominator: float) -> float
 def gamma_tail(value: float, mean: float, spread: float) -> float:
     shape = (mean / spread) ** 2
     return float(special.gammaincc(shape, max(value * mean / spread**2, 0.0)))
+
+
+def gamma_upper_quantile(p: float, mean: float, spread: float) -> float:
+    return float(special.gammainccinv((mean / spread) ** 2, p)) * spread**2 / mean

@@ -107,7 +107,7 @@ class SlipBins:
         return order, np.unique(self.phase[order], return_index=True)[1]
 
     @cached_property
-    def _residuals_and_bins(self) -> tuple[Array, Array]:
+    def residuals_and_bins(self) -> tuple[Array, Array]:
         """Residuals and occupied bins of each slip, shapes (slips, 1)."""
         return self.per_slip(self.count[:, None]), self.per_slip(np.ones((self.slip.size, 1)))
 
@@ -122,7 +122,7 @@ class SlipBins:
         if not self.judged:
             nothing = np.zeros(rms.size)
             return Statistics(nothing, nothing, nothing, rms)
-        sums, (number, occupied) = self.sums(residuals), self._residuals_and_bins
+        sums, (number, occupied) = self.sums(residuals), self.residuals_and_bins
         square = np.maximum(self.per_slip(self.sums(residuals**2)) / number, 1e-300)
         binned = self.per_slip(sums**2 / self.count[:, None]) / occupied
         usual = np.median(square, axis=0)

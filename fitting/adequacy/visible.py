@@ -2,25 +2,20 @@
 
 What is not detected is not absent: a camera track passes under laws that an encoder would reject.  The departure is a
 wave in the slip speed, with one or two periods over all speeds and constant amplitude, or in the position, with two or
-four periods over the travel and in proportion to the friction.  What the law's own parameters absorb of it is projected
-off.  The rest repeats from slip to slip: the squared means over the phases of a slip, over the spread between slips,
-are Fisher's F, and half of all repetitions exceed its limit where the mean does.  The median over the waves is a
-typical size.
+four periods over the travel and in proportion to the friction.  The linear refit removes what the law's own parameters
+absorb.  Half of all repetitions are rejected where what repeats, or what is smooth, with the wave's mean squares in it
+reaches its limit (`fitting.adequacy.goodness`).  The median over the waves is a typical size.
 Departures that a law nearly absorbs (half a period over all speeds, say) must be several times larger, and a wave that
 it cannot follow at all is detected at half of the size.
-
-Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests).
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from fitting.adequacy.goodness import REJECTED, TESTS, RunSlips
-from fitting.adequacy.statistics import SlipBins
-from fitting.distributions import fisher_quantile
+from fitting.adequacy.goodness import REJECTED, TESTS, RunSlips, least
+from fitting.distributions import gamma_upper_quantile
 from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.parameters import PER_RUN, Global
@@ -39,23 +34,37 @@ def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSli
     waves = departure_waves(fit)
     if waves is None:
         return (None,) * len(slips)
-    weights = linearised.weights.copy()
-    for run in slips:
-        weights[run.counted] = run.noise_m**-2 if run.noise_m > 0 else 0.0
-    information = np.einsum("cdd->cd", replace(linearised, weights=weights).scores(waves).information)
-    return tuple(_percent(information[run.counted].sum(axis=0), run) for run in slips)
+    left = linearised.refit(waves)
+    return tuple(_percent(run, left) for run in slips)
 
 
-def _percent(information: Array, run: RunSlips) -> float | None:
-    """Return the median amplitude, %; None where half of the waves would not be detected."""
-    typical = 100 * half_seen(float(np.median(information)), run.bins) if run.bins.judged else math.inf
+def _percent(run: RunSlips, left: Array) -> float | None:
+    """Return the median amplitude, %, of waves (N, waves); None where half of them would not be detected."""
+    typical = 100 * float(np.median([half_seen(run, wave) for wave in left.T])) if run.bins.judged else math.inf
     return typical if typical < 100 else None
 
 
-def half_seen(information: float, bins: SlipBins) -> float:
-    """Return the amplitude of a wave with this information (1/variance) that rejects half of all repetitions."""
-    noncentrality = bins.bins * (fisher_quantile(1 - REJECTED / TESTS, bins.bins, bins.bins * (bins.slips - 1)) - 1)
-    return math.sqrt(noncentrality / information) if information > 0 else math.inf
+def half_seen(run: RunSlips, wave: Array) -> float:
+    """Return the amplitude of a wave (N,), of Fs, that rejects half of a run's repetitions; inf without one."""
+    bins, begin = run.bins, least(run.bins)
+    sums, squares = bins.sums(wave[:, None]), bins.sums(wave[:, None] ** 2)
+    number, occupied = bins.residuals_and_bins
+    mean, noise = sums / bins.count[:, None], run.noise_m**2 * float(np.sum(1 / bins.count))
+    repeated = float(np.sum(bins.per_phase(mean) ** 2)) / (bins.slips - 1) / noise
+    smooth = float(np.median(bins.per_slip(sums**2 / bins.count[:, None]) / occupied)) / run.noise_m**2
+    found = (
+        _amplitude(run.null.repeat - begin, repeated, float(np.sum(mean**2)) / noise),
+        _amplitude(run.null.smooth, smooth, float(np.median(bins.per_slip(squares) / number)) / run.noise_m**2),
+    )
+    return min(found)
+
+
+def _amplitude(null: Array, excess: float, more: float) -> float:
+    """Return the amplitude a at which a ratio, (mean of ``null`` + a^2 excess)/(1 + a^2 more), reaches its limit."""
+    mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
+    limit = gamma_upper_quantile(REJECTED / TESTS, mean, spread)
+    gain = excess - limit * more
+    return math.sqrt((limit - mean) / gain) if gain > 0 else math.inf
 
 
 def departure_waves(fit: Fit) -> Array | None:

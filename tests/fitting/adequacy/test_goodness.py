@@ -53,18 +53,18 @@ def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
     bins = SlipBins(rows, rows[::8], slip, phase, np.full(slips * 60, 8.0), slips, 60)
     cycles = [slice(k * samples, (k + 1) * samples) for k in range(slips)]
     wave = np.tile(np.sin(2 * np.pi * 3 * np.arange(samples) / samples), slips)
-    size = visible.half_seen(float(np.sum(wave**2)), bins)
     rejected = []
     for seed in range(4):
         rng = np.random.default_rng(seed)
         noise = rng.standard_normal((slips * samples, 90))
         null = bins.statistics(noise[:, :60], cycle_squares(noise[:, :60], cycles))
+        run = RunSlips(None, 1.0, bins, 0.0, None, null, np.ones(slips, bool), ())
+        size = visible.half_seen(run, wave)
         for residual in (noise[:, 60:] + size * wave[:, None]).T[:, :, None]:
             seen = bins.statistics(residual, cycle_squares(residual, cycles))
-            run = RunSlips(None, 1.0, bins, 0.0, seen, null, np.ones(slips, bool), ())
-            rejected.append(probability(run) < REJECTED)
+            rejected.append(probability(replace(run, seen=seen)) < REJECTED)
     assert 0.2 < np.mean(rejected) < 0.8
-    assert visible.half_seen(0.0, bins) == np.inf
+    assert visible.half_seen(run, rng.standard_normal(wave.size)) == np.inf
 
 
 def test_a_probability_is_that_of_the_null_distribution():
