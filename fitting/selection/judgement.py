@@ -35,6 +35,11 @@ class Competition:
         return self.chosen.members
 
     @property
+    def compatible(self) -> tuple[Law, ...]:
+        """The set, and the laws that fit as well without containing the best law."""
+        return (*self.members, *(law for law in self.not_excluded if not law.contains(self.best.law)))
+
+    @property
     def best(self) -> Fit:
         """The law of the first row."""
         return self.fits[0]
