@@ -19,10 +19,9 @@ from fitting.curve.measure import furthest_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
-from fitting.departures.explain import Question, explain_misfit
+from fitting.departures.explain import Refit, explain_misfit
 from fitting.departures.fluctuation import fluctuation_share
-from fitting.departures.refit import Refit
-from fitting.departures.result import FoundDeparture
+from fitting.departures.result import FittedDeparture
 from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit, Repeat
 from fitting.law import Law
@@ -113,16 +112,15 @@ def assess(
         outcome = NONE_FITTED
     else:
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
-    departures: tuple[FoundDeparture, ...] = ()
+    departures: tuple[FittedDeparture, ...] = ()
     if curve is not None and rejected and explain:
         nearest = [fit for fit in ranked if fit.law.has_kernel] or list(measured.fits)
         departures = _departures(nearest, curve, motions, measured.noise, revolution)
     fluctuation = None
     if rejected and explain and not departures and chosen.together.repeat < REPEATS:
-        path, linear = chosen.fit.path, chosen.linearised
-        if path is not None and linear is not None:
-            base = Base.of(linear, path, motions, revolution)
-            fluctuation = fluctuation_share(base, float(np.max(measured.noise)))
+        linear = chosen.linearised
+        base = None if linear is None else Base.at(chosen.fit, motions, revolution, linear)
+        fluctuation = None if base is None else fluctuation_share(base, float(np.max(measured.noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -237,12 +235,12 @@ def _departures(
     motions: Sequence[MeasuredMotion],
     noise: Array,
     revolution: float | None,
-) -> tuple[FoundDeparture, ...]:
+) -> tuple[FittedDeparture, ...]:
     """Return the departures with which a law describes the runs; ``fits``, best first."""
 
     def describes(refit: Refit) -> bool:
-        fit = next(fit for fit in fits if fit.law == refit.law)
-        _, slips = _judged_without_faults(refit.linear, lambda _: refit.path, fit, refit.path.windows, motions)
+        base = refit.base
+        _, slips = _judged_without_faults(base.linear, refit.fit.path_in, refit.fit, base.path.windows, motions)
         return not goodness_of_fit(slips)[0].rejected
 
-    return explain_misfit(Question.of(fits, motions, float(np.max(noise)), revolution), curve, describes)
+    return explain_misfit(fits, curve, motions, float(np.max(noise)), revolution, describes)

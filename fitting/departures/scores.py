@@ -9,13 +9,12 @@ Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fitting.distributions import fisher_log_tail, normal_quantile
-from fitting.estimation.linearised import LinearisedFit, Scores
+from fitting.estimation.linearised import LinearisedFit
 from stickslip.compute.arrays import Array
 
 # Share of a column's curvature left after the projection: with no more, the fit already adjusts it.  Derivatives
@@ -32,24 +31,18 @@ class Score:
     covariance: Array  # (k, k) the jackknife's over the cycles, and at least that of the noise
     gain: float  # by how much the cost falls
     log_p: float  # log of the probability of as large a step by chance, from the jackknife alone
-    kept: float  # share of the columns' curvature that the fit does not already adjust, the least of the columns
 
 
-def score(base: LinearisedFit, columns: Array, widths: Sequence[int]) -> list[Score | None]:
-    """Test departures, each with ``widths`` (1 or 2) of the derivatives ``columns`` (N, d).
+def score(base: LinearisedFit, columns: Array) -> Score | None:
+    """Test a departure with the derivatives ``columns`` (N, 1 or 2).
 
-    None where the fit already adjusts the parameters, fewer than four cycles remain, or a single cycle shows one.
+    None where the fit already adjusts its parameters, fewer than four cycles remain, or a single cycle shows it.
     """
     scores = base.scores(columns)
-    ends = np.cumsum(widths)
-    return [_score(scores, slice(end - width, end)) for end, width in zip(ends, widths, strict=True)]
-
-
-def _score(scores: Scores, columns: slice) -> Score | None:
-    information, total = scores.information[:, columns, columns], scores.score[:, columns]
+    information, total = scores.information, scores.score
     k, n = total.shape[1], int(np.sum(np.any(total != 0, axis=1)))
-    whole, gradient = scores.total_information[columns, columns], scores.total[columns]
-    kept = float(np.min(np.diag(whole) / np.maximum(scores.raw[columns], 1e-300)))
+    whole, gradient = scores.total_information, scores.total
+    kept = float(np.min(np.diag(whole) / np.maximum(scores.raw, 1e-300)))
     if not kept > LEAST_KEPT or n < k + 3:
         return None
     coefficients = -_solve(whole, gradient)
@@ -66,7 +59,6 @@ def _score(scores: Scores, columns: slice) -> Score | None:
         covariance=jackknife * floor[:, np.newaxis] * floor,
         gain=-0.5 * float(np.sum(gradient * coefficients)),
         log_p=log_probability(coefficients, jackknife, n),
-        kept=kept,
     )
 
 

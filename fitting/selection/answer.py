@@ -138,8 +138,9 @@ def _rows(decision: Decision) -> Rows:
     """Return the rows of every law, each run's and those of all together."""
     orbits = [MeasuredOrbit.of(run.motion) for run in decision.runs]
     tables = list(zip(*(_rows_of(fit, decision, orbits) for fit in decision.competition.fits), strict=True))
-    depends = [() if decision.contest.rejected else rig_intervals.law_dependent(own) for own in tables]
-    found = [tuple(rig_intervals.over_the_set(own)) for own in tables]
+    compatible = [law.key for law in decision.competition.compatible]
+    depends = [rig_intervals.law_dependent(own, compatible) for own in tables]
+    found = [tuple(rig_intervals.over_compatible_laws(own, compatible)) for own in tables]
     return Rows(tuple(found[: len(decision.runs)]), found[-1], tuple(depends[: len(decision.runs)]))
 
 
