@@ -23,10 +23,10 @@ import numpy as np
 
 from fitting.curve.band import covariances
 from fitting.curve.result import MeasuredCurve
-from fitting.curve.spline_fit import SplineFit
 from fitting.data.frame import MeasuredMotion
 from fitting.driver.fit import Fit
 from fitting.driver.formula import FormulaCurve
+from fitting.driver.task import free_curve
 from fitting.estimation.covariance import covariance
 from fitting.law import Law
 from fitting.least_squares.normal_equations import eigen
@@ -114,7 +114,7 @@ def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
     law = fit.law.kind
     slots = columns(fit.places, len(fit.problem.runs))[0]
     known = slots >= 0
-    spread = covariance(fit, fit.least_squares.precision)[np.ix_(known, known)]
+    spread = covariance(fit)[np.ix_(known, known)]
     unknowns_of_run = fit.u[:PER_RUN]
     static = None if law.ramp else _static(ranking)
     names = ["spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs"]
@@ -153,8 +153,8 @@ def of_formula(ranking: RankedLaws, fit: Fit) -> FittedScene:
         what = "no scene: a belt that slows under load is not modelled beside a formula"
         raise DataError(what, "--save-scene", "leave it out")
     index = [*(k for k, place in enumerate(fit.places) if place < PER_RUN), *range(len(fit.places), fit.q.size)]
-    spread = covariance(fit, fit.least_squares.precision)[np.ix_(index, index)]
-    if motion.datum_prior is None and fit.level_held:
+    spread = covariance(fit)[np.ix_(index, index)]
+    if motion.datum_prior is None and fit.held_rest is not None:
         spread = _held(spread, places.index(Global.DATUM))
     taken = _scene_names(law)
     sized = bool(law.dimensions) or ranking.motion.per_mass
@@ -207,7 +207,7 @@ def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipSta
     through them, weighted by both errors.
     """
     spline_fit, motion = curve.spline_fit, ranking.motion
-    spline, basis = spline_fit.spline, spline_fit.basis
+    spline, basis = spline_fit.spline, free_curve(spline_fit.task).basis
     knots = spline.knots
     # one more point in the first and in the last piece: a spline through points has no break at those next to its ends
     points = np.sort(np.concatenate((knots, [0.5 * (knots[0] + knots[1]), 0.5 * (knots[-2] + knots[-1])])))
@@ -216,7 +216,7 @@ def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipSta
     unknowns = spline_fit.solution.u.copy()
     datums = [i for i, place in enumerate(places) if place % PER_RUN == Global.DATUM]
     if motion.datum_prior is None:
-        default = datum_calibration(motion) if spline_fit.rest is None else spline_fit.rest
+        default = datum_calibration(motion) if spline_fit.held_rest is None else spline_fit.held_rest
         unknowns[datums] += _other_rest(spline_fit, unknowns, datums[0], default.value)
     slots = columns(tuple(places), len(ranking.sides))[0]
 
@@ -225,7 +225,7 @@ def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipSta
         u[slots[slots >= 0]] = unknowns[: len(places)][slots >= 0]
         return values(u)
 
-    noise, scattered = covariances(spline_fit.linearised())
+    noise, scattered = covariances(curve.linear)
     wider = np.sqrt(np.maximum(np.diag(noise) / np.maximum(np.diag(scattered), 1e-300), 1.0))
     spread = scattered * wider[:, None] * wider
     if motion.datum_prior is None:
@@ -243,7 +243,7 @@ def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipSta
 
         gap, slopes = above(unknowns), _slopes(above, unknowns, spread)
         along = np.einsum("ij,j->i", spread, slopes)
-        placed = (spline_fit.fit.values.K * broken.sd) ** 2
+        placed = (spline_fit.values.K * broken.sd) ** 2
         variance = float(np.sum(along * slopes)) + placed
         rest = float(basis.coefficients(unknowns)[0])
         if gap > max(STATIC_ERRORS * math.sqrt(variance), LEAST_STATIC * rest):
@@ -278,15 +278,15 @@ def _held(spread: Array, place: int) -> Array:
     return np.asarray(spread - np.outer(spread[place], spread[place]) / spread[place, place])
 
 
-def _other_rest(fit: SplineFit, unknowns: Array, place: int, default: float) -> float:
+def _other_rest(fit: Fit, unknowns: Array, place: int, default: float) -> float:
     """Return the move of the spring's rest (m), and of the curve with it: see the module."""
     moved = unknowns.copy()
     moved[place] = default
-    lowest = fit.spline.with_coefficients(fit.basis.coefficients(moved))
+    lowest = fit.spline.with_coefficients(free_curve(fit.task).basis.coefficients(moved))
     friction = lowest(np.linspace(0.0, fit.spline.knots[-1], 20 * fit.spline.knots.size))
     fall = float(np.ptp(friction))
     missing = max(0.0, LEAST_FRICTION * fall - float(friction.min()))
-    return default - float(unknowns[place]) - missing / fit.fit.values.K
+    return default - float(unknowns[place]) - missing / fit.values.K
 
 
 def _rig_of(p: Values, m: float, sign: float, length: float) -> dict[str, float]:

@@ -213,9 +213,8 @@ def _judged_without_faults(
 
 
 def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
-    spline = curve.spline_fit
-    path = spline.path
-    _, slips = _judged_without_faults(curve.linear, lambda: path, spline.fit, path.windows, motions)
+    fit = curve.spline_fit
+    _, slips = _judged_without_faults(curve.linear, lambda: fit.path, fit, fit.windows, motions)
     return goodness_of_fit(slips)[0]
 
 

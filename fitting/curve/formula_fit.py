@@ -16,9 +16,8 @@ from operator import attrgetter
 import numpy as np
 
 from fitting import noise_levels
-from fitting.curve.level import rest_prior
 from fitting.curve.metric import GRID_SPEEDS, MeasuredTarget, friction_target, measured_target
-from fitting.curve.spline_fit import SplineFit
+from fitting.curve.result import MeasuredCurve
 from fitting.driver.driver import CONTAINED_ERROR, FAR_BEYOND_BEST, best_end, start_beside
 from fitting.driver.fit import Fit
 from fitting.driver.formula import SPLINE_REACH, FormulaCurve
@@ -40,27 +39,23 @@ START_MISFIT = 4.0
 
 
 def fit_formula(
-    law: Law,
-    host: SplineFit,
-    *,
-    others: Sequence[Fit] = (),
-    target: MeasuredTarget | None = None,
+    law: Law, seen: MeasuredCurve, *, others: Sequence[Fit] = (), target: MeasuredTarget | None = None
 ) -> Fit | None:
     """Fit a law with a jump or its own ramp to the measured curve's runs; None where its motion cannot be followed.
 
     law: With a jump or a ramp of its own.
-    host: The measured curve.
+    seen: The measured curve.
     others: Other laws fitted to the runs: where the law errs more than constant friction, or than another one that it
         contains, it starts again where the best of them ended.
     target: The measured curve in the metric of the record, where it is known already.
     Raises InputError: with none of the values tried is the formula a friction curve.
     """
-    fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
-    curve, measured, within_errors = _started(law, host, fastest, target)
-    level_held = host.rest is not None and _has_constant(curve)
-    problem = _problem(law, host, rest_free=host.rest is not None and not level_held)
+    host, noise = seen.spline_fit, seen.noise
+    fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else seen.ramp))
+    curve, measured, within_errors = _started(law, seen, fastest, target)
+    problem = _problem(curve, host)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
-    beside = start_beside(task, host.at)
+    beside = start_beside(task, host)
     starts = []
     for start in curve.starts:
         if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, within_errors):
@@ -69,7 +64,7 @@ def fit_formula(
             rise = measured.alone.constant_beside(friction, measured.level_sd) / host.u[Global.K]
             shared = beside.q[: len(task.places)] + [rise * _is_free_rest(problem, place) for place in task.places]
             starts.append(beside._replace(q=np.concatenate([shared, theta])))
-    settled = best_end(task, [(start, host.at.noise.without_fade) for start in starts], host.noise)
+    settled = best_end(task, [(start, host.noise.without_fade) for start in starts], noise)
     best = min(others, key=lambda one: one.geometric_mean_rms, default=None)
     inner = min((one.geometric_mean_rms for one in others if contained(law, one.law)), default=math.inf)
     least = math.inf if best is None else best.geometric_mean_rms
@@ -78,12 +73,12 @@ def fit_formula(
         again += [(start, None) for start in starts]
     if best is not None and (settled is None or settled.geometric_mean_rms > CONTAINED_ERROR * inner):
         again += [(start, best.noise.without_fade) for start in _at_end_of(task, best)]
-    if again and not (settled and settled.geometric_mean_rms < noise_levels.DESCRIBES * float(np.max(host.noise))):
-        ends = (settled, best_end(task, again, host.noise))
+    if again and not (settled and settled.geometric_mean_rms < noise_levels.DESCRIBES * float(np.max(noise))):
+        ends = (settled, best_end(task, again, noise))
         settled = min((end for end in ends if end), key=attrgetter("geometric_mean_rms"), default=None)
     found = settled
     if settled is not None and settled.geometric_mean_rms < FAR_BEYOND_BEST * least:
-        found = finish(settled, host.noise) or settled
+        found = finish(settled, noise) or settled
     return None if found is None or found.path is None else found
 
 
@@ -115,13 +110,13 @@ def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:
 
 
 def _started(
-    law: Law, host: SplineFit, fastest: float, target: MeasuredTarget | None
+    law: Law, seen: MeasuredCurve, fastest: float, target: MeasuredTarget | None
 ) -> tuple[FormulaCurve, MeasuredTarget, float]:
     """Return the formula with its starts, what these are near, and the misfit of one that is off by the curve's errors.
 
     A formula that is far off starts where friction itself is nearest, unless it is no friction there.
     """
-    measured, curve = target or measured_target(host, host.linearised()), None
+    measured, curve = target or measured_target(seen), None
     within_errors = float(measured.alone.aim.size)
     try:
         curve = FormulaCurve(law, fastest, measured.near)
@@ -129,7 +124,7 @@ def _started(
         refused = error
     if curve is not None and curve.starts[0].misfit <= START_MISFIT * within_errors:
         return curve, measured, within_errors
-    nearest = friction_target(host)
+    nearest = friction_target(seen.spline_fit)
     with suppress(InputError):
         return FormulaCurve(law, fastest, nearest.near), nearest, 0.0
     if curve is None:
@@ -144,10 +139,6 @@ def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
     return slot == Global.DATUM and not given
 
 
-def _ramp_width(host: SplineFit) -> float:
-    return float(host.u[Global.D]) if host.path.curve.ramp else 0.0
-
-
 def _has_constant(curve: FormulaCurve) -> bool:
     """Return whether the parameters can add a constant to the formula, which then hides the rest position."""
     speeds = np.linspace(0.0, curve.fastest, 41)
@@ -158,19 +149,14 @@ def _has_constant(curve: FormulaCurve) -> bool:
     return bool(np.max(np.abs(left)) < CONSTANT_LEFT)
 
 
-def _problem(law: Law, host: SplineFit, *, rest_free: bool) -> EstimationProblem:
-    """Return the problem of a law of that contact; a rest position that the law's shape determines is free."""
-    curve = host.at.task.problem
-    own = EstimationProblem.build(law, curve.runs)
+def _problem(curve: FormulaCurve, host: Fit) -> EstimationProblem:
+    """Return the problem of a formula; a constant of it takes the rest position as the measured curve does."""
+    own = EstimationProblem.build(curve.law, host.problem.runs)
+    if not _has_constant(curve):
+        return own
     changed = {name: getattr(own, name).copy() for name in ("start", "prior", "precision", "lower", "upper")}
-    for run in range(len(curve.runs)):
-        place = PER_RUN * run + Global.DATUM
-        if own.held[place]:
-            continue
-        for name, values in changed.items():
-            values[place] = getattr(curve, name)[place]
-        if run == 0 and rest_free:
-            known = rest_prior(curve.runs[0])
-            changed["lower"][place], changed["upper"][place] = -math.inf, math.inf
-            changed["prior"][place], changed["precision"][place] = known.value, known.sd**-2.0
+    for place in range(Global.DATUM, own.start.size, PER_RUN):
+        if not own.held[place]:
+            for name, values in changed.items():
+                values[place] = getattr(host.problem, name)[place]
     return replace(own, **changed)

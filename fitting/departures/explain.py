@@ -97,7 +97,7 @@ def _candidates(
     near = curve.chi < noise_levels.DESCRIBES  # there a share of the misfit says nothing
     bases = [Base.at(best, records, revolution)]
     if not near:
-        bases.append(Base.at(curve.spline_fit.at, records, revolution, curve.linear))
+        bases.append(Base.at(curve.spline_fit, records, revolution, curve.linear))
     tried = []
     for candidate in rank_candidates([base for base in bases if base is not None], noise):
         if near or candidate.explained > LEAST_EXPLAINED:

@@ -16,12 +16,15 @@ from fitting.model.parameters import PER_RUN
 from fitting.sensitivity.columns import shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, Path, law_curve, spline_curve
 from fitting.sensitivity.spline import FrictionSpline
+from fitting.undetermined import Undetermined
 from rig_sim.friction.curve import magnitude
 from stickslip.compute.arrays import Array
 
 
 class FrictionCurve(ABC):
     law: Law | None = None  # none of a free curve
+    free: tuple[str, ...] = ()  # the names of theta
+    together: tuple[Undetermined, ...] = ()  # parameters that a formula has only together
     kind = ""  # "constant", "linear", "hyperbolic" of the six that their own kernels follow
     ramp: bool  # whether slip begins beyond a ramp of half-width d, a shared unknown
     size: int  # how many numbers theta it has

@@ -19,8 +19,10 @@ from fitting.model.parameters import NUISANCE, PER_RUN, Global
 from fitting.model.problem import EstimationProblem
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Curve, Path
+from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.values import positions
 from stickslip.compute.arrays import Array, Mask
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,16 +147,19 @@ class Fit:
         return self.solution.outcome
 
     @property
-    def level_held(self) -> bool:
-        """Whether the rest position is assumed, since a constant of the formula stands for it."""
-        return bool(self.problem.held[Global.DATUM]) and self.problem.motions[0].datum_prior is None
+    def held_rest(self) -> Measured | None:
+        """The rest position that is assumed, since a constant of the curve stands for it; None where it is not."""
+        problem = self.problem
+        if problem.motions[0].datum_prior is not None or not problem.held[Global.DATUM]:
+            return None
+        return Measured(float(problem.prior[Global.DATUM]), float(problem.precision[Global.DATUM]) ** -0.5)
 
     @property
     def law_parameters(self) -> int:
         """Number of the law's own free unknowns, without those of every law (datum, damping, fade, belt)."""
         held = self.problem.held
         shared = sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.places)
-        return shared + self.task.curve.size - self.level_held
+        return shared + self.task.curve.size - (self.held_rest is not None)
 
     @property
     def calibration_deviations(self) -> Array:
@@ -170,6 +175,14 @@ class Fit:
     def curve_on_path(self) -> Curve | None:
         """The friction of a path."""
         return self.task.curve.on_path(self.theta, self.q[: len(self.places)])
+
+    @cached_property
+    def spline(self) -> FrictionSpline:
+        """The curve as followed, where that is not by a kernel of its own."""
+        curve = self.curve_on_path
+        if curve is None or curve.spline is None:
+            raise RuntimeError("no spline follows this curve")
+        return curve.spline
 
     def deviation(self, place: int) -> float:
         """Return the standard deviation of a shared unknown by the noise that the last pass assumed."""

@@ -80,6 +80,13 @@ def law_task(law: Law, runs: Sequence[Run], forces: Sequence[Force] = ()) -> Tas
     return Task(problem, LawCurve(law), problem.active, tuple(forces)).without(Global.STATIC)
 
 
+def free_curve(task: Task) -> FreeCurve:
+    """Return the free curve of a task; TypeError for that of a law."""
+    if not isinstance(task.curve, FreeCurve):
+        raise TypeError("not the task of a free curve")
+    return task.curve
+
+
 def curve_knots(runs: Sequence[Run], d: float) -> Array:
     """Return the knots of a free curve, m/s: from 0 to the fastest slip beyond a ramp of half-width d."""
     fastest = 0.0

@@ -135,7 +135,7 @@ def _contest(asked: Asked, records: Sequence[Kinematics], runs: Sequence[Run]) -
     )
     measured = measure(six, [run.motion for run in runs], asked.alpha)
     formulas = fit_formulas(competitors, measured.curve, six)
-    direct = [fit for fit in six if competitors.asks(fit.law) and competitors.by_kernel(fit.law)]
+    direct = [fit for fit in six if fit.law in competitors.laws and competitors.by_kernel(fit.law)]
     lost = {fit.law: name_better_limit(fit, six) for fit in direct}
     fits = [*(fit for fit in direct if not lost[fit.law]), *formulas.fits]
     if doubt and not screening.comes_near(formulas.fits, runs):

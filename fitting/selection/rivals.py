@@ -18,10 +18,8 @@ from fitting.curve.band import seen_speeds
 from fitting.curve.formula_fit import contained, fit_formula
 from fitting.curve.metric import MeasuredTarget, measured_target
 from fitting.curve.result import MeasuredCurve
-from fitting.curve.spline_fit import SplineFit
 from fitting.driver.driver import CONTAINED_ERROR
 from fitting.driver.fit import Fit
-from fitting.driver.formula import FormulaCurve
 from fitting.driver.start_search import Target, find_starts
 from fitting.law import PUBLISHED, Law
 from fitting.selection.given import formula_given
@@ -55,22 +53,19 @@ def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, six: Seq
     fits: list[Fit] = []
     missing: list[UnfittedLaw] = []
     warned: list[str] = []
-    host = None if curve is None else curve.spline_fit
-    target = None if host is None else measured_target(host, host.linearised())
+    target = None if curve is None else measured_target(curve)
     for law in _candidates(competitors, curve, six):
         asked = competitors.asks(law)
         fit: Fit | str = "the friction curve could not be measured"
-        if host is not None and target is not None:
-            fit = _fit(law, host, target, [*six, *fits], asked=asked)
+        if curve is not None and target is not None:
+            fit = _fit(law, curve, target, [*six, *fits], asked=asked)
         if isinstance(fit, str):
             missing.append(replace(unfitted(law, fit), asked=asked))
             logger.info("law %s was not fitted: %s", missing[-1].law, fit)
             continue
         logger.info("law %s: %.4g um rms, %s, %.2f s", law.name, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
         fits.append(fit)
-        curve_of = fit.task.curve
-        if asked and isinstance(curve_of, FormulaCurve):
-            warned += [_said(law, str(group), group.names) for group in curve_of.together]
+        warned += [_said(law, str(group), group.names) for group in fit.task.curve.together] if asked else []
     return Formulas(tuple(fits), tuple(missing), tuple(warned))
 
 
@@ -88,39 +83,33 @@ def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequ
     for law in (*competitors.formulas, *competitors.six):
         if not competitors.by_kernel(law):
             yield formula_given(law, competitors.of_law(law), motion)
-    ramp = curve is not None and bool(curve.spline_fit.path.curve.ramp)
+    ramp = curve is not None and curve.spline_fit.problem.ramp
     yield from (replace(law, ramp=ramp) for law in PUBLISHED.values() if not competitors.asks(law))
 
 
-def _fit(
-    law: Law,
-    host: SplineFit,
-    target: MeasuredTarget,
-    others: Sequence[Fit],
-    *,
-    asked: bool,
-) -> Fit | str:
+def _fit(law: Law, curve: MeasuredCurve, target: MeasuredTarget, others: Sequence[Fit], *, asked: bool) -> Fit | str:
     """Fit one formula, or return why it is not fitted."""
     if not asked:
         least = min(other.geometric_mean_rms for other in others)
-        reached = min(noise_levels.DESCRIBES * float(np.max(host.noise)), CONTAINED_ERROR * least)
+        reached = min(noise_levels.DESCRIBES * float(np.max(curve.noise)), CONTAINED_ERROR * least)
         for other in others:
             if law.contains(other.law) and other.geometric_mean_rms < reached:
                 return f"it contains law {other.law.name}, which no other law fits better: the record cannot exclude it"
-    friction, fastest = float(np.median(host.spline.coefficients)), float(host.spline.knots[-1])
     try:
-        fit = fit_formula(law, host, others=others, target=target)
+        fit = fit_formula(law, curve, others=others, target=target)
     except InputError as error:
         return error.what.removeprefix(f"law {law.name} is ")
     if fit is None:
         return "its motion cannot be followed"
-    friction, fastest = float(np.median(host.spline.coefficients)), float(host.spline.knots[-1])
-    if any(abs(fit.own_values[name]) > RUN_AWAY * natural_size(law, name, friction, fastest) for name in law.free):
+    spline, found = curve.spline_fit.spline, fit.own_values
+    friction, fastest = float(np.median(spline.coefficients)), float(spline.knots[-1])
+    free = fit.task.curve.free
+    if any(abs(found[name]) > RUN_AWAY * natural_size(law, name, friction, fastest) for name in free):
         return "its parameters grow without bound"
     if worse := name_better_limit(fit, others):
         return worse
     for other in others:
-        if not (asked or other.law.number or other.law.name in PUBLISHED) and _draws(other.law, fit, host):
+        if not (asked or other.law.number or other.law.name in PUBLISHED) and _draws(other.law, fit, curve.spline_fit):
             return f"law {other.law.name} can be the same curve"
     return fit
 
@@ -135,7 +124,7 @@ def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
     return None
 
 
-def _draws(law: Law, rival: Fit, host: SplineFit) -> bool:
+def _draws(law: Law, rival: Fit, host: Fit) -> bool:
     """Return whether a requested law can draw the curve of another one, which is then not a rival."""
     if law.ramp != rival.problem.ramp:
         return False

@@ -20,7 +20,7 @@ HARD = 0.05 * K / 0.177**2
 
 def explained(fit, chi=40.0, describes=lambda refit: True, **laws):
     """Explain the misfit of a law beside a free curve that shows no departure of its own."""
-    curve = SimpleNamespace(chi=chi, linear=None, spline_fit=SimpleNamespace(at=None), confidence=0.95)
+    curve = SimpleNamespace(chi=chi, linear=None, spline_fit=None, confidence=0.95)
     with pytest.MonkeyPatch.context() as patch:
         at = Base.at
         patch.setattr(explain.Base, "at", lambda fit, *args: None if fit is None else at(fit, *args))

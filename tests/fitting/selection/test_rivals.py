@@ -9,7 +9,6 @@ import pytest
 from fitting import job
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import fit_formula
-from fitting.estimation.derived import derived_parameters
 from fitting.law import PUBLISHED, Law
 from fitting.selection.ranking import rank
 from fitting.selection.rivals import fit_formulas
@@ -73,22 +72,10 @@ def test_a_true_law_on_an_encoder_has_no_rival_in_its_set(ranked):
     assert job.exit_code(document) == 0
 
 
-def test_law_5_as_a_formula_gives_what_law_5_gives(ranked):
-    row = ranked(law=5, duration=10.0).row(5)
-    curve = ranked(law=5, duration=10.0).adequacy.curve
-    p = row.fit.values
-    law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
-    found = fit_formula(law, curve.spline_fit)
-    assert found.rms == pytest.approx(row.rms_m, rel=1e-3)
-    stiffness = derived_parameters(found, ranked(law=5, duration=10.0).motion, 0.05)["k/m"]
-    assert stiffness.value == pytest.approx(row.parameters["k/m"].value, abs=0.1 * row.parameters["k/m"].stderr)
-    assert found.own_values["gamma"] == pytest.approx(p.shape, rel=1e-3)
-
-
 def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
     law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
-    found = fit_formula(law, curve.spline_fit)
+    found = fit_formula(law, curve)
     at, step = found.solution, 1e-5
     for place in (at.u.size - 2, at.u.size - 1):
         sides = []
@@ -104,7 +91,7 @@ def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
 def test_a_curve_that_is_negative_is_not_fitted(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
     with pytest.raises(InputError, match="friction is negative"):
-        fit_formula(Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve.spline_fit)
+        fit_formula(Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve)
 
 
 def test_every_published_law_is_fitted_or_says_why_not(ranked):
