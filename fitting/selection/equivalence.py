@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fitting.driver.driver import CONTAINED_ERROR, fit_from
+from fitting.driver.driver import WORSE, fit_from
 from fitting.driver.fit import Fit
 from fitting.driver.task import FitStart, law_task
 from fitting.estimation import derived
@@ -46,7 +46,7 @@ def fit_on_compliant_belt(fits: Sequence[Fit], runs: Sequence[Run], alpha: float
     if not pairs:
         return None
     jump, near = min(pairs, key=lambda pair: pair[1].geometric_mean_rms)
-    if jump.geometric_mean_rms <= CONTAINED_ERROR * near.geometric_mean_rms:
+    if jump.geometric_mean_rms <= WORSE * near.geometric_mean_rms:
         return None
     if _width(near, runs, alpha, sustained=sustained)[0] > WIDEST_BELT_LOSS:
         return None

@@ -8,7 +8,7 @@ the record cannot refute it.  What is evidence and who is in the set is decided 
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from fitting.curve.band import seen_speeds
 from fitting.curve.formula_fit import contained, fit_formula
 from fitting.curve.metric import MeasuredTarget, measured_target
 from fitting.curve.result import MeasuredCurve
-from fitting.driver.driver import CONTAINED_ERROR
+from fitting.driver.driver import WORSE
 from fitting.driver.fit import Fit
 from fitting.driver.start_search import Target, find_starts
 from fitting.law import PUBLISHED, Law
@@ -35,17 +35,10 @@ SAME_CURVE = 1e-3
 RUN_AWAY = 1e4
 
 
-@dataclass(frozen=True, eq=False)
-class Formulas:
-    """The formulas that were fitted, those that were not, and warnings about parameters that were named."""
-
-    fits: tuple[Fit, ...]
-    unfitted: tuple[UnfittedLaw, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Formulas:
-    """Fit the laws that were named, and every published law.
+def fit_formulas(
+    competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]
+) -> tuple[list[Fit], list[UnfittedLaw], list[str]]:
+    """Fit the laws that were named, and every published law; also return those that cannot be fitted, and warnings.
 
     curve: From which each fit starts.
     six: Of the six; a formula that errs more than one that it contains starts again where the best of them ended.
@@ -66,7 +59,7 @@ def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, six: Seq
         logger.info("law %s: %.4g um rms, %s, %.2f s", law.name, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
         fits.append(fit)
         warned += [_said(law, str(group), group.names) for group in fit.task.curve.together] if asked else []
-    return Formulas(tuple(fits), tuple(missing), tuple(warned))
+    return fits, missing, warned
 
 
 def unfitted(law: Law, reason: str) -> UnfittedLaw:
@@ -91,7 +84,7 @@ def _fit(law: Law, curve: MeasuredCurve, target: MeasuredTarget, others: Sequenc
     """Fit one formula, or return why it is not fitted."""
     if not asked:
         least = min(other.geometric_mean_rms for other in others)
-        reached = min(noise_levels.DESCRIBES * float(np.max(curve.noise)), CONTAINED_ERROR * least)
+        reached = min(noise_levels.DESCRIBES * float(np.max(curve.noise)), WORSE * least)
         for other in others:
             if law.contains(other.law) and other.geometric_mean_rms < reached:
                 return f"it contains law {other.law.name}, which no other law fits better: the record cannot exclude it"
@@ -118,8 +111,8 @@ def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
     """Return which of the laws that it contains a fit errs more than: it has not come to its end; None for none."""
     for other in others:
         limit = fit.law.contains(other.law) if fit.law.has_kernel else contained(fit.law, other.law)
-        worse = fit.geometric_mean_rms > CONTAINED_ERROR * other.geometric_mean_rms
-        if limit and (worse or fit.rms > CONTAINED_ERROR * other.rms):
+        worse = fit.geometric_mean_rms > WORSE * other.geometric_mean_rms
+        if limit and (worse or fit.rms > WORSE * other.rms):
             return f"its fit errs more than law {other.law.name}"
     return None
 

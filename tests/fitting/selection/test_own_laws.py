@@ -13,12 +13,10 @@ import pytest
 import fitting
 from daq.runfile import listing
 from daq.runfile.rig import Rig
-from fitting import job
+from fitting import job, rank
 from fitting.estimation.derived import RUNS_OWN
 from fitting.law import SIX
-from fitting.ranked import Ranking
 from fitting.report import page
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics
 from rig_sim.motion.play import events
@@ -206,7 +204,7 @@ def test_parameters_that_enter_only_as_a_product_are_said_to_be_undetermined(hyp
     ],
 )
 def test_a_law_that_cannot_be_fitted_is_a_row_that_says_why(hyperbolic, formula, reason):
-    ranking = Ranking.of(rank(hyperbolic, laws=(5, fitting.Law("mine", formula))))
+    ranking = rank(hyperbolic, laws=(5, fitting.Law("mine", formula)))
     assert ranking.best.law == 5
     fitted, missing = ranking.as_json()["ranking"]
     assert (fitted["fitted"], missing["fitted"], missing["law"], missing["formula"]) == (True, False, "mine", formula)

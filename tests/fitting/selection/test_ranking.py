@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fitting import rank
 from fitting.law import SIX
 from fitting.selection.evidence import Evidence, model_confidence_set
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.errors import DataError, InputError
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from fitting import rank
 from fitting.estimation.covariance import covariances
 from fitting.model.parameters import Global
 from fitting.selection import resampling
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.errors import InputError
 

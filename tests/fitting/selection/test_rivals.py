@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting import job
+from fitting import job, rank
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import fit_formula
 from fitting.law import PUBLISHED, Law
-from fitting.selection.ranking import rank
 from fitting.selection.rivals import fit_formulas
 from processing.smoothing import smooth
 from stickslip.errors import InputError
