@@ -18,8 +18,8 @@ import numpy as np
 
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from fitting import rank
 from fitting.law import SIX
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.units import Measured
 

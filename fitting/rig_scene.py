@@ -33,7 +33,7 @@ from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
 from fitting.model.wear import FEWEST_LEVELS
-from fitting.selection.result import RankedLaws
+from fitting.selection.result import Ranking
 from processing.statistics import StickSlipStatistics
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError
@@ -91,7 +91,7 @@ class FittedScene:
     fixed: Mapping[str, float] = field(default_factory=dict)
 
 
-def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedScene:
+def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene:
     """Return the scene of the best law, or of the measured curve; DataError where neither describes the record.
 
     ``statistics`` are those of the first run.
@@ -109,12 +109,12 @@ def of_ranking(ranking: RankedLaws, statistics: StickSlipStatistics) -> FittedSc
     return of_curve(ranking, adequacy.curve, statistics)
 
 
-def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
+def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
     motion = ranking.motion
     law = fit.law.kind
     slots = columns(fit.places, len(fit.problem.runs))[0]
     known = slots >= 0
-    spread = covariance(fit, fit.least_squares.precision)[np.ix_(known, known)]
+    spread = covariance(fit)[np.ix_(known, known)]
     unknowns_of_run = fit.u[:PER_RUN]
     static = None if law.ramp else _static(ranking)
     names = ["spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs"]
@@ -143,7 +143,7 @@ def of_law(ranking: RankedLaws, fit: Fit) -> FittedScene:
     return _built(ranking, law.number, propagated, static, np.empty(0), ramp=False)
 
 
-def of_formula(ranking: RankedLaws, fit: Fit) -> FittedScene:
+def of_formula(ranking: Ranking, fit: Fit) -> FittedScene:
     """Return the scene of a formula; DataError where its belt slows under load, which a scene cannot have."""
     motion, law, curve = ranking.motion, fit.law, fit.task.curve
     if not isinstance(curve, FormulaCurve):
@@ -153,7 +153,7 @@ def of_formula(ranking: RankedLaws, fit: Fit) -> FittedScene:
         what = "no scene: a belt that slows under load is not modelled beside a formula"
         raise DataError(what, "--save-scene", "leave it out")
     index = [*(k for k, place in enumerate(fit.places) if place < PER_RUN), *range(len(fit.places), fit.q.size)]
-    spread = covariance(fit, fit.least_squares.precision)[np.ix_(index, index)]
+    spread = covariance(fit)[np.ix_(index, index)]
     if motion.datum_prior is None and fit.held_rest is not None:
         spread = _held(spread, places.index(Global.DATUM))
     taken = _scene_names(law)
@@ -200,7 +200,7 @@ def _scene_names(law: Law) -> dict[str, str]:
     return keys
 
 
-def of_curve(ranking: RankedLaws, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
+def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
     """Return the scene of the measured curve.
 
     Slips hardly constrain friction at rest, break-aways do: unless they are significantly above the curve, it passes
@@ -334,7 +334,7 @@ def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array)
 
 
 def _built(
-    ranking: RankedLaws,
+    ranking: Ranking,
     law: int,
     propagated: tuple[list[str], Array, Array],
     static: Measured | None,
@@ -368,7 +368,7 @@ def _positive(spread: Array) -> Array:
     return np.asarray(0.5 * (positive + positive.T))
 
 
-def _static(ranking: RankedLaws) -> Measured | None:
+def _static(ranking: Ranking) -> Measured | None:
     """Return the break-away level over Fs where it is significantly above 1."""
     ratio = np.array([e.break_away_level for e in ranking.events if e.flag == "" and math.isfinite(e.break_away_level)])
     if ratio.size < FEWEST_LEVELS:
@@ -406,7 +406,7 @@ def _scatter(fit: Fit) -> float:
     return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0
 
 
-def text(scene: FittedScene, ranking: RankedLaws, run: Path) -> str:
+def text(scene: FittedScene, ranking: Ranking, run: Path) -> str:
     values = dict(zip(scene.keys, scene.values.tolist(), strict=True))
     assumed = "mass.m" not in values
     mass = values.get("mass.m", 1.0)
@@ -465,7 +465,7 @@ def _quoted(words: str) -> str:
     return '"' + "".join(letter if letter.isprintable() else " " for letter in plain) + '"'
 
 
-def save(path: Path, ranking: RankedLaws, statistics: StickSlipStatistics, run: Path) -> None:
+def save(path: Path, ranking: Ranking, statistics: StickSlipStatistics, run: Path) -> None:
     """Write the scene of a ranking, in place of an older file: see `refuse_existing`."""
     content = text(of_ranking(ranking, statistics), ranking, run)
     with atomic.replacing(path, force=True) as temporary:

@@ -67,11 +67,11 @@ def smoothing_kernels() -> None:
 @contextmanager
 def empty_pictures() -> Iterator[None]:
     """Leave the pictures of reports empty: to draw them costs several times the fit of two laws."""
-    from fitting.report import adequacy_plot, plot
+    from fitting.report import pictures
 
-    names = [picture.__name__ for picture in (*plot.PICTURES, plot.break_aways, adequacy_plot.orbits)]
+    names = [picture.__name__ for picture in (*pictures.PICTURES, pictures.break_aways)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plot, "draw", lambda ranking, counted: dict.fromkeys(names, "<svg></svg>"))
+        patch.setattr(pictures, "draw", lambda ranking, counted: dict.fromkeys(names, "<svg></svg>"))
         yield
 
 

@@ -36,20 +36,17 @@ REPEATS = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Assessment:
-    """The adequacy of all runs together, and of each, by the law of the first row."""
-
-    together: Adequacy
-    runs: tuple[Adequacy, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class Judged:
     fit: Fit
     faults: Mask | None  # (cycles,) those that a fault of the record spoilt; None where derivatives cannot be followed
     slips: tuple[RunSlips, ...]
     together: GoodnessOfFit
     each: tuple[GoodnessOfFit, ...]
+
+    @property
+    def noise(self) -> Array:
+        """Standard deviation of one position of each run, m, (runs,)."""
+        return np.array([own.noise_m for own in self.slips])
 
     @property
     def linearised(self) -> LinearisedFit | None:
@@ -62,45 +59,41 @@ class Judged:
         return None if linear is None or self.faults is None else linear.without(self.faults)
 
 
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """The nearest of the six, the friction curve without a law, and the noise."""
-
-    fits: Sequence[Fit]  # of the six
-    judged: Judged  # the nearest of them
-    curve: MeasuredCurve | None  # per unit mass
-    noise: Array  # (runs,) standard deviation of one position of each run, m
-
-
-def measure(fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float = 0.05) -> Measurement:
-    """Judge the nearest of the six, and measure the friction curve with a band of confidence 1 - alpha."""
+def measure(
+    fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float = 0.05
+) -> tuple[Judged, MeasuredCurve | None]:
+    """Judge the nearest of the six, and measure the friction curve, per unit mass, with a band of 1 - alpha."""
     judged = _judged(min(fits, key=lambda fit: fit.geometric_mean_rms), motions)
-    noise = np.array([own.noise_m for own in judged.slips])
-    return Measurement(fits, judged, measure_curve(_first(fits, judged.fit.law), noise, alpha), noise)
+    return judged, measure_curve(sorted(fits, key=lambda fit: fit.law != judged.fit.law), judged.noise, alpha)
 
 
 def assess(
-    measured: Measurement,
     ranked: Sequence[Fit],
     chosen: Judged,
+    curve: MeasuredCurve | None,
+    noise: Array,
+    nearest: Sequence[Fit],
     motions: Sequence[MeasuredMotion],
     laws: int,
     revolution: float | None = None,
     *,
     explain: bool = True,
-) -> Assessment:
+) -> list[Adequacy]:
     """Return whether the law of the first row describes the runs, and what else acts where it does not.
 
     ranked: All laws, in the order of the rows.
     chosen: The first of them.
+    curve: Friction without a law.
+    noise: (runs,) Standard deviation of one position of each run, m.
+    nearest: The fits to try departures with, best first.
     motions: Of each run.
     laws: How many of the six were asked for.
     revolution: Travel per revolution of the encoder, m; scanned where it is not known.
     explain: Whether to look for what else acts; else it is known why no law describes the runs.
-    Returns: Of a single run of several, goodness of fit and the smallest visible departure alone: curve and departures
-        are those of all together.
+    Returns: Of all runs together and, where there are several, of each: goodness of fit and the smallest visible
+        departure alone.
     """
-    curve, rejected = measured.curve, chosen.together.rejected
+    rejected = chosen.together.rejected
     curve_goodness = None
     if curve is not None and (rejected or curve.chi > noise_levels.CLEARLY_ABOVE):
         curve_goodness = _judge_curve(curve, motions)
@@ -114,13 +107,12 @@ def assess(
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FittedDeparture, ...] = ()
     if curve is not None and rejected and explain:
-        nearest = [fit for fit in ranked if fit.law.has_kernel] or list(measured.fits)
-        departures = _departures(nearest, curve, motions, measured.noise, revolution)
+        departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
     if rejected and explain and not departures and chosen.together.repeat < REPEATS:
         linear = chosen.linearised
         base = None if linear is None else Base.at(chosen.fit, motions, revolution, linear)
-        fluctuation = None if base is None else fluctuation_share(base, float(np.max(measured.noise)))
+        fluctuation = None if base is None else fluctuation_share(base, float(np.max(noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -140,12 +132,14 @@ def assess(
             unit="N/kg" if mass is None else "N",
         )
     if len(motions) == 1:
-        return Assessment(together, (together,))
-    each = [
-        Adequacy(outcome if own.rejected else ADEQUATE if own.judged else None, own.noise_m, own, size)
-        for own, size in zip(chosen.each, visible, strict=True)
+        return [together]
+    return [
+        together,
+        *(
+            Adequacy(outcome if own.rejected else ADEQUATE if own.judged else None, own.noise_m, own, size)
+            for own, size in zip(chosen.each, visible, strict=True)
+        ),
     ]
-    return Assessment(together, tuple(each))
 
 
 def describing(
@@ -164,10 +158,6 @@ def describing(
         for fit in fits
         if fit is nearest or fit.geometric_mean_rms < noise_levels.LOST * noise
     }
-
-
-def _first(fits: Sequence[Fit], law: Law) -> list[Fit]:
-    return sorted(fits, key=lambda fit: fit.law != law)
 
 
 def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:

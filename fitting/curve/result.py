@@ -10,22 +10,6 @@ from fitting.estimation.result import STATED_ERROR, Parameter
 from stickslip.compute.arrays import Array
 
 
-@dataclass(frozen=True, eq=False)
-class FormFit:
-    """A published law as it was fitted to the record.
-
-    ``parameters`` are None where it was not fitted; ``chi`` is the rms residual over the noise of a position, and
-    ``inside_band`` is whether its curve stays inside the band of the measured one.
-    """
-
-    name: str
-    formula: str
-    source: str
-    parameters: dict[str, Parameter | None]
-    chi: float | None
-    inside_band: bool
-
-
 @dataclass(frozen=True)
 class BandExit:
     """The largest exit from the band, in half-widths (below 1 it stays inside), and its speed.

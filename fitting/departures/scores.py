@@ -45,14 +45,14 @@ def score(base: LinearisedFit, columns: Array) -> Score | None:
     kept = float(np.min(np.diag(whole) / np.maximum(scores.raw, 1e-300)))
     if not kept > LEAST_KEPT or n < k + 3:
         return None
-    coefficients = -_solve(whole, gradient)
+    coefficients = -solve(whole, gradient)
     others = whole - information
     if np.any(np.einsum("nii->ni", others) <= RIDGE * np.diag(whole)):
         return None  # one cycle alone shows it: there is no other to compare with
-    steps = np.array([-_solve(left, gradient - b) for left, b in zip(others, total, strict=True)])
+    steps = -solve(others, gradient - total)
     beside = steps - steps.mean(axis=0)
     jackknife = (n - 1) / n * np.einsum("ck,cl->kl", beside, beside)
-    noise = np.diag(_solve(whole, np.eye(k)))
+    noise = np.diag(solve(whole, np.eye(k)))
     floor = np.sqrt(np.maximum(noise / np.maximum(np.diag(jackknife), 1e-300), 1.0))
     return Score(
         coefficients=coefficients,
@@ -65,7 +65,7 @@ def score(base: LinearisedFit, columns: Array) -> Score | None:
 def log_probability(coefficients: Array, covariance: Array, cycles: int) -> float:
     """Return the log p-value of coefficients (k,) by Hotelling's T^2 of the cycles."""
     k, n = coefficients.size, cycles
-    statistic = float(np.sum(coefficients * _solve(covariance, coefficients)))
+    statistic = float(np.sum(coefficients * solve(covariance, coefficients)))
     return fisher_log_tail(statistic * (n - k) / (k * (n - 1)), k, n - k)
 
 
@@ -77,8 +77,8 @@ def sigmas(log_p: float, trials: float = 1.0) -> float:
     return math.sqrt(-2 * log_tail - math.log(-2 * log_tail * 2 * math.pi))
 
 
-def _solve(matrix: Array, right: Array) -> Array:
-    """Solve for one or two unknowns (k,), or for k columns, in units of the diagonal."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix * scale[:, np.newaxis] * scale + RIDGE * np.eye(scale.size)
-    return np.asarray((scale * np.linalg.solve(scaled, (scale * right.T).T).T).T)
+def solve(matrix: Array, right: Array) -> Array:
+    """Solve for one or two unknowns each, (..., k), in units of the diagonal of the matrices (..., k, k)."""
+    scale = 1 / np.sqrt(np.maximum(np.einsum("...kk->...k", matrix), 1e-300))
+    scaled = matrix * scale[..., :, np.newaxis] * scale[..., np.newaxis, :] + RIDGE * np.eye(scale.shape[-1])
+    return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., np.newaxis])[..., 0])

@@ -12,7 +12,7 @@ import numpy as np
 
 from fitting.departures.base import Base
 from fitting.departures.library import DEPARTURES
-from fitting.departures.scores import LEAST_KEPT, RIDGE, Score, score, sigmas
+from fitting.departures.scores import LEAST_KEPT, Score, score, sigmas, solve
 from fitting.forces.departure import Departure
 from stickslip.compute.arrays import Array
 
@@ -96,29 +96,18 @@ def best_scale(base: Base, departure: Departure) -> tuple[float, int]:
 
 
 def gains(base: Base, departure: Departure, scales: Array) -> Array:
-    """Return the decrease of the cost with the departure at each of the scales (n,)."""
-    return np.concatenate(
-        [
-            _gains(base, departure, scales[first : first + SCALES_AT_ONCE])
-            for first in range(0, scales.size, SCALES_AT_ONCE)
-        ]
-    )
-
-
-def _gains(base: Base, departure: Departure, scales: Array) -> Array:
-    columns = base.respond([departure.forcing(base.motion, float(scale)) for scale in scales])
-    scores = base.linear.scores(columns)
-    shape = (scales.size, departure.columns)
-    every = np.arange(columns.shape[1]).reshape(shape)
-    information = scores.total_information[every[:, :, np.newaxis], every[:, np.newaxis]]
-    size, raw, total = np.einsum("skk->sk", information), scores.raw.reshape(shape), scores.total.reshape(shape)
-    # beside an unstable motion the response to a force grows beyond all numbers
-    usable = np.isfinite(raw) & np.isfinite(size) & np.isfinite(total)
-    kept = np.all(usable & (size > LEAST_KEPT * np.where(usable, raw, 0.0)), axis=1)
-    unit = 1 / np.sqrt(size[kept])
-    total = total[kept] * unit
-    information = information[kept] * unit[:, :, np.newaxis] * unit[:, np.newaxis]
-    information += RIDGE * np.eye(departure.columns)
-    gain = np.zeros(scales.size)
-    gain[kept] = 0.5 * np.sum(total * np.linalg.solve(information, total[:, :, np.newaxis])[:, :, 0], axis=1)
-    return gain
+    """Return the decrease of the cost with the departure at each of the scales (n,); 0 where the fit adjusts it."""
+    found = []
+    for part in np.array_split(scales, math.ceil(scales.size / SCALES_AT_ONCE)):
+        columns = base.respond([departure.forcing(base.motion, float(scale)) for scale in part])
+        scores, shape = base.linear.scores(columns), (part.size, departure.columns)
+        every = np.arange(columns.shape[1]).reshape(shape)
+        information = scores.total_information[every[:, :, np.newaxis], every[:, np.newaxis]]
+        size, raw, total = np.einsum("skk->sk", information), scores.raw.reshape(shape), scores.total.reshape(shape)
+        # beside an unstable motion the response to a force grows beyond all numbers
+        usable = np.isfinite(raw) & np.isfinite(size) & np.isfinite(total)
+        kept = np.all(usable & (size > LEAST_KEPT * np.where(usable, raw, 0.0)), axis=1)
+        gain = np.zeros(part.size)
+        gain[kept] = 0.5 * np.sum(total[kept] * solve(information[kept], total[kept]), axis=1)
+        found.append(gain)
+    return np.concatenate(found)

@@ -1,16 +1,18 @@
 """`compete`: the one competition of all laws: which describe the record, and which of these it cannot distinguish."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fitting.adequacy.assess import Judged, describing
+from fitting.curve.result import MeasuredCurve
 from fitting.driver.fit import Fit
 from fitting.law import Law
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence
 from fitting.selection.evidence import Evidence, ModelSet, Units
+from fitting.selection.result import UnfittedLaw
 from stickslip.compute.arrays import Array
 
 
@@ -28,6 +30,13 @@ class Competition:
     chosen: ModelSet
     misfit: Mapping[Law, float]
     not_excluded: tuple[Law, ...] = ()
+    runs: tuple[Run, ...] = ()
+    sustained: bool = True  # whether the mass sticks in the long run
+    curve: MeasuredCurve | None = None  # friction without a law, per unit mass
+    noise: Array = field(default_factory=lambda: np.empty(0))  # (runs,) standard deviation of one position, m
+    six: tuple[Fit, ...] = ()  # all of the six that were fitted, requested or not
+    unfitted: tuple[UnfittedLaw, ...] = ()
+    warnings: tuple[str, ...] = ()  # about formulas that could not be fitted, or not in all their parameters
 
     @property
     def members(self) -> tuple[Law, ...]:
@@ -35,9 +44,10 @@ class Competition:
         return self.chosen.members
 
     @property
-    def compatible(self) -> tuple[Law, ...]:
+    def compatible(self) -> tuple[int | str, ...]:
         """The set, and the laws that fit as well without containing the best law."""
-        return (*self.members, *(law for law in self.not_excluded if not law.contains(self.best.law)))
+        others = (law for law in self.not_excluded if not law.contains(self.best.law))
+        return tuple(law.key for law in (*self.members, *others))
 
     @property
     def best(self) -> Fit:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from fitting.adequacy.assess import describes
 from fitting.data import cycles, ripple
@@ -14,6 +14,7 @@ from fitting.driver.fit import Fit
 from fitting.estimation.covariance import without_level_errors
 from fitting.law import SIX, Law
 from fitting.model.problem import Run
+from fitting.options import Options
 from fitting.selection import evidence, screening
 from fitting.selection.evidence import FEWEST_CYCLES
 from processing.record.kinematics import Kinematics
@@ -33,19 +34,6 @@ class NoLawError(Exception):
         super().__init__(reason)
         self.reason = reason
         self.stick_slip = stick_slip
-
-
-class FittedSix(NamedTuple):
-    """The fits of the six, and their runs.
-
-    ``sustained`` is whether the mass sticks often; ``doubt`` the reason to reject the record unless another law fits
-    it.
-    """
-
-    fits: list[Fit]
-    runs: list[Run]
-    sustained: bool
-    doubt: str
 
 
 def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
@@ -78,26 +66,24 @@ def _excluded(run: Run) -> frozenset[int]:
 
 
 def fit_runs(
-    laws: Sequence[Law],
+    options: Options,
     runs: Sequence[Run],
     records: Sequence[Kinematics],
-    jobs: int,
-    progress: Callable[[float], None] | None,
-    scheduler: str | None,
-    *,
-    custom: bool = False,
-) -> FittedSix:
-    """Fit the laws that may describe the records.
+    progress: Callable[[float], None] | None = None,
+) -> tuple[list[Fit], list[Run], bool, str]:
+    """Fit those of the six that may describe the records.
 
-    A record that rough fits of the six do not come near is refused, unless a ``custom`` law was requested that may; one
-    that their fits do not come near is not refused yet.
+    Also returns their runs, whether the mass sticks often, and the reason to refuse the records unless another law fits
+    them. A record that rough fits of the six do not come near is refused, unless a custom law was requested that may;
+    one that their fits do not come near is not refused yet.
     """
+    laws = options.competitors.searched
     sustained = _check(laws, runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
     doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
-    if not custom or doubt == screening.SINE_ALONE:
+    if not options.competitors.formulas or doubt == screening.SINE_ALONE:
         refuse(doubt, records)
-    fit_to = partial(_fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
+    fit_to = partial(_fit_laws, jobs=options.jobs, progress=progress, scheduler=options.scheduler)
     if sustained:
         fits = fit_to(laws, runs)
         if len(runs) == 1 and runs[0].ripple is not None and fits and not is_described(fits, runs):
@@ -121,7 +107,7 @@ def fit_runs(
         refuse(screening.NOT_DESCRIBED, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
         refuse(screening.SINE_ALONE, records)
-    return FittedSix(fits, list(runs), sustained, doubt)
+    return fits, list(runs), sustained, doubt
 
 
 def _fit_laws(

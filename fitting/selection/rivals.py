@@ -8,7 +8,7 @@ the record cannot refute it.  What is evidence and who is in the set is decided 
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,17 +35,10 @@ SAME_CURVE = 1e-3
 RUN_AWAY = 1e4
 
 
-@dataclass(frozen=True, eq=False)
-class Formulas:
-    """The formulas that were fitted, those that were not, and warnings about parameters that were named."""
-
-    fits: tuple[Fit, ...]
-    unfitted: tuple[UnfittedLaw, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Formulas:
-    """Fit the laws that were named, and every published law.
+def fit_formulas(
+    competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]
+) -> tuple[list[Fit], list[UnfittedLaw], list[str]]:
+    """Fit the laws that were named, and every published law; also return those that cannot be fitted, and warnings.
 
     curve: From which each fit starts.
     six: Of the six; a formula that errs more than one that it contains starts again where the best of them ended.
@@ -66,7 +59,7 @@ def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, six: Seq
         logger.info("law %s: %.4g um rms, %s, %.2f s", law.name, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
         fits.append(fit)
         warned += [_said(law, str(group), group.names) for group in fit.task.curve.together] if asked else []
-    return Formulas(tuple(fits), tuple(missing), tuple(warned))
+    return fits, missing, warned
 
 
 def unfitted(law: Law, reason: str) -> UnfittedLaw:

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting import job
+from fitting import job, rank
 from fitting.adequacy.result import NOT_OF_SPEED
 from fitting.selection import answer
-from fitting.selection.ranking import rank
 from processing.record.finding import Finding
 from processing.smoothing import smooth
 

@@ -5,7 +5,7 @@ import pytest
 
 import rig_sim
 from daq.runfile.rig import Rig
-from fitting import noise_levels
+from fitting import noise_levels, rank
 from fitting.data import cycles, frame
 from fitting.driver.driver import fit_laws
 from fitting.driver.noise import without_outliers
@@ -15,7 +15,6 @@ from fitting.law import SIX
 from fitting.model.parameters import Global, PerCycle
 from fitting.model.problem import Run
 from fitting.selection import law_fits
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from rig_sim.motion.play import ScenePlayer
 

@@ -6,12 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting import job
+from fitting import job, rank
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import fit_formula
-from fitting.estimation.derived import derived_parameters
 from fitting.law import PUBLISHED, Law
-from fitting.selection.ranking import rank
 from fitting.selection.rivals import fit_formulas
 from processing.smoothing import smooth
 from stickslip.errors import InputError
@@ -71,18 +69,6 @@ def test_a_true_law_on_an_encoder_has_no_rival_in_its_set(ranked):
     document = ranked(law=5, duration=10.0).as_json()
     assert (document["set"], document["rivals"]) == ([5], [])
     assert job.exit_code(document) == 0
-
-
-def test_law_5_as_a_formula_gives_what_law_5_gives(ranked):
-    row = ranked(law=5, duration=10.0).row(5)
-    curve = ranked(law=5, duration=10.0).adequacy.curve
-    p = row.fit.values
-    law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
-    found = fit_formula(law, curve)
-    assert found.rms == pytest.approx(row.rms_m, rel=1e-3)
-    stiffness = derived_parameters(found, ranked(law=5, duration=10.0).motion, 0.05)["k/m"]
-    assert stiffness.value == pytest.approx(row.parameters["k/m"].value, abs=0.1 * row.parameters["k/m"].stderr)
-    assert found.own_values["gamma"] == pytest.approx(p.shape, rel=1e-3)
 
 
 def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):

@@ -15,12 +15,11 @@ from daq.cli import app as daq_cli
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
-from fitting import cli
+from fitting import cli, rank
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import from_kinematics
 from fitting.driver import driver
 from fitting.selection import screening
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.console import application
 from stickslip.errors import DataError
