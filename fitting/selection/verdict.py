@@ -7,7 +7,7 @@ from fitting import noise_levels
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.competitors import ALL_LAWS
-from fitting.departures.result import FoundDeparture
+from fitting.departures.result import FittedDeparture
 from fitting.model.parameters import Global
 from fitting.selection.contradictions import UNITS
 from fitting.selection.result import LawResult, Ranking
@@ -183,7 +183,7 @@ def _instead(adequacy: Adequacy) -> str:
     return "a deterministic effect that none of these models has: the residual repeats from cycle to cycle"
 
 
-def _size(departure: FoundDeparture) -> str:
+def _size(departure: FittedDeparture) -> str:
     return f"{departure.parameter} = {departure.value:.3g} +- {departure.stderr:.2g} {departure.unit}"
 
 
