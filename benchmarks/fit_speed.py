@@ -46,7 +46,6 @@ from fitting.model.parameters import Global, PerCycle
 from fitting.model.problem import Run
 from fitting.model.windows import ShootingWindows
 from fitting.selection import ranking
-from fitting.selection.result import RankedLaws
 from fitting.sensitivity import flow
 from processing.record.kinematics import Kinematics
 
@@ -88,7 +87,7 @@ def warm(laws: list[int], lengths: list[float], folder: str) -> list[dict[str, A
     return rows
 
 
-def ranked(kinematics: Kinematics) -> tuple[RankedLaws, float]:
+def ranked(kinematics: Kinematics) -> tuple[fitting.Ranking, float]:
     """Rank one record; also return the CPU seconds of goodness of fit and measured curve."""
     spent, stages = 0.0, {name: getattr(ranking, name) for name in ("measure", "assess")}
 

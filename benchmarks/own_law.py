@@ -10,6 +10,7 @@ import json
 import math
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -17,8 +18,8 @@ import numpy as np
 
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
-from fitting.competitors import restated
-from fitting.selection.ranking import rank
+from fitting import rank
+from fitting.law import SIX
 from processing.smoothing import smooth
 from stickslip.units import Measured
 
@@ -114,7 +115,8 @@ def six_as_formulas() -> list[dict[str, object]]:
     """Fit each law and its formula to a record of that law; return how far the two are apart."""
     rows = []
     for law in range(1, 7):
-        ranking = rank(smooth(belt_rig.recording(law=law, duration=10.0)), laws=(law, restated(law)))
+        typed = replace(SIX[law], name=f"law{law}")
+        ranking = rank(smooth(belt_rig.recording(law=law, duration=10.0)), laws=(law, typed))
         own, formula = ranking.row(law), ranking.row(f"law{law}")
         known, found = own.parameters["k/m"], formula.parameters["k/m"]
         rows.append(

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -97,7 +96,7 @@ def none_of_six() -> PngFigure:
     left, right = drawn.subplots(1, 2)
     for row in rows:
         force = np.abs(curves.curve(row.fit, ranking.motion, -curve.speed))
-        left.plot(curve.speed, force, color=COLOURS[row.law], dashes=_dashes(row.law), lw=1, label=row.label)
+        left.plot(curve.speed, force, color=COLOURS[row.law], ls=DASHES[row.law], lw=1, label=row.label)
     left.fill_between(curve.speed, curve.lo, curve.hi, color=INK, alpha=0.25, lw=0)
     left.plot(curve.speed, curve.friction, color=INK, lw=2, label="measured")
     unit, title = ranking.adequacy.unit, "measured without a law; the six behind it"
@@ -105,10 +104,6 @@ def none_of_six() -> PngFigure:
     left.legend(fontsize=7, ncols=2)
     residuals(right, ranking)
     return drawn
-
-
-def _dashes(law: int) -> Sequence[float]:
-    return tuple(map(float, DASHES[law].split())) or (1, 0)
 
 
 def creep() -> PngFigure:

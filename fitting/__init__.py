@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from stickslip.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from fitting.entry import RankedRuns as RankedRuns
     from fitting.entry import rank as rank
     from fitting.entry import rank_each as rank_each
     from fitting.law import Law as Law
-    from fitting.ranked import RankedRuns as RankedRuns
-    from fitting.ranked import Ranking as Ranking
+    from fitting.selection.result import Ranking as Ranking
 
     __version__: str
 
@@ -19,8 +19,8 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "Law": "fitting.law",
-        "RankedRuns": "fitting.ranked",
-        "Ranking": "fitting.ranked",
+        "RankedRuns": "fitting.entry",
+        "Ranking": "fitting.selection.result",
         "rank": "fitting.entry",
         "rank_each": "fitting.entry",
     },

@@ -22,8 +22,11 @@ from stickslip.console.application import Answer, Json
 from stickslip.errors import DataError
 
 if TYPE_CHECKING:
-    from fitting.job import FitOutput
-    from fitting.request import FitRequest
+    from collections.abc import Sequence
+
+    from fitting.options import Options
+    from fitting.request import Places
+    from fitting.selection.result import Ranking
 
 app = application.application("fit-friction", usage="Usage: fit-friction [OPTIONS] RUN.h5 [RUN.h5 ...]")
 
@@ -72,42 +75,41 @@ def fit(
 
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
-    from fitting.request import FitRequest
+    from fitting import request
 
-    request = FitRequest.of([file, *more], laws, rig, part, outputs, work)
-    return _fit_each(request) if work.each else _fit_together(request)
+    options = request.read_options(laws, rig, part, work)
+    runs = request.select_runs([file, *more], each=work.each)
+    places = request.place_outputs(runs, outputs, each=work.each)
+    return (_fit_each if work.each else _fit_together)(runs, options, outputs, places)
 
 
-def _fit_each(request: "FitRequest") -> Answer:
+def _fit_each(files: "Sequence[Path]", options: "Options", outputs: OutputFlags, places: "Places") -> Answer:
     from fitting import batch
-    from fitting.report import table
+    from fitting.report import comparison, table
 
-    outputs, work, force = request.outputs, request.work, request.outputs.force
-    with application.progress("fitting", float(len(request.files)), "runs") as progress:
-        rows = batch.fit(
-            request.files, request.places, request.options, work.jobs, work.scheduler, progress, force=force
-        )
+    force, compared = outputs.force, places.comparison
+    with application.progress("fitting", float(len(files)), "runs") as progress:
+        rows = batch.fit(files, places.reports, options, progress, force=force)
     if outputs.csv is not None:
         table.write(outputs.csv, [(row.file, row.document.get("ranking", ())) for row in rows])
-    if request.comparison is not None:
-        batch.compare(rows, request.comparison, request.options.alpha, force=force)
-    data = {"runs": [row.as_json() for row in rows], "comparison": request.comparison}
-    return Answer(data, batch.text(rows, request.comparison), batch.exit_code(rows))
+    if compared is not None:
+        comparison.write(rows, compared, options.alpha, batch.summary(rows), force=force)
+    data = {"runs": [row.as_json() for row in rows], "comparison": compared}
+    return Answer(data, batch.text(rows, compared), batch.exit_code(rows))
 
 
-def _fit_together(request: "FitRequest") -> Answer:
+def _fit_together(files: "Sequence[Path]", options: "Options", outputs: OutputFlags, places: "Places") -> Answer:
     from daq.runfile import joint
     from fitting import job
     from fitting.report import page, terminal
-    from processing.statistics import pooled
 
-    files, options, force = request.files, request.options, request.outputs.force
-    place = next(iter(request.places), None)
+    force, place, joint_file = outputs.force, next(iter(places.reports), None), places.joint_file
     runs = [job.load_run(path, options) for path in files]
+    recordings = [run.recording for run in runs]
     if place is not None:
-        page.refuse_foreign_file(place, [run.recording.digest for run in runs], files=files, force=force)
-    if request.joint_file is not None:
-        joint.refuse_foreign_file(request.joint_file, [run.named for run in runs], force=force)
+        page.refuse_foreign_file(place, [recording.digest for recording in recordings], files=files, force=force)
+    if joint_file is not None:
+        joint.refuse_foreign_file(joint_file, recordings, force=force)
     searched = len(options.competitors.searched)
     with application.progress("fitting", float(searched), "laws") as show:
 
@@ -115,35 +117,32 @@ def _fit_together(request: "FitRequest") -> Answer:
             show(laws)
             show.status("then goodness of fit" if laws >= searched else "")
 
-        done = job.fit_runs(runs, options, request.work.jobs, request.work.scheduler, count)
-    done.save(place, force=force)
-    _write_tables(done, request)
-    document = done.as_json() | {"report": place}
-    if request.joint_file is not None:
-        document["joint_file"] = request.joint_file
+        ranking = job.fit_runs(runs, options, count)
+        text = page.render(ranking) if place is not None else ""
+    job.save(ranking, place, text, force=force)
+    _write_tables(ranking, files, outputs)
+    document = ranking.as_json() | {"report": place}
+    if joint_file is not None:
+        document["joint_file"] = joint_file
         document["runs"] = [
             {"file": path, "report": place} | run for path, run in zip(files, document["runs"], strict=True)
         ]
-    said = pooled(done.statistics).sentences("m")
-    text = terminal.of_ranking(done.ranking, said, [request.joint_file, place], options.alpha)
-    return Answer(document, text, job.exit_code(document))
+    return Answer(document, terminal.of_ranking(ranking, [joint_file, place]), job.exit_code(document))
 
 
-def _write_tables(done: "FitOutput", request: "FitRequest") -> None:
+def _write_tables(ranking: "Ranking", files: "Sequence[Path]", outputs: OutputFlags) -> None:
     from fitting import rig_scene
     from fitting.report import table
 
-    outputs, files, ranking = request.outputs, request.files, done.ranking
     if outputs.csv is not None:
         sides = zip(files, ranking.sides, strict=True)
         table.write(outputs.csv, [(path, [row.as_json() for row in side.table]) for path, side in sides])
     if outputs.curve_csv is not None:
-        curve = ranking.adequacy.curve
-        if curve is None:
+        if ranking.adequacy.curve is None:
             raise DataError("no friction curve could be measured", str(files[0]), "leave out --curve-csv")
-        table.write_curve(outputs.curve_csv, ranking, curve)
+        table.write_curve(outputs.curve_csv, ranking, ranking.adequacy.curve)
     if outputs.save_scene is not None:
-        rig_scene.save(outputs.save_scene, ranking, done.statistics[0], files[0])
+        rig_scene.save(outputs.save_scene, ranking, files[0])
 
 
 def main() -> NoReturn:

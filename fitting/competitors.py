@@ -23,16 +23,14 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
 from numbers import Integral
 from typing import Any, NamedTuple
 
-from fitting.law import Bound, Law, check_values, in_unit, read_law
-from rig_sim.friction.law import LAWS
+from fitting.law import SIX, Bound, Law, check_values, in_unit, read_law
 from stickslip import units
 from stickslip.errors import InputError, check_known, nearest
 
-ALL_LAWS = tuple(LAWS)  # numbers of the six laws
+ALL_LAWS = tuple(SIX)  # numbers of the six laws
 # Least value of each parameter of rig and contact, and whether it may be that.
 LEAST_VALUES: dict[str, tuple[float, bool]] = {
     "k/m": (0.0, False),
@@ -43,14 +41,12 @@ LEAST_VALUES: dict[str, tuple[float, bool]] = {
     "static": (1.0, True),
     "c/m": (0.0, True),
 }
-UNITS = {"k/m": "s^-2", "Fs/m": "m s^-2", "G_slip/m": "s^-1", "c/m": "s^-1", "gamma": "s/m", "d": "m/s", "static": ""}
-UNITS |= {"k": "N/m", "Fs": "N", "G_slip": "N s/m", "c": "N s/m", "v_dr": "m/s", "x0": "m"}
+UNITS = {"k/m": "s^-2", "k": "N/m", "c/m": "s^-1", "c": "N s/m", "v_dr": "m/s", "x0": "m", "d": "m/s", "static": ""}
 NO_LIMIT = (-math.inf, True)
 PER_MASS = "/m"
 LAST_CYCLE = 100_000  # largest number of a cycle: no record holds as many
 OF_EVERY_LAW = ("k/m", "k", "c/m", "c", "v_dr", "x0")
-OF_A_CURVE = {"linear": ("G_slip/m", "G_slip"), "hyperbolic": ("gamma",)}
-FORMULAS = {"constant": "Fs", "linear": "Fs - G_slip*s", "hyperbolic": "Fs/(1 + gamma*s)"}  # of the curves of the six
+BY_FORMULA = {"G_slip/m", "G_slip"}  # parameters of the six that are no unknowns of their kernels
 
 
 class Given(NamedTuple):
@@ -67,21 +63,19 @@ class Given(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Competitors:
-    """The laws that compete; unknown or repeated laws, unknown parameters and impossible values raise InputError."""
+    """The laws that compete; repeated laws, unknown parameters and impossible values raise InputError."""
 
-    laws: tuple[int, ...] = ALL_LAWS  # of the six
-    formulas: tuple[Law, ...] = ()  # those that were named
+    laws: tuple[Law, ...] = tuple(SIX.values())
     fix: Mapping[str, float] = field(default_factory=dict)  # by the names of parameters
     bounds: Mapping[str, Bound] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
     in_newtons: tuple[str, ...] = field(default=(), init=False)  # names given with a unit that needs the mass
 
     def __post_init__(self) -> None:
-        unknown = [law for law in self.laws if law not in ALL_LAWS]
-        if unknown or not self.count:
-            what = f"unknown law {unknown[0]}" if unknown else "no law to fit"
-            raise InputError(what, "--laws", "choose 1 to 6, such as 1-6 or 3,5")
-        twice = [name for name in self.names if self.names.count(name) > 1]
+        if not self.laws:
+            raise InputError("no law to fit", "--laws", "choose 1 to 6, such as 1-6 or 3,5")
+        names = [law.name for law in self.laws]
+        twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise InputError(f"two laws have the name {twice[0]}", "--law", "give each law a name of its own")
         for flag, given in (("--fix", self.fix), ("--bound", self.bounds), ("--start", self.start)):
@@ -96,9 +90,9 @@ class Competitors:
                 raise InputError(f"bounds of {name} are {low:g} and {high:g}", "--bound", "give the lower one first")
             if name in self.fix:
                 raise InputError(f"{name} is fixed and has bounds", "--bound", "give one of the two")
-        for own in self.formulas:
-            own.refuse_without_speed()
-        for law in self.every:
+        for law in self.laws:
+            if not law.number:
+                law.refuse_without_speed()
             self.of_law(law)
 
     @classmethod
@@ -110,18 +104,15 @@ class Competitors:
         start: Mapping[str, float | str] | None = None,
     ) -> "Competitors":
         """Return the competitors that Python code names: numbers, published names, custom laws."""
-        numbers: list[int] = []
-        formulas: list[Law] = []
+        found: list[Law] = []
         several = isinstance(laws, Iterable) and not isinstance(laws, str)
         for one in laws if several else [laws]:  # type: ignore[union-attr]
             if not isinstance(one, Integral | str | Law):
                 do = "give numbers, names or fitting.Law: laws=(1, 5), laws='1-6,stribeck'"
                 raise InputError(f"{one!r:.40} is not a law", "laws", do)
-            own_numbers, own_formulas = ([], [one]) if isinstance(one, Law) else _read(str(one), "--laws")
-            numbers += own_numbers
-            formulas += [law for law in own_formulas if law not in formulas]
+            found += [one] if isinstance(one, Law) else _read(str(one), "--laws")
         given = [check_values(values, kind) for values, kind in ((fix, "fix"), (bounds, "bounds"), (start, "start"))]
-        return cls(tuple(dict.fromkeys(numbers)), tuple(formulas), *given)
+        return cls(_each_once(found), *given)
 
     @classmethod
     def typed(
@@ -134,46 +125,40 @@ class Competitors:
         start: Iterable[str] = (),
     ) -> "Competitors":
         """Return the competitors that flags name."""
-        numbers, formulas = _read(laws, "--laws")
-        formulas += [one for one in map(read_law, law) if one not in formulas]
+        named = _each_once([*_read(laws, "--laws"), *map(read_law, law)])
         behind = list(ramp)
         for name in behind:
-            check_known(name, [one.name for one in formulas], "law", "--ramp")
+            check_known(name, [one.name for one in named if not one.number], "law", "--ramp")
         return cls(
-            tuple(dict.fromkeys(numbers)),
-            tuple(one.behind_ramp() if one.name in behind else one for one in formulas),
+            tuple(one.behind_ramp() if one.name in behind else one for one in named),
             dict(_pairs(fix, "--fix")),  # type: ignore[arg-type]
             {name: _interval(value, name) for name, value in _pairs(bound, "--bound")},  # type: ignore[misc]
             dict(_pairs(start, "--start")),  # type: ignore[arg-type]
         )
 
     @property
-    def every(self) -> tuple[int | Law, ...]:
-        return (*self.laws, *self.formulas)
+    def six(self) -> tuple[Law, ...]:
+        """Those of the six."""
+        return tuple(law for law in self.laws if law.number)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(law.name for law in self.formulas)
+    def formulas(self) -> tuple[Law, ...]:
+        return tuple(law for law in self.laws if not law.number)
+
+    def asks(self, law: Law) -> bool:
+        """Return whether a law was named."""
+        return any(own.name == law.name for own in self.laws)
+
+    def by_kernel(self, law: Law) -> bool:
+        """Return whether a law's own kernel follows it with what is given of its parameters."""
+        return law.has_kernel and not BY_FORMULA & self.of_law(law).keys()
 
     @property
-    def count(self) -> int:
-        """Number of laws."""
-        return len(self.laws) + len(self.formulas)
-
-    @cached_property
-    def restated(self) -> dict[int, Law]:
-        return {law: restated(law) for law in self.laws if {"G_slip/m", "G_slip"} & self.of_law(law).keys()}
-
-    @property
-    def direct(self) -> tuple[int, ...]:
-        return tuple(law for law in self.laws if law not in self.restated)
-
-    @property
-    def searched(self) -> tuple[int, ...]:
+    def searched(self) -> tuple[Law, ...]:
         """The laws of the six that are fitted: all six where a formula competes, since it starts from them."""
-        return ALL_LAWS if self.formulas or self.restated else self.laws
+        return self.laws if all(map(self.by_kernel, self.laws)) else tuple(SIX.values())
 
-    def of_law(self, law: int | Law) -> dict[str, Given]:
+    def of_law(self, law: Law) -> dict[str, Given]:
         """Return the conditions on a law's parameters, named without the law; impossible values raise InputError."""
         given_of: dict[str, Given] = {}
         for kind, given in (("bounds", self.bounds), ("start", self.start), ("fix", self.fix)):
@@ -181,7 +166,7 @@ class Competitors:
                 own_name = _named(name, law)
                 if own_name is not None:
                     given_of[own_name] = _with(given_of.get(own_name, Given()), kind, value)
-        own_names = () if isinstance(law, int) else law.curve.parameters
+        own_names = () if law.number else law.curve.parameters
         for name, one in given_of.items():
             _check(name, one, *(LEAST_VALUES.get(_per_mass(name), NO_LIMIT) if name not in own_names else NO_LIMIT))
         return given_of
@@ -195,59 +180,46 @@ class Competitors:
                 found[name] = value
                 continue
             typed = any(isinstance(end, str) and units.typed_unit(end) for end in ends)
-            readings = {_read_value(name, value, law, flag, typed=typed) for law in self.every if _named(name, law)}
+            readings = {_read_value(name, value, law, flag, typed=typed) for law in self.laws if _named(name, law)}
             if len(readings) > 1:
                 what = f"{name} has another unit in each law"
-                raise InputError(what, flag, f"name the law: {_label(self.every[-1])}.{name}")
+                raise InputError(what, flag, f"name the law: {self.laws[-1].name}.{name}")
             own, number = readings.pop()
             if own in found or (own != name and own in given):
                 raise InputError(f"{own} is given twice", flag, "leave one out")
             found[own] = number
-            if typed and any(f"{_named(own, law)}{PER_MASS}" in names_of(law) for law in self.every):
+            if typed and any(f"{_named(own, law)}{PER_MASS}" in names_of(law) for law in self.laws):
                 newtons.add(own)
         return found
 
     def _check_name(self, name: str, flag: str) -> None:
-        if any(_named(name, law) for law in self.every):
+        if any(_named(name, law) for law in self.laws):
             return
         prefix, dot, _ = name.partition(".")
-        known = [str(law) if isinstance(law, int) else law.name for law in self.every]
+        known = [law.name for law in self.laws]
         if dot and prefix not in known:
             raise InputError(f"{name}: there is no law {prefix}", flag, nearest(prefix, known))
-        choices = dict.fromkeys(own for law in self.every if not dot or _label(law) == prefix for own in names_of(law))
+        choices = dict.fromkeys(own for law in self.laws if not dot or law.name == prefix for own in names_of(law))
         raise InputError(f"no law that is fitted has a parameter {name}", flag, nearest(name, list(choices)))
 
 
-def restated(law: int) -> Law:
-    kind = LAWS[law]
-    bounds = dict.fromkeys([name for name in ("gamma", "G_slip") if name in FORMULAS[kind.curve]], (0.0, None))
-    return Law(f"law{law}", FORMULAS[kind.curve], ramp=bool(kind.ramp), bounds=bounds)
-
-
-def names_of(law: int | Law) -> tuple[str, ...]:
-    if isinstance(law, int):
-        kind = LAWS[law]
-        ramp = ("d", "static") if kind.ramp else ()
-        return (*OF_EVERY_LAW, "Fs/m", "Fs", *OF_A_CURVE.get(kind.curve, ()), *ramp)
+def names_of(law: Law) -> tuple[str, ...]:
     parameters = law.curve.parameters
     forces = [f"{name}{PER_MASS}" for name in parameters if law.dimensions.get(name, (0, 0))[0]]
-    return (*parameters, *forces, *OF_EVERY_LAW, *(("d",) if law.ramp else ()))
+    ramp = () if not law.ramp else ("d", "static") if law.number else ("d",)
+    return (*parameters, *forces, *OF_EVERY_LAW, *ramp)
 
 
-def _label(law: int | Law) -> str:
-    return str(law) if isinstance(law, int) else law.name
-
-
-def _named(name: str, law: int | Law) -> str | None:
+def _named(name: str, law: Law) -> str | None:
     """Return a parameter's name without the law's; None where the law has no such parameter."""
     prefix, dot, bare = name.partition(".")
-    if dot and prefix != _label(law):
+    if dot and prefix != law.name:
         return None
     bare = bare if dot else name
     return bare if bare in names_of(law) else None
 
 
-def _read_value(name: str, value: Any, law: int | Law, flag: str, *, typed: bool) -> tuple[str, Any]:
+def _read_value(name: str, value: Any, law: Law, flag: str, *, typed: bool) -> tuple[str, Any]:
     """Return the name, per unit mass if the value's unit is, and the value as a number."""
     own = str(_named(name, law))
     if typed and f"{own}{PER_MASS}" in names_of(law):
@@ -256,10 +228,10 @@ def _read_value(name: str, value: Any, law: int | Law, flag: str, *, typed: bool
     return name, in_unit(value, unit_of(own, law), name, flag)
 
 
-def unit_of(name: str, law: int | Law) -> str:
+def unit_of(name: str, law: Law) -> str:
     """Return the unit of a parameter of a law in the results."""
     plain = name.removesuffix(PER_MASS)
-    if isinstance(law, Law) and plain in law.curve.parameters:
+    if plain in law.curve.parameters:
         return law.unit(plain, newtons=name == plain)
     return UNITS[name]
 
@@ -290,18 +262,26 @@ def _check(name: str, given: Given, least: float, itself: bool) -> None:
         raise InputError(what, "--start", "give a first value within the bounds")
 
 
-def _read(text: str, where: str) -> tuple[list[int], list[Law]]:
-    """Return the numbers and laws of a list such as ``1-3,stribeck``, or of one ``NAME: FORMULA``."""
+def _each_once(laws: Iterable[Law]) -> tuple[Law, ...]:
+    """Return the laws without repetitions, the six first."""
+    return tuple(sorted(dict.fromkeys(laws), key=lambda law: law.number is None))
+
+
+def _read(text: str, where: str) -> list[Law]:
+    """Return the laws of a list such as ``1-3,stribeck``, or of one ``NAME: FORMULA``."""
     if ":" in text:
-        return [], [read_law(text, where)]
-    listed: list[int] = []
-    laws: list[Law] = []
+        return [read_law(text, where)]
+    found: list[Law] = []
     for part in filter(None, (piece.strip() for piece in text.split(","))):
         if part[0].isalpha():
-            laws.append(read_law(part, where))
-        else:
-            listed += numbers(part, where)
-    return listed, laws
+            found.append(read_law(part, where))
+            continue
+        listed = numbers(part, where)
+        unknown = [number for number in listed if number not in SIX]
+        if unknown:
+            raise InputError(f"unknown law {unknown[0]}", where, "choose 1 to 6, such as 1-6 or 3,5")
+        found += [SIX[number] for number in listed]
+    return found
 
 
 def numbers(text: str, flag: str) -> list[int]:

@@ -1,8 +1,9 @@
 """``fitting.rank``: of a run, a file, a smoothed motion, two arrays, or several runs of one contact; `rank_each`."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,23 +12,75 @@ from daq.runfile import schema
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting import batch, job
-from fitting.batch import Failure
 from fitting.competitors import ALL_LAWS, Competitors
-from fitting.job import FitOptions, LoadedRun
+from fitting.estimation.result import in_columns
+from fitting.job import LoadedRun
 from fitting.law import Bound, Law
-from fitting.ranked import RankedRun, RankedRuns, Ranking
-from fitting.selection.asked import check_numbers
+from fitting.options import Options
+from fitting.selection.result import Ranking
 from processing.record.kinematics import Kinematics
 from stickslip import units
-from stickslip.errors import InputError
+from stickslip.errors import InputError, StickslipError
 from stickslip.output import suffix
-from stickslip.units import Stated
+from stickslip.units import Measured, Stated
 
 if TYPE_CHECKING:
+    import pandas as pd
     from numpy.typing import ArrayLike
 
 Run = Recording | Kinematics | str | os.PathLike[str]
 RUNS = (Recording, Kinematics, str, os.PathLike)
+
+
+@dataclass(frozen=True, eq=False)
+class RankedRun:
+    """One run of `fitting.rank_each`.
+
+    Attributes
+    ----------
+    file : Path
+        The run's file; of a run in memory its name.
+    ranking : Ranking or None
+        None where the run could not be fitted.
+    error : StickslipError or None
+        Why it could not: what was wrong, where, and what to do.
+    """
+
+    file: Path
+    ranking: Ranking | None
+    error: StickslipError | None
+
+
+class RankedRuns(list[RankedRun]):
+    """Runs that were each fitted by themselves, in their order: a list of `RankedRun`."""
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the runs as a pandas table, one row a run.
+
+        Columns: ``file``, ``verdict``, ``adequacy``, ``law`` and ``name`` of the best law, ``rms_m``, ``error``, and of
+        each parameter of that law its value under its name, and "NAME stderr", "NAME lo" and "NAME hi": missing where
+        the law has no such parameter, the interval is withheld, or the run could not be fitted.  ``attrs["units"]`` has
+        the unit of each parameter.
+        """
+        import pandas as pd
+
+        names = ("file", "verdict", "adequacy", "law", "name", "rms_m", "error")
+        table: list[dict[str, Any]] = []
+        units: dict[str, str] = {}
+        for run in self:
+            row: dict[str, Any] = dict.fromkeys(names) | {"file": str(run.file)}
+            if run.error is not None:
+                row["error"] = str(run.error)
+            if run.ranking is not None:
+                row |= {"verdict": run.ranking.verdict, "adequacy": run.ranking.adequacy.verdict}
+                if run.ranking.rows:
+                    best = run.ranking.best
+                    row |= {"law": best.law, "name": best.name, "rms_m": best.rms_m} | in_columns(best.parameters)
+                    units |= {name: item.unit for name, item in best.parameters.items()}
+            table.append(row)
+        frame = pd.DataFrame(table)
+        frame.attrs["units"] = units
+        return frame
 
 
 def rank(
@@ -131,25 +184,26 @@ def rank(
     """
     if isinstance(position, Rig) or (isinstance(position, list | tuple) and _are(position, Rig)):
         rig, position = position, None
-    check_numbers(alpha, jobs)
-    options = _fit_options(
+    options = _read_options(
         laws,
+        fix,
+        bounds,
+        start,
         mass=mass,
         stiffness=stiffness,
         x0=x0,
         damping=damping,
         belt_speed=belt_speed,
-        fix=fix,
-        bounds=bounds,
-        start=start,
         begin=begin,
         end=end,
         excluded=excluded,
         alpha=alpha,
+        jobs=jobs,
+        scheduler=scheduler,
     )
     given = _runs(run_or_time, position)
     runs = [_loaded(run, own, options) for run, own in zip(given, _rigs(rig, len(given)), strict=True)]
-    return Ranking.of(job.fit_runs(runs, options, jobs, scheduler, progress).ranking)
+    return job.fit_runs(runs, options, progress)
 
 
 def rank_each(
@@ -213,62 +267,58 @@ def rank_each(
     call = "fitting.rank_each"
     if isinstance(runs, RUNS):
         raise InputError("one run", call, "give a list of runs, as in fitting.rank_each([run]), or call fitting.rank")
-    given, asked = list(runs), _fit_options(laws, **options)
+    given, read = list(runs), _read_options(laws, **options, jobs=jobs, scheduler=scheduler)
     if not given or not _are(given, RUNS):
         raise InputError("no run" if not given else "not all are runs", call, "give files, recordings or motions")
     rigs = _rigs(rig, len(given))
     files = [Path(run) if isinstance(run, str | os.PathLike) else _recording(run).source for run in given]
 
-    def load_each() -> Iterator[LoadedRun | Failure]:
-        for file, run, own in zip(files, given, rigs, strict=True):
-            try:
-                yield _loaded(run, own, asked)
-            except Exception as error:
-                yield batch.read_failure(error, file)
-
+    loads = [partial(_loaded, run, own, read) for run, own in zip(given, rigs, strict=True)]
     ranked = RankedRuns()
-    for file, outcome in zip(files, batch.fit_each(files, load_each(), asked, jobs, scheduler), strict=True):
-        if isinstance(outcome, Failure):
-            ranked.append(RankedRun(file, None, outcome.as_error()))
+    for file, outcome in zip(files, batch.fit_each(files, loads, read), strict=True):
+        if isinstance(outcome, StickslipError):
+            ranked.append(RankedRun(file, None, outcome))
         else:
-            ranked.append(RankedRun(file, Ranking.of(outcome.ranking), None))
+            ranked.append(RankedRun(file, outcome[0], None))
         if progress is not None:
             progress(float(len(ranked)))
     return ranked
 
 
-def _fit_options(
+def _read_options(
     laws: int | str | Law | Sequence[int | str | Law] | Competitors,
-    *,
-    mass: Stated | None = None,
-    stiffness: Stated | None = None,
-    x0: Stated | None = None,
-    damping: Stated | None = None,
-    belt_speed: Stated | None = None,
     fix: Mapping[str, float | str] | None = None,
     bounds: Mapping[str, Bound] | None = None,
     start: Mapping[str, float | str] | None = None,
-    begin: float | str | None = None,
-    end: float | str | None = None,
-    excluded: int | Sequence[int] = (),
-    alpha: float = 0.05,
-) -> FitOptions:
-    """Return the fit options of keywords of `rank`."""
-    if mass is not None and stiffness is not None:
-        raise InputError("mass and stiffness together", "fitting.rank", "give one: the fit finds the other")
-    return FitOptions(
-        competitors=laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start),
-        mass=units.read_stated(mass, "mass"),
-        stiffness=units.read_stated(stiffness, "stiffness"),
-        x0=units.read_stated(x0, "x0"),
-        damping=units.read_stated(damping, "damping"),
-        belt_speed=belt_speed if belt_speed == "channel" else units.read_stated(belt_speed, "belt_speed"),
-        excluded=(excluded,) if isinstance(excluded, int) else tuple(excluded),
-        alpha=alpha,
-        begin=_time(begin, "begin"),
-        end=_time(end, "end"),
-        report=False,
-    )
+    **values: Any,
+) -> Options:
+    """Return the options of keywords of `rank`."""
+    competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
+    return Options(competitors, **{name: READ.get(name, _as_given)(value, name) for name, value in values.items()})
+
+
+def _as_given(value: Any, _: str) -> Any:
+    return value
+
+
+def _read_time(value: float | str | None, name: str) -> float | None:
+    return units.exact_in_si(value, "time", name)
+
+
+def _read_speed(value: Stated | None, name: str) -> Measured | str | None:
+    return "channel" if value == "channel" else units.read_stated(value, name)
+
+
+def _read_cycles(value: int | Sequence[int], _: str) -> tuple[int, ...]:
+    return (value,) if isinstance(value, int) else tuple(value)
+
+
+READ: dict[str, Callable[[Any, str], Any]] = {
+    **dict.fromkeys(("mass", "stiffness", "x0", "damping"), units.read_stated),
+    **dict.fromkeys(("begin", "end"), _read_time),
+    "belt_speed": _read_speed,
+    "excluded": _read_cycles,
+}
 
 
 def _rigs(rig: Rig | Sequence[Rig] | None, count: int) -> Sequence[Rig | None]:
@@ -287,7 +337,7 @@ def _runs(run_or_time: Any, position: Any) -> list[Run]:
         return [run_or_time]
     if position is not None:
         return [Recording.from_arrays(run_or_time, position)]
-    if isinstance(run_or_time, job.FitOutput | Ranking):
+    if isinstance(run_or_time, Ranking):
         raise InputError("a ranking, which is fitted already", call, "give a run: fitting.rank(daq.load(path))")
     if isinstance(run_or_time, list | tuple) and _are(run_or_time, RUNS):
         if not run_or_time:
@@ -301,11 +351,7 @@ def _are(values: Sequence[Any], kind: Any) -> bool:
     return all(isinstance(one, kind) for one in values)
 
 
-def _time(value: float | str | None, name: str) -> float | None:
-    return units.exact_in_si(value, "time", name)
-
-
-def _loaded(run: Run, rig: Rig | None, options: FitOptions) -> LoadedRun:
+def _loaded(run: Run, rig: Rig | None, options: Options) -> LoadedRun:
     """Return a run with its calibration; a run file as the command reads it, smoothed where it has that stage."""
     if isinstance(run, str | os.PathLike) and Path(run).suffix.lower() in suffix.RUN.suffixes:
         return job.load_run(Path(run), options, rig)
@@ -320,7 +366,7 @@ def _loaded(run: Run, rig: Rig | None, options: FitOptions) -> LoadedRun:
         recording = replace(recording, digest=schema.compute_digest(recording))
         motion = None if motion is None else replace(motion, recording=recording)
     ends = float(recording.time[0]), float(recording.time[-1])
-    return LoadedRun(recording, motion, job.calibrated(recording.rig if rig is None else rig, options), "", ends)
+    return LoadedRun(recording, motion, options.calibrate(recording.rig if rig is None else rig), "", ends)
 
 
 def _recording(run: Recording | Kinematics) -> Recording:

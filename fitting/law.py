@@ -1,17 +1,6 @@
-"""`Law`: a custom friction curve, or a published one by its name, fitted together with the six.
+"""`Law`: a friction curve with its contact: one of the six, a published one, or a custom one.
 
 ``s`` is the slip speed, m/s; every other name of the formula is a parameter, per unit mass as Fs/m is.
-
-==========================  ================================================  =======================================
-name                        friction at slip speed s                            source
-==========================  ================================================  =======================================
-stribeck                    Fc + (Fs - Fc) exp(-s/v_s)                          A. Tustin, J. IEE 94 (1947) 143
-stribeck-viscous            ... + Fv s                                          the same
-stribeck-gaussian           Fc + (Fs - Fc) exp(-(s/v_s)^2)                      B. Armstrong-Helouvry et al. (1994)
-stribeck-gaussian-viscous   ... + Fv s                                          the same
-logarithmic                 Fs - b ln(1 + s/v_0)                                J. Dieterich, JGR 84 (1979) 2161
-power                       Fs - b (s/v_1)^p, v_1 = 1 m/s                      E. Rabinowicz (1958)
-==========================  ================================================  =======================================
 """
 
 import math
@@ -20,13 +9,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 from rig_sim.friction.formula import SPEED, Formula
+from rig_sim.friction.law import LAWS, NESTED
+from rig_sim.friction.law import Law as Kind
 from stickslip import units
 from stickslip.errors import InputError, nearest
 
 NAME = re.compile(r"[A-Za-z][\w-]*")
+CONSTANT, LINEAR, HYPERBOLIC = "Fs", "Fs - G_slip*s", "Fs/(1 + gamma*s)"  # curves of the six
+FORMULAS = {"constant": CONSTANT, "linear": LINEAR, "hyperbolic": HYPERBOLIC}
+OF_SIX = [(str(kind.number), FORMULAS[kind.curve], bool(kind.ramp)) for kind in LAWS.values()]
 SPEED_WORDS = re.compile(r"[svuwx]|[vu]_?(rel|r|slip)|speed|vel\w*|slip\w*|[sx]_?dot", re.IGNORECASE)  # meant as s
 # Part of a derivative beside those by other parameters, over the whole, or singular value over the largest: below,
 # derivatives are dependent; above 1e-6 they are not.
@@ -115,7 +109,7 @@ class Law:
         if not (isinstance(self.name, str) and isinstance(self.formula, str)):
             what = f"name and formula are {self.name!r:.40} and {self.formula!r:.40}"
             raise InputError(what, "law", 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")')
-        if not NAME.fullmatch(self.name):
+        if not NAME.fullmatch(self.name) and (self.name, self.formula, self.ramp) not in OF_SIX:
             raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
         known = self.curve.parameters
         if not known:
@@ -142,6 +136,42 @@ class Law:
     @cached_property
     def curve(self) -> Formula:
         return Formula.parse(self.formula)
+
+    @property
+    def number(self) -> int | None:
+        """That of one of the six."""
+        return int(self.name) if self.name.isdecimal() else None
+
+    @property
+    def key(self) -> int | str:
+        """The law in results: its number, or its name."""
+        return self.number or self.name
+
+    @property
+    def words(self) -> str:
+        """Its name in words."""
+        return LAWS[self.number].name if self.number else self.name.replace("-", " ")
+
+    @property
+    def has_kernel(self) -> bool:
+        """Whether a kernel of its own follows it; other curves are followed through a spline."""
+        return self.number is not None and self == SIX[self.number]
+
+    @property
+    def kind(self) -> Kind:
+        """The law of the six that it is, or by which a formula on this contact is regressed."""
+        return LAWS[self.number or (6 if self.ramp else 5)]
+
+    def is_ramp_of(self, other: "Law") -> bool:
+        """Return whether this is the other law with a ramp."""
+        same = self.formula == other.formula and bool(self.number) == bool(other.number)
+        return same and self.ramp and not other.ramp
+
+    def contains(self, other: "Law") -> bool:
+        """Return whether the other law is a limit of this one; a formula has those of either contact."""
+        if self.number:
+            return other.number in NESTED[self.number]
+        return self.name in ABOUT and other.formula in ABOUT[self.name].limits
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -210,11 +240,6 @@ class Law:
         """Return the law behind a ramp."""
         return replace(self, ramp=True)
 
-    @property
-    def title(self) -> str:
-        """Name of the curve in a sentence."""
-        return TITLES.get(self.name, f"the formula {self.formula}")
-
     def given(
         self,
         fix: Mapping[str, float] | None = None,
@@ -222,64 +247,62 @@ class Law:
         start: Mapping[str, float] | None = None,
     ) -> "Law":
         """Return the law with more parameters fixed, bounded or started; these take precedence."""
-        fixed = dict(self.fix or {}) | dict(fix or {})
+        fixed = {**(self.fix or {}), **(fix or {})}
+        first = {**(self.start or {}), **(start or {})}
         return replace(
             self,
             fix=fixed or None,
-            bounds=dict(self.bounds or {}) | dict(bounds or {}) or None,
-            start={
-                name: value for name, value in (dict(self.start or {}) | dict(start or {})).items() if name not in fixed
-            }
-            or None,
+            bounds={**(self.bounds or {}), **(bounds or {})} or None,
+            start={name: value for name, value in first.items() if name not in fixed} or None,
         )
 
     def __str__(self) -> str:
         return f"{self.name}: {self.formula}"
 
 
-def _published(name: str, formula: str, **more: Mapping[str, float]) -> Law:
-    positive = [own for own in ("Fs", "Fc", "v_s", "v_0", "p") if re.search(rf"\b{own}\b", formula)]
-    return Law(name, formula, bounds=dict.fromkeys(positive, (0.0, None)), fix=more.get("fix"))
-
-
+SIX = {
+    int(name): Law(name, formula, ramp=ramp, bounds=dict.fromkeys(Formula.parse(formula).parameters, (0.0, None)))
+    for name, formula, ramp in OF_SIX
+}
 STRIBECK, GAUSSIAN = "Fc + (Fs - Fc)*exp(-s/v_s)", "Fc + (Fs - Fc)*exp(-(s/v_s)**2)"
-PUBLISHED = {
-    law.name: law
-    for law in (
-        _published("stribeck", STRIBECK),
-        _published("stribeck-viscous", f"{STRIBECK} + Fv*{SPEED}"),
-        _published("stribeck-gaussian", GAUSSIAN),
-        _published("stribeck-gaussian-viscous", f"{GAUSSIAN} + Fv*{SPEED}"),
-        _published("logarithmic", "Fs - b*log(1 + s/v_0)"),
-        _published("power", "Fs - b*(s/v_1)**p", fix={"v_1": 1.0}),
-    )
-}
+TUSTIN = "A. Tustin, J. IEE 94 (1947) 143"
 ARMSTRONG = "B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994) 1083"
-SOURCES = {
-    "stribeck": "A. Tustin, J. IEE 94 (1947) 143",
-    "stribeck-viscous": "A. Tustin, J. IEE 94 (1947) 143",
-    "stribeck-gaussian": ARMSTRONG,
-    "stribeck-gaussian-viscous": ARMSTRONG,
-    "logarithmic": "J. Dieterich, J. Geophys. Res. 84 (1979) 2161",  # steady state
-    "power": "E. Rabinowicz, Proc. Phys. Soc. 71 (1958) 668",
+DIETERICH = "J. Dieterich, J. Geophys. Res. 84 (1979) 2161"  # steady state
+RABINOWICZ = "E. Rabinowicz, Proc. Phys. Soc. 71 (1958) 668"
+
+
+class About(NamedTuple):
+    """A published curve in a sentence, its source, its formula, and the curves that are its limits."""
+
+    title: str
+    source: str
+    formula: str
+    limits: tuple[str, ...]
+
+
+# An exponential fall, a logarithm and a power include the straight line; a Gaussian fall without a viscous term does
+# not.
+ABOUT = {
+    "stribeck": About("a Stribeck curve", TUSTIN, STRIBECK, (CONSTANT, LINEAR)),
+    "stribeck-viscous": About(
+        "a Stribeck curve with a viscous term", TUSTIN, f"{STRIBECK} + Fv*s", (CONSTANT, LINEAR, STRIBECK)
+    ),
+    "stribeck-gaussian": About("a Gaussian Stribeck curve", ARMSTRONG, GAUSSIAN, (CONSTANT,)),
+    "stribeck-gaussian-viscous": About(
+        "a Gaussian Stribeck curve with a viscous term", ARMSTRONG, f"{GAUSSIAN} + Fv*s", (CONSTANT, LINEAR, GAUSSIAN)
+    ),
+    "logarithmic": About("a logarithmic curve", DIETERICH, "Fs - b*log(1 + s/v_0)", (CONSTANT, LINEAR)),
+    "power": About("a power curve", RABINOWICZ, "Fs - b*(s/v_1)**p", (CONSTANT, LINEAR)),
 }
-# Which curves are limits of a published one: jump laws of the six, and other published ones.  An exponential fall, a
-# logarithm and a power include the straight line; a Gaussian fall without a viscous term does not.
-LIMITS: dict[str, tuple[int | str, ...]] = {
-    "stribeck": (1, 3),
-    "stribeck-viscous": (1, 3, "stribeck"),
-    "stribeck-gaussian": (1,),
-    "stribeck-gaussian-viscous": (1, 3, "stribeck-gaussian"),
-    "logarithmic": (1, 3),
-    "power": (1, 3),
-}
-TITLES = {
-    "stribeck": "a Stribeck curve",
-    "stribeck-viscous": "a Stribeck curve with a viscous term",
-    "stribeck-gaussian": "a Gaussian Stribeck curve",
-    "stribeck-gaussian-viscous": "a Gaussian Stribeck curve with a viscous term",
-    "logarithmic": "a logarithmic curve",
-    "power": "a power curve",
+POSITIVE, UNIT_SPEED = ("Fs", "Fc", "v_s", "v_0", "p"), "v_1"
+PUBLISHED = {
+    name: Law(
+        name,
+        about.formula,
+        bounds={own: (0.0, None) for own in Formula.parse(about.formula).parameters if own in POSITIVE},
+        fix={UNIT_SPEED: 1.0} if UNIT_SPEED in about.formula else None,
+    )
+    for name, about in ABOUT.items()
 }
 
 

@@ -1,100 +1,49 @@
-"""One command line of `fit-friction` as one value: the runs, the fit, and the outputs.
-
-Invalid requests are rejected here, before anything is fitted.
-"""
+"""The flags of `fit-friction` as options of the fit and as files to write, checked before anything is fitted."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from daq.runfile import joint
 from fitting import rig_scene
 from fitting.competitors import Competitors, numbers
 from fitting.flags import CalibrationFlags, LawFlags, OutputFlags, PartFlags, WorkFlags
-from fitting.job import FitOptions
-from fitting.report import comparison, table
-from fitting.report import page as pages
-from fitting.selection.asked import check_numbers
+from fitting.options import Options
+from fitting.report import comparison, page, table
 from stickslip.console import application
 from stickslip.errors import InputError
 from stickslip.output import atomic, suffix
 
 
-@dataclass(frozen=True)
-class FitRequest:
-    files: tuple[Path, ...]  # the runs
-    options: FitOptions  # how each is fitted
-    outputs: OutputFlags  # names that were given
-    work: WorkFlags  # with ``each`` every run is fitted by itself, else all of them together
-    # where reports go: of a joint fit one, with ``each`` one a run; none where no report is wanted
-    places: tuple[Path, ...]
+class Places(NamedTuple):
+    """Where results go besides the run files and the tables that were named."""
+
+    reports: Sequence[Path]  # of a joint fit one, with --each one a run; none where no report is wanted
     joint_file: Path | None  # where a joint fit is stored
     comparison: Path | None  # where the page goes that compares runs fitted one by one
 
-    @classmethod
-    def of(
-        cls,
-        files: Sequence[Path],
-        laws: LawFlags,
-        rig: CalibrationFlags,
-        part: PartFlags,
-        outputs: OutputFlags,
-        work: WorkFlags,
-    ) -> "FitRequest":
-        """Return the request of a command line; contradictory flags and unwritable outputs raise InputError."""
-        check_numbers(part.alpha, work.jobs)
-        runs = tuple(_without_fits(files) if work.each else files)
-        _refuse_together(runs, rig, outputs, work)
-        options = FitOptions(
-            **vars(rig),
-            competitors=Competitors.typed(
-                laws.laws, laws.law or (), laws.ramp or (), laws.fix or (), laws.bound or (), laws.start or ()
-            ),
-            excluded=tuple(numbers(part.exclude_cycles, "--exclude-cycles")),
-            alpha=part.alpha,
-            begin=part.begin,
-            end=part.end,
-            report=not outputs.no_report,
-        )
-        several, report = len(runs) > 1, outputs.report
-        joined = several and not work.each
-        places, compared = [], None
-        if not outputs.no_report:
-            places = [report or joint.name_output(runs, pages.SUFFIX)] if joined else pages.report_paths(runs, report)
-            if several and not joined:
-                beside = joint.name_output(runs, comparison.SUFFIX)
-                compared = beside if report is None else report.with_stem(f"{report.stem}-each")
-        joint_file = joint.name_output(runs) if joined else None
-        request = cls(runs, options, outputs, work, tuple(places), joint_file, compared)
-        request._refuse_outputs()
-        return request
 
-    def _refuse_outputs(self) -> None:
-        """Raise InputError for outputs with the suffix of another format, repeated, or in place of other files."""
-        outputs, files, force = self.outputs, list(self.files), self.outputs.force
-        for place, form, flag in (
-            (outputs.report, suffix.PAGE, "--report"),
-            (outputs.csv, suffix.CSV, "--csv"),
-            (outputs.curve_csv, suffix.CSV, "--curve-csv"),
-            (outputs.save_scene, suffix.TOML, "--save-scene"),
-        ):
-            if place is not None:
-                suffix.check(place, form, flag, {suffix.PDF: "then print the page from a browser"})
-        _refuse_same(
-            [*self.places, self.comparison, self.joint_file, outputs.csv, outputs.curve_csv, outputs.save_scene]
-        )
-        if self.comparison is not None:
-            comparison.refuse_foreign_file(self.comparison, files, force=force)
-        if outputs.csv is not None:
-            table.refuse_foreign_file(outputs.csv, files, force=force)
-        if outputs.curve_csv is not None:
-            atomic.refuse_existing(outputs.curve_csv, force, *files, flag="--curve-csv")
-        if outputs.save_scene is not None:
-            rig_scene.refuse_existing(outputs.save_scene, files, force=force)
+def read_options(laws: LawFlags, rig: CalibrationFlags, part: PartFlags, work: WorkFlags) -> Options:
+    """Return the options that the flags state."""
+    competitors = Competitors.typed(
+        laws.laws, laws.law or (), laws.ramp or (), laws.fix or (), laws.bound or (), laws.start or ()
+    )
+    return Options(
+        competitors,
+        **vars(rig),
+        excluded=tuple(numbers(part.exclude_cycles, "--exclude-cycles")),
+        begin=part.begin,
+        end=part.end,
+        alpha=part.alpha,
+        jobs=work.jobs,
+        scheduler=work.scheduler,
+    )
 
 
-def _without_fits(files: Sequence[Path]) -> list[Path]:
-    """Return the files that are runs: a pattern such as *.h5 also matches the joint fits of a folder."""
+def select_runs(files: list[Path], *, each: bool) -> list[Path]:
+    """Return the files that are runs: with ``each`` a pattern such as *.h5 also matches the joint fits of a folder."""
+    if not each:
+        return files
     fits = [path for path in files if path.name.endswith(joint.SUFFIX) and joint.is_joint_fit(path)]
     for path in fits:
         application.note(f"{path} is the file of a joint fit, left out")
@@ -104,26 +53,56 @@ def _without_fits(files: Sequence[Path]) -> list[Path]:
     return runs
 
 
-def _refuse_together(runs: Sequence[Path], rig: CalibrationFlags, outputs: OutputFlags, work: WorkFlags) -> None:
-    """Raise InputError for flags and runs that cannot be combined."""
+def place_outputs(runs: list[Path], outputs: OutputFlags, *, each: bool) -> Places:
+    """Return where results go.
+
+    Raises InputError for a run that is named twice, outputs that cannot be combined, and those with the suffix of
+    another format, repeated, or in place of other files.
+    """
     given, alone = "command line", "fit the runs one at a time"
     twice = len({path.resolve() for path in runs}) < len(runs)
     for wrong, what, where, do in (
         (twice, "a run is named twice", ", ".join(map(str, runs)), "name each run once"),
         (outputs.no_report and outputs.report, "--report and --no-report together", given, "give one"),
-        (work.each and outputs.curve_csv, "--curve-csv with --each", given, alone),
-        (work.each and outputs.save_scene, "--save-scene with --each", given, alone),
-        (rig.mass and rig.stiffness, "--mass and --stiffness together", given, "give one: the fit finds the other"),
+        (each and outputs.curve_csv, "--curve-csv with --each", given, alone),
+        (each and outputs.save_scene, "--save-scene with --each", given, alone),
     ):
         if wrong:
             raise InputError(what, where, do)
+    report, several, joined = outputs.report, len(runs) > 1, len(runs) > 1 and not each
+    reports: Sequence[Path] = ()
+    if not outputs.no_report:
+        reports = [report or joint.name_output(runs, page.SUFFIX)] if joined else page.report_paths(runs, report)
+    compared = None
+    if several and each and not outputs.no_report:
+        beside = joint.name_output(runs, comparison.SUFFIX)
+        compared = beside if report is None else report.with_stem(f"{report.stem}-each")
+    places = Places(reports, joint.name_output(runs) if joined else None, compared)
+    _refuse_outputs(runs, outputs, places)
+    return places
 
 
-def _refuse_same(outputs: Sequence[Path | None]) -> None:
-    """Raise InputError when two of the outputs are one file."""
+def _refuse_outputs(runs: list[Path], outputs: OutputFlags, places: Places) -> None:
+    csv, curve_csv, scene, force = outputs.csv, outputs.curve_csv, outputs.save_scene, outputs.force
+    for place, form, flag in (
+        (outputs.report, suffix.PAGE, "--report"),
+        (csv, suffix.CSV, "--csv"),
+        (curve_csv, suffix.CSV, "--curve-csv"),
+        (scene, suffix.TOML, "--save-scene"),
+    ):
+        if place is not None:
+            suffix.check(place, form, flag, {suffix.PDF: "then print the page from a browser"})
     seen: set[Path] = set()
-    for output in outputs:
+    for output in (*places.reports, places.comparison, places.joint_file, csv, curve_csv, scene):
         if output is not None and output.resolve() in seen:
             raise InputError("is the name of two outputs", str(output), "give each output a name of its own")
         if output is not None:
             seen.add(output.resolve())
+    if places.comparison is not None:
+        comparison.refuse_foreign_file(places.comparison, runs, force=force)
+    if csv is not None:
+        table.refuse_foreign_file(csv, runs, force=force)
+    if curve_csv is not None:
+        atomic.refuse_existing(curve_csv, force, *runs, flag="--curve-csv")
+    if scene is not None:
+        rig_scene.refuse_existing(scene, runs, force=force)

@@ -16,19 +16,17 @@ from stickslip.errors import InputError
 DRAWS = 4  # sets of values: at half of them a chance dependence would pass, at twice nothing changes
 SIZES_DRAWN = (0.5, 2.0)  # least and largest size drawn, over the natural one
 LEAST_PART = 0.1  # part of a direction over its largest: less is rounding
-EQUAL_SIZES = 1e-4  # relative difference of a direction's parts that are equal
 
 
 class Undetermined(NamedTuple):
-    """Parameters, their combination in the formula, and how many of them may have any value."""
+    """Parameters that the formula has only together, and how many of them may have any value."""
 
     names: tuple[str, ...]
-    how: str
     free: int
 
     def __str__(self) -> str:
         *others, last = self.names
-        return f"{', '.join(others)} and {last} {self.how}" if others else f"{last} {self.how}"
+        return f"{', '.join(others)} and {last} enter only together" if others else f"{last} does not change friction"
 
 
 def natural_size(law: Law, name: str, friction: float, speed: float) -> float:
@@ -45,79 +43,39 @@ def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermine
     rng = np.random.default_rng(len(law.formula))
     speeds = fastest * np.linspace(0.0, 1.0, 12 * len(law.free) + 1)
     sizes = np.array([natural_size(law, name, friction, fastest) for name in law.free])
-    groups_of_draws = []
+    draws = []
     for _ in range(DRAWS):
         drawn = sizes * rng.uniform(*SIZES_DRAWN, sizes.size)
         values = dict(zip(law.free, drawn.tolist(), strict=True)) | dict(law.fix or {})
         try:
-            slopes = law.curve.gradient(speeds, values, law.free)
+            draws.append(_groups(law.curve.gradient(speeds, values, law.free) * drawn))
         except InputError:
             continue
-        groups_of_draws.append(_groups(slopes * drawn, drawn))
-    if not groups_of_draws:
-        return ()
-    everywhere = set.intersection(*(set(groups) for groups in groups_of_draws))
+    everywhere = set.intersection(*(set(groups) for groups in draws)) if draws else set()
     return tuple(
-        Undetermined(
-            tuple(law.free[i] for i in group),
-            _how([groups[group] for groups in groups_of_draws]),
-            min(groups[group][0].shape[0] for groups in groups_of_draws),
-        )
+        Undetermined(tuple(law.free[i] for i in group), min(groups[group] for groups in draws))
         for group in sorted(everywhere)
     )
 
 
-def _groups(columns: Array, values: Array) -> dict[tuple[int, ...], tuple[Array, Array]]:
-    """Return groups of dependent columns (n, k), each with the directions (r, m) along which they cancel.
-
-    Once in the logarithms of the parameters, once in the parameters.
-    """
+def _groups(columns: Array) -> dict[tuple[int, ...], int]:
+    """Return groups of dependent columns (n, k), each with the number of directions along which they cancel."""
     size = np.linalg.norm(columns, axis=0)
     seen = size > DEPENDENT_BELOW * float(size.max(initial=0.0))
-    alone = np.ones((1, 1))
-    groups: dict[tuple[int, ...], tuple[Array, Array]] = {(i,): (alone, alone) for i in np.flatnonzero(~seen).tolist()}
+    groups: dict[tuple[int, ...], int] = {(i,): 1 for i in np.flatnonzero(~seen).tolist()}
     index = np.flatnonzero(seen)
     if not index.size:
         return groups
     _, singular, axes = np.linalg.svd(columns[:, index] / size[index], full_matrices=False)
     null = axes[singular < DEPENDENT_BELOW * float(singular.max())]
-    beside = np.abs(np.einsum("ri,rj->ij", null, null)) > LEAST_PART**2
-    left = [i for i in range(index.size) if beside[i, i]]
+    beside = np.einsum("ri,rj->ij", null, null)
+    left = [i for i in range(index.size) if beside[i, i] > LEAST_PART**2]
     while left:
         group: list[int] = []
         more = left[:1]
         while more:
             group += more
-            more = [i for i in left if i not in group and np.any(beside[i, group])]
+            more = [i for i in left if i not in group and np.any(np.abs(beside[i, group]) > LEAST_PART**2)]
         left = [i for i in left if i not in group]
-        group.sort()
-        places = index[group]
-        logs = _basis(null[:, group]) / size[places]
-        groups[tuple(places.tolist())] = logs, logs * values[places]
+        groups[tuple(index[sorted(group)].tolist())] = round(float(np.trace(beside[np.ix_(group, group)])))
     return groups
-
-
-def _how(directions: list[tuple[Array, Array]]) -> str:
-    """Return the combination of a group in words, from its directions at every set of values."""
-    count = directions[0][0].shape[1]
-    if count == 1:
-        return "does not change friction"
-    first, others = np.eye(count)[0], np.eye(count)[1:]
-    for place, both in enumerate((("a product", "a quotient"), ("a sum", "a difference"))):
-        bases = [_basis(direction[place]) for direction in directions]
-        for sign, kind in zip((-1.0, 1.0), both, strict=True):
-            steps = first + sign * others
-            if (sign < 0 or count == 2) and all(_inside(steps, basis) for basis in bases):
-                return f"enter only as {kind}"
-    return "enter only together"
-
-
-def _basis(directions: Array) -> Array:
-    """Return an orthonormal basis of the space of some directions (r, m)."""
-    _, singular, axes = np.linalg.svd(directions, full_matrices=False)
-    return np.asarray(axes[singular > EQUAL_SIZES * float(singular.max())])
-
-
-def _inside(steps: Array, basis: Array) -> bool:
-    left = steps - np.einsum("nm,rm,rj->nj", steps, basis, basis)
-    return bool(np.all(np.abs(left) < EQUAL_SIZES * np.abs(steps).max()))

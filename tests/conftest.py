@@ -67,11 +67,11 @@ def smoothing_kernels() -> None:
 @contextmanager
 def empty_pictures() -> Iterator[None]:
     """Leave the pictures of reports empty: to draw them costs several times the fit of two laws."""
-    from fitting.report import adequacy_plot, plot
+    from fitting.report import pictures
 
-    names = [picture.__name__ for picture in (*plot.PICTURES, plot.break_aways, adequacy_plot.orbits)]
+    names = [picture.__name__ for picture in (*pictures.PICTURES, pictures.break_aways)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plot, "draw", lambda ranking, counted: dict.fromkeys(names, "<svg></svg>"))
+        patch.setattr(pictures, "draw", lambda ranking: dict.fromkeys(names, "<svg></svg>"))
         yield
 
 
@@ -103,13 +103,14 @@ def no_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
 @contextmanager
 def no_other_law() -> Iterator[None]:
     """Fit no law beside those asked for, where a test is not about which law is found: that takes most of a rank."""
-    from fitting.competitors import ALL_LAWS, Competitors
+    from fitting.competitors import Competitors
+    from fitting.law import SIX
     from fitting.selection import law_fits
 
     fit = law_fits._fit_laws
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(law_fits, "_fit_laws", lambda laws, runs, among=None, **how: fit(laws, runs, laws, **how))
-        patch.setattr(Competitors, "searched", property(lambda asked: asked.laws or ALL_LAWS))
+        patch.setattr(Competitors, "searched", property(lambda asked: asked.six or tuple(SIX.values())))
         compete_alone(patch)
         yield
 

@@ -6,13 +6,13 @@ It has no raw data.  ``/entry/runs`` names the runs; ``fit-friction`` adds the s
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from daq.runfile import nexus, trust
+from daq.runfile.recording import Recording
 from stickslip.errors import InputError
 from stickslip.output import atomic, disk
 from stickslip.version import VERSION
@@ -21,24 +21,14 @@ SUFFIX = ".fit.h5"
 KEPT = "move it away, or --force to replace it"
 
 
-@dataclass(frozen=True)
-class FittedRun:
-    """One of the runs of a fit: its file, the sha256 of its raw data, its title, and when it began (ISO 8601)."""
-
-    file: Path
-    digest: str
-    title: str
-    started: str
-
-
 def name_output(files: Sequence[Path], suffix: str = SUFFIX) -> Path:
     """Return the name of an output of several runs, next to the first: ``run1+2.fit.h5`` for three runs."""
     return files[0].with_name(f"{files[0].stem}+{len(files) - 1}{suffix}")
 
 
-def refuse_foreign_file(path: Path, runs: Sequence[FittedRun], *, force: bool = False) -> None:
+def refuse_foreign_file(path: Path, runs: Sequence[Recording], *, force: bool = False) -> None:
     """Raise InputError for a file that exists, unless with ``force`` or if it is the fit of these runs in any order."""
-    atomic.refuse_existing(path, True, *(run.file for run in runs))
+    atomic.refuse_existing(path, True, *(run.source for run in runs))
     if not path.exists() or force:
         return
     try:
@@ -50,15 +40,15 @@ def refuse_foreign_file(path: Path, runs: Sequence[FittedRun], *, force: bool = 
         raise InputError("exists and is the joint fit of other runs", str(path), KEPT)
 
 
-def write(path: Path, runs: Sequence[FittedRun], writer: Callable[[h5py.Group], None], *, force: bool = False) -> None:
+def write(path: Path, runs: Sequence[Recording], writer: Callable[[h5py.Group], None], *, force: bool = False) -> None:
     """Write the fit of several runs in place of an older one; ``writer`` takes /entry and adds the group ``fit``."""
     refuse_foreign_file(path, runs, force=force)
     with atomic.replacing(path, force=True) as temporary, disk.open_hdf5(temporary, "w") as file:
         file.attrs.update({"NX_class": "NXroot", "default": "entry", "creator": f"stickslip {VERSION}"})
         file.attrs.update({"file_name": path.name, "NeXus_version": "2024.02"})
         entry = nexus.group(file, "entry", "NXentry", default="fit")
-        names = [Path(os.path.relpath(run.file, path.parent)).as_posix() for run in runs]
-        nexus.field(entry, "title", f"joint fit of {', '.join(run.file.name for run in runs)}")
+        names = [Path(os.path.relpath(run.source, path.parent)).as_posix() for run in runs]
+        nexus.field(entry, "title", f"joint fit of {', '.join(run.source.name for run in runs)}")
         nexus.field(entry, "start_time", min(run.started for run in runs))
         nexus.field(entry, "program_name", "fit-friction", version=VERSION)
         group = nexus.group(entry, "runs", "NXcollection", **{trust.JOINT: np.int64(trust.JOINT_SCHEMA)})

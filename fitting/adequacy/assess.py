@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,75 +23,64 @@ from fitting.departures.explain import Question, explain_misfit
 from fitting.departures.fluctuation import fluctuation_share
 from fitting.departures.refit import Refit
 from fitting.departures.result import FoundDeparture
-from fitting.estimation.fit import Fit
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
+from fitting.law import Law
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
 from stickslip.compute.arrays import Array
 
-# Share of the binned residuals' variance that repeats from slip to slip, from which a misfit is deterministic.
-# Friction that fluctuates at random leaves -0.03 to 0.02, contacts with memory 0.5 to 0.8.
-REPEATS = 0.2
-
-
-@dataclass(frozen=True, eq=False)
-class Assessment:
-    """The adequacy of all runs together, and of each, by the law of the first row."""
-
-    together: Adequacy
-    runs: tuple[Adequacy, ...]
-
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    fit: FittedLaw
+    fit: Fit
     linearised: LinearisedFit | None
     usual: LinearisedFit | None
     slips: tuple[RunSlips, ...]
     together: GoodnessOfFit
     each: tuple[GoodnessOfFit, ...]
 
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """The nearest of the six, the friction curve without a law, and the noise."""
-
-    fits: Sequence[Fit]  # of the six
-    judged: Judged  # the nearest of them
-    curve: MeasuredCurve | None  # per unit mass
-    noise: Array  # (runs,) standard deviation of one position of each run, m
+    @property
+    def noise(self) -> Array:
+        """Standard deviation of one position of each run, m, (runs,)."""
+        return np.array([own.noise_m for own in self.slips])
 
 
-def measure(fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float = 0.05) -> Measurement:
-    """Judge the nearest of the six, and measure the friction curve with a band of confidence 1 - alpha."""
+def measure(
+    fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float = 0.05
+) -> tuple[Judged, MeasuredCurve | None]:
+    """Judge the nearest of the six, and measure the friction curve, per unit mass, with a band of 1 - alpha."""
     judged = _judged(min(fits, key=lambda fit: fit.geometric_mean_rms), motions)
-    noise = np.array([own.noise_m for own in judged.slips])
-    return Measurement(fits, judged, measure_curve(_first(fits, judged.fit.law), noise, alpha), noise)
+    return judged, measure_curve(sorted(fits, key=lambda fit: fit.law != judged.fit.law), judged.noise, alpha)
 
 
 def assess(
-    measured: Measurement,
-    ranked: Sequence[FittedLaw],
+    ranked: Sequence[Fit],
     chosen: Judged,
+    curve: MeasuredCurve | None,
+    noise: Array,
+    nearest: Sequence[Fit],
     motions: Sequence[MeasuredMotion],
     laws: int,
     revolution: float | None = None,
     *,
     explain: bool = True,
-) -> Assessment:
+) -> list[Adequacy]:
     """Return whether the law of the first row describes the runs, and what else acts where it does not.
 
     ranked: All laws, in the order of the rows.
     chosen: The first of them.
+    curve: Friction without a law.
+    noise: (runs,) Standard deviation of one position of each run, m.
+    nearest: The fits to try departures with, best first.
     motions: Of each run.
     laws: How many of the six were asked for.
     revolution: Travel per revolution of the encoder, m; scanned where it is not known.
     explain: Whether to look for what else acts; else it is known why no law describes the runs.
-    Returns: Of a single run of several, goodness of fit and the smallest visible departure alone: curve and departures
-        are those of all together.
+    Returns: Of all runs together and, where there are several, of each: goodness of fit and the smallest visible
+        departure alone.
     """
-    curve, rejected = measured.curve, chosen.together.rejected
+    rejected = chosen.together.rejected
     curve_goodness = None
     if curve is not None and (rejected or curve.chi > noise_levels.CLEARLY_ABOVE):
         curve_goodness = _judge_curve(curve, motions)
@@ -104,14 +94,14 @@ def assess(
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FoundDeparture, ...] = ()
     if curve is not None and rejected and explain:
-        nearest = [fit for fit in ranked if isinstance(fit, Fit)] or list(measured.fits)
-        departures = _departures(nearest, curve, motions, measured.noise, revolution)
+        departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
-    if rejected and explain and not departures and chosen.together.repeat < REPEATS and chosen.linearised is not None:
-        path = chosen.fit.path()
+    if rejected and explain and not departures and chosen.linearised is not None:
+        path = chosen.fit.path
         if path is not None:
             base = Base.of(chosen.linearised, path, motions, revolution)
-            fluctuation = fluctuation_share(base, float(np.max(measured.noise)))
+            count_repeated = partial(_count_repeated, chosen.slips)
+            fluctuation = fluctuation_share(base, chosen.fit, count_repeated, float(np.max(noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -127,24 +117,26 @@ def assess(
             together,
             curve=_reported(curve, mass, trusted=of_speed),
             curve_goodness=curve_goodness,
-            outside_band={fit.law: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
+            outside_band={fit.law.key: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
             unit="N/kg" if mass is None else "N",
         )
     if len(motions) == 1:
-        return Assessment(together, (together,))
-    each = [
-        Adequacy(outcome if own.rejected else ADEQUATE if own.judged else None, own.noise_m, own, size)
-        for own, size in zip(chosen.each, visible, strict=True)
+        return [together]
+    return [
+        together,
+        *(
+            Adequacy(outcome if own.rejected else ADEQUATE if own.judged else None, own.noise_m, own, size)
+            for own, size in zip(chosen.each, visible, strict=True)
+        ),
     ]
-    return Assessment(together, tuple(each))
 
 
 def describing(
-    fits: Sequence[FittedLaw],
+    fits: Sequence[Fit],
     motions: Sequence[MeasuredMotion],
     noise: float,
-    known: Mapping[int | str, Judged] | None = None,
-) -> dict[int | str, Judged]:
+    known: Mapping[Law, Judged] | None = None,
+) -> dict[Law, Judged]:
     """Return the goodness of fit of the laws that may describe the runs, and of the nearest one.
 
     Those that err `noise_levels.LOST` times the ``noise`` (m) do not.
@@ -157,8 +149,11 @@ def describing(
     }
 
 
-def _first(fits: Sequence[Fit], law: int | str) -> list[Fit]:
-    return sorted(fits, key=lambda fit: fit.law != law)
+def _count_repeated(slips: Sequence[RunSlips], residuals: Array) -> Array:
+    """Return the share of residuals (N, B) that repeats from slip to slip, the mean over the runs' slips, (B,)."""
+    judged = [own for own in slips if own.judged]
+    repeated = [own.bins.statistics(residuals).repeat for own in judged]
+    return np.asarray(np.average(repeated, axis=0, weights=[own.bins.slips for own in judged]))
 
 
 def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
@@ -185,14 +180,14 @@ def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> Mea
     return curve if mass is None else in_newtons(curve, mass)
 
 
-def _judged(fit: FittedLaw, motions: Sequence[MeasuredMotion]) -> Judged:
-    linearised = LinearisedFit.at(fit.at)
+def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:
+    linearised = LinearisedFit.at(fit)
     if linearised is None:
         # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
         usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
         slips = judge(fit.residual, _unchanged, fit, motions, nowhere)
     else:
-        usual, slips = _judged_without_faults(linearised, fit.path, fit, fit.windows, motions)
+        usual, slips = _judged_without_faults(linearised, lambda: fit.path, fit, fit.windows, motions)
     return Judged(fit, linearised, usual, slips, *goodness_of_fit(slips))
 
 
@@ -203,7 +198,7 @@ def _unchanged(residuals: Array) -> Array:
 def _judged_without_faults(
     linear: LinearisedFit,
     path: Callable[[], Path | None],
-    fit: FittedLaw,
+    fit: Fit,
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
 ) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:
@@ -216,9 +211,8 @@ def _judged_without_faults(
 
 
 def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
-    spline = curve.spline_fit
-    path = spline.path
-    _, slips = _judged_without_faults(curve.linear, lambda: path, spline.fit, path.windows, motions)
+    fit = curve.spline_fit
+    _, slips = _judged_without_faults(curve.linear, lambda: fit.path, fit, fit.windows, motions)
     return goodness_of_fit(slips)[0]
 
 

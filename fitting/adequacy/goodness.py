@@ -19,7 +19,7 @@ from fitting.adequacy.noise import PositionNoise, estimate_noise
 from fitting.adequacy.statistics import CycleSquares, SlipBins, SlipStatistics, cycle_squares
 from fitting.data.frame import MeasuredMotion
 from fitting.distributions import gamma_tail, gamma_upper_quantile
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.model.windows import SPOILT, ShootingWindows
 from stickslip.compute.arrays import Array, Mask
 
@@ -95,7 +95,7 @@ class RunSlips:
 def judge(
     residual: Array,
     refit: Callable[[Array], Array],
-    fit: FittedLaw,
+    fit: Fit,
     motions: Sequence[MeasuredMotion],
     left_out: Mask,
     windows: ShootingWindows | None = None,

@@ -1,11 +1,11 @@
 """The assessment of a record: whether a law describes it, and what else is known if none does."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from fitting.adequacy.goodness import GoodnessOfFit
-from fitting.curve.result import BandExit, FormFit, MeasuredCurve
+from fitting.curve.result import BandExit, MeasuredCurve
 from fitting.departures.result import FoundDeparture
 
 ADEQUATE = "adequate"
@@ -33,8 +33,6 @@ class Adequacy:
     outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)
     unit: str = "N/kg"  # of the curve's friction
     departures: tuple[FoundDeparture, ...] = ()  # those with which a law describes the record, strongest first
-    # The published laws as fitted to the record, nearest first.
-    forms: tuple[FormFit, ...] = field(default=(), repr=False)
     # standard deviation of random friction within slips, over Fs, where that is what no law describes
     fluctuation: float | None = None
 
@@ -67,12 +65,12 @@ class Adequacy:
             "p_value": found and found.p_value,
             "smallest_visible": self.smallest_visible,
             "departures": [departure.as_json() for departure in self.departures],
-            "curve": None if self.curve is None else curve_as_json(self.curve, self.unit, self.forms),
+            "curve": None if self.curve is None else curve_as_json(self.curve, self.unit),
         }
 
 
-def curve_as_json(curve: MeasuredCurve, unit: str, forms: Sequence[FormFit]) -> dict[str, Any]:
-    """Return the document's form of a measured curve, with the published laws."""
+def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
+    """Return the document's form of a measured curve."""
     k_over_m = curve.k_over_m.as_json()
     del k_over_m["unit"]
     return {
@@ -83,15 +81,4 @@ def curve_as_json(curve: MeasuredCurve, unit: str, forms: Sequence[FormFit]) -> 
         "unit": unit,
         "k_over_m": k_over_m,
         "chi": curve.chi,
-        "forms": [
-            {
-                "name": form.name,
-                "formula": form.formula,
-                "source": form.source,
-                "parameters": {name: item and item.as_json() for name, item in form.parameters.items()},
-                "chi": form.chi,
-                "inside_band": form.inside_band,
-            }
-            for form in forms
-        ],
     }

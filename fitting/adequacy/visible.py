@@ -15,7 +15,7 @@ import numpy as np
 
 from fitting.adequacy.goodness import REJECTED, RunSlips, least
 from fitting.adequacy.statistics import cycle_squares
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.tangents import tangents
@@ -29,7 +29,7 @@ COUNTED_EVERY = 2
 BISECTIONS = 12  # bisections: to 0.4 %
 
 
-def smallest_visible(fit: FittedLaw, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
+def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
     """Return for each run the wave amplitude that half of its repetitions detect, % of Fs; median over the waves.
 
     None where no slip is judged, the motion cannot be followed, or even an amplitude of Fs would not be detected.
@@ -48,9 +48,9 @@ def _percent(sizes: Sequence[float]) -> float | None:
     return typical if math.isfinite(typical) else None
 
 
-def departure_waves(fit: FittedLaw) -> Array | None:
+def departure_waves(fit: Fit) -> Array | None:
     """Return the response of the positions to waves as large as the friction, shape (N, waves), m."""
-    path = fit.path()
+    path = fit.path
     if path is None or not path.slips.any():
         return None
     F = np.exp(fit.u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])

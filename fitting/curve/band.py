@@ -8,7 +8,8 @@ each speed: with few cycles the sandwich comes out too small, with residuals tha
 
 import numpy as np
 
-from fitting.curve.spline_fit import SplineFit
+from fitting.driver.fit import Fit
+from fitting.driver.task import free_curve
 from fitting.estimation.linearised import LinearisedFit
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
@@ -29,16 +30,16 @@ def covariances(linear: LinearisedFit) -> tuple[Array, Array]:
     return noise, np.einsum("ik,kl,lj->ij", noise, meat, noise, optimize=False)
 
 
-def seen_speeds(fit: SplineFit) -> Array:
+def seen_speeds(fit: Fit) -> Array:
     """Return the slip speeds beyond the ramp (k,), m/s, of the band."""
     fastest = fit.spline.knots[-1]
     return np.linspace(SEEN_FROM * fastest, SEEN_TO * fastest, SPEEDS)
 
 
-def curve_columns(fit: SplineFit, s: Array) -> Array:
+def curve_columns(fit: Fit, s: Array) -> Array:
     """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns and the ramp's half-width."""
-    found = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), fit.basis.slopes))
-    if Global.D in fit.places and fit.path.curve.ramp:
+    found = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), free_curve(fit.task).basis.slopes))
+    if Global.D in fit.places and fit.problem.ramp:
         h = 1e-4 * fit.spline.knots[-1]
         found[:, fit.places.index(Global.D)] = -(fit.spline(s + h) - fit.spline(s - h)) / (2 * h)
     return found

@@ -1,5 +1,6 @@
 """`measure_curve`: friction against relative speed, without a law, from the fits of the laws to a record."""
 
+import math
 import time as clock
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,12 +10,11 @@ import numpy as np
 from fitting import noise_levels
 from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
 from fitting.curve.result import BandExit, MeasuredCurve
-from fitting.curve.spline_fit import SplineFit, fit_spline
+from fitting.curve.spline_fit import chi, fit_spline, linearised
 from fitting.distributions import normal_quantile, student_quantile
-from fitting.estimation.fit import Fit
+from fitting.driver.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import Global
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 
 # Error over that of the nearest jump law: a ramp law contains its jump law and is always a little nearer, by 1 % at
@@ -33,22 +33,23 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
     """
     begun = clock.process_time()
     ordered, prefers_ramp = _contacts(fits, noise)
-    best: SplineFit | None = None
+    best: tuple[Fit, float] | None = None
     for fit in ordered:
         found = fit_spline(fit, noise)
-        if found is not None and (best is None or found.chi < best.chi):
-            best = found
+        left = math.inf if found is None else chi(found, noise)
+        if found is not None and (best is None or left < best[1]):
+            best = found, left
         if best is not None and (
-            best.chi < noise_levels.DESCRIBES or not (prefers_ramp or best.solution.outcome == "no progress")
+            best[1] < noise_levels.DESCRIBES or not (prefers_ramp or best[0].outcome == "no progress")
         ):
             break
-    return None if best is None else _measured(best, alpha, begun)
+    return None if best is None else _measured(*best, noise, alpha, begun)
 
 
 def _contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
     """Return the best fit of each contact, first that to try first, and whether the laws prefer a ramp."""
     by_error = sorted(fits, key=lambda fit: fit.geometric_mean_rms)
-    nearest = [next((fit for fit in by_error if LAWS[fit.law].ramp == ramp), None) for ramp in (0, 1)]
+    nearest = [next((fit for fit in by_error if fit.law.ramp == ramp), None) for ramp in (False, True)]
     jump, ramp = nearest
     if jump is None or ramp is None:
         return [fit for fit in nearest if fit is not None], False
@@ -57,16 +58,16 @@ def _contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
     return [ramp, jump] if prefers_ramp and near else [jump, ramp], prefers_ramp
 
 
-def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
-    linear = fit.linearised()
+def _measured(fit: Fit, left: float, noise: Array, alpha: float, begun: float) -> MeasuredCurve:
+    linear = linearised(fit)
     both = covariances(linear)
     speeds = seen_speeds(fit)
-    cycles = len(fit.task.rows)
+    cycles = len(fit.rows)
     quantile = student_quantile(1 - alpha / 2, max(cycles - 1, 1))
     columns, widening = curve_columns(fit, speeds), quantile / normal_quantile(1 - alpha / 2)
     half = half_widths(columns, both, 1 - alpha, widening)
     friction = fit.spline(speeds)
-    ramp = float(fit.u[Global.D]) if fit.path.curve.ramp else 0.0
+    ramp = float(fit.u[Global.D]) if fit.problem.ramp else 0.0
     K, error = float(fit.u[Global.K]), float(np.sqrt(max(covariance[0, 0] for covariance in both)))
     return MeasuredCurve(
         speed=speeds + ramp,
@@ -75,10 +76,11 @@ def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
         hi=friction + half,
         shape_half=half_widths(columns - columns.mean(axis=0), both, 1 - alpha, widening),
         k_over_m=Parameter(K, error, K - quantile * error, K + quantile * error, "s^-2"),
-        chi=fit.chi,
+        chi=left,
         ramp=ramp,
         spline_fit=fit,
         linear=linear,
+        noise=noise,
         confidence=1 - alpha,
         cpu_s=clock.process_time() - begun,
     )

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fitting.curve.spline_fit import SplineFit
+from fitting.curve.result import MeasuredCurve
+from fitting.driver.fit import Fit
 from fitting.driver.start_search import Target
-from fitting.driver.task import KNOT_POWER
-from fitting.estimation.linearised import LinearisedFit
+from fitting.driver.task import KNOT_POWER, free_curve
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
 from stickslip.compute.arrays import Array
@@ -36,30 +36,31 @@ class MeasuredTarget(NamedTuple):
         return self.alone.off_by_a_constant(self.level_sd)
 
 
-def friction_target(fit: SplineFit) -> MeasuredTarget:
+def friction_target(fit: Fit) -> MeasuredTarget:
     """Return the measured curve as a target with equal weight on `GRID_SPEEDS`, for curves far from it."""
     speeds = _speeds(fit)
     friction = fit.spline(speeds)
     return MeasuredTarget(Target.of(speeds, friction, float(np.median(friction))), _level_sd(fit))
 
 
-def measured_target(fit: SplineFit, linear: LinearisedFit) -> MeasuredTarget:
+def measured_target(curve: MeasuredCurve) -> MeasuredTarget:
     """Return the measured curve as a target, in the metric of the record.
 
     Where the residuals exceed the noise, the metric uses them. The lowest coefficients are fitted again with each
     formula, since their effect is not linear.
     """
-    total = linear.reduced.H
-    places, n = len(fit.places), fit.basis.precision.size
+    fit, linear = curve.spline_fit, curve.linear
+    basis, total = free_curve(fit.task).basis, linear.reduced.H
+    places, n = len(fit.places), basis.precision.size
     turn = np.eye(places + n)
-    turn[places:] = fit.basis.inverse_slopes  # from coordinates to coefficients
+    turn[places:] = basis.inverse_slopes  # from coordinates to coefficients
     prior = np.zeros((places + n, places + n))
-    prior[places:, places:] = np.diag(fit.basis.precision)
+    prior[places:, places:] = np.diag(basis.precision)
     total, prior, data = (np.einsum("ki,kl,lj->ij", turn, one, turn) for one in (total, prior, total - prior))
     gradient = linear.gradients.sum(axis=0)
     gradient[:places] += linear.prior_gradient[:places]
     gradient = np.einsum("ki,k->i", turn, gradient)
-    if fit.rest is not None:  # taken as known here: how far it may be off is `MeasuredTarget.level_sd`
+    if fit.held_rest is not None:  # taken as known here: how far it may be off is `MeasuredTarget.level_sd`
         known = fit.places.index(Global.DATUM)
         data[known], data[:, known], prior[known, known], gradient[known] = 0.0, 0.0, 1.0, 0.0
     first = places + LOW_COEFFICIENTS
@@ -78,19 +79,19 @@ def measured_target(fit: SplineFit, linear: LinearisedFit) -> MeasuredTarget:
     pull = gradient[first:] - np.einsum("ki,k->i", follow, gradient[:first])
     aim = np.einsum("ki,i->k", root, fit.spline.coefficients)
     aim -= np.einsum("ik,i->k", axes[:, shown], pull) / deviation
-    excess = max(fit.chi, 1.0)
+    excess = max(curve.chi, 1.0)
     speeds = _speeds(fit)
     root = np.einsum("mn,nk->mk", root, fit.spline.projection(speeds))
     friction = float(np.median(fit.spline.coefficients))
     return MeasuredTarget(Target(speeds, root / excess, aim / excess, friction), _level_sd(fit))
 
 
-def _speeds(fit: SplineFit) -> Array:
+def _speeds(fit: Fit) -> Array:
     return np.asarray(float(fit.spline.knots[-1]) * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER)
 
 
-def _level_sd(fit: SplineFit) -> float:
-    return 0.0 if fit.rest is None else fit.fit.values.K * fit.rest.sd
+def _level_sd(fit: Fit) -> float:
+    return 0.0 if fit.held_rest is None else fit.values.K * fit.held_rest.sd
 
 
 def followed(curvature: Array, cross: Array) -> Array:

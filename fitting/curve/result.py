@@ -4,26 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fitting.curve.spline_fit import SplineFit
+from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import STATED_ERROR, Parameter
 from stickslip.compute.arrays import Array
-
-
-@dataclass(frozen=True, eq=False)
-class FormFit:
-    """A published law as it was fitted to the record.
-
-    ``parameters`` are None where it was not fitted; ``chi`` is the rms residual over the noise of a position, and
-    ``inside_band`` is whether its curve stays inside the band of the measured one.
-    """
-
-    name: str
-    formula: str
-    source: str
-    parameters: dict[str, Parameter | None]
-    chi: float | None
-    inside_band: bool
 
 
 @dataclass(frozen=True)
@@ -53,16 +37,17 @@ class MeasuredCurve:
     # weighted rms residual over the noise: well above 1, friction is no function of relative speed on a constant spring
     chi: float
     ramp: float  # Half-width of the ramp that slip begins beyond, m/s; 0 for a jump
-    spline_fit: SplineFit = field(repr=False)
+    spline_fit: Fit = field(repr=False)
     # about the solution; the coordinates of the curve's coefficients are the last unknowns
     linear: LinearisedFit = field(repr=False)
+    noise: Array = field(repr=False)  # (runs,) standard deviation of a position, m
     confidence: float
     cpu_s: float
 
     @property
     def level_assumed(self) -> bool:
         """Whether the record constrains only differences of friction (`fitting.curve.level`)."""
-        return self.spline_fit.rest is not None
+        return self.spline_fit.held_rest is not None
 
     @property
     def level_known(self) -> bool:

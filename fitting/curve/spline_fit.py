@@ -5,108 +5,49 @@ each cycle's own six.  The search starts where a law ended and at the regression
 """
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
-from fitting.curve.level import assumed_rest, law_scatters, levels_scatter, moved_to, rest_prior, unseen
-from fitting.driver.coordinates import CurveCoordinates
-from fitting.driver.curves import FreeCurve
+from fitting.curve.level import assumed_rest, law_scatters, moved_to, rest_prior, unseen
 from fitting.driver.driver import best_end
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.passes import finish, regressed_start
-from fitting.driver.task import FitStart, Task, curve_knots, free_curve_task, regressed_curve
-from fitting.estimation.fit import Fit
+from fitting.driver.task import FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
 from fitting.estimation.linearised import LinearisedFit
-from fitting.least_squares.levenberg_marquardt import Solution
-from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import EstimationProblem
-from fitting.sensitivity.path import Path
 from fitting.sensitivity.spline import FrictionSpline
-from rig_sim.friction.law import LAWS
-from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
 
-@dataclass(frozen=True, eq=False)
-class SplineFit:
-    fit: Fit  # the law's, whose windows, calibrations and contact it has
-    at: TaskFit  # where the driver ended
-    path: Path  # along every sample, with the curve
-    noise: Array  # (runs,) standard deviation of one position, m
-    rest: Measured | None  # of the first run's spring, where no datum was fitted (`fitting.curve.level`)
+def linearised(fit: Fit) -> LinearisedFit:
+    """Return the problem made linear at the solution; the curve's coordinates are the last unknowns.
 
-    @property
-    def places(self) -> tuple[int, ...]:
-        """The shared unknowns, without the curve's (`fitting.model.parameters`)."""
-        return self.at.task.places
-
-    @property
-    def basis(self) -> CurveCoordinates:
-        """The coordinates of the curve's coefficients."""
-        curve = self.at.task.curve
-        if not isinstance(curve, FreeCurve):
-            raise TypeError("a spline fit has a free curve")
-        return curve.basis
-
-    @property
-    def task(self) -> LeastSquaresProblem:
-        """The problem of the last pass: unknowns are ``places``, then the curve's coordinates."""
-        return self.at.problem
-
-    @property
-    def solution(self) -> Solution:
-        return self.at.solution
-
-    @property
-    def spline(self) -> FrictionSpline:
-        spline = self.path.curve.spline
-        if spline is None:
-            raise RuntimeError("a spline fit follows a spline")
-        return spline
-
-    @property
-    def u(self) -> Array:
-        return self.path.u
-
-    @cached_property
-    def chi(self) -> float:
-        """Weighted rms residual over the noise."""
-        task = self.task
-        w = np.repeat(task.weights, [rows.stop - rows.start for rows in task.rows])
-        own = self.noise[self.at.windows.run][task.owner]
-        return math.sqrt(float(np.sum(w * self.at.residual**2) / np.sum(w * own**2)))
-
-    @property
-    def inlier(self) -> Mask:
-        """Inlier cycles (cycles,)."""
-        return self.at.noise.inliers
-
-    def scatters(self, noise: Array) -> bool:
-        """Return `fitting.curve.level.levels_scatter` by the friction at the belt's speed; ``noise`` is (runs,)."""
-        friction = float(self.spline(self.u[[Global.V_DR]])[0])
-        return levels_scatter(self.solution, self.inlier, friction / float(self.u[Global.K]), noise)
-
-    def linearised(self) -> LinearisedFit:
-        """Return the problem made linear at the solution; the curve's coordinates are the last unknowns.
-
-        An assumed rest position stays as uncertain as assumed.
-        """
-        linear = LinearisedFit.at(self.at)
-        if linear is None:
-            raise RuntimeError("a spline fit has a path")
-        if self.rest is None:
-            return linear
-        place, beside = self.places.index(Global.DATUM), unseen(self.places, self.path)
-        shared, precision = linear.shared.copy(), linear.prior_precision.copy()
-        shared[:, place] = -np.einsum("ij,j->i", shared[:, : beside.size], beside)
-        precision[place, place] = 1 / self.rest.sd**2
-        return replace(linear, shared=shared, prior_precision=precision)
+    An assumed rest position stays as uncertain as assumed.
+    """
+    linear, path, rest = LinearisedFit.at(fit), fit.path, fit.held_rest
+    if linear is None or path is None:
+        raise RuntimeError("a fitted curve has a path")
+    if rest is None:
+        return linear
+    place, beside = fit.places.index(Global.DATUM), unseen(fit.places, path)
+    shared, precision = linear.shared.copy(), linear.prior_precision.copy()
+    shared[:, place] = -np.einsum("ij,j->i", shared[:, : beside.size], beside)
+    precision[place, place] = 1 / rest.sd**2
+    return replace(linear, shared=shared, prior_precision=precision)
 
 
-def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
+def chi(fit: Fit, noise: Array) -> float:
+    """Return the weighted rms residual over the noise (runs,), m."""
+    task = fit.least_squares
+    w = np.repeat(task.weights, [rows.stop - rows.start for rows in task.rows])
+    own = noise[fit.windows.run][task.owner]
+    return math.sqrt(float(np.sum(w * fit.residual**2) / np.sum(w * own**2)))
+
+
+def fit_spline(fit: Fit, noise: Array) -> Fit | None:
     """Fit a spline on the contact (jump or ramp) of its best law; None where its motion cannot be followed."""
     rest = assumed_rest(fit)
     if rest is None:
@@ -114,23 +55,21 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     # the residuals of a wrong law can make its levels scatter: the curve decides
     scatter = law_scatters(fit, noise)
     found = _fit_spline(fit, noise, None if scatter else rest)
-    if found is None or found.scatters(noise) == scatter:
+    if found is None or law_scatters(found, noise) == scatter:
         return found
     return _fit_spline(fit, noise, rest if scatter else None)
 
 
-def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | None:
+def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> Fit | None:
     """Fit a spline with an assumed rest position, or with a free one."""
     beside = _beside_law(fit, rest)
     if beside is None:
         return None
     task, law_end = beside
-    starts = [(law_end, fit.at.noise.without_fade), *((start, None) for start in _regressed(task))]
+    starts = [(law_end, fit.noise.without_fade), *((start, None) for start in _regressed(task))]
     settled = best_end(task, starts, noise)
     found = None if settled is None else finish(settled, noise) or settled
-    if found is None or found.path is None:
-        return None
-    return SplineFit(fit, found, found.path, noise, rest)
+    return None if found is None or found.path is None else found
 
 
 def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None:
@@ -138,14 +77,14 @@ def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None
 
     None where the law's ramp is as wide as the slips are fast.
     """
-    ramp = bool(LAWS[fit.law].ramp)
+    ramp = fit.law.ramp
     problem, local = _problem(fit, rest), fit.local.copy()
     knots = curve_knots(problem.runs, float(fit.u[Global.D]) if ramp else 0.0)
     if knots[-1] <= 0:
         return None
     spline = FrictionSpline.over(knots)
     s = np.linspace(0.0, knots[-1], 20 * knots.size)
-    friction = fit.at.task.friction(fit.at.q, s)
+    friction = fit.task.friction(fit.q, s)
     u, coefficients = fit.u, np.einsum("ik,k->i", spline.projection(s), friction)
     if rest is not None:
         u, coefficients = moved_to(u, coefficients, rest, ramp=ramp)
@@ -157,9 +96,7 @@ def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None
 
 def _regressed(task: Task) -> list[FitStart]:
     """Return the start from the smoothed slips; none where their regression is absurd."""
-    problem, curve = task.problem, task.curve
-    if not isinstance(curve, FreeCurve):
-        raise TypeError("not the task of a free curve")
+    problem, curve = task.problem, free_curve(task)
     d = float(problem.start[Global.D]) if curve.ramp else 0.0
     found = regressed_curve(problem.runs, problem.start, curve.spline.knots, d)
     if found is None:
@@ -172,7 +109,7 @@ def _regressed(task: Task) -> list[FitStart]:
 
 def _started_below(fit: Fit, local: Array) -> Array:
     """Return the cycles' own unknowns; a start beyond the belt's speed is replaced by the smoothed motion's."""
-    if LAWS[fit.law].ramp:
+    if fit.law.ramp:
         return local
     smoothed = fit.windows.starting_values(fit.problem.motions)
     beyond = local[:, PerCycle.V_SLIP] > fit.windows.fastest_starts(fit.u)[:, PerCycle.V_SLIP]

@@ -15,7 +15,7 @@ from fitting.departures.refit import Refit, refit_with
 from fitting.departures.result import FoundDeparture
 from fitting.departures.scores import sigmas
 from fitting.departures.strongest import LEAST_SIGMAS, Tested, describe, misfit_beyond_noise, strongest
-from fitting.estimation.fit import Fit
+from fitting.driver.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
 from stickslip.compute.arrays import Array
@@ -63,7 +63,8 @@ def explain_misfit(asked: Question, curve: MeasuredCurve, describes: Judge) -> t
     """
     near = curve.chi < noise_levels.DESCRIBES
     bases = [] if asked.first is None else [asked.first]
-    bases += [] if near else [Base.of(curve.linear, curve.spline_fit.path, asked.records, asked.revolution)]
+    path = curve.spline_fit.path
+    bases += [] if near or path is None else [Base.of(curve.linear, path, asked.records, asked.revolution)]
     lists = [(base, strongest(base)) for base in bases]
     lists = sorted((one for one in lists if one[1]), key=lambda one: -_explained(one[0], one[1], asked))
     tried: list[Tested] = []
@@ -102,21 +103,21 @@ def _described(refit: Refit, asked: Question) -> FoundDeparture:
     excess = refit.score.gain + misfit_beyond_noise(refit.linear, asked.noise)
     sure = sigmas(refit.score.log_p, len(departures()))
     found = describe(Tested(refit.departure, refit.scale, refit.score, sure), asked.records[0], excess)
-    return replace(found, refitted=True, law=refit.law)
+    return replace(found, refitted=True, law=None if refit.law is None else refit.law.number)
 
 
 def confirm(at: tuple[Departure, float, Array], asked: Question, *, hurried: bool = False) -> Refit | None:
     """Fit a departure (with scale and coefficients as tested) with the best laws; None where none reaches the noise."""
-    curves: set[int] = set()
+    curves: set[str] = set()
     best: Refit | None = None
     for fit in asked.fits:
-        if fit.problem.curve in curves:
+        if fit.law.formula in curves:
             continue
         if len(curves) == MOST_LAWS:
             break
-        curves.add(fit.problem.curve)
+        curves.add(fit.law.formula)
         quick = hurried or _reached(best, asked.noise) is not None
-        refit = refit_with(fit.at, fit.law, *at, asked.noises, hurried=quick)
+        refit = refit_with(fit, fit.law, *at, asked.noises, hurried=quick)
         if refit is not None and (best is None or refit.usual_rms < best.usual_rms):
             best = refit
     return _reached(best, asked.noise)
@@ -129,8 +130,8 @@ def _reached(refit: Refit | None, noise: float) -> Refit | None:
 
 def base_of(fit: Fit, records: Sequence[MeasuredMotion], revolution: float | None = None) -> Base | None:
     """Linearise the fit of a law; None where the motion near its solution cannot be followed."""
-    linear = LinearisedFit.at(fit.at)
-    path = fit.path()
+    linear = LinearisedFit.at(fit)
+    path = fit.path
     if linear is None or path is None or not math.isfinite(linear.cost):
         return None
     return Base.of(linear, path, records, revolution)

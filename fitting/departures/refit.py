@@ -11,13 +11,14 @@ import numpy as np
 from fitting.departures.base import usual_rms
 from fitting.departures.scores import Score, log_probability, score
 from fitting.driver.driver import best_end
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.noise import PassNoise
 from fitting.driver.passes import finish, regressed_start
 from fitting.driver.task import FitStart, Task
 from fitting.estimation.linearised import LinearisedFit
 from fitting.forces.departure import Departure
 from fitting.forces.force import Force
+from fitting.law import Law
 from fitting.sensitivity.path import Path
 from stickslip.compute.arrays import Array
 
@@ -30,7 +31,7 @@ GIVEN_UP_ABOVE_NOISE = 2.0
 class Refit:
     """A fit with one departure."""
 
-    law: int | None  # none for the free curve
+    law: Law | None  # none for the free curve
     departure: Departure
     score: Score  # coefficients of the departure, with errors at the solution; the gain is that over the fit without it
     scale: float  # NaN for a departure without one
@@ -49,8 +50,8 @@ class Refit:
 
 
 def refit_with(
-    host: TaskFit,
-    law: int | None,
+    host: Fit,
+    law: Law | None,
     departure: Departure,
     scale: float,
     size: Array,
@@ -75,7 +76,7 @@ def refit_with(
     return _judged(fit, host, law, noise)
 
 
-def _starts(task: Task, host: TaskFit, size: Array, law: int | None) -> list[tuple[FitStart, PassNoise | None]]:
+def _starts(task: Task, host: Fit, size: Array, law: Law | None) -> list[tuple[FitStart, PassNoise | None]]:
     """Return the starts of the search, likeliest first."""
     (force,) = task.forces
     more = np.concatenate([size, np.zeros(force.width - size.size)])
@@ -92,7 +93,7 @@ def _starts(task: Task, host: TaskFit, size: Array, law: int | None) -> list[tup
     return [(regressed._replace(q=begin), None), (tested, None)]
 
 
-def _judged(fit: TaskFit, host: TaskFit, law: int | None, noise: Array) -> Refit | None:
+def _judged(fit: Fit, host: Fit, law: Law | None, noise: Array) -> Refit | None:
     """Return a fit with the errors of its departure; None where the law adjusts it, or a drag is negative."""
     (force,) = fit.task.forces
     linear, path = LinearisedFit.at(fit), fit.path

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.model.parameters import PerCycle
 from stickslip.compute.arrays import Array
 
 
-def mass(motion: MeasuredMotion, fit: FittedLaw) -> float:
+def mass(motion: MeasuredMotion, fit: Fit) -> float:
     """Return the mass that converts accelerations to newtons, kg; 1 where neither mass nor stiffness is known."""
     if motion.mass is not None:
         return motion.mass.value
@@ -46,12 +46,12 @@ def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
     return np.unique(np.concatenate(list(widest.values())))
 
 
-def curve(fit: FittedLaw, motion: MeasuredMotion, w: Array) -> Array:
+def curve(fit: Fit, motion: MeasuredMotion, w: Array) -> Array:
     """Return a law's friction at relative velocities w (n,), m/s in the record's sign; in `unit`."""
     return fit.force(w, mass(motion, fit))
 
 
-def points(fit: FittedLaw, motion: MeasuredMotion) -> tuple[Array, Array, NDArray[np.bool_]]:
+def points(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return relative velocity (m/s), friction (in `unit`) and whether it is a stick, of slip and stick samples.
 
     Samples within half a smoothing window of a landing are left out: smoothing rounds the corner there.

@@ -1,4 +1,4 @@
-"""The picture of a ranking: friction against relative speed as measured without a law, and the curves of the laws."""
+"""Friction against relative speed: as measured without a law, and the curves of the laws."""
 
 import textwrap
 from collections.abc import Sequence
@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.drawing import curves
-from fitting.drawing.palette import INK, MEASURED, law_colours
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.drawing.palette import INK, MEASURED, law_styles
+from fitting.driver.fit import Fit
+from stickslip.compute.arrays import Array
 from stickslip.output.plot import STYLE, figure
 
 if TYPE_CHECKING:
@@ -21,58 +22,89 @@ if TYPE_CHECKING:
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 COLUMNS = 140  # of a line of the title
 MOST_POINTS = 12_000
+USUAL = 99.5  # percentile of the force balance up to which it is drawn
 
-
-Shown = Sequence[tuple[FittedLaw, str]]  # laws, best first, each with what it is called
+Shown = Sequence[tuple[Fit, str, dict[str, Any]]]  # laws, best first, each with its name and line style
 
 
 def friction(
-    laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, title: str, axes: "Axes | None" = None
+    laws: Sequence[tuple[Fit, str]],
+    motion: MeasuredMotion,
+    measured: MeasuredCurve | None,
+    title: str,
+    axes: "Axes | None" = None,
 ) -> Figure:
-    """Return friction against relative speed (m/s), all speeds (in ``axes``) and the low ones; laws best first.
-
-    Where ``measured`` (with its band, in `curves.unit`) is None, the force balance of the first law is drawn as points.
-    """
-    top = float(measured.speed[-1]) if measured is not None else float(np.abs(curves.speeds(motion)).max())
+    """Return friction against relative speed (m/s), all speeds (in ``axes``) and the low ones; laws best first."""
+    styles = law_styles(fit.law.key for fit, _ in laws)
+    shown = [(fit, name, styles[fit.law.key]) for fit, name in laws]
     with mpl.rc_context(fname=STYLE):
         if axes is not None:
-            _draw(axes, laws, motion, measured, top)
-            axes.set_ylabel(f"friction ({curves.unit(motion)})")
+            draw(axes, shown, motion, measured)
             axes.legend()
             return axes.figure.figure
         drawn = figure(11.5, 4.6)
-        whole, low = drawn.subplots(1, 2)
-        _draw(whole, laws, motion, measured, top)
-        _draw(low, laws, motion, measured, ZOOM * top)
-        whole.set(title="all speeds", ylabel=f"friction ({curves.unit(motion)})")
-        low.set(title="low speeds")
-        whole.legend()
+        draw_both(drawn.subplots(1, 2), shown, motion, measured)
+        drawn.axes[0].legend()
         drawn.suptitle(textwrap.fill(title, COLUMNS), parse_math=False, x=0.01, ha="left", fontsize=10.5)
     return drawn
 
 
-def _draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, reach: float) -> None:
-    """Draw the laws and the measurement up to a relative speed, m/s."""
-    _curves(axes, laws, motion, 1.02 * reach)
+def draw_both(axes: "Sequence[Axes]", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None) -> None:
+    """Draw all speeds beside the low ones."""
+    whole, low = axes
+    draw(whole, laws, motion, measured)
+    draw(low, laws, motion, measured, ZOOM)
+    whole.set_title("all speeds")
+    low.set(title="low speeds", ylabel="")
+
+
+def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, part: float = 1.0) -> None:
+    """Draw the laws, the first one heaviest, and the measurement up to a ``part`` of the largest relative speed.
+
+    Where ``measured`` (with its band, in `curves.unit`) is None, the force balance of the first law is drawn as points.
+    Where its level is not determined, the band is that of the shape, and the laws have its level.
+    """
+    top = float(measured.speed[-1]) if measured is not None else float(np.abs(curves.speeds(motion)).max())
+    reach = 1.02 * part * top
+    speed = reach * np.linspace(0, 1, 401)[1:] ** 2  # from just above 0, where a jump has no value
     if measured is None:
-        w, force, _ = curves.points(laws[0][0], motion)
-        thin = slice(None, None, max(1, w.size // MOST_POINTS))
-        shown: dict[str, Any] = {"color": MEASURED, "ms": 2.5, "alpha": 0.4, "zorder": 1, "rasterized": True}
-        axes.plot(-motion.sign * w[thin], motion.sign * force[thin], ".", label="measured", **shown)
+        ends = _draw_balance(axes, laws[0][0], motion)
     else:
-        band = f"{100 * measured.confidence:g} % band"
-        speed = measured.speed
-        axes.fill_between(speed, measured.lo, measured.hi, color=INK, alpha=0.2, lw=0, zorder=1, label=band)
-        axes.plot(speed, measured.friction, color=INK, lw=2.2, zorder=1, label="measured, without a law")
-    axes.set(xlim=(0, 1.02 * reach), xlabel="relative speed (m/s)")
-    axes.set_ylim(0, 1.06 * axes.dataLim.y1)
+        ends = _draw_band(axes, measured, reach)
+    for place, (fit, name, style) in enumerate(laws):
+        force = _force(fit, motion, speed)
+        if measured is not None and not measured.level_known:
+            force += float(np.mean(measured.friction - _force(fit, motion, measured.speed)))
+        axes.plot(speed, force, lw=1.4 if place else 2.8, zorder=3, label=name, **style)
+        ends = ends if place else [*ends, force.min(), force.max()]
+    low, high = min(ends), max(ends)
+    room = 0.15 * (high - low)
+    axes.set_ylim(low - room if low < 0 or (measured and not measured.level_known) else 0.0, high + room)
+    axes.set(xlim=(0, reach), xlabel="relative speed (m/s)", ylabel=f"friction ({curves.unit(motion)})")
 
 
-def _curves(axes: "Axes", laws: Shown, motion: MeasuredMotion, reach: float) -> None:
-    """Draw each law from just above 0, where a jump has no value, to a relative speed, m/s."""
-    speed = reach * np.linspace(0, 1, 401)[1:] ** 2  # densest near 0, where a ramp bends
-    colours = law_colours(fit.law for fit, _ in laws)
-    for place, (fit, name) in enumerate(laws):
-        force = motion.sign * curves.curve(fit, motion, -motion.sign * speed)
-        style = (0, (5, 3)) if place else "-"
-        axes.plot(speed, force, color=colours[fit.law], lw=1.6, ls=style, zorder=3, label=name)
+def _force(fit: Fit, motion: MeasuredMotion, speed: Array) -> Array:
+    """Return a law's friction against relative speeds (n,), positive where it opposes the slip."""
+    return motion.sign * curves.curve(fit, motion, -motion.sign * speed)
+
+
+def _draw_balance(axes: "Axes", fit: Fit, motion: MeasuredMotion) -> list[float]:
+    """Draw the force balance at the samples, and return the ends of the usual values."""
+    w, force, _ = curves.points(fit, motion)
+    thin = slice(None, None, max(1, w.size // MOST_POINTS))
+    shown: dict[str, Any] = {"color": MEASURED, "ms": 2.5, "alpha": 0.4, "zorder": 1, "rasterized": True}
+    axes.plot(-motion.sign * w[thin], motion.sign * force[thin], ".", label="measured", **shown)
+    return [0.0, float(np.percentile(motion.sign * force, USUAL))]
+
+
+def _draw_band(axes: "Axes", measured: MeasuredCurve, reach: float) -> list[float]:
+    """Draw the measured curve with its band, and return the ends of the band at speeds up to ``reach``, m/s."""
+    lo, hi, band, label = measured.lo, measured.hi, f"{100 * measured.confidence:g} % band", "measured, without a law"
+    if not measured.level_known:  # the band of every level would hide the shape
+        lo, hi = measured.friction - measured.shape_half, measured.friction + measured.shape_half
+        band, label = f"{band} of the shape", "measured, level not determined"
+    axes.fill_between(measured.speed, lo, hi, color=INK, alpha=0.18, lw=0, zorder=1, label=band)
+    axes.plot(measured.speed, measured.friction, color=INK, lw=0.9, zorder=4, label=label)
+    seen = measured.speed <= reach
+    seen = seen if seen.sum() > 2 else np.ones_like(seen)
+    return [float(lo[seen].min()), float(hi[seen].max())]

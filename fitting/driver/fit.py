@@ -1,45 +1,92 @@
-"""The end of a fit: unknowns, residuals, path, derivatives and covariance."""
+"""The end of a fit: unknowns, residuals, friction, path and derivatives, of all runs or of one."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from fitting.data.cycles import Cycle
 from fitting.driver.model import Model
 from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task
+from fitting.law import Law
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.normal_equations import SchurComplement
 from fitting.least_squares.problem import LeastSquaresProblem
+from fitting.model import parameters, wear
+from fitting.model.parameters import NUISANCE, PER_RUN, Global
+from fitting.model.problem import EstimationProblem
 from fitting.model.windows import ShootingWindows
-from fitting.sensitivity.path import Path
-from stickslip.compute.arrays import Array
+from fitting.sensitivity.path import Curve, Path
+from fitting.sensitivity.spline import FrictionSpline
+from fitting.sensitivity.values import positions
+from stickslip.compute.arrays import Array, Mask
+from stickslip.units import Measured
 
 
 @dataclass(frozen=True, eq=False)
-class TaskFit:
+class Fit:
+    """A task fitted to the runs, per unit mass and in the fit's frame."""
+
     model: Model  # its windows have every sample, or every so many where the fit was not brought to its end
-    q: Array  # (p + n + m,) the task's unknowns (`Task`) and each cycle's own
+    q: Array  # (p + n + m,) the task's unknowns (`Task`), of all runs, and each cycle's own
     local: Array
-    residual: Array  # (N,) model minus measurement, m
+    residual: Array  # (N,) model minus measurement, m, cycle by cycle
     noise: PassNoise  # what the next pass is to assume
-    problem: LeastSquaresProblem  # what the last pass minimised; of every sample it is seen through nodes
+    least_squares: LeastSquaresProblem  # what the last pass minimised; of every sample it is seen through nodes
     solution: Solution  # where it stopped
     whole: bool = False  # whether the last pass took every sample
     cpu_s: float = 0.0  # CPU time of all passes, s
+    run: int | None = None  # whose windows, cycles, residuals and unknowns ``u`` these are; None for those of all runs
 
     @property
     def task(self) -> Task:
         return self.model.task
 
     @property
-    def windows(self) -> ShootingWindows:
-        return self.model.windows
+    def problem(self) -> EstimationProblem:
+        return self.task.problem
+
+    @property
+    def law(self) -> Law:
+        law = self.task.curve.law
+        if law is None:
+            raise TypeError("the fit of a free curve has no law")
+        return law
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """The shared unknowns of all runs that the fit moves, without a formula's."""
+        return self.task.places
+
+    @property
+    def theta(self) -> Array:
+        """The curve's own unknowns."""
+        return self.task.split(self.q)[1]
+
+    @property
+    def runs(self) -> int:
+        """The number of runs of windows, cycles and residuals."""
+        return len(self.problem.runs) if self.run is None else 1
 
     @property
     def u(self) -> Array:
-        return self.task.split(self.q)[0]
+        """The unknowns of the runs (13 runs,), as in `fitting.model.parameters`; F of a formula is that at rest."""
+        u, theta, _ = self.task.split(self.q)
+        if theta.size and self.task.curve.law is not None:
+            u[Global.LOG_F :: PER_RUN] = math.log(float(self.task.friction(self.q, np.zeros(1))[0]))
+        return u if self.run is None else u[PER_RUN * self.run : PER_RUN * (self.run + 1)]
+
+    @cached_property
+    def values(self) -> parameters.Values:
+        """Global parameters by name, of the first run."""
+        return parameters.values(self.u[:PER_RUN])
+
+    @property
+    def own_values(self) -> dict[str, float]:
+        """The law's parameters by name, per unit mass."""
+        return self.task.curve.values(self.u, self.theta)
 
     @property
     def start(self) -> FitStart:
@@ -47,8 +94,27 @@ class TaskFit:
         return FitStart(self.q, self.local)
 
     @cached_property
+    def windows(self) -> ShootingWindows:
+        return self.model.windows if self.run is None else self.model.windows.parts[self.run]
+
+    @property
+    def rows(self) -> tuple[slice, ...]:
+        """The residuals of each cycle."""
+        return self.windows.rows
+
+    @cached_property
+    def cycles(self) -> tuple[Cycle, ...]:
+        return self.problem.cycles if self.run is None else self.problem.runs[self.run].cut.used
+
+    @property
+    def inlier_cycles(self) -> Mask:
+        """The cycles (cycles,) that do not fit so badly (a kick, lost counts) that their levels say nothing."""
+        inliers = self.noise.inliers
+        return inliers if self.run is None else inliers[self.model.windows.run == self.run]
+
+    @cached_property
     def path(self) -> Path | None:
-        """The fitted motion, for tangents; None where it cannot be followed."""
+        """The fitted motion of all runs, for tangents; None where it cannot be followed."""
         return self.model.path(self.q, self.local)
 
     @cached_property
@@ -62,6 +128,10 @@ class TaskFit:
         return self.windows.rms(self.residual)
 
     @property
+    def rms(self) -> float:
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
     def geometric_mean_rms(self) -> float:
         """Geometric mean of the cycles' rms, m, robust to a few spoilt cycles."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
@@ -69,10 +139,77 @@ class TaskFit:
     @property
     def misfit(self) -> float:
         """The geometric mean of the cycles' rms beyond noise (the largest of all runs), m."""
-        noise = max(motion.resolution for motion in self.task.problem.motions)
-        return math.sqrt(max(self.geometric_mean_rms**2 - noise**2, 0.0))
+        return math.sqrt(max(self.geometric_mean_rms**2 - self.task.resolution**2, 0.0))
+
+    @property
+    def outcome(self) -> str:
+        """The reason for the end of the last minimisation (`levenberg_marquardt.Solution`)."""
+        return self.solution.outcome
+
+    @property
+    def held_rest(self) -> Measured | None:
+        """The rest position that is assumed, since a constant of the curve stands for it; None where it is not."""
+        problem = self.problem
+        if problem.motions[0].datum_prior is not None or not problem.held[Global.DATUM]:
+            return None
+        return Measured(float(problem.prior[Global.DATUM]), float(problem.precision[Global.DATUM]) ** -0.5)
+
+    @property
+    def law_parameters(self) -> int:
+        """Number of the law's own free unknowns, without those of every law (datum, damping, fade, belt)."""
+        held = self.problem.held
+        shared = sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.places)
+        return shared + self.task.curve.size - (self.held_rest is not None)
+
+    @property
+    def calibration_deviations(self) -> Array:
+        """Deviations of the shared unknowns from stated calibrations, in standard deviations; else 0."""
+        problem, index = self.problem, list(self.places)
+        deviations = (self.task.split(self.q)[0][index] - problem.prior[index]) * np.sqrt(problem.precision[index])
+        guessed = [
+            place % PER_RUN == Global.DATUM and problem.motions[place // PER_RUN].datum_prior is None for place in index
+        ]
+        return np.where(guessed, 0.0, deviations)
+
+    @property
+    def curve_on_path(self) -> Curve | None:
+        """The friction of a path."""
+        return self.task.curve.on_path(self.theta, self.q[: len(self.places)])
+
+    @cached_property
+    def spline(self) -> FrictionSpline:
+        """The curve as followed, where that is not by a kernel of its own."""
+        curve = self.curve_on_path
+        if curve is None or curve.spline is None:
+            raise RuntimeError("no spline follows this curve")
+        return curve.spline
 
     def deviation(self, place: int) -> float:
         """Return the standard deviation of a shared unknown by the noise that the last pass assumed."""
-        index = self.task.places.index(place)
+        index = self.places.index(place)
         return math.sqrt(float(SchurComplement(self.solution.blocks).covariance[index, index]))
+
+    def force(self, w: Array, mass: float = 1.0) -> Array:
+        """Return friction on a mass (kg), N, positive along the belt, at relative velocities w (n,), m/s."""
+        w, d = np.asarray(w, float), self.values.d if self.problem.ramp else 0.0
+        slip = np.sign(w) * self.task.friction(self.q, np.maximum(np.abs(w) - d, 0.0))
+        ramp = self.values.static * self.values.F * w / d if d else np.zeros(w.shape)
+        return np.asarray(-mass * np.where(np.abs(w) <= d, ramp, slip))
+
+    def residual_in(self, windows: ShootingWindows, local: Array) -> Array | None:
+        """Return the residual (N,) in other windows of this run, m; None where it cannot be followed."""
+        curve = self.curve_on_path
+        found = None if curve is None else positions(windows, curve, self.u, local)
+        return None if found is None else found - windows.position
+
+    def level_trend(self, run: int = 0) -> wear.Wear | None:
+        """Return the line through the levels of one run's inlier cycles (`fitting.model.wear`)."""
+        return wear.of_cycles(self.windows, self.inlier_cycles, self.local, run)
+
+    def for_run(self, run: int) -> "Fit":
+        """Return the fit of one run: its cycles, residuals and unknowns; the solution stays that of all."""
+        if self.runs == 1:
+            return self
+        own = np.flatnonzero(self.windows.run == run)
+        residual = np.concatenate([self.residual[self.rows[k]] for k in own])
+        return replace(self, run=run, local=self.local[own], residual=residual)

@@ -17,6 +17,7 @@ from fitting.sensitivity.columns import friction_effect, shared_tangents
 from fitting.sensitivity.path import Curve, Path, spline_curve
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
+from fitting.undetermined import natural_size, undetermined
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
@@ -30,16 +31,25 @@ SPLINE_REACH = 1.1  # last knot over the measured curve's: slips of the fit may 
 class FormulaCurve(FrictionCurve):
     """A law's formula as the friction of a path; theta (k,) are its free parameters or their logarithms (``by_log``).
 
-    It is followed up to slip speed ``fastest``, m/s; ``starts`` are minima on the target ``near``, nearest first.
+    It is followed up to slip speed ``fastest``, m/s; ``starts`` are minima on the target ``near``, nearest first.  Of
+    parameters that the formula has only ``together`` some are held at their starts or natural sizes.
     Raises InputError where no trial of the parameters is a friction, with the reason of the first.
     """
 
+    law: Law
+
     def __init__(self, law: Law, fastest: float, near: Target) -> None:
-        self.law, self.fastest, self.ramp, self.size = law, fastest, law.ramp, len(law.free)
-        search = StartSearch(law, near, fastest)
+        self.law, self.fastest, self.ramp = law, fastest, law.ramp
+        self.together = undetermined(law, near.size, float(near.speeds[-1]))
+        first = law.start or {}
+        held = [name for group in self.together for name in group.names[len(group.names) - group.free :]]
+        sizes = {name: natural_size(law, name, near.size, float(near.speeds[-1])) for name in held}
+        fitted = law.given(fix={name: first.get(name, size) for name, size in sizes.items()})
+        self.fixed, self.free, self.size = fitted.fix or {}, fitted.free, len(fitted.free)
+        search = StartSearch(fitted, near, fastest)
         self.starts = search.minima()
-        self.by_log = np.array([search.bends[name] and law.limits(name)[0] >= 0.0 for name in law.free], np.bool_)
-        self.start = self.theta(self.starts[0].values)
+        self.by_log = np.array([search.bends[name] and law.limits(name)[0] >= 0.0 for name in self.free], np.bool_)
+        self.start = self.theta_at(self.starts[0].values)
         self.prior = self.precision = np.zeros(self.size)
         self.lower, self.upper = self.bounds
         self._first = FrictionSpline.over(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
@@ -66,34 +76,37 @@ class FormulaCurve(FrictionCurve):
         except InputError:
             return self.at_speeds(theta, np.minimum(s, self.fastest))
 
-    def values(self, theta: Array) -> dict[str, float]:
-        free = np.where(self.by_log, np.exp(np.clip(theta, -700.0, 700.0)), theta)
-        return dict(self.law.fix or {}) | dict(zip(self.law.free, free.tolist(), strict=True))
+    def values(self, u: Array, theta: Array) -> dict[str, float]:
+        return self._values(theta)
 
-    def theta(self, values: dict[str, float]) -> Array:
-        free = np.array([values[name] for name in self.law.free])
+    def _values(self, theta: Array) -> dict[str, float]:
+        free = np.where(self.by_log, np.exp(np.clip(theta, -700.0, 700.0)), theta)
+        return dict(self.fixed) | dict(zip(self.free, free.tolist(), strict=True))
+
+    def theta_at(self, values: dict[str, float]) -> Array:
+        free = np.array([values[name] for name in self.free])
         return np.where(self.by_log, np.log(np.where(self.by_log, free, 1.0)), free)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        lower, upper = np.array([self.law.limits(name) for name in self.law.free]).reshape(-1, 2).T
+        lower, upper = np.array([self.law.limits(name) for name in self.free]).reshape(-1, 2).T
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.by_log, np.log(lower), lower), np.where(self.by_log, np.log(upper), upper)
 
     def at_speeds(self, theta: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s; InputError if not finite or negative."""
-        found = self.law.curve.value(s, self.values(theta))
+        found = self.law.curve.value(s, self._values(theta))
         if found.min() < 0:
-            at = self.law.curve.place(float(s[np.argmin(found)]), self.values(theta))
+            at = self.law.curve.place(float(s[np.argmin(found)]), self._values(theta))
             what = f"law {self.law.name}: friction is negative, {found.min():.4g} m/s^2, {at}"
             raise InputError(what, "formula", "give bounds, or a form that stays above 0")
         return found
 
     def slopes(self, theta: Array, s: Array) -> Array:
         """Return the derivatives (k, unknowns) of friction at slip speeds s (k,)."""
-        values = self.values(theta)
-        found = self.law.curve.gradient(s, values, self.law.free)
-        return np.asarray(found * np.where(self.by_log, [values[name] for name in self.law.free], 1.0))
+        values = self._values(theta)
+        found = self.law.curve.gradient(s, values, self.free)
+        return np.asarray(found * np.where(self.by_log, [values[name] for name in self.free], 1.0))
 
     def spline(self, theta: Array) -> FrictionSpline | None:
         """Return a spline through the formula; None where it is not a friction, or too abrupt.

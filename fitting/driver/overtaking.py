@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.model import Model
 from fitting.driver.passes import CYCLE_RESTART, first_pass, least_squares_problem
 from fitting.driver.task import FitStart
@@ -16,7 +16,7 @@ from stickslip.compute.arrays import Mask
 LEFT_BY_OVERTAKING = 0.5
 
 
-def find_overtaking(at: TaskFit) -> Mask:
+def find_overtaking(at: Fit) -> Mask:
     """Return the spoilt cycles (cycles,) whose residual an unseen overtaking of the belt explains."""
     asked: Mask = at.windows.spoilt(at.residual) & ~at.windows.overtaking
     overtaking = np.zeros(asked.size, np.bool_)
@@ -36,7 +36,7 @@ def find_overtaking(at: TaskFit) -> Mask:
     return overtaking
 
 
-def with_overtaking(at: TaskFit, overtaking: Mask) -> TaskFit | None:
+def with_overtaking(at: Fit, overtaking: Mask) -> Fit | None:
     """Return the thinned record fitted with the belt overtaken in these cycles (cycles,) too."""
     problem = at.task.problem.with_overtaking(overtaking)
     fresh = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, at.u)

@@ -14,7 +14,7 @@ import numpy as np
 
 from fitting import noise_levels
 from fitting.driver.curves import LawCurve
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.driver.model import Model
 from fitting.driver.nodes import SampleNodes
 from fitting.driver.noise import PassNoise
@@ -26,7 +26,6 @@ from fitting.model.parameters import PER_RUN, RIPPLE, Global
 from fitting.model.problem import thinned_to
 from fitting.sensitivity import flow
 from fitting.sensitivity.path import Path
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 
 
@@ -45,7 +44,6 @@ FIRST_NOISE = 30.0
 # Of each pass on the thinned record.  Half the steps end before a bent valley's floor; twice the steps cost laws that
 # are wrong twice the time.  A wrong law's noise is large and its gain small: its rms says whether it still moves.
 SEARCH = Limits(12, 1e-3, 1e-3)
-AT_START = Limits(0, 1e-3, 1e-3)  # no step at all
 WHOLE = Limits(30, 1e-5, np.inf, corrections=3)  # of every sample: at half, a level that fades is not at its end
 MOST_PASSES = 4  # passes after the first; the noise of a true law stays after two
 # Noise shown over the noise assumed: a pass that shows no less was the last.  At 0.9 each law takes one pass more.
@@ -81,7 +79,7 @@ def regressed_start(task: Task) -> FitStart:
     return FitStart(np.concatenate([shared, task.curve.start, np.zeros(task.widths[2])]), local)
 
 
-def restarted_windows(at: TaskFit) -> FitStart:
+def restarted_windows(at: Fit) -> FitStart:
     """Return a restart: the fit's shared unknowns, with all windows at the smoothed motion.
 
     The first shared unknowns may have held some cycles in poor minima, and these held them in turn.
@@ -96,7 +94,7 @@ def assumed_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
     return PassNoise(times * resolution, np.ones(len(task.problem.cycles)))
 
 
-def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> TaskFit | None:
+def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> Fit | None:
     """Fit on the thinned record; None where the start cannot be followed.
 
     ``noise`` is that of a fitted start; for others nearly any misfit is taken for noise.
@@ -110,7 +108,7 @@ def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> T
     return replace(_with_noise(at, first=True), cpu_s=clock.process_time() - begun)
 
 
-def regressed_pass(task: Task, noise: PassNoise | None = None) -> TaskFit | None:
+def regressed_pass(task: Task, noise: PassNoise | None = None) -> Fit | None:
     """Return the first pass from the regression; a belt's ripple is free only after the rest has converged.
 
     Under the large noise of a first pass any frequency fits as well as that of the sticks.
@@ -124,13 +122,7 @@ def regressed_pass(task: Task, noise: PassNoise | None = None) -> TaskFit | None
     return first_pass(task, FitStart(_beside(task, held.u, held), held.local), held.noise)
 
 
-def unmoved(task: Task, start: FitStart, at: TaskFit) -> TaskFit | None:
-    """Return a task at its start, before the first step, with the samples and noise of another fit."""
-    model = Model(task, at.windows, at.model.longest_step)
-    return _one_pass(model, start, at.noise.without_fade, AT_START, FIRST_DAMPING)
-
-
-def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
+def settle(at: Fit, noise_m: Array | None = None) -> Fit | None:
     """Fit again with the noise and the weights of the previous pass, until these no longer change.
 
     A known noise of a position, ``noise_m`` (runs,), m, is approached in steps, whatever a pass shows.
@@ -150,41 +142,24 @@ def settle(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
     return replace(at, cpu_s=spent + clock.process_time() - begun)
 
 
-def _searched(at: TaskFit) -> TaskFit | None:
+def _searched(at: Fit) -> Fit | None:
     """Return another pass on the thinned record, from the end of a fit."""
     model = Model(at.task, at.windows, flow.SEARCH_STEP, at.model.near)
     return _one_pass(model, FitStart(at.q, restarted(at)), at.noise, SEARCH, LATER_DAMPING)
 
 
-def with_cycles_of(pair: tuple[TaskFit, TaskFit]) -> TaskFit | None:
-    """Return the first fit settled with the cheaper cycles of the second; None without one."""
-    at, other = pair
-    residual = at.model.residual(at.q, other.local) if other.local.shape == at.local.shape else None
-    if residual is None:
-        return None
-    own = cost_by_cycle(at.problem, at.local, at.residual)
-    better = cost_by_cycle(at.problem, other.local, residual) < CYCLE_GAIN * own
-    if not better.any():
-        return None
-    return settle(replace(at, local=np.where(better[:, None], other.local, at.local)))
-
-
-def with_own_static(at: TaskFit) -> TaskFit:
+def with_own_static(at: Fit) -> Fit:
     """Return the fit of a ramp with a separate break-away level where that gains on the thinned record.
 
-    It is settled from several starts until one reaches the noise. A level free from the first pass on ends in poor
-    minima.
+    Starts whose first pass gains something are settled until one reaches the noise. A level free from the first pass on
+    ends in poor minima.
     """
     begun, task = clock.process_time(), at.task.with_static
-    if task is at.task:
-        return at
-    best = at
     reached = noise_levels.DESCRIBES * task.resolution
-    for u in _static_starts(task, at):
+    best = at
+    for u in [] if task is at.task else _static_starts(task, at):
         first = first_pass(task, FitStart(_beside(task, u, at), at.local), at.noise)
-        if first is None or first.geometric_mean_rms > GIVEN_UP_BEYOND_BEST * at.geometric_mean_rms:
-            continue
-        found = settle(first)
+        found = settle(first) if first is not None and first.geometric_mean_rms < at.geometric_mean_rms else None
         if found is not None and found.geometric_mean_rms < best.geometric_mean_rms:
             best = found
             if best.geometric_mean_rms < reached:
@@ -193,7 +168,7 @@ def with_own_static(at: TaskFit) -> TaskFit:
     return replace(best if gain >= STATIC_GAIN else at, cpu_s=at.cpu_s + clock.process_time() - begun)
 
 
-def _static_starts(task: Task, at: TaskFit) -> list[Array]:
+def _static_starts(task: Task, at: Fit) -> list[Array]:
     """Return unknowns (13 runs,) with a break-away level, from the end of a fit without one.
 
     A curve without a level rises towards rest to come near the break-aways, and the regression of the smoothed slips is
@@ -213,7 +188,7 @@ def _static_starts(task: Task, at: TaskFit) -> list[Array]:
     return [*between, *others]
 
 
-def _beside(task: Task, u: Array, at: TaskFit) -> Array:
+def _beside(task: Task, u: Array, at: Fit) -> Array:
     """Return the unknowns of a task with other free places, at u (13 runs,) and the end of a fit."""
     u = np.clip(u, task.problem.lower, task.problem.upper)
     return np.concatenate([u[list(task.places)], at.q[len(at.task.places) :]])
@@ -222,12 +197,11 @@ def _beside(task: Task, u: Array, at: TaskFit) -> Array:
 def _set_static(task: Task, u: Array, level: float) -> None:
     """Change the break-away level in u (13 runs,), with the same friction in slip and slope in stick."""
     if isinstance(task.curve, LawCurve):
-        code = LAWS[task.curve.law].curve_code
         for own in u.reshape(-1, PER_RUN):
-            own[:] = parameters.to_array(starts.with_static(code, parameters.values(own), level))
+            own[:] = parameters.to_array(starts.with_static(task.curve.code, parameters.values(own), level))
 
 
-def _static_gain(at: TaskFit) -> float:
+def _static_gain(at: Fit) -> float:
     """Return the approximate gain of a break-away level in log likelihood; inf where the ramp has none."""
     if Global.STATIC not in at.task.places:
         return math.inf
@@ -235,7 +209,7 @@ def _static_gain(at: TaskFit) -> float:
     return 0.5 * (excess / sd) ** 2 if sd > 0 else 0.0
 
 
-def finish(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
+def finish(at: Fit, noise_m: Array | None = None) -> Fit | None:
     """Fit again with every sample, through nodes; None where these shorter steps cannot be followed.
 
     ``noise_m`` (runs,) is the noise of a position, m, where known better than by this curve's residual.
@@ -249,23 +223,33 @@ def finish(at: TaskFit, noise_m: Array | None = None) -> TaskFit | None:
     at = _with_noise(faded, first=False)
     if noise_m is not None:
         at = replace(at, noise=replace(at.noise, sigma=noise_m))
-    found = _whole(at.task, FitStart(at.q, restarted(at)), at.noise, at.model.near)
+    found = finish_from(at.task, FitStart(at.q, restarted(at)), at.noise, at.model.near)
+    return None if found is None else replace(found, cpu_s=spent + clock.process_time() - begun)
+
+
+def finish_from(task: Task, start: FitStart, noise: PassNoise, near: Path | None = None) -> Fit | None:
+    """Fit with every sample from near the end, with the noise of the pass before.
+
+    A break-away level that gains nothing is left out again; slips that start faster than the belt start again.
+    """
+    begun = clock.process_time()
+    found = _whole(task, start, noise, near)
     if found is None:
         return None
     if _static_gain(found) < STATIC_GAIN:
-        task, u = found.task.without(Global.STATIC), found.u.copy()
-        _set_static(task, u, 1.0)
-        without = _whole(task, FitStart(_beside(task, u, found), found.local), at.noise, at.model.near)
+        level, u = found.task.without(Global.STATIC), found.u.copy()
+        _set_static(level, u, 1.0)
+        without = _whole(level, FitStart(_beside(level, u, found), found.local), noise, near)
         # Its error does not decide: along a bent valley a level may be open, and yet none of them be 1.
         if without is not None and without.solution.cost - found.solution.cost < STATIC_GAIN:
             found = without
-    found = _started_below_belt(found, at.noise)
-    return replace(found, cpu_s=spent + clock.process_time() - begun)
+    found = _started_below_belt(found, noise)
+    return replace(found, cpu_s=clock.process_time() - begun)
 
 
 def _whole(
     task: Task, start: FitStart, settled: PassNoise, near: Path | None, *, below_belt: bool = False
-) -> TaskFit | None:
+) -> Fit | None:
     noise = settled.for_last_pass
     whole = task.problem.windows(thinned=False)
     nodes = SampleNodes.of(whole, [thinned_to(run) for run in task.problem.runs])
@@ -285,10 +269,10 @@ def _whole(
     solution = levenberg_marquardt.last_step(problem, last.solution)
     if solution is None:
         return None
-    return TaskFit(every, solution.u, solution.local, solution.residual, settled, problem, solution, whole=True)
+    return Fit(every, solution.u, solution.local, solution.residual, settled, problem, solution, whole=True)
 
 
-def _started_below_belt(at: TaskFit, noise: PassNoise) -> TaskFit:
+def _started_below_belt(at: Fit, noise: PassNoise) -> Fit:
     """Refit slips that start faster than the belt from a slower start, and keep the better fit.
 
     Beyond the belt's speed friction points the other way until the mass sticks, and the cycle's break-away then fixes
@@ -298,7 +282,7 @@ def _started_below_belt(at: TaskFit, noise: PassNoise) -> TaskFit:
     problem, curve = at.task.problem, at.task.curve
     fastest = at.windows.fastest_starts(at.u)
     beyond = (at.local > fastest).any(axis=1) & noise.inliers
-    if curve.ramp or not isinstance(curve, LawCurve) or LAWS[curve.law].curve == "constant" or not beyond.any():
+    if curve.ramp or not isinstance(curve, LawCurve) or curve.law.kind.curve == "constant" or not beyond.any():
         return at
     fresh = starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u)
     below = np.minimum(np.where(beyond[:, None], fresh, at.local), fastest)
@@ -306,13 +290,13 @@ def _started_below_belt(at: TaskFit, noise: PassNoise) -> TaskFit:
     return found if found is not None and found.solution.cost < at.solution.cost else at
 
 
-def restarted(at: TaskFit) -> Array:
+def restarted(at: Fit) -> Array:
     """Return the cycles' own unknowns, those of outlying cycles from the smoothed motion where that costs less.
 
     A cycle with a velocity step has several minima, and a poor one distorts the fit although its weight is low.
     """
     cycles = np.flatnonzero(~at.noise.inliers)
-    part = at.problem.of_cycles(at.q, cycles)
+    part = at.least_squares.of_cycles(at.q, cycles)
     if part is None:
         return at.local
     problem = at.task.problem
@@ -333,13 +317,13 @@ def _over(near: Path | None, windows: object) -> Path | None:
     return None if near is None else replace(near, windows=windows)  # type: ignore[arg-type]
 
 
-def _with_noise(at: TaskFit, *, first: bool) -> TaskFit:
+def _with_noise(at: Fit, *, first: bool) -> Fit:
     return replace(at, noise=at.noise.seen(at.task, at.windows, at.residual, at.local, first=first))
 
 
 def _one_pass(
     model: Model, start: FitStart, noise: PassNoise, limits: Limits, damping: float, *, below_belt: bool = False
-) -> TaskFit | None:
+) -> Fit | None:
     """Minimise under assumed noise; forces along the path are evaluated anew until they settle."""
     model.settle(*start, FOLLOWED)
     problem = least_squares_problem(model, noise, start.q, below_belt=below_belt)
@@ -359,7 +343,7 @@ def _one_pass(
     if solution is None:
         return None
     residual = model.residual(solution.u, solution.local)
-    return None if residual is None else TaskFit(model, solution.u, solution.local, residual, noise, problem, solution)
+    return None if residual is None else Fit(model, solution.u, solution.local, residual, noise, problem, solution)
 
 
 def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_belt: bool = False) -> LeastSquaresProblem:

@@ -9,6 +9,7 @@ import numpy as np
 
 from fitting.driver.curves import FreeCurve, FrictionCurve, LawCurve
 from fitting.forces.force import Force
+from fitting.law import Law
 from fitting.least_squares.linear import least_squares
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
@@ -73,10 +74,17 @@ class Task:
         return self.curve.friction(u, theta, q[: len(self.places)], s)
 
 
-def law_task(law: int, runs: Sequence[Run], forces: Sequence[Force] = ()) -> Task:
+def law_task(law: Law, runs: Sequence[Run], forces: Sequence[Force] = ()) -> Task:
     """Return the task of one of the six laws; a ramp breaks away at the level of slip."""
     problem = EstimationProblem.build(law, runs)
     return Task(problem, LawCurve(law), problem.active, tuple(forces)).without(Global.STATIC)
+
+
+def free_curve(task: Task) -> FreeCurve:
+    """Return the free curve of a task; TypeError for that of a law."""
+    if not isinstance(task.curve, FreeCurve):
+        raise TypeError("not the task of a free curve")
+    return task.curve
 
 
 def curve_knots(runs: Sequence[Run], d: float) -> Array:

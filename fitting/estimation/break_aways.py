@@ -11,7 +11,7 @@ import numpy as np
 from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.estimation.result import BreakAway
 from fitting.model.parameters import PER_CYCLE, Global, PerCycle
 from fitting.model.windows import ShootingWindows
@@ -24,7 +24,7 @@ SEARCH_ROUNDS, TRIALS = 3, 21  # rounds and trials of the search: each round loo
 POOR_CYCLE = 3.0  # error over a cycle's usual one: a larger one means that something else happened in it
 
 
-def find_break_aways(fit: FittedLaw, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
+def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
     """Return every break-away of the record, fitted or not, by the best law."""
     times, loads = _break_aways(fit, motion)
     usual = float(np.median(fit.cycle_rms))
@@ -41,7 +41,7 @@ def find_break_aways(fit: FittedLaw, motion: MeasuredMotion, cut: CycleSegmentat
     return tuple(rows)
 
 
-def _break_aways(fit: FittedLaw, motion: MeasuredMotion) -> tuple[Array, Array]:
+def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
     """Return time (s) and friction over Fs/m of each fitted cycle's break-away; arrays of shape (cycles,).
 
     The search begins where the load reaches the level of the following slip: before, the law itself would hold.
@@ -60,24 +60,24 @@ def _break_aways(fit: FittedLaw, motion: MeasuredMotion) -> tuple[Array, Array]:
     return best, _friction(fit, best, place) / fit.values.F
 
 
-def _belt_ripple(fit: FittedLaw, time: Array) -> tuple[Array, Array, Array]:
+def _belt_ripple(fit: Fit, time: Array) -> tuple[Array, Array, Array]:
     """Return position (m), velocity and acceleration of the belt's fitted ripple at ``time`` (any shape)."""
     p = fit.values
     return Ripple(p.cosine, p.sine, p.omega).belt_motion(time)
 
 
-def _edge_speed(fit: FittedLaw, time: Array) -> Array:
+def _edge_speed(fit: Fit, time: Array) -> Array:
     """Return the velocity at the end of a stick, m/s: the belt's less `_width`."""
     return np.asarray(fit.values.v_dr - _width(fit) + _belt_ripple(fit, time)[1])
 
 
-def _width(fit: FittedLaw) -> float:
+def _width(fit: Fit) -> float:
     """Return the velocity below the free belt's at break-away, m/s: ramp and belt compliance together."""
     p = fit.values
     return (p.d if fit.problem.ramp else 0.0) + p.compliance / p.K * p.F
 
 
-def _friction(fit: FittedLaw, time: Array, x: Array) -> Array:
+def _friction(fit: Fit, time: Array, x: Array) -> Array:
     """Return friction per unit mass (m/s^2) just before the break-away, corrected for the deceleration on a ramp."""
     p, speed = fit.values, _edge_speed(fit, time)
     load = p.K * (x - p.datum) + p.damping * speed + _belt_ripple(fit, time)[2]
@@ -85,7 +85,7 @@ def _friction(fit: FittedLaw, time: Array, x: Array) -> Array:
     return np.asarray(load - slowing)
 
 
-def _reaches_level(fit: FittedLaw, motion: MeasuredMotion, k: int) -> float:
+def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
     """Return the time at which friction in stick reaches the level of the next slip, s."""
     smoothed = fit.cycles[k].break_away
     reach = SEARCH_RANGE * motion.slip_s
@@ -95,7 +95,7 @@ def _reaches_level(fit: FittedLaw, motion: MeasuredMotion, k: int) -> float:
     return float(time[np.argmax(enough)]) if enough.any() else smoothed
 
 
-def _misfit(fit: FittedLaw, motion: MeasuredMotion, trials: Array) -> Array:
+def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
     """Return the squared error around the corner of break-aways at ``trials`` (cycles, m), same shape; m^2."""
     errors = np.full(trials.shape, np.inf)
     table: list[tuple[int, ...]] = []
@@ -140,7 +140,7 @@ def _misfit(fit: FittedLaw, motion: MeasuredMotion, trials: Array) -> Array:
     return errors
 
 
-def _in_stick(fit: FittedLaw, motion: MeasuredMotion, k: int, time: Array) -> Array:
+def _in_stick(fit: Fit, motion: MeasuredMotion, k: int, time: Array) -> Array:
     """Return the position at ``time`` if the mass had not left the belt, m."""
     first, end = fit.cycles[k].stick
     if _width(fit) > 0 or end <= first:

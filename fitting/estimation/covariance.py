@@ -17,12 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fitting.estimation.fit import Fit
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, normal_equations, scaled_inverse
 from fitting.model.parameters import PerCycle
 from stickslip.compute.arrays import Array, autocorrelation_time
-from stickslip.units import Measured
 
 # Variance of a cycle's residuals over what the fit assumes, at the most, since a correlation time from one
 # window is uncertain.  With 4 the error of the belt's speed from a drag on a rippling belt would be too small by 2.
@@ -46,7 +44,7 @@ def without_level_errors(fit: Fit) -> Fit:
     for column in (PerCycle.LEVEL, PerCycle.NEXT_LEVEL):
         true, error = _true_square(fit, column)
         local[:, column] *= true / (true + error)
-    task = fit.at.problem
+    task = fit.least_squares
     found = task.evaluate(fit.solution.u, local, True)
     if found is None:
         return fit
@@ -67,18 +65,18 @@ def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
     return max(float(np.mean(fit.local[own, column] ** 2)) - likely, 0.0), error
 
 
-def covariance(fit: FittedLaw, precision: Array) -> Array:
-    """Return a covariance (p, p) of the active shared unknowns not smaller than either of `covariances`.
+def covariance(fit: Fit) -> Array:
+    """Return a covariance (p, p) of the unknowns not smaller than either of `covariances`.
 
     A variance in it may exceed both: for one quantity take the larger of both variances.
     """
-    return upper_bound(*covariances(fit, precision))
+    return upper_bound(*covariances(fit))
 
 
-def covariances(fit: FittedLaw, precision: Array) -> tuple[Array, Array]:
-    """Return the covariances (p, p) of the active shared unknowns by the sandwich and by the curvature.
+def covariances(fit: Fit) -> tuple[Array, Array]:
+    """Return the covariances (p, p) of the unknowns, the curve's last, by the sandwich and by the curvature.
 
-    ``precision`` (p,) is 1/sd^2 of the priors, each one more independent source, or 0.
+    The priors are so many more independent sources.
     """
     blocks = fit.solution.blocks
     reduced = SchurComplement(blocks)
@@ -87,7 +85,8 @@ def covariances(fit: FittedLaw, precision: Array) -> tuple[Array, Array]:
     cycles = own.shape[0]
     scale, bread = scaled_inverse(H, np.diag(blocks.H))
     own = own * scale
-    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + np.diag(precision * scale**2)
+    priors = np.diag(fit.least_squares.precision * scale**2)
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + priors
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
     share = _founded(fit)
     informed = np.einsum("c,cpr->pr", share - 1, reduced.by_cycle(blocks.cycle_curvature))
@@ -114,9 +113,9 @@ def upper_bound(first: Array, second: Array) -> Array:
     return np.asarray(np.einsum("ik,jk->ij", half, half))
 
 
-def _founded(fit: FittedLaw) -> Array:
+def _founded(fit: Fit) -> Array:
     """Return the share (cycles,) of a cycle's information that its residuals allow."""
-    assumed = 1 / fit.at.problem.weights
+    assumed = 1 / fit.least_squares.weights
     own = np.full(assumed.size, 1e-300)
     for cycle, _, first, size, *_ in fit.windows.table:  # a drag is a window of the first cycle
         part = fit.residual[first : first + size]
@@ -124,26 +123,10 @@ def _founded(fit: FittedLaw) -> Array:
     return np.asarray(np.minimum(LARGEST_VARIANCE * assumed / own, 1.0))
 
 
-def _excess(fit: FittedLaw) -> Array:
+def _excess(fit: Fit) -> Array:
     """Return the excess precision (cycles, q) of the levels by which the prior is wider than their scatter."""
-    sd = fit.at.noise.level_sd(fit.windows, fit.problem.level_prior)
-    excess = (1 - (fit.at.noise.scatter / sd) ** 2) / sd**2
+    sd = fit.noise.level_sd(fit.windows, fit.problem.level_prior)
+    excess = (1 - (fit.noise.scatter / sd) ** 2) / sd**2
     found = np.zeros_like(fit.solution.blocks.gl)
     found[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = np.where(fit.inlier_cycles[:, None], excess, 0.0)
     return found
-
-
-def without_prior(fit: Fit, index: int) -> Measured:
-    """Return a parameter without its prior, one Newton step from the fit; ``index`` is among the active ones."""
-    blocks, place = fit.solution.blocks, fit.active[index]
-    weight = float(fit.precision[index])
-    precision = fit.precision.copy()
-    precision[index] = 0.0
-    curvature = blocks.H.copy()
-    curvature[index, index] -= weight
-    alone = replace(fit, solution=replace(fit.solution, blocks=replace(blocks, H=curvature)), precision=precision)
-    scale, bread = scaled_inverse(SchurComplement(alone.solution.blocks).H, np.diag(curvature))
-    value = float(fit.u[place])
-    step = float(bread[index, index] * scale[index] ** 2) * weight * (value - float(fit.problem.prior[place]))
-    variance = max(float(spread[index, index]) for spread in covariances(alone, precision))
-    return Measured(value + step, math.sqrt(variance))

@@ -5,26 +5,32 @@ t quantile over the cycles.  The error of the metres per count enters every quan
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from fitting.data.frame import MeasuredMotion
 from fitting.distributions import student_quantile
+from fitting.driver.fit import Fit
+from fitting.driver.formula import FormulaCurve
 from fitting.estimation.covariance import covariances, levels_differ, upper_bound
-from fitting.estimation.fit import Fit
-from fitting.estimation.result import Correlations, Parameter
+from fitting.estimation.result import NO_LIMITS, STATED_ERROR, Correlations, Parameter
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
 from fitting.model.wear import Wear
-from rig_sim.friction.law import LAWS
-from stickslip.compute.arrays import Array
+from stickslip.compute.arrays import Array, Integers
 from stickslip.units import Measured
 
 # Share of a default's variance left after the fit: with more the default still decides, and what depends on it is
 # not given.  Chosen; half and twice give the same parameters on 26 records.
 DEFAULT_LEFT = 0.01
+POSITIVE = (0.0, math.inf)
+Own = Mapping[str, float]  # the law's parameters by name, per unit mass
+SIX = "six"  # of each of the six that its own kernel follows
 
 
 class Derived(NamedTuple):
@@ -32,41 +38,55 @@ class Derived(NamedTuple):
 
     name: str
     unit: str
-    formula: Callable[[Values], float]
+    formula: Callable[[Values, Own], float]
     length: int = 0  # power of the metre in it, for the error of the metres per count
-    curve: str = ""  # only for laws of this curve
+    curve: str = ""  # only for laws of this curve, or the `SIX`
     needs: Global | None = None  # only where the fit has this parameter
     scale: str = ""  # calibration that it is multiplied by, and without which it is not given
     instead_of: Global | None = None  # only where this one is undetermined
+    limits: tuple[float, float] = POSITIVE
+    mirrored: bool = False  # whether it changes sign with a record of a backward belt
+    follows: bool = False  # whether it follows from other rows
+    power: int = 1  # of the calibration
+    by_log: bool = False  # whether its interval is one by a factor
+    apart: bool = True  # whether the formula determines it apart from other parameters
+    fixed: bool = False
 
 
 TABLE = (
-    Derived("k/m", "s^-2", lambda p: p.K),
-    Derived("Fs/m", "m s^-2", lambda p: p.F, 1),
-    Derived("Fs/k", "m", lambda p: p.F / p.K, 1),
-    Derived("v_dr", "m/s", lambda p: p.v_dr, 1),
-    Derived("gamma", "s/m", lambda p: p.shape, -1, curve="hyperbolic"),
-    Derived("G_slip/m", "s^-1", lambda p: p.shape * p.F, curve="linear"),
-    Derived("d", "m/s", lambda p: p.d, 1, needs=Global.D),
-    Derived("static", "", lambda p: p.static, needs=Global.STATIC),
-    Derived("x0", "m", lambda p: p.datum, 1),
-    Derived("c/m", "s^-1", lambda p: p.damping),
-    Derived("droop", "m/s", lambda p: p.compliance * p.F / p.K, 1, needs=Global.COMPLIANCE),
-    Derived("ripple", "m/s", lambda p: math.hypot(p.cosine, p.sine), 1, needs=Global.COSINE),
-    Derived("ripple_hz", "Hz", lambda p: p.omega / (2 * math.pi), needs=Global.OMEGA),
-    Derived("k", "N/m", lambda p: p.K, scale="mass"),
-    Derived("Fs", "N", lambda p: p.F, 1, scale="mass"),
-    Derived("G_slip", "N s/m", lambda p: p.shape * p.F, curve="linear", scale="mass"),
-    Derived("c", "N s/m", lambda p: p.damping, scale="mass"),
-    Derived("m", "kg", lambda p: 1 / p.K, scale="stiffness"),
-    Derived("Fs", "N", lambda p: p.F / p.K, 1, scale="stiffness"),
-    Derived("G_slip", "N s/m", lambda p: p.shape * p.F / p.K, curve="linear", scale="stiffness"),
-    Derived("c", "N s/m", lambda p: p.damping / p.K, scale="stiffness"),
-    Derived("x0 + Fs/k", "m", lambda p: p.datum + p.F / p.K, 1, instead_of=Global.DATUM),
-    Derived("(G_slip - c)/m", "s^-1", lambda p: p.shape * p.F - p.damping, curve="linear", instead_of=Global.DAMPING),
+    Derived("k/m", "s^-2", lambda p, _: p.K),
+    Derived("Fs/m", "m s^-2", lambda p, _: p.F, 1, SIX),
+    Derived("Fs/k", "m", lambda p, _: p.F / p.K, 1, SIX, follows=True),
+    Derived("v_dr", "m/s", lambda p, _: p.v_dr, 1, limits=NO_LIMITS, mirrored=True),
+    Derived("gamma", "s/m", lambda p, _: p.shape, -1, "hyperbolic"),
+    Derived("G_slip/m", "s^-1", lambda p, _: p.shape * p.F, 0, "linear"),
+    Derived("d", "m/s", lambda p, _: p.d, 1, needs=Global.D),
+    Derived("static", "", lambda p, _: p.static, needs=Global.STATIC),
+    Derived("x0", "m", lambda p, _: p.datum, 1, limits=NO_LIMITS, mirrored=True),
+    Derived("c/m", "s^-1", lambda p, _: p.damping),
+    Derived("droop", "m/s", lambda p, _: p.compliance * p.F / p.K, 1, needs=Global.COMPLIANCE),
+    Derived("ripple", "m/s", lambda p, _: math.hypot(p.cosine, p.sine), 1, needs=Global.COSINE),
+    Derived("ripple_hz", "Hz", lambda p, _: p.omega / (2 * math.pi), needs=Global.OMEGA),
+    Derived("k", "N/m", lambda p, _: p.K, scale="mass"),
+    Derived("Fs", "N", lambda p, _: p.F, 1, SIX, scale="mass"),
+    Derived("G_slip", "N s/m", lambda p, _: p.shape * p.F, 0, "linear", scale="mass"),
+    Derived("c", "N s/m", lambda p, _: p.damping, scale="mass"),
+    Derived("m", "kg", lambda p, _: 1 / p.K, scale="stiffness"),
+    Derived("Fs", "N", lambda p, _: p.F / p.K, 1, SIX, scale="stiffness"),
+    Derived("G_slip", "N s/m", lambda p, _: p.shape * p.F / p.K, 0, "linear", scale="stiffness"),
+    Derived("c", "N s/m", lambda p, _: p.damping / p.K, scale="stiffness"),
+    Derived(
+        "x0 + Fs/k", "m", lambda p, _: p.datum + p.F / p.K, 1, SIX, None, "", Global.DATUM, NO_LIMITS, mirrored=True
+    ),
+    Derived(
+        "(G_slip - c)/m",
+        "s^-1",
+        lambda p, _: p.shape * p.F - p.damping,
+        curve="linear",
+        instead_of=Global.DAMPING,
+        limits=NO_LIMITS,
+    ),
 )
-MIRRORED = ("v_dr", "x0", "x0 + Fs/k")  # change sign with a record of a backward belt
-SIGNED = (*MIRRORED, "(G_slip - c)/m")  # the others cannot be negative
 UNDETERMINED_WITH = {  # what is known only together with something that the record does not show
     Global.DATUM: ("x0", "Fs/m", "Fs/k", "Fs", "Fs0/m", "wear"),
     Global.DAMPING: ("c/m", "c", "G_slip/m", "G_slip"),
@@ -84,7 +104,8 @@ def derived_parameters(
     which sticks repeatedly, ``Fs0/m`` is its value at the start and ``wear`` the fraction lost per second, by the line
     through the cycles' levels (`fitting.model.wear`).  ``static`` is a ramp's break-away level over Fs, where they
     differ.  ``droop`` is the slowing of the belt under Fs, ``ripple`` and ``ripple_hz`` are amplitude and frequency of
-    its speed.
+    its speed.  A formula's parameter whose unit has friction is given as ``NAME/m`` and as ``NAME``, in newtons where
+    mass or stiffness is known; its name takes precedence.
 
     Where datum or damping is not calibrated and the data hardly constrain it, what depends on it is omitted, and the
     constrained combination is given: ``x0 + Fs/k``, ``(G_slip - c)/m``.
@@ -92,21 +113,44 @@ def derived_parameters(
     known = _known(fit, motion, run)
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
     found: dict[str, Parameter] = {}
-    for row, scale in given_rows(LAWS[fit.law].curve, motion, known):
-        found[row.name] = scaled(row, scale, known, motion, quantile)
+    for row, scale in _table(fit, motion, known):
+        found[row.name] = _scaled(row, scale, known, motion, quantile)
         if row.name == "c/m" and sustained:
-            found |= wear_of(fit.level_trend(run), found["Fs/m"], alpha)
-    return {name: item for name, item in found.items() if name not in hidden(known)}
+            found |= _wear_of(fit.level_trend(run), found.get("Fs/m"), alpha)
+    found = {name: item for name, item in found.items() if name not in _hidden(known)}
+    own = {row.name: _scaled(row, scale, known, motion, quantile) for row, scale in _own_rows(fit, motion)}
+    own |= _differences(fit, known, own, quantile)
+    return {name: item for name, item in found.items() if name not in own} | own
+
+
+def _differences(fit: Fit, known: "Known", own: Mapping[str, Parameter], quantile: float) -> dict[str, Parameter]:
+    """Return, per unit mass, the differences of a formula's levels that are known where the levels are not."""
+    values_of, found = fit.own_values, {}
+    levels = [name for name in values_of if f"{name}/m" in own and fit.law.dimensions[name] == (1, 0)]
+    for pair in combinations([name for name in levels if not own[f"{name}/m"].fixed], 2):
+        if any(_level_known(own[f"{name}/m"]) for name in pair):
+            continue
+        high, low = sorted(pair, key=lambda name: -values_of[name])
+        variance = known.variance(lambda _, own, high=high, low=low: own[high] - own[low])  # type: ignore[misc]
+        item = Parameter.around(values_of[high] - values_of[low], math.sqrt(variance), quantile)
+        item = replace(item, unit="m s^-2")
+        if _level_known(item):
+            found[f"({high} - {low})/m"] = item
+    return found
+
+
+def _level_known(item: Parameter) -> bool:
+    return item.stderr < STATED_ERROR * abs(item.value)
 
 
 def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations:
     """Return the correlations of a law's parameters per unit mass, without those that follow from others."""
     known = _known(fit, motion, run)
     rows = _rows_each_once(fit, motion, known)
-    slopes = np.array([list(_slopes(row.formula, known.own, known.active)) for row in rows])
-    slopes *= np.array([sign_of(row, motion) for row in rows])[:, None]
-    lengths = np.array([row.length * row.formula(values(known.own)) * motion.length_error for row in rows])
-    lengths *= [sign_of(row, motion) for row in rows]
+    slopes = np.array([list(known.slopes(row.formula)) for row in rows])
+    slopes *= np.array([_sign_of(row, motion) for row in rows])[:, None]
+    lengths = np.array([row.length * row.formula(*known.at(known.q)) * motion.length_error for row in rows])
+    lengths *= [_sign_of(row, motion) for row in rows]
     spread = np.einsum("ri,ij,sj->rs", slopes, upper_bound(*known.spreads), slopes) + np.outer(lengths, lengths)
     shown = np.diag(spread) > 0
     error = np.sqrt(np.diag(spread)[shown])
@@ -115,34 +159,10 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
 
 
 def _rows_each_once(fit: Fit, motion: MeasuredMotion, known: "Known") -> list[Derived]:
-    rows = given_rows(LAWS[fit.law].curve, motion, known)
-    left_out = {"Fs/k", *hidden(known)}
-    return [row for row, scale in rows if scale is None and row.name not in left_out]
-
-
-def independent_parameters(fit: Fit, motion: MeasuredMotion) -> "IndependentParameters":
-    """Return the parameters of the first run that follow from no others, per unit mass, at given unknowns."""
-    known = _known(fit, motion, 0)
-    rows = _rows_each_once(fit, motion, known)
-
-    def at(q: Array, unseen: float) -> Array:
-        u = fit.at.task.split(q)[0][:PER_RUN].copy()
-        u[known.active] += unseen * known.unseen
-        return np.array([sign_of(row, motion) * row.formula(values(u)) for row in rows])
-
-    return IndependentParameters(tuple(row.name for row in rows), np.array([row.length for row in rows]), at)
-
-
-def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> float:
-    """Return the error of a run's break-away level over Fs from rest position, Fs and k/m, which all cycles share.
-
-    Without a datum, or on a camera track, it is far larger than the scatter between cycles suggests.
-    """
-    known = _known(fit, motion, run)
-    p = values(known.own)
-    place = p.datum + p.F / p.K
-    slope = np.array(list(_slopes(lambda q: q.K * (place - q.datum) / q.F, known.own, known.active)))
-    return math.sqrt(max(float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max()), 0.0))
+    own = [row for row, scale in _own_rows(fit, motion) if scale is None and row.apart and not row.fixed]
+    left_out = {*_hidden(known), *(row.name for row in own)}
+    table = [row for row, scale in _table(fit, motion, known) if scale is None and row.name not in left_out]
+    return [row for row in (*table, *own) if not row.follows]
 
 
 class IndependentParameters(NamedTuple):
@@ -156,28 +176,98 @@ class IndependentParameters(NamedTuple):
     at: Callable[[Array, float], Array]
 
 
-class Known(NamedTuple):
-    """A fit's knowledge of one run, with unknowns ``own`` (13,).
+def independent_parameters(fit: Fit, motion: MeasuredMotion) -> IndependentParameters:
+    """Return the parameters of the first run that follow from no others, per unit mass, at given unknowns."""
+    known = _known(fit, motion, 0)
+    rows = _rows_each_once(fit, motion, known)
 
-    ``spreads`` (2, p, p) are the covariances of the ``active`` ones by sandwich and curvature; ``undetermined`` are
-    those dominated by a default; ``unseen`` (p,) is an unconstrained direction, a standard deviation long, contained in
-    ``spreads``.
+    def at(q: Array, unseen: float) -> Array:
+        point = known.at(q[known.places] + unseen * known.unseen)
+        return np.array([_sign_of(row, motion) * row.formula(*point) for row in rows])
+
+    return IndependentParameters(tuple(row.name for row in rows), np.array([row.length for row in rows]), at)
+
+
+def unknown_of(fit: Fit, motion: MeasuredMotion, name: str) -> tuple[int, Callable[[float], float]] | None:
+    """Return the unknown that alone decides a parameter of the first run, and the parameter by its value; else None."""
+    known = _known(fit, motion, 0)
+    for row, scale in (*_own_rows(fit, motion), *_table(fit, motion, known)):
+        if row.name != name:
+            continue
+        deciding = np.flatnonzero(list(known.slopes(row.formula)))
+        if deciding.size != 1:
+            return None
+        factor = _sign_of(row, motion) * (1.0 if scale is None else scale.value**row.power)
+
+        def value(at: float, row: Derived = row, factor: float = factor, k: int = int(deciding[0])) -> float:
+            q = known.q.copy()
+            q[k] = at
+            return factor * row.formula(*known.at(q))
+
+        return int(known.places[deciding[0]]), value
+    return None
+
+
+def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> float:
+    """Return the error of a run's break-away level over Fs from rest position, Fs and k/m, which all cycles share.
+
+    Without a datum, or on a camera track, it is far larger than the scatter between cycles suggests.
+    """
+    known = _known(fit, motion, run)
+    p, _ = known.at(known.q)
+    place = p.datum + p.F / p.K
+    return math.sqrt(known.variance(lambda q, _: q.K * (place - q.datum) / q.F))
+
+
+class Known(NamedTuple):
+    """A fit's knowledge of one run, with free unknowns ``q`` (m,): the ``active`` shared ones, then the curve's.
+
+    ``places`` are theirs among those of the fit, ``at`` returns parameters at given unknowns.  ``spreads``
+    (2, m, m) are the covariances by sandwich and curvature; ``undetermined`` are those dominated by a default;
+    ``unseen`` (m,) is an unconstrained direction, a standard deviation long, contained in ``spreads``.
     """
 
-    own: Array
+    q: Array
+    places: Integers
+    at: Callable[[Array], tuple[Values, Own]]
     active: list[Global]
     spreads: Array
     undetermined: set[Global]
     unseen: Array | float = 0.0
 
+    def slopes(self, formula: Callable[[Values, Own], float]) -> Iterator[float]:
+        """Yield the derivative of a quantity by each unknown."""
+        for k, value in enumerate(self.q.tolist()):
+            step = 1e-6 * max(abs(value), 1e-6)
+            up, down = self.q.copy(), self.q.copy()
+            up[k] += step
+            down[k] -= step
+            yield (formula(*self.at(up)) - formula(*self.at(down))) / (2 * step)
+
+    def variance(self, formula: Callable[[Values, Own], float]) -> float:
+        """Return the variance of a quantity, the larger of both."""
+        slope = np.array(list(self.slopes(formula)))
+        return max(float(np.einsum("i,sij,j->s", slope, self.spreads, slope).max()), 0.0)
+
 
 def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
-    slots = columns(fit.active, fit.runs)[run]
-    known = slots >= 0
-    active = [Global(slot) for slot in slots[known]]
-    spread = np.array(covariances(fit, fit.precision))[:, known][:, :, known]
-    law, unseen = LAWS[fit.law], np.zeros(len(active))
-    if law.curve == "constant":
+    run, curve, problem = run if fit.run is None else fit.run, fit.task.curve, fit.least_squares
+    slots = columns(fit.places, len(fit.problem.runs))[run]
+    first = np.flatnonzero(slots >= 0)
+    index = np.concatenate([first, len(slots) + np.arange(curve.size)])
+    active, u = [Global(slot) for slot in slots[first]], fit.for_run(run).u
+
+    def at(q: Array) -> tuple[Values, Own]:
+        own, theta = u.copy(), q[len(active) :]
+        own[active] = q[: len(active)]
+        if theta.size:
+            own[Global.LOG_F] = math.log(float(curve.friction(own, theta, q[:0], np.zeros(1))[0]))
+        return values(own), curve.values(own, theta)
+
+    precision = problem.precision[first]
+    spread = np.array(covariances(fit))[:, index][:, :, index]
+    unseen = np.zeros(index.size)
+    if curve.kind == "constant":
         # The datum is held in the fit; Fs/k moves against it, and of a ramp its width and the belt's speed with that.
         rate = -fit.values.K / fit.values.F
         beside = {Global.DATUM: 1.0, Global.LOG_F: rate}
@@ -192,37 +282,36 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
             width = known_datum[:, active.index(Global.D), active.index(Global.D), None, None]
             both = np.array([float(slot in (Global.D, Global.V_DR)) for slot in active])
             spread = spread + width * (rate * datum_sd) ** 2 * np.outer(both, both)
-    elif law.curve == "linear" and motion.datum_prior is None:
-        unseen = _hidden_level(fit, run, active)
+    elif curve.kind == "linear" and motion.datum_prior is None:
+        unseen = _hidden_level(fit, values(u), run, active)
         spread = spread + np.outer(unseen, unseen)
     default = {
         Global.DATUM: motion.datum_prior is None,
         Global.DAMPING: motion.damping_prior is None or motion.per_mass,
     }
-    left = np.einsum("sii->si", spread).max(axis=0) * fit.precision[known]
-    held = fit.problem.held[PER_RUN * run : PER_RUN * (run + 1)]
+    left = np.einsum("sii->si", spread).max(axis=0)[: len(active)] * precision
+    held = problem.lower[first] == problem.upper[first]
     undetermined = {
         slot
-        for slot, share in zip(active, left, strict=True)
-        if default.get(slot) and not held[slot] and share > DEFAULT_LEFT
+        for slot, share, fixed in zip(active, left, held, strict=True)
+        if default.get(slot) and share > DEFAULT_LEFT and not (fixed and slot != Global.DATUM)
     }
-    if default[Global.DATUM] and law.curve == "constant":
+    if default[Global.DATUM] and curve.kind == "constant":
         undetermined.add(Global.DATUM)
-    if law.curve == "constant" and not fit.problem.runs[run].cut.shows_belt:
+    if curve.kind == "constant" and not fit.problem.runs[run].cut.shows_belt:
         undetermined.add(Global.V_DR)
-        at = active.index(Global.V_DR)  # no better than its start, however sharply the mass bounds it from below
-        spread[:, at, at] = np.maximum(spread[:, at, at], 1 / fit.precision[known][at])
-    return Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined, unseen)
+        place = active.index(Global.V_DR)  # no better than its start, however sharply the mass bounds it from below
+        spread[:, place, place] = np.maximum(spread[:, place, place], 1 / precision[place])
+    return Known(np.array([*u[active], *fit.theta]), index, at, active, spread, undetermined, unseen)
 
 
-def _hidden_level(fit: Fit, run: int, active: list[Global]) -> Array:
+def _hidden_level(fit: Fit, p: Values, run: int, active: list[Global]) -> Array:
     """Return the unconstrained direction (p,) of a linear curve, by the error of the datum.
 
     On a ramp, or a belt that slows under load, rest position and belt speed absorb another level of friction, unless
     levels that differ move the load by more than the position.
     """
-    p = values(fit.u[PER_RUN * run : PER_RUN * (run + 1)])
-    width = p.d if LAWS[fit.law].ramp else p.compliance * p.F / p.K
+    width = p.d if fit.law.ramp else p.compliance * p.F / p.K
     if width <= 0 or not fit.inlier_cycles.any():
         return np.zeros(len(active))
     moved = math.sqrt(float(np.mean(fit.local[fit.inlier_cycles, PerCycle.LEVEL] ** 2))) * p.F / p.K
@@ -240,12 +329,13 @@ def _hidden_level(fit: Fit, run: int, active: list[Global]) -> Array:
     return np.array([moves.get(slot, 0.0) for slot in active]) * datum_sd * width * p.K / p.F
 
 
-def given_rows(curve: str, motion: MeasuredMotion, known: Known) -> Iterator[tuple[Derived, Measured | None]]:
-    """Yield the rows of a fit with this curve, each with the calibration that multiplies it."""
+def _table(fit: Fit, motion: MeasuredMotion, known: Known) -> Iterator[tuple[Derived, Measured | None]]:
+    """Yield the rows of rig, contact and the six for a fit, each with the calibration that multiplies it."""
+    kind = fit.task.curve.kind
     for row in TABLE:
         scale = None if not row.scale or (row.scale == "stiffness" and motion.mass) else getattr(motion, row.scale)
         if (
-            row.curve in ("", curve)
+            (row.curve in ("", kind) or (row.curve == SIX and kind))
             and (row.needs is None or row.needs in known.active)
             and (not row.scale or scale is not None)
             and (row.instead_of is None or row.instead_of in known.undetermined)
@@ -253,52 +343,72 @@ def given_rows(curve: str, motion: MeasuredMotion, known: Known) -> Iterator[tup
             yield row, scale
 
 
-def hidden(known: Known) -> set[str]:
+def _own_rows(fit: Fit, motion: MeasuredMotion) -> Iterator[tuple[Derived, Measured | None]]:
+    """Yield the rows of a formula's own parameters, those with friction in their unit per unit mass and as a force."""
+    law, curve = fit.law, fit.task.curve
+    if not isinstance(curve, FormulaCurve):
+        return
+    scale = motion.mass or motion.stiffness
+    unknown = {name for group in curve.together for name in group.names}
+    for name in law.curve.parameters:
+        force, speed = law.dimensions.get(name, (0, 0))
+        by_log = name in curve.free and bool(curve.by_log[curve.free.index(name)])
+        fixed = name in (law.fix or {})
+        row = Derived(
+            f"{name}/m" if force else name,
+            law.unit(name),
+            partial(_of_formula, name=name),
+            0 if fixed else force + speed,
+            limits=law.limits(name),
+            by_log=by_log,
+            apart=name not in unknown,
+            fixed=fixed,
+        )
+        yield row, None
+        if not force:
+            continue
+        in_newtons = partial(_of_formula, name=name, stretched=force if scale is motion.stiffness and scale else 0)
+        unit = law.unit(name, newtons=scale is not None)
+        yield row._replace(name=name, unit=unit, formula=in_newtons, follows=True, power=force), scale
+
+
+def _of_formula(p: Values, own: Own, name: str, stretched: int = 0) -> float:
+    return own[name] / p.K**stretched
+
+
+def _hidden(known: Known) -> set[str]:
     """Return the names that are constrained only together with an undetermined one."""
     return {name for slot in known.undetermined for name in UNDETERMINED_WITH[slot]}
 
 
-def sign_of(row: Derived, motion: MeasuredMotion) -> float:
+def _sign_of(row: Derived, motion: MeasuredMotion) -> float:
     """Return -1 for a row that changes sign with the belt, if the run's belt runs backward."""
-    return motion.sign if row.name in MIRRORED else 1.0
+    return motion.sign if row.mirrored else 1.0
 
 
-def scaled(row: Derived, scale: Measured | None, known: Known, motion: MeasuredMotion, quantile: float) -> Parameter:
+def _scaled(row: Derived, scale: Measured | None, known: Known, motion: MeasuredMotion, quantile: float) -> Parameter:
     """Return a derived quantity with its interval, times its row's calibration."""
-    value = sign_of(row, motion) * float(row.formula(values(known.own)))
-    slope = np.array(list(_slopes(row.formula, known.own, known.active)))
-    variance = float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max())
-    variance += (row.length * value * motion.length_error) ** 2
+    value = _sign_of(row, motion) * float(row.formula(*known.at(known.q)))
+    variance = known.variance(row.formula) + (row.length * value * motion.length_error) ** 2
+    low, high = row.limits
     if scale is not None:
-        variance = variance * scale.value**2 + (value * scale.sd) ** 2
-        value *= scale.value
-    error = math.sqrt(max(variance, 0.0))
-    return as_parameter(value, error, quantile, row.unit, signed=row.name in SIGNED)
+        factor = scale.value**row.power
+        variance = variance * factor**2 + (row.power * scale.value ** (row.power - 1) * value * scale.sd) ** 2
+        value, low, high = value * factor, low * factor, high * factor
+    item = Parameter.around(value, math.sqrt(variance), quantile, (low, high), by_log=row.by_log)
+    return replace(item, unit=row.unit, trusted=row.apart, fixed=row.fixed)
 
 
-def _slopes(formula: Callable[[Values], float], u: Array, active: list[Global]) -> Iterator[float]:
-    for slot in active:
-        step = 1e-6 * max(abs(float(u[slot])), 1e-6)
-        up, down = u.copy(), u.copy()
-        up[slot] += step
-        down[slot] -= step
-        yield (formula(values(up)) - formula(values(down))) / (2 * step)
-
-
-def wear_of(trend: Wear | None, level: Parameter, alpha: float) -> dict[str, Parameter]:
-    """Return Fs/m at the start of the recording, and wear; empty where the levels have no trend."""
+def _wear_of(trend: Wear | None, level: Parameter | None, alpha: float) -> dict[str, Parameter]:
+    """Return wear, and with a level that at the start of the recording; empty where the levels have no trend."""
     if trend is None:
         return {}
     first, rate = trend.first, trend.rate
     quantile = student_quantile(1 - alpha / 2, trend.degrees_of_freedom)
-    error = math.hypot(level.stderr * first.value, level.value * first.sd)
-    return {
-        "Fs0/m": as_parameter(level.value * first.value, error, quantile, level.unit, signed=False),
-        "wear": as_parameter(rate.value, rate.sd, quantile, "s^-1", signed=True),
-    }
-
-
-def as_parameter(value: float, error: float, quantile: float, unit: str, *, signed: bool) -> Parameter:
-    """Return a quantity with its interval, cut at 0 unless it may be negative."""
-    lo, hi = value - quantile * error, value + quantile * error
-    return Parameter(value, error, lo if signed else max(lo, 0.0), hi, unit)
+    found = {}
+    if level is not None:
+        error = math.hypot(level.stderr * first.value, level.value * first.sd)
+        found["Fs0/m"] = replace(
+            Parameter.around(level.value * first.value, error, quantile, POSITIVE), unit=level.unit
+        )
+    return found | {"wear": replace(Parameter.around(rate.value, rate.sd, quantile), unit="s^-1")}

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fitting.driver.fit import TaskFit
+from fitting.driver.fit import Fit
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import NormalEquations, SchurComplement, kernel
 from stickslip.compute.arrays import Array, Integers, Mask
@@ -60,9 +60,9 @@ class LinearisedFit:
     local_gradient: Array
 
     @classmethod
-    def at(cls, fit: TaskFit) -> "LinearisedFit | None":
+    def at(cls, fit: Fit) -> "LinearisedFit | None":
         """Linearise a fit; None where the motion cannot be followed there."""
-        jacobian, task = fit.jacobian, fit.problem
+        jacobian, task = fit.jacobian, fit.least_squares
         if jacobian is None:
             return None
         u = fit.q

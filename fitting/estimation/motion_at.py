@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import follow
 from stickslip.compute.arrays import Array
 
 
-def motion_at(fit: FittedLaw, time: Array) -> tuple[Array, Array]:
+def motion_at(fit: Fit, time: Array) -> tuple[Array, Array]:
     """Return position, m, and velocity, m/s, of one run's fit at times of its record, s, in the fit's frame.
 
     From a cycle's stick window to its slip window the stick is continued; outside the fitted cycles it is NaN.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig_sim.friction.law import LAWS
+from rig_sim.friction.law import Law
 from stickslip.compute.arrays import Array, Integers
 
 
@@ -67,13 +67,12 @@ SHARED_BY_RUNS = (Global.K, Global.LOG_F, Global.SHAPE, Global.D, Global.DAMPING
 NUISANCE = (Global.DATUM, Global.DAMPING, Global.FADE, Global.COMPLIANCE, *RIPPLE)  # every law has them: no law pays
 
 
-def active_places(law: int, compliant: Sequence[bool], rippled: Sequence[bool]) -> tuple[int, ...]:
+def active_places(kind: Law, compliant: Sequence[bool], rippled: Sequence[bool]) -> tuple[int, ...]:
     """Return the places of a law's parameters.
 
     Each run's belt may slow under load (``compliant``) or ripple; on a compliant belt a ramp's break-away level is that
     of slip (`rig_sim.flow.flow.validate`).
     """
-    kind = LAWS[law]
     shape = () if kind.curve == "constant" else (Global.SHAPE,)
     ramp = () if kind.contact == "jump" else (Global.D,) if any(compliant) else (Global.D, Global.STATIC)
     found = [int(slot) for slot in (Global.K, Global.LOG_F, *shape, *ramp, Global.DAMPING)]

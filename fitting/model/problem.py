@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
+from fitting.law import Law
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
-from rig_sim.friction.law import LAWS
+from rig_sim.friction.law import Law as Kind
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
@@ -56,14 +57,14 @@ class Run:
     motion: MeasuredMotion
     cut: CycleSegmentation
     ripple: Ripple | None = None
-    given: Mapping[int | str, tuple[GivenUnknown, ...]] = field(default_factory=dict)
+    given: Mapping[str, tuple[GivenUnknown, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class EstimationProblem:
     """Constants of a law's passes; arrays over the unknowns of all runs unless said otherwise."""
 
-    law: int
+    law: Law
     runs: tuple[Run, ...]
     active: tuple[int, ...]
     start: Array
@@ -73,15 +74,14 @@ class EstimationProblem:
     precision: Array
 
     @classmethod
-    def build(cls, law: int, runs: Sequence[Run], name: int | str | None = None) -> "EstimationProblem":
+    def build(cls, law: Law, runs: Sequence[Run]) -> "EstimationProblem":
         """Regress the start and turn the calibrations into priors.
 
-        Several runs start from the median regression of the contact; the user's values are those of ``name`` where
-        given.
+        Several runs start from the median regression of the contact.
         """
-        kind = LAWS[law]
+        kind = law.kind
         motions = tuple(run.motion for run in runs)
-        first, _ = _regressed(law, runs)
+        first, _ = _regressed(kind, runs)
         K, first_shape = first[0].K, first[0].shape
         omega = math.sqrt(K)
         damping = damping_calibration(motions[0], K)
@@ -127,25 +127,25 @@ class EstimationProblem:
             law=law,
             runs=tuple(runs),
             active=parameters.active_places(
-                law, [motion.compliance is not None for motion in motions], [run.ripple is not None for run in runs]
+                kind, [motion.compliance is not None for motion in motions], [run.ripple is not None for run in runs]
             ),
             start=start.ravel(),
             lower=lower.ravel(),
             upper=upper.ravel(),
             prior=prior.ravel(),
             precision=precision.ravel(),
-        ).with_given(law if name is None else name)
+        ).with_given()
 
-    def with_given(self, name: int | str) -> "EstimationProblem":
-        """Return the problem with the user's values of a law's shared unknowns."""
-        if not any(run.given.get(name) for run in self.runs):
+    def with_given(self) -> "EstimationProblem":
+        """Return the problem with the user's values of its law's shared unknowns."""
+        if not any(run.given.get(self.law.name) for run in self.runs):
             return self
         start, lower, upper, prior, precision = (
             own.copy() for own in (self.start, self.lower, self.upper, self.prior, self.precision)
         )
         for run, own in enumerate(self.runs):
             sizes = _sizes(own.motion, float(self.start[PER_RUN * run + Global.K]))
-            for given in own.given.get(name, ()):
+            for given in own.given.get(self.law.name, ()):
                 at = PER_RUN * run + given.slot
                 lower[at], upper[at] = max(lower[at], given.low), min(upper[at], given.high)
                 first = start[at] if given.start is None else given.start
@@ -174,18 +174,18 @@ class EstimationProblem:
 
     def start_with_drag(self, drag: Callable[[Array], Array]) -> tuple[Array, float]:
         """Return other starting values (13 runs,), regressed together with a drag, and its size."""
-        first, size = _regressed(self.law, self.runs, drag)
+        first, size = _regressed(self.law.kind, self.runs, drag)
         start = self.start.copy()
         for own, p in zip(start.reshape(-1, PER_RUN), first, strict=True):
             own[: Global.DATUM + 1] = parameters.to_array(p)[: Global.DATUM + 1]
         return np.clip(start, self.lower, self.upper), size
 
-    def start_near(self, other: int, u: Array) -> Array:
+    def start_near(self, other: Law, u: Array) -> Array:
         """Return the unknowns (13 runs,) of this law nearest the fit u of another.
 
         A new ramp is almost closed; another curve has the same friction at two slip speeds.
         """
-        start, own, near = u.copy(), LAWS[self.law], LAWS[other]
+        start, own, near = u.copy(), self.law.kind, other.kind
         if own.ramp and not near.ramp:
             start[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in self.motions)
             start[Global.STATIC :: PER_RUN] = 1.0
@@ -208,13 +208,8 @@ class EstimationProblem:
         )
 
     @property
-    def curve(self) -> int:
-        """Code of the law's curve in the flow."""
-        return LAWS[self.law].curve_code
-
-    @property
     def ramp(self) -> bool:
-        return bool(LAWS[self.law].ramp)
+        return self.law.ramp
 
     @property
     def level_prior(self) -> float:
@@ -222,7 +217,7 @@ class EstimationProblem:
 
         Constant friction fixes the datum, so that no level pulls at it.
         """
-        return 1.0 if LAWS[self.law].curve == "constant" else level_prior(self.motions)
+        return 1.0 if self.law.kind.curve == "constant" else level_prior(self.motions)
 
     @property
     def motions(self) -> tuple[MeasuredMotion, ...]:
@@ -234,10 +229,9 @@ class EstimationProblem:
 
 
 def _regressed(
-    law: int, runs: Sequence[Run], drag: Callable[[Array], Array] | None = None
+    kind: Kind, runs: Sequence[Run], drag: Callable[[Array], Array] | None = None
 ) -> tuple[list[parameters.Values], float]:
     """Return each run's regression, with the medians of the contact, and the median size of a drag."""
-    kind = LAWS[law]
     found = [
         starts.regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_calibration(run.motion), drag)
         for run in runs

@@ -7,14 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from fitting.drawing.palette import INK, WIDE, law_colours
+from fitting.drawing.palette import INK, law_styles
 from fitting.estimation.result import Parameter
 from fitting.report import page, symbols
-from fitting.report.chart import Axes, picture
-from fitting.report.scale import AxisScale
-from stickslip.errors import InputError
+from stickslip.errors import InputError, StickslipError
 from stickslip.output import atomic
 from stickslip.version import VERSION
 
@@ -23,17 +19,17 @@ MARK = '<meta name="generator" content="stickslip fit-friction --each'
 SHOWN = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d", "x0", "c/m")  # per unit mass: every run has these
 NOT_SHOWN = ("k", "c", "m", "wear", "droop", "ripple", "ripple_hz")  # beside the parameters of a formula
 COLUMNS = 2
-Colours = Mapping[int | str, str]
-HEAD, PER_RUN = 76.0, 22.0  # px of a panel: its title and labels, and each run
+Styles = Mapping[int | str, Mapping[str, Any]]
+HEAD, PER_RUN = 0.8, 0.23  # inches of a panel: its title and labels, and each run
 
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One run: its file, the document of its fit (empty where it failed), and the error."""
+    """One run: its file, and the document of its fit, or why it has none."""
 
     file: Path
     document: Mapping[str, Any]
-    problem: str = ""
+    failure: StickslipError | None = None
 
     @property
     def law(self) -> int | str | None:
@@ -61,6 +57,11 @@ class ComparedRun:
         parameters = best.get("parameters", {})
         others = (name for name in parameters if name not in (*NOT_SHOWN, *SHOWN) and f"{name}/m" not in parameters)
         return [name for name in SHOWN if name in parameters] + (list(others) if "formula" in best else [])
+
+    def as_json(self) -> dict[str, Any]:
+        if self.failure is None:
+            return {"file": self.file, **self.document}
+        return {"file": self.file, "error": self.failure.as_json()} | self.failure.data
 
     def parameter(self, name: str) -> Parameter | None:
         """Return a parameter of the best law; None if it has no such parameter."""
@@ -104,12 +105,12 @@ def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
     known = dict.fromkeys(name for run in runs for name in run.names)
     names = [name for name in SHOWN if name in known] + [name for name in known if name not in SHOWN]
     units = {name: next(parameter.unit for run in runs if (parameter := run.parameter(name))) for name in names}
-    colours = law_colours(dict.fromkeys(run.law for run in runs if run.law is not None))
+    styles = law_styles(dict.fromkeys(run.law for run in runs if run.law is not None))
     return page.template("comparison.html").render(
         mark=Markup(_mark([run.file for run in runs])),
-        rows=[_row(number, run, names, colours) for number, run in enumerate(runs, start=1)],
+        rows=[_row(number, run, names, styles) for number, run in enumerate(runs, start=1)],
         names=[f"{name} ({symbols.pretty(units[name])})" for name in names],
-        picture=Markup(draw(runs, names, units, colours)) if names else "",
+        picture=Markup(draw(runs, names, units, styles)) if names else "",
         symbols=symbols.symbols(names),
         summary=summary,
         confidence=f"{100 * (1 - alpha):g} %",
@@ -118,13 +119,13 @@ def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
     )
 
 
-def _row(number: int, run: ComparedRun, names: Sequence[str], colours: Colours) -> dict[str, Any]:
+def _row(number: int, run: ComparedRun, names: Sequence[str], styles: Styles) -> dict[str, Any]:
     return {
         "number": number,
         "file": run.file.name,
         "laws": ", ".join(map(str, run.members)) or "–",
-        "verdict": symbols.pretty(run.document["verdict"]) if run.document else f"error: {run.problem}",
-        "colour": colours[run.law] if run.law is not None else "",
+        "verdict": symbols.pretty(run.document["verdict"]) if run.failure is None else f"error: {run.failure.what}",
+        "colour": styles[run.law]["color"] if run.law is not None else "",
         "parameters": [_value(run.parameter(name)) for name in names] if run.law is not None else [],
     }
 
@@ -136,26 +137,28 @@ def _value(item: Parameter | None) -> tuple[str, str]:
     return value, interval
 
 
-def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, str], colours: Colours) -> str:
+def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, str], styles: Styles) -> str:
     """Draw a panel for each parameter: a line of each run, with its value and interval."""
-    rows = tuple(f"run {number}" for number in range(len(runs), 0, -1))
-    down = AxisScale(-0.6, len(runs) - 0.4, names=rows)
-    width, height = WIDE / COLUMNS, HEAD + PER_RUN * len(runs)
-    drawn = []
-    for place, name in enumerate(names):
-        shown = [
-            (len(runs) - 1 - k, run, parameter) for k, run in enumerate(runs) if (parameter := run.parameter(name))
-        ]
-        ends = np.array([[item.value, item.lo, item.hi] for _, _, item in shown])
-        line, column = divmod(place, COLUMNS)
-        axes = Axes(column * width, line * height, width, height, AxisScale.around(ends), down, rows=0)
-        axes.title = name
-        axes.xlabel = f"{name} ({symbols.pretty(units[name])})"
-        for y, run, item in shown:
-            colour = colours[run.law] if run.law is not None else INK
-            axes.line(np.array([item.lo, item.hi]), np.full(2, float(y)), colour, width=2.2)
-            sign = "o" if run.decided else "c"
-            axes.marks(np.array([item.value]), np.array([float(y)]), colour, sign=sign, size=3.6)
-        drawn.append(axes)
-    about = f"Values and intervals of {', '.join(names)} of each run."
-    return picture("comparison", WIDE, height * -(-len(names) // COLUMNS), drawn, about)
+    from fitting.report import pictures
+
+    lines = -(-len(names) // COLUMNS)
+    with pictures.look():
+        height = lines * (HEAD + PER_RUN * len(runs))
+        drawn, cells = pictures.panels(pictures.WIDE, height, lines, COLUMNS, gap=0.2, sharey=True)
+        drawn.subplots_adjust(hspace=HEAD / (PER_RUN * len(runs)))
+        panels = cells.flat
+        for axes, name in zip(panels, names, strict=False):
+            for number, run in enumerate(runs, start=1):
+                item = run.parameter(name)
+                if item is not None:
+                    colour = styles[run.law]["color"] if run.law is not None else INK
+                    filled = colour if run.decided else "white"
+                    axes.plot([item.lo, item.hi], [number, number], color=colour, lw=2.2)
+                    axes.plot(item.value, number, "o", color=colour, mfc=filled, ms=5)
+            axes.locator_params(axis="x", nbins=6)
+            axes.set(title=name, xlabel=f"{name} ({symbols.pretty(units[name])})")
+        for axes in panels:
+            axes.remove()
+        drawn.axes[0].set_yticks(range(1, len(runs) + 1), [f"run {number}" for number in range(1, len(runs) + 1)])
+        drawn.axes[0].set_ylim(len(runs) + 0.6, 0.4)
+        return pictures.embed(drawn, f"Values and intervals of {', '.join(names)} of each run.", "comparison")

@@ -1,9 +1,8 @@
 """The report: one static, printable page that includes its pictures and loads nothing."""
 
 import html
-import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from fitting.adequacy.result import Adequacy
-from fitting.drawing.palette import law_colours, run_colour
-from fitting.estimation.result import Parameter
+from fitting.drawing.palette import law_styles, run_colour
+from fitting.estimation.result import Correlations, Parameter
 from fitting.report import mathml, symbols
-from fitting.selection.result import LawResult, RankedLaws
+from fitting.selection.result import LawResult, Ranking
 from fitting.selection.verdict import format_probability
-from processing.record.kinematics import Kinematics
-from processing.statistics import StickSlipStatistics, pooled
+from processing.statistics import pooled
 from stickslip.errors import InputError
 from stickslip.output import atomic
 from stickslip.output.lengths import format_length
@@ -26,6 +24,7 @@ from stickslip.version import VERSION
 
 if TYPE_CHECKING:
     from jinja2 import Template
+    from markupsafe import Markup
 
 SUFFIX = ".report.html"
 NAMED = re.compile("sha256 of the raw record ([0-9a-f]{64})")
@@ -106,162 +105,99 @@ def template(name: str) -> "Template":
     import jinja2
 
     loader = jinja2.FileSystemLoader(TEMPLATES)
-    return jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined).get_template(name)
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.filters |= FILTERS
+    return environment.get_template(name)
 
 
 def now() -> str:
     return datetime.now().astimezone().isoformat(" ", timespec="minutes")
 
 
-def render(
-    ranking: RankedLaws, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
-) -> str:
-    """Return the report as HTML; motions and statistics are those of each run."""
+def render(ranking: Ranking) -> str:
+    """Return the report as HTML."""
     from markupsafe import Markup
 
-    from fitting.report import plot
+    from fitting.report import pictures
 
-    first, colours = motions[0].recording, law_colours(row.law for row in ranking.rows)
-    title = first.title or first.source.name
-    if ranking.runs:
-        title = ", ".join(motion.recording.source.name for motion in motions)
+    recordings = [record.recording for record in ranking.records]
+    best = ranking.best if ranking.rows else None
+    title = ", ".join(recording.source.name for recording in recordings)
     return template("report.html").render(
         mark=Markup(f'{MARK} {html.escape(VERSION)}">'),
-        title=title,
+        title=title if ranking.runs else recordings[0].title or title,
+        ranking=ranking,
+        adequacy=ranking.adequacy,
+        goodness=ranking.adequacy.goodness,
+        best=best,
+        badge=_badge(ranking),
+        headline=_headline(best) if best else {},
+        rows=pictures.shown_rows(ranking),
+        colours={law: style["color"] for law, style in law_styles(row.law for row in ranking.rows).items()},
+        parameters=[row for row in ranking.rows if row is best or row.in_set],
         joint=bool(ranking.runs),
-        runs=[
-            _run(number, side, motion)
-            for number, (side, motion) in enumerate(zip(ranking.sides, motions, strict=True), start=1)
-        ],
+        runs=list(zip(range(1, len(recordings) + 1), ranking.sides, ranking.records, strict=True)),
+        run_colour=run_colour,
+        correlations=ranking.correlations(),
+        motion=symbols.MOTION,
+        symbols=symbols.symbols({name for side in ranking.sides for row in side.rows for name in row.parameters}),
+        confidence=f"{100 * (1 - ranking.alpha):g} %",
+        statistics=pooled(ranking.statistics).rows(ranking.records[0].unit),
+        smallest_departure=smallest_departure(ranking.adequacy),
+        pictures={name: Markup(text) for name, text in pictures.draw(ranking).items()},
         now=now(),
         version=VERSION,
-        said=ranking.verdict,
-        verdict=symbols.pretty(ranking.verdict),
-        alone=len(ranking.members) == 1 and not ranking.adequacy.rejected,
-        rows=[_row(row, colours) for row in ranking.rows if _is_on_first_screen(row, ranking)],
-        unfitted=[row for row in ranking.unfitted if row.asked],
-        best=ranking.best if ranking.rows else None,
-        parameters=[(name, *format_interval(item)) for name, item in _best(ranking).items()],
-        rivals=[_rival(row) for row in ranking.rivals if row.in_set and row is not ranking.best],
-        correlations=_correlations(ranking),
-        motion=symbols.MOTION,
-        formulas=[_formula(row) for row in ranking.rows],
-        symbols=symbols.symbols({name for side in ranking.sides for row in side.rows for name in row.parameters}),
-        confidence=f"{100 * (1 - alpha):g} %",
-        warnings=[symbols.pretty(warning) for warning in ranking.warnings],
-        statistics=pooled(statistics).rows(motions[0].unit),
-        adequacy=ranking.adequacy,
-        pretty=symbols.pretty,
-        adequacy_facts=_adequacy_facts(ranking.adequacy),
-        forms=_forms(ranking.adequacy),
-        pictures={name: Markup(text) for name, text in plot.draw(ranking, statistics).items()},
-        cpu=f"{ranking.cpu_s:.2f} s",
     )
 
 
-def _best(ranking: RankedLaws) -> dict[str, Parameter]:
-    return ranking.best.parameters if ranking.rows else {}
+def _badge(ranking: Ranking) -> tuple[str, str]:
+    """Return the kind of the answer, and in words whether a law describes the record."""
+    if not ranking.rows:
+        return "open", "no law fitted"
+    if ranking.adequacy.rejected:
+        return "open", f"{ranking.best.label} does not describe the record"
+    several = len(ranking.members) > 1
+    if not ranking.adequacy.adequate:
+        return "open", "several laws fit, not judged" if several else "goodness of fit not judged"
+    return ("open", "several laws describe the record") if several else ("alone", "describes the record")
 
 
-def _formula(row: LawResult) -> tuple[str, str, Any, str]:
-    """Return number or name of a law, its name in words, its curve typeset, and its contact."""
+def _headline(best: LawResult) -> dict[str, Parameter]:
+    """Return the parameters of the curve, the spring and the belt; in newtons where those are known."""
+    parameters = best.parameters
+    names = (*filter(best.is_own, parameters), *(name for name in ("k/m", "v_dr") if name in parameters))
+    shown = (short if (short := name.removesuffix("/m")) in parameters else name for name in names)
+    return {name: parameters[name] for name in shown}
+
+
+def _symbol(name: str) -> "Markup":
+    """Return the name of a parameter typeset, if it is no combination of several."""
     from markupsafe import Markup
 
-    curve, contact = symbols.typeset(row)
-    return str(row.law), row.name if row.formula is None else "", Markup(curve), contact
+    if re.fullmatch(r"\w+(/m)?", name) is None:
+        return Markup.escape(name)
+    parts = "<mo>/</mo>".join(map(mathml.identifier, name.split("/")))
+    return Markup(f"<math>{parts}</math>")
 
 
-def _rival(row: LawResult) -> dict[str, Any]:
-    """Return name and parameters of a compatible formula that is not the best requested law."""
-    shown = [(name, *format_interval(item)) for name, item in row.parameters.items()]
-    return {"label": row.label, "asked": row.asked, "parameters": shown}
+def _typeset(row: LawResult) -> "tuple[Markup, str]":
+    """Return the curve of a law typeset, and its contact in words."""
+    from markupsafe import Markup
 
-
-def _run(number: int, side: RankedLaws, kinematics: Kinematics) -> dict[str, Any]:
-    """Return the page's data of one run: its source, what was fitted, and how well."""
-    recording, cut, motion = kinematics.recording, side.cut, side.motion
-    best = side.best if side.rows else None
-    return {
-        "number": number,
-        "file": recording.source.name,
-        "when": _when(recording),
-        "remarks": recording.remarks(),
-        "digest": recording.digest,
-        "colour": run_colour(number),
-        "adequacy": side.adequacy.said,
-        "rms": symbols.pretty(format_length(best.rms_m)) if best else "",
-        "cycles": best.cycles if best else "",
-        "speed": " ± ".join(format_interval(best.parameters["v_dr"])[:2]) if best else "",
-        "events": [_event(event) for event in side.events],
-        "facts": [
-            (
-                "record",
-                f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples, from "
-                f"{motion.begin + motion.time[0]:.4g} to {motion.begin + motion.time[-1]:.4g} s of the run",
-            ),
-            ("break-aways", f"{len(cut.cycles)} found, {len(cut.used)} fitted"),
-            ("in stick", f"{100 * cut.plateau_fraction:.0f} % of the record"),
-            ("standard error of a position", symbols.pretty(format_length(motion.resolution))),
-            (
-                "smoothing",
-                f"{kinematics.method}, window {kinematics.window}, order {kinematics.order} (starting values only)",
-            ),
-        ],
-    }
-
-
-def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:
-    """Return goodness of fit as names and values."""
-    goodness = adequacy.goodness
-    if goodness is None:
-        return []
-    facts = [
-        ("verdict", adequacy.said),
-        ("noise of one position", symbols.pretty(format_length(goodness.noise_m))),
-        ("residuals of the best law", f"{goodness.misfit:.3g} times the noise"),
-        ("share that repeats in every cycle", f"{goodness.repeat:.2g}"),
-        ("probability by noise alone", format_probability(goodness.p_value).removeprefix("= ")),
-    ]
-    facts.append(("smallest departure of friction to be seen", smallest_departure(adequacy)))
-    if adequacy.curve is not None:
-        K = adequacy.curve.k_over_m
-        interval = f"{K.lo:.6g} … {K.hi:.6g}" if K.trusted else "interval withheld"
-        facts.append(("k/m of the measured curve", f"{K.value:.6g} s⁻² ({interval})"))
-        facts.append(("residuals of the measured curve", f"{adequacy.curve.chi:.3g} times the noise"))
-    return facts
-
-
-def smallest_departure(adequacy: Adequacy) -> str:
-    """Return the smallest detectable departure of friction in words."""
-    visible = adequacy.smallest_visible
-    return f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
-
-
-def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
-    """Return the published laws as they were fitted, nearest first; none where no curve was measured."""
-    if adequacy.curve is None:
-        return []
-    return [
-        (
-            form.name,
-            symbols.pretty(form.formula),
-            ", ".join(
-                f"{name} = {item.value:.4g} {symbols.pretty(item.unit)}"
-                for name, item in form.parameters.items()
-                if item is not None
-            ),
-            "not fitted" if form.chi is None else f"{form.chi:.2f}",
-            "yes" if form.inside_band else "no",
-            form.source,
-        )
-        for form in adequacy.forms
-    ]
+    curve, contact = symbols.typeset(row.fit.law)
+    return Markup(curve), contact
 
 
 def _when(recording: Recording) -> str:
     """Return the time of recording; of an imported table, that of its file's last change."""
     said = recording.when.removesuffix(recording.started) or "recorded "
     return said + moment(recording.started)
+
+
+def smallest_departure(adequacy: Adequacy) -> str:
+    """Return the smallest detectable departure of friction in words."""
+    visible = adequacy.smallest_visible
+    return f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
 
 
 def moment(stated: str) -> str:
@@ -272,25 +208,12 @@ def moment(stated: str) -> str:
         return stated
 
 
-def _correlations(ranking: RankedLaws) -> dict[str, Any] | None:
-    """Return the correlations of the parameters as a triangle of cells, and the strongest, in descending order."""
-    correlations = ranking.correlations()
-    if correlations is None:
-        return None
-    size = range(len(correlations.names))
-    pairs = sorted(((i, j) for i in size for j in range(i)), key=lambda pair: -abs(correlations.matrix[pair]))
-    strong = [pair for pair in pairs if abs(correlations.matrix[pair]) >= STRONG][:MOST_NAMED]
-    cells = [
-        (
-            correlations.names[i],
-            [(_signed(correlations.matrix[i, j]), _shade(correlations.matrix[i, j])) for j in range(i)],
-        )
-        for i in size[1:]
-    ]
-    named = [
-        f"{correlations.names[i]} and {correlations.names[j]} ({_signed(correlations.matrix[i, j])})" for i, j in strong
-    ]
-    return {"names": correlations.names[:-1], "cells": cells, "strongest": named}
+def _strongest(correlations: Correlations) -> list[str]:
+    """Return the strong correlations in words, in descending order."""
+    matrix, names = correlations.matrix, correlations.names
+    pairs = sorted(((i, j) for i in range(len(names)) for j in range(i)), key=lambda pair: -abs(matrix[pair]))
+    strong = [pair for pair in pairs if abs(matrix[pair]) >= STRONG][:MOST_NAMED]
+    return [f"{names[i]} and {names[j]} ({_signed(matrix[i, j])})" for i, j in strong]
 
 
 def _signed(value: float) -> str:
@@ -302,44 +225,12 @@ def _shade(value: float) -> str:
     return f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})"
 
 
-def _is_on_first_screen(row: LawResult, ranking: RankedLaws) -> bool:
-    """Return whether a law was requested or may be the contact's; the table of published laws has the others."""
-    return row.asked or row.in_set or row is ranking.best or row.law in ranking.not_excluded
-
-
-def _row(row: LawResult, colours: Mapping[int | str, str]) -> dict[str, Any]:
-    from markupsafe import Markup
-
-    behind, weight = format_evidence(row)
-    return {
-        "law": row.law,
-        "name": row.name if row.formula is None else Markup(mathml.typeset(row.formula)),
-        "asked": row.asked,
-        "in_set": row.in_set,
-        "rms": symbols.pretty(format_length(row.rms_m)),
-        "misfit": f"{row.misfit:.3g}",
-        "score": "–" if row.score is None else f"{row.score:.1f}",
-        "weight": weight,
-        "behind": behind,
-        "orbit": f"{100 * row.orbit:.2g} %",
-        "cpu": f"{row.cpu_s:.2f} s",
-        "colour": colours[row.law],
-    }
-
-
 def format_evidence(row: LawResult) -> tuple[str, str]:
     """Return how far a law is behind the best one in mean log error, and its weight; dashes without an evidence."""
     if row.score is None or row.weight is None or row.behind is None:
         return "–", "–"
     behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
     return behind, f"{row.weight:.2f}" if row.weight >= 0.005 else "< 0.01"
-
-
-def _event(event: Any) -> tuple[str, str, str, str, str]:
-    def shown(value: float) -> str:
-        return "–" if math.isnan(value) else f"{value:.4f}"
-
-    return str(event.number), f"{event.t:.3f}", shown(event.break_away_level), shown(event.kinetic_scale), event.flag
 
 
 def format_interval(item: Parameter) -> tuple[str, str, str, str]:
@@ -359,3 +250,22 @@ def format_interval(item: Parameter) -> tuple[str, str, str, str]:
         f"{item.lo:.{digits}f} … {item.hi:.{digits}f}",
         symbols.pretty(item.unit),
     )
+
+
+def _length(value: float) -> str:
+    return symbols.pretty(format_length(value))
+
+
+FILTERS: dict[str, Callable[..., Any]] = {
+    "evidence": format_evidence,
+    "interval": format_interval,
+    "length_text": _length,
+    "pretty": symbols.pretty,
+    "probability": format_probability,
+    "shade": _shade,
+    "signed": _signed,
+    "strongest": _strongest,
+    "symbol": _symbol,
+    "typeset": _typeset,
+    "when": _when,
+}

@@ -5,11 +5,9 @@ between the runs appear once for each: cycles_run1 ..., parameters_run1 ...; run
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from operator import attrgetter, methodcaller
-from pathlib import Path
 
 import h5py
 
@@ -18,8 +16,8 @@ from daq.runfile.tree import Field, Group
 from fitting.drawing.curves import curve, speeds_of_all, unit
 from fitting.estimation.derived import RUNS_OWN
 from fitting.estimation.result import Parameter
-from fitting.report.symbols import formula_of
-from fitting.selection.result import LawResult, RankedLaws
+from fitting.report.symbols import formula
+from fitting.selection.result import LawResult, Ranking
 from processing import stage as smoothed_stage
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
@@ -28,28 +26,11 @@ FRICTION = "N or N/kg"  # unit of a friction: N where mass or stiffness is known
 
 
 @dataclass(frozen=True)
-class _Stage:
-    """The contents of a stage: ranking, fitted part in words, sha256 of the smoothed stage."""
-
-    ranking: RankedLaws
-    part: str
-    smoothed: str
-
-    @cached_property
-    def six(self) -> tuple[LawResult, ...]:
-        return tuple(sorted((row for row in self.ranking.rows if isinstance(row.law, int)), key=_number))
-
-    @property
-    def span(self) -> tuple[float, float] | None:
-        return None if self.ranking.runs else _span(self.ranking)
-
-
-@dataclass(frozen=True)
 class _Law:
     """The contents of a law: its row, and the speeds of its friction curve."""
 
     row: LawResult
-    ranking: RankedLaws
+    ranking: Ranking
     relative_velocity: Array
 
     @property
@@ -64,53 +45,43 @@ class _Law:
     def friction(self) -> Array:
         return curve(self.row.fit, self.ranking.motion, self.relative_velocity)
 
-    def _of(self, side: RankedLaws, wanted: Callable[[str], bool]) -> dict[str, Parameter]:
+    def _of(self, side: Ranking, wanted: Callable[[str], bool]) -> dict[str, Parameter]:
         parameters = side.row(self.row.law).parameters
         return {name.replace("/", "_over_"): item for name, item in parameters.items() if wanted(name)}
 
 
-def _number(row: LawResult) -> int:
-    return row.law if isinstance(row.law, int) else 0
-
-
-def _span(side: RankedLaws) -> tuple[float, float]:
-    """Return start and end of the fitted part, s."""
-    begin, end = side.motion.begin + side.motion.time[[0, -1]]
-    return float(begin), float(end)
+def _end(place: int) -> Callable[[Ranking], float | None]:
+    """Return how the first (0) or last (-1) time of the fitted part of a single run is read, s."""
+    return lambda side: None if side.runs else float(side.motion.begin + side.motion.time[place])
 
 
 def _shown_name(row: LawResult) -> str:
     return row.name if row.formula is None else str(row.law)
 
 
-def _table(path: str, of: str, *columns: Field) -> tree.Tree:
-    """Return the rows of a table of laws; ``columns`` begin with the axis."""
+def _table(path: str, *columns: Field) -> tree.Tree:
+    """Return the rows of a table of the laws of a ranking; ``columns`` begin with the axis."""
     title = "log error of each law above the best one's, penalised"
     return (
         tree.table(path, columns[0].name, "score", title, optional=True),
         columns[0],
-        Field(f"{path}/score", "f8[l]", "", "log error above the best law's, penalised", value=_evidence(of, "score")),
-        Field(f"{path}/weight", "f8[l]", "", "weight of evidence", value=_evidence(of, "weight")),
-        Field(f"{path}/in_set", "u1[l]", "", "1 in the confidence set", f"{of}.in_set"),
-        Field(f"{path}/rms", "f8[l]", "m", "of the residuals", f"{of}.rms_m"),
-        Field(f"{path}/cycles", "u4[l]", "", "cycles fitted", f"{of}.cycles"),
-        Field(f"{path}/orbit_distance", "f8[l]", "", "to the measured orbit, of its size", f"{of}.orbit"),
+        Field(f"{path}/score", "f8[l]", "", "log error above the best law's, penalised", value=_evidence("score")),
+        Field(f"{path}/weight", "f8[l]", "", "weight of evidence", value=_evidence("weight")),
+        Field(f"{path}/in_set", "u1[l]", "", "1 in the confidence set", "rows.in_set"),
+        Field(f"{path}/rms", "f8[l]", "m", "of the residuals", "rows.rms_m"),
+        Field(f"{path}/cycles", "u4[l]", "", "cycles fitted", "rows.cycles"),
+        Field(f"{path}/orbit_distance", "f8[l]", "", "to the measured orbit, of its size", "rows.orbit"),
         *columns[1:],
     )
 
 
-def _names(of: str) -> Callable[[_Stage], list[str] | None]:
-    return lambda stage: [_shown_name(row) for row in attrgetter(of)(stage)] or None
+def _names(ranking: Ranking) -> list[str] | None:
+    return [_shown_name(row) for row in ranking.rows] or None
 
 
-def _evidence(of: str, name: str) -> Callable[[_Stage], list[float] | None]:
+def _evidence(name: str) -> Callable[[Ranking], list[float] | None]:
     """Return how a column of the evidence is read; NaN where no law describes the record."""
-
-    def column(stage: _Stage) -> list[float] | None:
-        items = [getattr(row, name) for row in attrgetter(of)(stage)]
-        return [math.nan if item is None else item for item in items] or None
-
-    return column
+    return lambda ranking: [math.nan if (item := getattr(row, name)) is None else item for row in ranking.rows] or None
 
 
 def _cycles(path: str) -> tree.Tree:
@@ -124,7 +95,7 @@ def _cycles(path: str) -> tree.Tree:
     )
 
 
-def _used(side: RankedLaws) -> list[bool] | None:
+def _used(side: Ranking) -> list[bool] | None:
     return [event.flag in ("", "rough") for event in side.events] or None
 
 
@@ -134,7 +105,7 @@ def _law(path: str, title: str, runs: int = 0) -> tree.Tree:
         *tree.process(path, "fit-friction", 2, "friction_curve"),
         Group(f"{path}/parameters", "NXparameters"),
         Field(f"{path}/parameters/law_name", "text", "", "of the law", value=lambda law: _shown_name(law.row)),
-        Field(f"{path}/parameters/formula", "text", "", "of the law", value=lambda law: formula_of(law.row)),
+        Field(f"{path}/parameters/formula", "text", "", "of the law", value=lambda law: formula(law.row.fit.law)),
         Field(f"{path}/parameters/*", "parameters", "", PARAMETERS, "shared"),
         *(
             row
@@ -156,42 +127,42 @@ def _law(path: str, title: str, runs: int = 0) -> tree.Tree:
     )
 
 
-def _unfitted(stage: _Stage) -> list[str] | None:
-    return [f"law {row.law}: {row.reason}" for row in stage.ranking.unfitted] or None
+def _unfitted(ranking: Ranking) -> list[str] | None:
+    return [f"law {row.law}: {row.reason}" for row in ranking.unfitted] or None
+
+
+def _smoothed(ranking: Ranking) -> str:
+    return "" if ranking.runs else ranking.stages[0]
 
 
 PARAMETERS = "each parameter in its unit, with `NAME_errors`, NaN where no law describes the record"
 ABOUT: tree.Tree = (
     Group("fit/parameters", "NXparameters"),
-    Field("fit/parameters/verdict", "text", "", "in words", "ranking.verdict"),
-    Field("fit/parameters/adequacy", "text", "", "whether a law describes the record", "ranking.adequacy.said"),
+    Field("fit/parameters/verdict", "text", "", "in words", "verdict"),
+    Field("fit/parameters/adequacy", "text", "", "whether a law describes the record", "adequacy.said"),
     Field("fit/parameters/part", "text", "", "what was fitted, where not all was", "part", optional=True),
-    Field("fit/parameters/cpu_time", "f8", "s", "spent", "ranking.cpu_s"),
-    Field("fit/parameters/begin", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[0]),
-    Field("fit/parameters/end", "f8", "s", "of what was fitted", value=lambda stage: stage.span and stage.span[1]),
-    Field("fit/parameters/warnings", "text[i]", "", "in words", "ranking.warnings", optional=True),
+    Field("fit/parameters/cpu_time", "f8", "s", "spent", "cpu_s"),
+    Field("fit/parameters/begin", "f8", "s", "of what was fitted", value=_end(0)),
+    Field("fit/parameters/end", "f8", "s", "of what was fitted", value=_end(-1)),
+    Field("fit/parameters/warnings", "text[i]", "", "in words", "warnings", optional=True),
     Field("fit/parameters/not_fitted", "text[u]", "", "laws without a fit, and why", value=_unfitted, optional=True),
-    Field("fit/parameters/sha256_smooth", "text", "", "of the smoothed velocity", "smoothed", optional=True),
+    Field("fit/parameters/sha256_smooth", "text", "", "of the smoothed velocity", value=_smoothed, optional=True),
 )
-RANKING = _table(
+RANKING = _table(  # of the six, by number
     "fit/ranking",
-    "six",
-    Field("fit/ranking/law", "u1[l]", "", "number of the law", "six.law"),
-    Field("fit/ranking/law_name", "text[l]", "", "of the law", value=_names("six")),
+    Field("fit/ranking/law", "u1[l]", "", "number of the law", "rows.law"),
+    Field("fit/ranking/law_name", "text[l]", "", "of the law", value=_names),
 )
 FORMULAS = _table(
     "fit/formulas",
-    "ranking.rivals",
-    Field(
-        "fit/formulas/row", "u1[l]", "", "from 1", value=lambda stage: range(1, len(stage.ranking.rivals) + 1) or None
-    ),
-    Field("fit/formulas/law_name", "text[l]", "", "of the law", value=_names("ranking.rivals")),
-    Field("fit/formulas/formula", "text[l]", "", "of the law", "ranking.rivals.formula"),
-    Field("fit/formulas/asked", "u1[l]", "", "1 where it was asked for", "ranking.rivals.asked"),
+    Field("fit/formulas/row", "u1[l]", "", "from 1", value=lambda ranking: range(1, len(ranking.rows) + 1) or None),
+    Field("fit/formulas/law_name", "text[l]", "", "of the law", value=_names),
+    Field("fit/formulas/formula", "text[l]", "", "of the law", "rows.formula"),
+    Field("fit/formulas/asked", "u1[l]", "", "1 where it was asked for", "rows.asked"),
 )
 RUNS: tree.Tree = (  # of a joint fit, beside what `daq.runfile.joint` writes
-    Field("runs/begin", "f8[r]", "s", "of what was fitted", value=lambda fit: [_span(side)[0] for side in fit.runs]),
-    Field("runs/end", "f8[r]", "s", "of what was fitted", value=lambda fit: [_span(side)[1] for side in fit.runs]),
+    Field("runs/begin", "f8[r]", "s", "of what was fitted", value=lambda fit: list(map(_end(0), fit.runs))),
+    Field("runs/end", "f8[r]", "s", "of what was fitted", value=lambda fit: list(map(_end(-1), fit.runs))),
     Field("runs/adequacy", "text[r]", "", "verdict on this run", value=lambda fit: [s.adequacy.said for s in fit.runs]),
     Field(
         "runs/cycles",
@@ -219,51 +190,48 @@ TREE: tree.Tree = (
 )
 
 
-def save(ranking: RankedLaws, path: Path, record: str, smoothed: str, part: str = "") -> None:
-    """Write the stage into the run file, replacing an earlier one; ``part`` names what was fitted, if not all.
+def save(ranking: Ranking, *, force: bool = False) -> None:
+    """Write the stage into the run's file, or of several runs into the file of their joint fit, in place of an earlier.
 
-    Raises InputError where the file is not a run, or its raw data or smoothed stage no longer have the sha256
-    ``record`` and ``smoothed``.
+    Raises InputError where the run's raw data or smoothed stage are no longer those that were fitted, or, without
+    ``force``, where the file of the joint fit is another file.
     """
+    recordings = [record.recording for record in ranking.records]
+    path = recordings[0].source
 
     def write(entry: h5py.Group) -> None:
         raw = nexus.read_text(entry, "provenance/sha256_raw", path) if "provenance/sha256_raw" in entry else ""
-        digests = raw, smoothed_stage.digest(entry)
-        for now, before, done in zip(digests, (record, smoothed), ("recorded", "smoothed"), strict=True):
+        digests = (raw, recordings[0].digest), (smoothed_stage.digest(entry), ranking.stages[0])
+        for (now, before), done in zip(digests, ("recorded", "smoothed"), strict=True):
             if now != before:
                 what = f"it was {done} anew while it was fitted; the fit was not stored"
                 raise InputError(what, str(path), f"run: fit-friction {path.name}")
         for name in [name for name in entry if name.startswith("fit_law")]:
             del entry[name]
-        _write(entry, ranking, part, smoothed)
+        _write(entry, ranking)
 
-    store.extend(path, "fit", write, default="fit")
-
-
-def save_joint(
-    ranking: RankedLaws, runs: Sequence[joint.FittedRun], path: Path, part: str = "", *, force: bool = False
-) -> None:
-    """Write the file of a joint fit; another file there is an InputError without ``force``; ``part`` as in `save`."""
-
-    def write(entry: h5py.Group) -> None:
-        _write(entry, ranking, part)
+    def write_joint(entry: h5py.Group) -> None:
+        _write(entry, ranking)
         tree.write(entry, RUNS, ranking)
 
-    joint.write(path, runs, write, force=force)
+    if ranking.runs:
+        joint.write(joint.name_output([one.source for one in recordings]), recordings, write_joint, force=force)
+    else:
+        store.extend(path, "fit", write, default="fit")
 
 
-def _write(entry: h5py.Group, ranking: RankedLaws, part: str, smoothed: str = "") -> None:
-    stage = _Stage(ranking, part, smoothed)
-    shown = "ranking" if stage.six else "formulas" if ranking.rivals else "parameters"
-    # The two tables of laws are of different lengths.
-    tree.write(entry, (*tree.process("fit", "fit-friction", 2, shown), *ABOUT, *RANKING), stage)
-    tree.write(entry, FORMULAS, stage)
+def _write(entry: h5py.Group, ranking: Ranking) -> None:
+    six = tuple(sorted((row for row in ranking.rows if isinstance(row.law, int)), key=attrgetter("law")))
+    shown = "ranking" if six else "formulas" if ranking.rivals else "parameters"
+    tree.write(entry, (*tree.process("fit", "fit-friction", 2, shown), *ABOUT), ranking)
+    tree.write(entry, RANKING, replace(ranking, rows=six))
+    tree.write(entry, FORMULAS, replace(ranking, rows=ranking.rivals))
     if not ranking.rows:
         return
     for number, side in enumerate(ranking.sides, start=1):
         tree.write(entry, _cycles(f"fit/cycles_run{number}" if ranking.runs else "fit/cycles"), side)
     speeds = speeds_of_all([side.motion for side in ranking.sides])
-    for row in (*stage.six, *ranking.rivals):
+    for row in (*six, *ranking.rivals):
         name = f"fit_law{row.law}" if isinstance(row.law, int) else f"fit_law_{row.law.replace('-', '_')}"
         title = row.title if row.formula is not None else f"law {row.law}: {row.name}"
         law = _Law(row, ranking, speeds)

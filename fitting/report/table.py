@@ -9,7 +9,7 @@ import numpy as np
 
 from fitting.curve.result import MeasuredCurve
 from fitting.drawing import curves
-from fitting.selection.result import RankedLaws
+from fitting.selection.result import Ranking
 from stickslip.errors import InputError
 from stickslip.output import atomic
 
@@ -30,7 +30,7 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
             raise InputError(what, str(path), "give another name (--csv), or --force to replace it")
 
 
-def write_curve(path: Path, ranking: RankedLaws, curve: MeasuredCurve) -> None:
+def write_curve(path: Path, ranking: Ranking, curve: MeasuredCurve) -> None:
     """Write friction against relative speed with its band, and a column for each formula; replaces an older table."""
     unit, formulas = ranking.adequacy.unit, ranking.rivals
     drawn = [np.abs(curves.curve(row.fit, ranking.motion, -curve.speed)) for row in formulas]

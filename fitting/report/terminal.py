@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from fitting.adequacy.result import Adequacy
 from fitting.report import page
-from fitting.report.symbols import MOTION, formula_of
-from fitting.selection.result import RankedLaws
+from fitting.report.symbols import MOTION, formula
+from fitting.selection.result import Ranking
 from fitting.selection.verdict import format_probability
+from processing.statistics import pooled
 from stickslip.console import application
 from stickslip.output.lengths import format_length
 
@@ -18,18 +19,16 @@ if TYPE_CHECKING:
 INTERVAL = 3  # column of the table of parameters that may be broken over two lines
 
 
-def of_ranking(
-    ranking: RankedLaws, statistics: Sequence[str], written: Sequence[Path | None], alpha: float
-) -> list[Any]:
+def of_ranking(ranking: Ranking, written: Sequence[Path | None]) -> list[Any]:
     """Return the lines and tables of a ranking; ``written`` are the file of a joint fit, and the report."""
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
     lines: list[Any] = [f"verdict: {ranking.verdict}"]
     if ranking.rows:
-        law = f"{ranking.best.label}: {formula_of(ranking.best)}; {MOTION}"
+        law = f"{ranking.best.label}: {formula(ranking.best.fit.law)}; {MOTION}"
         unfitted = [f"law {row.law} was not fitted: {row.reason}" for row in ranking.unfitted]
-        lines += [_laws(ranking), *unfitted, _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
+        lines += [_laws(ranking), *unfitted, _parameters(ranking), law, *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
-    lines += statistics
+    lines += pooled(ranking.statistics).sentences("m")
     named = [f"; {kind}: {path}" for kind, path in zip(("joint fit", "report"), written, strict=True) if path]
     cycles = f"{ranking.best.cycles} cycles, " if ranking.rows else ""
     lines.append(f"{cycles}{ranking.cpu_s:.1f} s of CPU time{''.join(named)}")
@@ -37,7 +36,7 @@ def of_ranking(
     return lines
 
 
-def _laws(ranking: RankedLaws) -> "Table":
+def _laws(ranking: Ranking) -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
     table = application.table("friction laws, best first", ("law", "rms error", "misfit", "behind", "weight", "in set"))
     for row in ranking.rows:
@@ -72,8 +71,8 @@ def _adequacy(adequacy: Adequacy) -> list[Any]:
     return lines
 
 
-def _parameters(ranking: RankedLaws, alpha: float) -> "Table":
-    headings = ("parameter", "value", "std. error", f"{100 * (1 - alpha):g} % interval", "unit")
+def _parameters(ranking: Ranking) -> "Table":
+    headings = ("parameter", "value", "std. error", f"{100 * (1 - ranking.alpha):g} % interval", "unit")
     table = application.table(ranking.best.label, headings)
     rows = [(name, *page.format_interval(item)[:3], item.unit) for name, item in ranking.best.parameters.items()]
     for row in rows:

@@ -1,158 +1,122 @@
-"""The answer of a ranking: its rows, sentences and warnings, from the decision about the laws."""
+"""The answer of a ranking: its rows, sentences and warnings, from the competition of the laws."""
 
 import math
 import time as clock
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from operator import attrgetter
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from fitting.adequacy.assess import Assessment, Measurement
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
-from fitting.competitors import ALL_LAWS
-from fitting.curve.formula_fit import FormulaFit
-from fitting.curve.formula_parameters import formula_level_error, formula_parameters
-from fitting.curve.result import FormFit
 from fitting.departures.ageing import find_other_break_away
 from fitting.drawing import curves
+from fitting.driver.fit import Fit
 from fitting.estimation import break_aways, derived
-from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
-from fitting.law import PUBLISHED, SOURCES
+from fitting.law import SIX
 from fitting.model.problem import Run
+from fitting.options import Options
 from fitting.selection import rig_intervals, verdict, verdict_warnings
-from fitting.selection.asked import Asked
-from fitting.selection.contradictions import name_contradictions
 from fitting.selection.judgement import Competition
 from fitting.selection.phase_distance import MeasuredOrbit
-from fitting.selection.result import LawResult, RankedLaws, UnfittedLaw
-from fitting.selection.verdict_warnings import JudgedRun
+from fitting.selection.result import LawResult, Ranking
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
-from rig_sim.friction.law import LAWS
 from stickslip.units import Measured
 
-Contradictions = list[list[Finding]]  # of each run
+Contradictions = Sequence[Sequence[Finding]]  # of each run
 
 
-@dataclass(frozen=True, eq=False)
-class Contest:
-    """All laws fitted to runs, and what their competition decided."""
+def build_ranking(
+    competition: Competition,
+    options: Options,
+    records: Sequence[Kinematics],
+    adequacies: Sequence[Adequacy],
+    contradicted: Contradictions,
+    other_contact: Finding | None,
+    begun: float,
+) -> Ranking:
+    """Return the ranking.
 
-    asked: Asked
-    records: Sequence[Kinematics]  # as smoothed, and in the fit's frame
-    runs: Sequence[Run]
-    measured: Measurement
-    competition: Competition
-    unfitted: tuple[UnfittedLaw, ...]  # the laws that were not fitted
-    sustained: bool  # whether the mass sticks in the long run
-    warnings: tuple[str, ...] = ()  # about formulas that could not be fitted, or not in all their parameters
-
-    @property
-    def rejected(self) -> bool:
-        """Whether no law describes the runs."""
-        return not self.competition.described
-
-    @property
-    def best(self) -> Fit | FormulaFit:
-        """The law of the first row."""
-        return self.competition.best
-
-    def described(self) -> list[tuple[int | str, list[dict[str, Parameter]]]]:
-        """Return the laws that describe the runs, best first, each with its parameters of each run."""
-        return [
-            (fit.law, [_parameters(fit, self, number) for number in range(len(self.runs))])
-            for fit in self.competition.fits
-            if self.competition.describes(fit.law)
-        ]
-
-
-@dataclass(frozen=True, eq=False)
-class Decision:
-    """A contest with the goodness of fit of its best law, and what contradicts the record."""
-
-    contest: Contest
-    assessed: Assessment
-    contradicted: "Contradictions"  # what of each run's calibration its record contradicts
-    other_contact: Finding | None = None  # that the runs are not of one contact
-
-    @property
-    def asked(self) -> Asked:
-        """What was asked for."""
-        return self.contest.asked
-
-    @property
-    def records(self) -> Sequence[Kinematics]:
-        """The smoothed runs."""
-        return self.contest.records
-
-    @property
-    def runs(self) -> Sequence[Run]:
-        """The runs in the fit's frame."""
-        return self.contest.runs
-
-    @property
-    def competition(self) -> Competition:
-        """The laws in order."""
-        return self.contest.competition
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    runs: tuple[tuple[LawResult, ...], ...]  # those of each run
-    together: tuple[LawResult, ...]  # those of all runs together; of a single run its own
-    depends: tuple[tuple[str, ...], ...]  # of each run: what of it depends on the law, in words
-
-
-def ranking(decision: Decision, begun: float) -> RankedLaws:
-    """Return the ranking; ``begun`` is the process's CPU time when it began, s."""
-    rows = _rows(decision)
-    words = _words(decision, rows)
-    sides = [_side(decision, number, rows, words) for number in range(len(decision.runs))]
-    return _together(decision, rows, words, sides, clock.process_time() - begun)
+    adequacies: Of all runs together and, where there are several, of each.
+    contradicted: What of each run's calibration its record contradicts.
+    other_contact: That the runs are not of one contact.
+    begun: CPU time of the process when the ranking began, s.
+    """
+    orbits, together = [MeasuredOrbit.of(run.motion) for run in competition.runs], adequacies[0]
+    of_law = (_rows_of(fit, competition, options, orbits, together) for fit in competition.fits)
+    tables = list(zip(*of_law, strict=True))
+    shared = [] if other_contact is None else [other_contact]
+    if together.fluctuation is not None:
+        share = 100 * together.fluctuation
+        text = f"friction fluctuates at random within slips, by about {share:.2g} % of Fs: no law can describe it"
+        shared.insert(0, Finding("random-within-slips", text, together.fluctuation, 0.0, 0.0))
+    sides = []
+    for number, record in enumerate(records):
+        findings = [*contradicted[number], *shared]
+        adequacy = adequacies[number + 1] if len(adequacies) > 1 else together
+        side = _side(competition, options, number, record, tables[number], findings, adequacy)
+        depends = () if not competition.described else rig_intervals.law_dependent(tables[number])
+        warnings = verdict_warnings.warnings(side, (*competition.warnings, *depends), together)
+        sides.append(replace(side, warnings=warnings))
+    rows = tuple(rig_intervals.over_the_set(tables[-1]))
+    events = tuple(event for side in sides for event in side.events)
+    return _complete(sides, contradicted, begun, rows=rows, events=events, adequacy=together)
 
 
 def without_law(
     reason: str,
     contradicted: Contradictions,
-    asked: Asked,
+    options: Options,
     runs: Sequence[Run],
     records: Sequence[Kinematics],
     begun: float,
-) -> RankedLaws:
+) -> Ranking:
     """Return the verdict on stick-slip that no law fits: no rows, and what is known without a law."""
-    words = name_contradictions(verdict.refused_sentence(reason, asked.competitors), contradicted)
-    outcome = NONE_OF_SIX if asked.competitors.laws == ALL_LAWS else NONE_FITTED
+    outcome = NONE_OF_SIX if len(options.competitors.six) == len(SIX) else NONE_FITTED
+    laws = "none of the six laws" if outcome == NONE_OF_SIX else outcome
+    words = verdict.name_contradictions(f"stick-slip, but {laws}: {reason}", contradicted)
     sides = []
     for run, record, contradictions in zip(runs, records, contradicted, strict=True):
-        adequacy = Adequacy(outcome, run.motion.resolution)
         findings = (*record.findings, *contradictions)
-        warned = tuple(finding.text for finding in findings)
-        cpu_s = clock.process_time() - begun
-        side = RankedLaws(words, (), (), (), warned, run.motion, run.cut, adequacy, cpu_s, findings=findings)
-        sides.append(replace(side, records=(record,), alpha=asked.alpha))
-    if len(sides) == 1:
-        return sides[0]
-    warnings, findings = _merged(sides, records)
-    return replace(sides[0], warnings=warnings, findings=findings, runs=tuple(sides), records=tuple(records))
+        side = Ranking(
+            verdict=words,
+            members=(),
+            rows=(),
+            events=(),
+            warnings=tuple(finding.text for finding in findings),
+            motion=run.motion,
+            cut=run.cut,
+            adequacy=Adequacy(outcome, run.motion.resolution),
+            findings=findings,
+            records=(record,),
+            alpha=options.alpha,
+        )
+        sides.append(side)
+    return _complete(sides, contradicted, begun)
 
 
-def _rows(decision: Decision) -> Rows:
-    """Return the rows of every law, each run's and those of all together."""
-    orbits = [MeasuredOrbit.of(run.motion) for run in decision.runs]
-    tables = list(zip(*(_rows_of(fit, decision, orbits) for fit in decision.competition.fits), strict=True))
-    depends = [() if decision.contest.rejected else rig_intervals.law_dependent(own) for own in tables]
-    found = [tuple(rig_intervals.over_the_set(own)) for own in tables]
-    return Rows(tuple(found[: len(decision.runs)]), found[-1], tuple(depends[: len(decision.runs)]))
+def describing(competition: Competition, options: Options) -> dict[int | str, list[dict[str, Parameter]]]:
+    """Return the laws that describe the runs, best first, each with its parameters of each run."""
+    return {
+        fit.law.key: [_parameters(fit, competition, options, number) for number in range(len(competition.runs))]
+        for fit in competition.fits
+        if competition.describes(fit.law)
+    }
 
 
-def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
+def _rows_of(
+    fit: Fit,
+    competition: Competition,
+    options: Options,
+    orbits: Sequence[MeasuredOrbit],
+    adequacy: Adequacy,
+) -> list[LawResult]:
     """Return a law's row for each run, and last the row for all of them together; one row for a single run."""
-    runs, competition = decision.runs, decision.competition
-    chosen, competitors = competition.chosen, decision.asked.competitors
+    runs, chosen, competitors = competition.runs, competition.chosen, options.competitors
     parts = [fit.for_run(number) for number in range(len(runs))]
-    parameters = [_parameters(fit, decision.contest, number) for number in range(len(runs))]
+    parameters = [_parameters(fit, competition, options, number) for number in range(len(runs))]
     distances = [orbit.distance(part) for part, orbit in zip(parts, orbits, strict=True)]
     motions = [run.motion for run in runs]
     if len(runs) > 1:
@@ -161,11 +125,10 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
             together |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
         parts, parameters, motions = [*parts, fit], [*parameters, together], [*motions, motions[0]]
         distances.append(math.sqrt(float(np.mean(np.square(distances)))))
-    formula = None if isinstance(fit, Fit) or fit.number is not None else fit.asked_for.formula
     return [
         LawResult(
-            law=fit.law,
-            name=LAWS[fit.law].name if isinstance(fit.law, int) else fit.law.replace("-", " "),
+            law=fit.law.key,
+            name=fit.law.words,
             score=chosen.score.get(fit.law),
             weight=chosen.weight.get(fit.law),
             in_set=fit.law in chosen.members,
@@ -178,25 +141,21 @@ def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[Measure
             orbit=distance,
             fit=part,
             motion=motion,
-            outside_band=decision.assessed.together.outside_band.get(fit.law),
-            formula=formula,
-            asked=fit.law in competitors.laws or fit.law in competitors.names,
+            outside_band=adequacy.outside_band.get(fit.law.key),
+            formula=None if fit.law.number else fit.law.formula,
+            asked=competitors.asks(fit.law),
         )
         for part, own, distance, motion in zip(parts, parameters, distances, motions, strict=True)
     ]
 
 
-def _parameters(fit: Fit | FormulaFit, contest: Contest, run: int) -> dict[str, Parameter]:
+def _parameters(fit: Fit, competition: Competition, options: Options, run: int) -> dict[str, Parameter]:
     """Return a law's parameters of a run; those that were given as they were given."""
-    motion, alpha = contest.runs[run].motion, contest.asked.alpha
-    own: dict[str, Parameter]
-    if isinstance(fit, Fit):
-        own = derived.derived_parameters(fit, motion, alpha, run, sustained=contest.sustained)
-    else:
-        own = formula_parameters(fit, motion, alpha, run, sustained=contest.sustained)
-    trusted = contest.competition.describes(fit.law)
+    motion = competition.runs[run].motion
+    own = derived.derived_parameters(fit, motion, options.alpha, run, sustained=competition.sustained)
+    trusted = competition.describes(fit.law)
     found = {name: replace(item, trusted=trusted and item.trusted) for name, item in own.items()}
-    for name, value in contest.asked.fixed(fit.law).items():
+    for name, value in options.fixed(fit.law).items():
         shown = name if name in found or f"{name}/m" not in found else f"{name}/m"
         unit = found[shown].unit if shown in found else ""  # that of a ramp's break-away level, which has none
         found[shown] = Parameter(value, 0.0, value, value, unit, fixed=True)
@@ -205,136 +164,54 @@ def _parameters(fit: Fit | FormulaFit, contest: Contest, run: int) -> dict[str, 
     return found
 
 
-def _words(decision: Decision, rows: Rows) -> str:
-    """Return the verdict."""
-    if decision.contest.rejected:
-        known = "" if any(decision.contradicted) else None
-        cause = known if decision.other_contact is None else decision.other_contact.text
-        words = verdict.no_law_sentence(rows.together, decision.assessed.together, cause)
-    else:
-        words = verdict.verdict_sentence(
-            rows.together,
-            decision.competition.not_excluded,
-            sustained=decision.contest.sustained,
-            measured=all(run.motion.belt_measured for run in decision.runs),
-            rest_known=all(run.motion.datum_prior is not None for run in decision.runs),
-            runs=len(decision.runs),
-        )
-    return name_contradictions(words, decision.contradicted)
-
-
-def _side(decision: Decision, number: int, rows: Rows, words: str) -> RankedLaws:
-    """Return one run's side: its rows, break-aways, findings and warnings."""
-    run, record, own = decision.runs[number], decision.records[number], rows.runs[number]
-    best = own[0]
-    events = break_aways.find_break_aways(best.fit, run.motion, run.cut)
+def _side(
+    competition: Competition,
+    options: Options,
+    number: int,
+    record: Kinematics,
+    table: Sequence[LawResult],
+    findings: Sequence[Finding],
+    adequacy: Adequacy,
+) -> Ranking:
+    """Return one run's side, without verdict and warnings: its rows, break-aways and findings."""
+    run, rows = competition.runs[number], tuple(rig_intervals.over_the_set(table))
+    events = break_aways.find_break_aways(rows[0].fit, run.motion, run.cut)
     # The fitted belt speed is compared with the stated one more exactly than the sticks that smoothing found.
-    findings = [
-        *(finding for finding in record.findings if finding.code != "belt-speed"),
-        *decision.contradicted[number],
-        *_fluctuation(decision.assessed.together),
-        *([] if decision.other_contact is None else [decision.other_contact]),
-    ]
+    findings = [*(finding for finding in record.findings if finding.code != "belt-speed"), *findings]
     # a mass that merely grazes the belt does not break away from rest
-    if decision.contest.sustained and not decision.contest.rejected:
-        friction = best.fit.values.F * curves.mass(run.motion, best.fit)
-        error = _level_error(decision.contest.best, run, number)
+    if competition.sustained and competition.described:
+        friction = rows[0].fit.values.F * curves.mass(run.motion, rows[0].fit)
+        error = derived.break_away_level_error(competition.best, run.motion, number)
         findings += find_other_break_away(
             events, run.cut, Measured(friction, error * friction), curves.unit(run.motion)
         )
-    given = decision.asked.given(best.law)
-    judged = JudgedRun(own, best, run.motion, run.cut, record, findings, decision.contest.sustained, given)
-    together, adequacy = decision.assessed.together, decision.assessed.runs[number]
-    warnings = (
-        *verdict_warnings.warnings(judged),
-        *decision.contest.warnings,
-        *rows.depends[number],
-        *verdict_warnings.not_judged(adequacy),
-        *verdict_warnings.level_of_curve(together),
-    )
-    if len(decision.runs) == 1:
-        adequacy = _with_forms(adequacy, own, decision.contest.unfitted)
-    return RankedLaws(
-        verdict=words,
-        members=decision.competition.members,
-        rows=own,
+    return Ranking(
+        verdict="",
+        members=tuple(law.key for law in competition.members),
+        rows=rows,
         events=tuple(replace(event, t=run.motion.begin + event.t) for event in events),
-        warnings=warnings,
+        warnings=(),
         motion=run.motion,
         cut=run.cut,
         adequacy=adequacy,
         findings=tuple(findings),
         records=(record,),
-        alpha=decision.asked.alpha,
-        unfitted=decision.contest.unfitted,
-        not_excluded=decision.competition.not_excluded,
+        alpha=options.alpha,
+        unfitted=competition.unfitted,
+        not_excluded=tuple(law.key for law in competition.not_excluded),
+        sustained=competition.sustained,
     )
 
 
-def _fluctuation(adequacy: Adequacy) -> list[Finding]:
-    """Return that friction fluctuates at random within slips, with the share of Fs, where it does."""
-    share = adequacy.fluctuation
-    if share is None:
-        return []
-    text = f"friction fluctuates at random within slips, by about {100 * share:.2g} % of Fs: no law can describe it"
-    return [Finding("random-within-slips", text, share, 0.0, 0.0)]
-
-
-def _with_forms(adequacy: Adequacy, rows: Sequence[LawResult], unfitted: Sequence[UnfittedLaw]) -> Adequacy:
-    """Return what is known of a record, with the published laws as they were fitted to it."""
-    forms = [
-        FormFit(
-            name=str(row.law),
-            formula=str(row.formula),
-            source=SOURCES[str(row.law)],
-            parameters={name: row.parameters[name] for name in PUBLISHED[str(row.law)].free},
-            chi=row.misfit,
-            inside_band=row.outside_band is not None and row.outside_band.half_widths <= 1,
-        )
-        for row in sorted(rows, key=attrgetter("misfit"))
-        if row.law in PUBLISHED
-    ]
-    forms += [
-        FormFit(name, str(one.formula), SOURCES[name], dict.fromkeys(PUBLISHED[name].free), None, inside_band=False)
-        for one in unfitted
-        if (name := str(one.law)) in PUBLISHED
-    ]
-    return replace(adequacy, forms=tuple(forms))
-
-
-def _level_error(fit: Fit | FormulaFit, run: Run, number: int) -> float:
-    """Return the error of a run's break-away level that all cycles share."""
-    if isinstance(fit, Fit):
-        return derived.break_away_level_error(fit, run.motion, number)
-    return formula_level_error(fit, number)
-
-
-def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[RankedLaws], cpu_s: float) -> RankedLaws:
-    """Return the ranking of all runs together; of a single run its side."""
-    if len(sides) == 1:
-        return replace(sides[0], cpu_s=cpu_s)
-    warnings, findings = _merged(sides, decision.records)
-    return RankedLaws(
-        verdict=words,
-        members=decision.competition.members,
-        rows=rows.together,
-        events=tuple(event for side in sides for event in side.events),
-        warnings=warnings,
-        motion=decision.runs[0].motion,
-        cut=decision.runs[0].cut,
-        adequacy=_with_forms(decision.assessed.together, rows.together, decision.contest.unfitted),
-        cpu_s=cpu_s,
-        findings=findings,
-        runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
-        records=tuple(decision.records),
-        alpha=decision.asked.alpha,
-        unfitted=decision.contest.unfitted,
-        not_excluded=decision.competition.not_excluded,
-    )
-
-
-def _merged(sides: Sequence[RankedLaws], records: Sequence[Kinematics]) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
-    """Return the warnings and the findings of several runs."""
-    names = [record.recording.source.name for record in records]
-    warnings = verdict_warnings.merge_warnings([side.warnings for side in sides], names)
-    return warnings, tuple(dict.fromkeys(finding for side in sides for finding in side.findings))
+def _complete(sides: Sequence[Ranking], contradicted: Contradictions, begun: float, **of_all: Any) -> Ranking:
+    """Return the ranking of all runs, of which a single one is its own side; ``of_all`` is what they have together."""
+    ranking, cpu_s = replace(sides[0], **of_all), clock.process_time() - begun
+    if len(sides) > 1:
+        records = tuple(record for side in sides for record in side.records)
+        names = [record.recording.source.name for record in records]
+        warnings = verdict_warnings.merge_warnings([side.warnings for side in sides], names)
+        findings = tuple(dict.fromkeys(finding for side in sides for finding in side.findings))
+        ranking = replace(ranking, warnings=warnings, findings=findings, runs=tuple(sides), records=records)
+    words = ranking.verdict or verdict.write_verdict(ranking, contradicted)
+    runs = tuple(replace(side, verdict=words, cpu_s=cpu_s) for side in ranking.runs)
+    return replace(ranking, verdict=words, runs=runs, cpu_s=cpu_s)

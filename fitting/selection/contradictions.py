@@ -1,17 +1,20 @@
-"""Contradictions between the stated rig and the record.
+"""Contradictions between the stated rig and the record, and between runs of one contact.
 
 A calibration is contradicted only where a law that was fitted without it describes the record, and none does with it.
 A law that describes the record with a calibration as a prior, but far from it, was fitted without it in effect: what it
-shows alone is then fitted again.
+shows alone is then fitted again.  Runs that no law describes together are of several contacts where one law describes
+each of them alone, with other parameters.
 """
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 from daq.runfile.rig import Rig
 from fitting.data.frame import MeasuredMotion
+from fitting.estimation.derived import RUNS_OWN
 from fitting.estimation.result import Parameter
 from fitting.model.problem import Run
 from processing.record.finding import Finding
@@ -74,16 +77,6 @@ def _of_runs(
     return found
 
 
-def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:
-    """Return a verdict with the calibrations that its law contradicts, each once."""
-    clauses = {}
-    for one in (one for own in contradicted for one in own):
-        unit, name = UNITS[one.code], one.code.replace("-", " ")
-        if one.code not in clauses:
-            clauses[one.code] = f"{name} (stated {one.expected:.3g} {unit}, the record shows {one.value:.3g} {unit})"
-    return f"{verdict}; it contradicts the stated {' and '.join(clauses.values())}" if clauses else verdict
-
-
 def _compared(motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig) -> Iterator[Finding]:
     """Yield each calibration beside what a law shows of it."""
     if motion.stated_speed is not None and not parameters["v_dr"].fixed:
@@ -117,3 +110,34 @@ def _finding(code: str, seen: Measured, stated: Measured) -> Finding:
         "stated one"
     )
     return Finding(code, text, seen.value, stated.value, sigmas)
+
+
+def find_other_contact(each: Sequence[Mapping[int | str, Mapping[str, Parameter]]]) -> Finding | None:
+    """Return the parameter in which two runs differ most, where one law describes each of them alone; else None.
+
+    ``each`` are the laws of each run, best first.
+    """
+    law = next((law for law in each[0] if all(law in laws for laws in each)), None)
+    if law is None:
+        return None
+    found = [
+        (_distance(each[one][law][name], each[other][law][name]), name, one, other)
+        for one, other in combinations(range(len(each)), 2)
+        for name in each[one][law]
+        if name in each[other][law] and name not in RUNS_OWN
+    ]
+    sigmas, name, one, other = max(found)
+    if sigmas <= CONTRADICTED_BY:
+        return None
+    first, second = each[one][law][name], each[other][law][name]
+    text = (
+        f"these runs are not one contact: law {law} describes each of them alone, with {name} = {first.value:.4g} +- "
+        f"{first.stderr:.2g} {first.unit} in run {one + 1} and {second.value:.4g} +- {second.stderr:.2g} {second.unit} "
+        f"in run {other + 1}"
+    )
+    return Finding("not-one-contact", text, second.value, first.value, sigmas)
+
+
+def _distance(one: Parameter, other: Parameter) -> float:
+    spread = math.hypot(one.stderr, other.stderr)
+    return abs(one.value - other.value) / spread if spread > 0 else 0.0

@@ -14,14 +14,14 @@ from dataclasses import replace
 import numpy as np
 
 from fitting.driver.driver import fit_from
+from fitting.driver.fit import Fit
 from fitting.driver.task import FitStart, law_task
 from fitting.estimation import derived
 from fitting.estimation.covariance import without_level_errors
-from fitting.estimation.fit import Fit
+from fitting.law import Law
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
 from fitting.selection.evidence import ModelSet
-from rig_sim.friction.law import LAWS
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
@@ -44,7 +44,7 @@ RAMP_SCORE_MARGIN = 4.0
 SAME = 0.05
 
 
-def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int | str], runs: Sequence[Run]) -> Fit | None:
+def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[Law], runs: Sequence[Run]) -> Fit | None:
     """Fit the jump law of a narrow ramp on a compliant belt.
 
     None where a belt was measured, the set's best ramp is not narrow, or its jump law is already in the set, not
@@ -52,34 +52,33 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int | str], runs:
     """
     if any(run.motion.belt_measured for run in runs):
         return None
-    ramp = next((law for law in members if isinstance(law, int) and LAWS[law].ramp), None)
-    found = {fit.law: fit for fit in fits}
-    if ramp is None or ramp - 1 in members or ramp - 1 not in found:
+    own = [fit.law for fit in fits if fit.law.has_kernel]
+    ramp = next((law for law in members if law in own and law.ramp), None)
+    jump = next((law for law in own if ramp and ramp.is_ramp_of(law)), None)
+    if jump is None or jump in members:
         return None
-    near = found[ramp]
+    near = next(fit for fit in fits if fit.law == ramp)
     if near.values.d > WIDEST_BELT_LOSS * min(run.motion.belt_speed for run in runs):
         return None
     compliance = near.values.d * near.values.K / near.values.F
     u = near.u.copy()
     u[Global.COMPLIANCE :: PER_RUN] = compliance
     compliant = [replace(run, motion=replace(run.motion, compliance=Measured(compliance, compliance))) for run in runs]
-    task = law_task(ramp - 1, compliant)
-    fit = fit_from(task, FitStart(u[list(task.places)], near.local), near.at.noise.without_fade)
-    return None if fit is None else without_level_errors(Fit.of(fit))
+    task = law_task(jump, compliant)
+    fit = fit_from(task, FitStart(u[list(task.places)], near.local), near.noise.without_fade)
+    return None if fit is None else without_level_errors(fit)
 
 
-def closed_ramps(fits: Sequence[Fit]) -> list[tuple[int, int]]:
+def closed_ramps(fits: Sequence[Fit]) -> list[tuple[Law, Law]]:
     """Return (jump law, ramp law) where the ramp is as narrow as it may be: both are then the same model.
 
     The smaller error of the ramp law is then due to the minimiser: it is not evidence for a ramp.
     """
-    laws = {fit.law for fit in fits}
     return [
-        (fit.law - 1, fit.law)
+        (jump.law, fit.law)
         for fit in fits
-        if LAWS[fit.law].ramp
-        and fit.law - 1 in laws
-        and fit.values.d < CLOSED * min(m.belt_speed for m in fit.problem.motions)
+        for jump in fits
+        if fit.law.is_ramp_of(jump.law) and fit.values.d < CLOSED * min(m.belt_speed for m in fit.problem.motions)
     ]
 
 
@@ -116,10 +115,10 @@ def with_open_ramps(
     found = {fit.law: fit for fit in fits}
     joining = []
     for law in chosen.members:
-        ramp = found.get(law + 1) if isinstance(law, int) and not LAWS[law].ramp else None
+        ramp = next((fit for fit in fits if fit.law.is_ramp_of(law)), None)
         if ramp is None or law not in found or ramp.law in chosen.members:
             continue
-        extra = ramp.law_parameters - found[ramp.law - 1].law_parameters
+        extra = ramp.law_parameters - found[law].law_parameters
         if chosen.score[ramp.law] - chosen.score[law] > extra * math.log(max(samples, 1.0)) + RAMP_SCORE_MARGIN:
             continue
         width = derived.derived_parameters(ramp, runs[0].motion, alpha, sustained=sustained).get("d")

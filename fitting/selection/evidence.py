@@ -1,6 +1,6 @@
 """Evidence between laws, and the model confidence set: the laws that it cannot distinguish.
 
-Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
+Fit are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
 Where the best law's residual is white noise, a cycle is divided into pieces of `PIECE_TIMES` correlation times, because
 there a law may fail in a small part of a cycle: with cycles as units law 2, better than law 1 by 5 % over 1500 samples,
 was ranked lower.  The score is a BIC: with N effective samples (samples over the correlation time of the best law's
@@ -17,20 +17,17 @@ law): then the winner's extra parameter does not improve the fit.
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting import noise_levels
-from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.distributions import student_quantile
-from fitting.estimation.fit import Fit
-from fitting.law import LIMITS
+from fitting.driver.fit import Fit
+from fitting.law import Law
 from fitting.model.problem import Run
-from fitting.model.windows import ShootingWindows
-from rig_sim.friction.law import NESTED
+from fitting.selection.contradictions import CONTRADICTED_BY
 from stickslip.compute.arrays import Array, autocorrelation_time
 
 FEWEST_CYCLES = 4  # cycles of which the usual are trusted: of fewer, all count
@@ -53,56 +50,9 @@ OPEN = 4.0
 SAME_SCORE = 1  # decimals of a score: one curve in two forms differs by less
 
 
-class Residuals(Protocol):
-    """A fit's residuals of a run."""
-
-    @property
-    def windows(self) -> ShootingWindows:
-        """The fitted windows."""
-
-    @property
-    def residual(self) -> Array:
-        """Model minus measurement, m, (N,)."""
-
-    @property
-    def rows(self) -> tuple[slice, ...]:
-        """The residuals of each cycle."""
-
-    @property
-    def cycles(self) -> tuple[Cycle, ...]:
-        """The cycles."""
-
-
-class Candidate(Residuals, Protocol):
-    """A competing fit: of one of the six, or of a law given as a formula."""
-
-    @property
-    def law(self) -> int | str:
-        """Its number, or the formula's name."""
-
-    @property
-    def geometric_mean_rms(self) -> float:
-        """Geometric mean of the cycles' rms, m."""
-
-    @property
-    def inlier_cycles(self) -> NDArray[np.bool_]:
-        """Inlier cycles."""
-
-    @property
-    def law_parameters(self) -> int:
-        """Number of the law's own shared unknowns."""
-
-    @property
-    def calibration_deviations(self) -> Array:
-        """Deviations of the unknowns from their calibrations, in standard deviations; 0 without one."""
-
-    def for_run(self, run: int) -> Residuals:
-        """Return the residuals of one run."""
-
-
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    laws: tuple[int | str, ...]  # numbers of the six, names of formulas
+    laws: tuple[Law, ...]
     penalised: Array  # (laws, units) log error of each unit, penalty included
     samples: float = 0.0  # effective samples behind them; fewer than there are units count as one a unit
 
@@ -122,7 +72,7 @@ def _log_error(residual: Array, motion: MeasuredMotion) -> float:
     return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
 
 
-def common_inliers(fits: Sequence[Candidate]) -> NDArray[np.bool_]:
+def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
     """Return the cycles to compare, shape (cycles,): those that the best law describes, if these are enough.
 
     A cycle with a velocity step in its slip fits no law and does not help to decide. Laws that are limits of each other
@@ -138,19 +88,11 @@ def common_inliers(fits: Sequence[Candidate]) -> NDArray[np.bool_]:
     return trusted if trusted.sum() >= FEWEST_CYCLES else np.ones_like(trusted)
 
 
-def nested(law: int | str) -> tuple[int | str, ...]:
-    """Return the laws that are a limit of this one; of a formula on either contact, of a ramp all of them."""
-    if isinstance(law, int):
-        return NESTED[law]
-    limits = LIMITS.get(law, ())
-    return (*limits, *(own + 1 for own in limits if isinstance(own, int)))
+def _related(law: Law, other: Law) -> bool:
+    return law == other or law.contains(other) or other.contains(law)
 
 
-def _related(law: int | str, other: int | str) -> bool:
-    return law == other or law in nested(other) or other in nested(law)
-
-
-def common_units(fits: Sequence[Candidate], runs: Sequence[Run], *, sustained: bool) -> Units:
+def common_units(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> Units:
     """Return the units of the comparison, by the best law's residuals.
 
     A law that a coarse fit ruled out has fewer samples in a cycle, which limits its units.
@@ -173,7 +115,7 @@ def common_units(fits: Sequence[Candidate], runs: Sequence[Run], *, sustained: b
 
 
 def _judged(
-    fit: Candidate, runs: Sequence[Run], inliers: NDArray[np.bool_], *, sustained: bool
+    fit: Fit, runs: Sequence[Run], inliers: NDArray[np.bool_], *, sustained: bool
 ) -> list[tuple[MeasuredMotion, Array]]:
     """Return the residuals that are evidence, with their motion: cycle by cycle, or of each drag."""
     found = []
@@ -190,7 +132,7 @@ def _judged(
     return found
 
 
-def unit_errors(fit: Candidate, runs: Sequence[Run], units: Units) -> Array:
+def unit_errors(fit: Fit, runs: Sequence[Run], units: Units) -> Array:
     """Return the log error of every unit, run by run; shape (units,)."""
     judged = _judged(fit, runs, units.inliers, sustained=units.sustained)
     found = [
@@ -229,7 +171,7 @@ def drag_error(fits: Sequence[Fit], runs: Sequence[Run]) -> float:
     return min(errors, default=math.inf)
 
 
-def _drag_rows(fit: Residuals, drag: tuple[int, int]) -> slice:
+def _drag_rows(fit: Fit, drag: tuple[int, int]) -> slice:
     """Return the residuals of the start-up drag: the sine after it is the same under laws 1 and 2."""
     _, stick, first, count, *_ = fit.windows.table[0]
     if not stick or fit.cycles[0].stick != drag:
@@ -237,13 +179,13 @@ def _drag_rows(fit: Residuals, drag: tuple[int, int]) -> slice:
     return slice(int(first), int(first + count))
 
 
-def penalised(fit: Candidate, errors: Array, units: Units) -> Array:
+def penalised(fit: Fit, errors: Array, units: Units) -> Array:
     """Return the log errors with the penalties for the law's parameters and for contradicted calibrations."""
     n = max(units.samples, errors.size)
     return errors + (fit.law_parameters * math.log(n) + prior_misfit(fit)) / (2 * n)
 
 
-def prior_misfit(fit: Candidate) -> float:
+def prior_misfit(fit: Fit) -> float:
     """Return a fit's penalty for contradicted calibrations, a squared deviation where small.
 
     Student's t with 4 degrees of freedom: a wrong calibration must not decide alone. A guessed datum costs nothing.
@@ -258,13 +200,13 @@ class ModelSet:
     ``behind`` is the mean paired difference of log error to the best law, with its standard error.
     """
 
-    members: tuple[int | str, ...]
-    score: dict[int | str, float]
-    weight: dict[int | str, float]
-    behind: dict[int | str, tuple[float, float]]
+    members: tuple[Law, ...]
+    score: dict[Law, float]
+    weight: dict[Law, float]
+    behind: dict[Law, tuple[float, float]]
 
 
-def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[int | str] | None = None) -> ModelSet:
+def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[Law] | None = None) -> ModelSet:
     """Apply the set rule to the evidence.
 
     evidence: At least two units (cycles).
@@ -280,19 +222,17 @@ def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[int
     samples = max(n, evidence.samples)
     score = {law: float(2 * samples * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
     behind = {law: _paired(errors[i], errors[winner]) for i, law in enumerate(laws)}
-    limits, competing = nested(laws[winner]), [laws[k] for k in wanted]
+    first, competing = laws[winner], [laws[k] for k in wanted]
     alike = {
         law
         for law in competing
-        if score[law] < (TIED_SCORE if law in limits else OPEN) and laws[winner] not in nested(law)
+        if score[law] < (TIED_SCORE if first.contains(law) else OPEN) and not law.contains(first)
     }
     near = {law for law in competing if behind[law][0] <= quantile * behind[law][1]} | alike
     # of laws that are one curve in two forms, the first of the evidence comes first
     members = [law for law in sorted(competing, key=lambda law: round(score[law], SAME_SCORE)) if law in near]
-    preferred = [law for law in members if law in limits]
-    if preferred:
-        first = preferred[0]
-        members = [first, *(law for law in members if law != first)]
+    preferred = [law for law in members if first.contains(law)]
+    members = [*preferred[:1], *(law for law in members if law not in preferred[:1])]
     total = sum(math.exp(-score[law] / 2) for law in competing)
     weight = {law: math.exp(-score[law] / 2) / total if law in competing else 0.0 for law in laws}
     return ModelSet(tuple(members), score, weight, behind)
@@ -304,8 +244,7 @@ def _paired(errors: Array, others: Array) -> tuple[float, float]:
     return float(difference.mean()), float(np.std(difference, ddof=1)) / math.sqrt(difference.size)
 
 
-def no_larger(errors: Array, best: Array, samples: float, alpha: float) -> bool:
+def no_larger(errors: Array, best: Array, samples: float) -> bool:
     """Return whether a law's log errors (units,), without penalties, are no larger than the best law's within noise."""
     mean, error = _paired(errors, best)
-    quantile = student_quantile(1 - alpha / 2, errors.size - 1)
-    return mean <= quantile * error or 2 * max(errors.size, samples) * mean < OPEN
+    return mean <= CONTRADICTED_BY * error or 2 * max(errors.size, samples) * mean < OPEN

@@ -37,13 +37,18 @@ def known_rest(rig: Rig, competitors: Competitors) -> Rig:
 
 
 def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
-    """Return the runs with the user's values of each law's shared unknowns, formulas by name.
+    """Return the runs with the user's values of each law's shared unknowns.
 
     Raises InputError for a belt speed of several runs, or a force in newtons without a mass.
     """
-    of_laws: dict[int | str, Mapping[str, Given]] = {law: competitors.of_law(law) for law in competitors.laws}
-    of_laws |= {own.name: competitors.of_law(law) for law, own in competitors.restated.items()}
-    of_laws |= {law.name: _of_rig(law, competitors.of_law(law)) for law in competitors.formulas}
+    of_laws = {
+        law.name: {
+            name: given
+            for name, given in competitors.of_law(law).items()
+            if law.number or name.removesuffix(PER_MASS) not in law.curve.parameters
+        }
+        for law in competitors.laws
+    }
     if len(runs) > 1 and any("v_dr" in given for given in of_laws.values()):
         raise InputError("one belt speed for several runs", "v_dr", "leave it out: each run finds its own")
     mass = runs[0].motion
@@ -73,11 +78,6 @@ def formula_given(law: Law, given: Mapping[str, Given], motion: MeasuredMotion) 
         if own.start is not None:
             start[plain] = factor * own.start
     return law.given(fix, bounds, start)
-
-
-def _of_rig(law: Law, given: Mapping[str, Given]) -> dict[str, Given]:
-    """Return the values of the rig's parameters."""
-    return {name: own for name, own in given.items() if name.removesuffix(PER_MASS) not in law.curve.parameters}
 
 
 def _unknowns(given: Mapping[str, Given], sign: float, motion: MeasuredMotion) -> tuple[GivenUnknown, ...]:

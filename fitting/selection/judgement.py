@@ -1,17 +1,18 @@
 """`compete`: the one competition of all laws: which describe the record, and which of these it cannot distinguish."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fitting.adequacy.assess import Judged, describing
-from fitting.curve.formula_fit import FormulaFit
-from fitting.estimation.fit import Fit
+from fitting.curve.result import MeasuredCurve
+from fitting.driver.fit import Fit
+from fitting.law import SIX, Law
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence
 from fitting.selection.evidence import Evidence, ModelSet, Units
-from rig_sim.friction.law import LAWS
+from fitting.selection.result import UnfittedLaw
 from stickslip.compute.arrays import Array
 
 
@@ -24,19 +25,26 @@ class Competition:
     parsimony, not the record, excludes them.  Those that contain the best law, which cannot do worse, come last.
     """
 
-    fits: tuple[Fit | FormulaFit, ...]
-    judged: Mapping[int | str, Judged]
+    fits: tuple[Fit, ...]
+    judged: Mapping[Law, Judged]
     chosen: ModelSet
-    misfit: Mapping[int | str, float]
-    not_excluded: tuple[int | str, ...] = ()
+    misfit: Mapping[Law, float]
+    not_excluded: tuple[Law, ...] = ()
+    runs: tuple[Run, ...] = ()
+    sustained: bool = True  # whether the mass sticks in the long run
+    curve: MeasuredCurve | None = None  # friction without a law, per unit mass
+    noise: Array = field(default_factory=lambda: np.empty(0))  # (runs,) standard deviation of one position, m
+    six: tuple[Fit, ...] = ()  # all of the six that were fitted, requested or not
+    unfitted: tuple[UnfittedLaw, ...] = ()
+    warnings: tuple[str, ...] = ()  # about formulas that could not be fitted, or not in all their parameters
 
     @property
-    def members(self) -> tuple[int | str, ...]:
+    def members(self) -> tuple[Law, ...]:
         """The set, best first; empty where no law describes the record."""
         return self.chosen.members
 
     @property
-    def best(self) -> Fit | FormulaFit:
+    def best(self) -> Fit:
         """The law of the first row."""
         return self.fits[0]
 
@@ -45,13 +53,13 @@ class Competition:
         """Whether a law describes the record."""
         return bool(self.chosen.members)
 
-    def describes(self, law: int | str) -> bool:
+    def describes(self, law: Law) -> bool:
         """Return whether a law describes the record, as far as that can be judged."""
         return law in self.judged and not self.judged[law].together.rejected
 
 
 def compete(
-    fits: Sequence[Fit | FormulaFit], noise: Array, known: Judged, runs: Sequence[Run], alpha: float, *, sustained: bool
+    fits: Sequence[Fit], noise: Array, known: Judged, runs: Sequence[Run], alpha: float, *, sustained: bool
 ) -> Competition:
     """Compare all laws by one evidence; the set is one of those that describe the record.
 
@@ -67,8 +75,8 @@ def compete(
     misfit = {law: _misfit(fit, units, noise) for law, fit in by_law.items()}
     described = {law for law, own in judged.items() if law in by_law and not own.together.rejected}
     if not described:  # a jump on a belt that slows under load may describe what no ramp does at several speeds
-        ramps = [law for law in sorted(misfit, key=misfit.__getitem__) if isinstance(law, int) and LAWS[law].ramp]
-        double = equivalence.equivalent_jump_law([fit for fit in fits if isinstance(fit, Fit)], ramps[:1], runs)
+        ramps = [law for law in sorted(misfit, key=misfit.__getitem__) if law.number and law.ramp]
+        double = equivalence.equivalent_jump_law(fits, ramps[:1], runs)
         seen = {} if double is None else describing([double], motions, float(np.max(noise)))
         if double is not None and not seen[double.law].together.rejected:
             by_law[double.law], judged, described = double, judged | seen, {double.law}
@@ -78,11 +86,7 @@ def compete(
         judged = describing(order[:1], motions, float(np.max(noise)), judged) | judged
         return Competition(tuple(order), judged, ModelSet((), {}, {}, {}), misfit)
     errors = {law: evidence.unit_errors(fit, runs, units) for law, fit in by_law.items()}
-
-    def six() -> list[Fit]:
-        return [fit for fit in by_law.values() if isinstance(fit, Fit)]
-
-    for jump, ramp in equivalence.closed_ramps(six()):
+    for jump, ramp in equivalence.closed_ramps(list(by_law.values())):
         if errors[ramp].mean() < errors[jump].mean():
             errors[ramp] = errors[jump]
     penalised = {law: evidence.penalised(fit, errors[law], units) for law, fit in by_law.items()}
@@ -92,9 +96,10 @@ def compete(
         return evidence.model_confidence_set(Evidence(tuple(penalised), table, units.samples), alpha, described)
 
     chosen = choose()
-    double = equivalence.equivalent_jump_law(six(), chosen.members, runs)
+    double = equivalence.equivalent_jump_law(list(by_law.values()), chosen.members, runs)
     if double is not None:
-        jump, ramp = double.law, double.law + 1
+        jump = double.law
+        ramp = next(law for law in by_law if law.is_ramp_of(jump))
         own = evidence.unit_errors(double, runs, units)
         lag = equivalence.mean_excess(own, errors[ramp])
         seen = describing([double], motions, float(np.max(noise)))
@@ -105,28 +110,32 @@ def compete(
             errors[jump], misfit[jump] = own, _misfit(double, units, noise)
             penalised[jump] = evidence.penalised(double, own, units) if apart else penalised[ramp]
             chosen = choose()
-    if not sustained and chosen.members == (2,) and 1 in described:
-        ramp_fit = by_law[2]
-        if isinstance(ramp_fit, Fit) and equivalence.explained_by_belt_ripple(ramp_fit, errors[2], runs):
-            penalised[1] = penalised[2]
+    if not sustained and chosen.members == (SIX[2],) and SIX[1] in described:
+        if equivalence.explained_by_belt_ripple(by_law[SIX[2]], errors[SIX[2]], runs):
+            penalised[SIX[1]] = penalised[SIX[2]]
             chosen = choose()
     chosen = equivalence.with_open_ramps(
-        chosen, [fit for fit in six() if fit.law in described], runs, alpha, units.samples, sustained=sustained
+        chosen,
+        [fit for fit in by_law.values() if fit.law in described],
+        runs,
+        alpha,
+        units.samples,
+        sustained=sustained,
     )
     outside = sorted(described.difference(chosen.members), key=chosen.score.__getitem__)
     first = chosen.members[0]
-    equal = [law for law in outside if evidence.no_larger(errors[law], errors[first], units.samples, alpha)]
+    equal = [law for law in outside if evidence.no_larger(errors[law], errors[first], units.samples)]
     rest = sorted((law for law in by_law if law not in described), key=misfit.__getitem__)
     return Competition(
         tuple(by_law[law] for law in (*chosen.members, *outside, *rest)),
         judged,
         chosen,
         misfit,
-        tuple(sorted(equal, key=lambda law: first in evidence.nested(law))),
+        tuple(sorted(equal, key=lambda law: law.contains(first))),
     )
 
 
-def _misfit(fit: Fit | FormulaFit, units: Units, noise: Array) -> float:
+def _misfit(fit: Fit, units: Units, noise: Array) -> float:
     """Return the rms residual of the usual cycles over the noise of a position."""
     usual = [
         (fit.residual[rows], noise[run])

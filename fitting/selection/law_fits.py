@@ -4,16 +4,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from fitting.adequacy.assess import describes
-from fitting.competitors import ALL_LAWS
 from fitting.data import cycles, ripple
 from fitting.data.frame import MeasuredMotion
 from fitting.driver import driver
+from fitting.driver.fit import Fit
 from fitting.estimation.covariance import without_level_errors
-from fitting.estimation.fit import Fit
+from fitting.law import SIX, Law
 from fitting.model.problem import Run
+from fitting.options import Options
 from fitting.selection import evidence, screening
 from fitting.selection.evidence import FEWEST_CYCLES
 from processing.record.kinematics import Kinematics
@@ -22,7 +23,7 @@ from stickslip.errors import DataError, InputError
 # Error in the start-up drag over what a rippling belt leaves: a steady belt that leaves more was none.  On belts
 # with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.
 STEADY_DRAG_ERROR = 1.3
-CONSTANT = (1, 2)  # laws of constant friction, which alone make a mass graze the belt
+CONSTANT = (SIX[1], SIX[2])  # laws of constant friction, which alone make a mass graze the belt
 MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each costs another fit of all laws
 
 
@@ -33,19 +34,6 @@ class NoLawError(Exception):
         super().__init__(reason)
         self.reason = reason
         self.stick_slip = stick_slip
-
-
-class FittedSix(NamedTuple):
-    """The fits of the six, and their runs.
-
-    ``sustained`` is whether the mass sticks often; ``doubt`` the reason to reject the record unless another law fits
-    it.
-    """
-
-    fits: list[Fit]
-    runs: list[Run]
-    sustained: bool
-    doubt: str
 
 
 def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
@@ -78,26 +66,24 @@ def _excluded(run: Run) -> frozenset[int]:
 
 
 def fit_runs(
-    laws: Sequence[int],
+    options: Options,
     runs: Sequence[Run],
     records: Sequence[Kinematics],
-    jobs: int,
-    progress: Callable[[float], None] | None,
-    scheduler: str | None,
-    *,
-    custom: bool = False,
-) -> FittedSix:
-    """Fit the laws that may describe the records.
+    progress: Callable[[float], None] | None = None,
+) -> tuple[list[Fit], list[Run], bool, str]:
+    """Fit those of the six that may describe the records.
 
-    A record that rough fits of the six do not come near is refused, unless a ``custom`` law was requested that may; one
-    that their fits do not come near is not refused yet.
+    Also returns their runs, whether the mass sticks often, and the reason to refuse the records unless another law fits
+    them. A record that rough fits of the six do not come near is refused, unless a custom law was requested that may;
+    one that their fits do not come near is not refused yet.
     """
+    laws = options.competitors.searched
     sustained = _check(laws, runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
     doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
-    if not custom or doubt == screening.SINE_ALONE:
+    if not options.competitors.formulas or doubt == screening.SINE_ALONE:
         refuse(doubt, records)
-    fit_to = partial(_fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
+    fit_to = partial(_fit_laws, jobs=options.jobs, progress=progress, scheduler=options.scheduler)
     if sustained:
         fits = fit_to(laws, runs)
         if len(runs) == 1 and runs[0].ripple is not None and fits and not is_described(fits, runs):
@@ -121,16 +107,18 @@ def fit_runs(
         refuse(screening.NOT_DESCRIBED, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
         refuse(screening.SINE_ALONE, records)
-    return FittedSix(fits, list(runs), sustained, doubt)
+    return fits, list(runs), sustained, doubt
 
 
-def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = ALL_LAWS, **how: Any) -> list[Fit]:
+def _fit_laws(
+    laws: Sequence[Law], runs: Sequence[Run], among: Sequence[Law] = tuple(SIX.values()), **how: Any
+) -> list[Fit]:
     """Fit laws by the driver; without the errors of the levels as information."""
-    return [without_level_errors(Fit.of(one)) for one in driver.fit_laws(laws, runs, among, **how)]
+    return [without_level_errors(one) for one in driver.fit_laws(laws, runs, among, **how)]
 
 
 def _fit_other_ripples(
-    laws: Sequence[int], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
+    laws: Sequence[Law], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run]]:
     """Fit the laws with the other possible ripples of the sticks, until one is described; return the best fits."""
     best = fits, run
@@ -157,7 +145,7 @@ def _other_ripples(run: Run) -> list[Run]:
 
 
 def _fit_grazing(
-    laws: Sequence[int], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
+    laws: Sequence[Law], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run], bool]:
     """Fit the laws to a mass that grazes the belt; also return the runs and whether it sticks often.
 
@@ -196,12 +184,12 @@ def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
     return alone and not describes(fits, [run.motion for run in runs])
 
 
-def _check(laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
+def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     """Return whether the mass sticks in the long run; DataError unless there are enough cycles of one kind."""
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
-    for run, kind, record in zip(runs, kinds, records, strict=True):
-        refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
+    for run, record in zip(runs, records, strict=True):
+        refuse(screening.reject_by_cycles(run.motion, run.cut), [record])
     sources = [record.recording.where for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)

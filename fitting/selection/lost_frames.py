@@ -17,7 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from fitting.estimation.fit import Fit
+from fitting.driver.fit import Fit
 from processing.record.kinematics import Kinematics
 from processing.record.noise import DITHERED
 from stickslip.compute.arrays import Array, Integers

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.fitted_law import FittedLaw
+from fitting.driver.fit import Fit
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 
@@ -30,7 +30,7 @@ class MeasuredOrbit:
         order = np.argsort(motion.position, kind="stable")
         return cls(size, motion.position[order] / size[0], motion.velocity[order] / size[1])
 
-    def distance(self, fit: FittedLaw) -> float:
+    def distance(self, fit: Fit) -> float:
         """Return the rms distance of one run's law orbit to the measured one, of the orbit's size in each axis.
 
         Differences in time alone, such as a late slip, do not count.
@@ -42,7 +42,7 @@ class MeasuredOrbit:
         return math.sqrt(float(np.mean(found**2)))
 
 
-def model(fit: FittedLaw) -> Array:
+def model(fit: Fit) -> Array:
     """Return position and velocity of a law in all windows; shape (samples, 2)."""
     x = fit.windows.position + fit.residual
     parts = []

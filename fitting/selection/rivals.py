@@ -8,26 +8,23 @@ the record cannot refute it.  What is evidence and who is in the set is decided 
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from fitting import noise_levels
 from fitting.competitors import Competitors
 from fitting.curve.band import seen_speeds
-from fitting.curve.formula_fit import FormulaFit, contained, fit_formula
+from fitting.curve.formula_fit import contained, fit_formula
 from fitting.curve.metric import MeasuredTarget, measured_target
 from fitting.curve.result import MeasuredCurve
-from fitting.curve.spline_fit import SplineFit
-from fitting.driver.driver import CONTAINED_ERROR
+from fitting.driver.driver import WORSE
+from fitting.driver.fit import Fit
 from fitting.driver.start_search import Target, find_starts
-from fitting.estimation.fit import Fit
 from fitting.law import PUBLISHED, Law
-from fitting.selection import evidence
 from fitting.selection.given import formula_given
 from fitting.selection.result import UnfittedLaw
-from fitting.undetermined import natural_size, undetermined
-from rig_sim.friction.law import LAWS
+from fitting.undetermined import natural_size
 from stickslip.errors import InputError
 
 logger = logging.getLogger(__name__)
@@ -38,126 +35,94 @@ SAME_CURVE = 1e-3
 RUN_AWAY = 1e4
 
 
-@dataclass(frozen=True, eq=False)
-class Formulas:
-    """The formulas that were fitted, those that were not, and warnings about parameters that were named."""
-
-    fits: tuple[FormulaFit, ...]
-    unfitted: tuple[UnfittedLaw, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Formulas:
-    """Fit the laws that were named, and every published law.
+def fit_formulas(
+    competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]
+) -> tuple[list[Fit], list[UnfittedLaw], list[str]]:
+    """Fit the laws that were named, and every published law; also return those that cannot be fitted, and warnings.
 
     curve: From which each fit starts.
     six: Of the six; a formula that errs more than one that it contains starts again where the best of them ended.
     """
-    fits: list[FormulaFit] = []
+    fits: list[Fit] = []
     missing: list[UnfittedLaw] = []
     warned: list[str] = []
-    host = None if curve is None else curve.spline_fit
-    target = None if host is None else measured_target(host, host.linearised())
-    for law, number in _candidates(competitors, curve, six):
-        asked = number is not None or law.name in competitors.names
-        fit: FormulaFit | str = "the friction curve could not be measured"
-        if host is not None and target is not None:
-            fit = _fit(law, number, host, target, [*six, *fits], asked=asked)
+    target = None if curve is None else measured_target(curve)
+    for law in _candidates(competitors, curve, six):
+        asked = competitors.asks(law)
+        fit: Fit | str = "the friction curve could not be measured"
+        if curve is not None and target is not None:
+            fit = _fit(law, curve, target, [*six, *fits], asked=asked)
         if isinstance(fit, str):
-            missing.append(replace(unfitted(law if number is None else number, fit), asked=asked))
+            missing.append(replace(unfitted(law, fit), asked=asked))
             logger.info("law %s was not fitted: %s", missing[-1].law, fit)
             continue
-        logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
+        logger.info("law %s: %.4g um rms, %s, %.2f s", law.name, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
         fits.append(fit)
-        warned += [_said(law, str(group), group.names) for group in fit.together] if asked else []
-    return Formulas(tuple(fits), tuple(missing), tuple(warned))
+        warned += [_said(law, str(group), group.names) for group in fit.task.curve.together] if asked else []
+    return fits, missing, warned
 
 
-def unfitted(law: int | Law, reason: str) -> UnfittedLaw:
+def unfitted(law: Law, reason: str) -> UnfittedLaw:
     """Return the row of a law that was not fitted."""
-    if isinstance(law, int):
-        return UnfittedLaw(law, LAWS[law].name, reason)
-    return UnfittedLaw(law.name, law.name.replace("-", " "), reason, law.formula)
+    return UnfittedLaw(law.key, law.words, reason, None if law.number else law.formula)
 
 
-def _candidates(
-    competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]
-) -> Iterator[tuple[Law, int | None]]:
-    """Yield the formulas that were named, the six that are fitted as formulas, with what is given; then the published.
+def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Iterator[Law]:
+    """Yield the laws that were named and are followed by their formulas, with what is given; then the published.
 
     A published law has the contact of the measured curve.
     """
     motion = six[0].problem.motions[0]
-    for law in competitors.formulas:
-        yield formula_given(law, competitors.of_law(law), motion), None
-    for number, law in competitors.restated.items():
-        yield formula_given(law, competitors.of_law(number), motion), number
-    ramp = curve is not None and bool(curve.spline_fit.path.curve.ramp)
-    for law in PUBLISHED.values():
-        if law.name not in competitors.names:
-            yield replace(law, ramp=ramp), None
+    for law in (*competitors.formulas, *competitors.six):
+        if not competitors.by_kernel(law):
+            yield formula_given(law, competitors.of_law(law), motion)
+    ramp = curve is not None and curve.spline_fit.problem.ramp
+    yield from (replace(law, ramp=ramp) for law in PUBLISHED.values() if not competitors.asks(law))
 
 
-def _fit(
-    law: Law,
-    number: int | None,
-    host: SplineFit,
-    target: MeasuredTarget,
-    others: Sequence[Fit | FormulaFit],
-    *,
-    asked: bool,
-) -> FormulaFit | str:
+def _fit(law: Law, curve: MeasuredCurve, target: MeasuredTarget, others: Sequence[Fit], *, asked: bool) -> Fit | str:
     """Fit one formula, or return why it is not fitted."""
     if not asked:
         least = min(other.geometric_mean_rms for other in others)
-        reached = min(noise_levels.DESCRIBES * float(np.max(host.noise)), CONTAINED_ERROR * least)
+        reached = min(noise_levels.DESCRIBES * float(np.max(curve.noise)), WORSE * least)
         for other in others:
-            if other.law in evidence.nested(law.name) and other.geometric_mean_rms < reached:
-                return f"it contains law {other.law}, which no other law fits better: the record cannot exclude it"
-    friction, fastest = float(np.median(host.spline.coefficients)), float(host.spline.knots[-1])
-    together = undetermined(law, friction, fastest)
-    held = [name for group in together for name in group.names[len(group.names) - group.free :]]
-    start = law.start or {}
-    free = law.given(fix={name: start.get(name, natural_size(law, name, friction, fastest)) for name in held})
+            if law.contains(other.law) and other.geometric_mean_rms < reached:
+                return f"it contains law {other.law.name}, which no other law fits better: the record cannot exclude it"
     try:
-        fit = fit_formula(free, host, others=others, target=target, asked_for=law, number=number, together=together)
+        fit = fit_formula(law, curve, others=others, target=target)
     except InputError as error:
         return error.what.removeprefix(f"law {law.name} is ")
     if fit is None:
         return "its motion cannot be followed"
-    if any(abs(fit.own_values[name]) > RUN_AWAY * natural_size(law, name, friction, fastest) for name in free.free):
+    spline, found = curve.spline_fit.spline, fit.own_values
+    friction, fastest = float(np.median(spline.coefficients)), float(spline.knots[-1])
+    free = fit.task.curve.free
+    if any(abs(found[name]) > RUN_AWAY * natural_size(law, name, friction, fastest) for name in free):
         return "its parameters grow without bound"
-    if worse := name_better_limit(fit, contained(law), others):
+    if worse := name_better_limit(fit, others):
         return worse
     for other in others:
-        if isinstance(other, FormulaFit) and other.number is None and other.law not in PUBLISHED and not asked:
-            if _draws(other.asked_for, fit, host):
-                return f"law {other.law} can be the same curve"
+        if not (asked or other.law.number or other.law.name in PUBLISHED) and _draws(other.law, fit, curve.spline_fit):
+            return f"law {other.law.name} can be the same curve"
     return fit
 
 
-def name_better_limit(
-    fit: Fit | FormulaFit, limits: Sequence[int | str], others: Sequence[Fit | FormulaFit]
-) -> str | None:
+def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
     """Return which of the laws that it contains a fit errs more than: it has not come to its end; None for none."""
-    better = [
-        other
-        for other in others
-        if other.law in limits
-        and other.law != fit.law
-        and (
-            fit.geometric_mean_rms > CONTAINED_ERROR * other.geometric_mean_rms or fit.rms > CONTAINED_ERROR * other.rms
-        )
-    ]
-    return f"its fit errs more than law {better[0].law}" if better else None
+    for other in others:
+        limit = fit.law.contains(other.law) if fit.law.has_kernel else contained(fit.law, other.law)
+        worse = fit.geometric_mean_rms > WORSE * other.geometric_mean_rms
+        if limit and (worse or fit.rms > WORSE * other.rms):
+            return f"its fit errs more than law {other.law.name}"
+    return None
 
 
-def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:
+def _draws(law: Law, rival: Fit, host: Fit) -> bool:
     """Return whether a requested law can draw the curve of another one, which is then not a rival."""
     if law.ramp != rival.problem.ramp:
         return False
     speeds = seen_speeds(host)
-    friction = rival.curve.at_speeds(rival.theta, speeds)
+    friction = rival.task.friction(rival.q, speeds)
     nearest = find_starts(law, Target.of(speeds, friction, float(np.max(friction))))[0]
     return nearest.misfit < SAME_CURVE**2 * speeds.size
 

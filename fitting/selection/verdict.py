@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from fitting import noise_levels
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
-from fitting.competitors import ALL_LAWS, Competitors
+from fitting.competitors import ALL_LAWS
 from fitting.departures.result import FoundDeparture
-from fitting.estimation.fit import Fit
 from fitting.model.parameters import Global
-from fitting.selection.result import LawResult
+from fitting.selection.contradictions import UNITS
+from fitting.selection.result import LawResult, Ranking
+from processing.record.finding import Finding
 from stickslip.output.lengths import format_length
 
 OTHER_SPEEDS = " or runs at other belt speeds"
@@ -23,32 +24,42 @@ SPLITS = {
 }
 
 
-def verdict_sentence(
-    rows: Sequence[LawResult],
-    not_excluded: Sequence[int | str],
-    *,
-    sustained: bool,
-    measured: bool = False,
-    rest_known: bool = True,
-    runs: int = 1,
-) -> str:
-    """Return the verdict: the law, or the compatible laws, and why; rows are best first.
+def write_verdict(ranking: Ranking, contradicted: Sequence[Sequence[Finding]]) -> str:
+    """Return the verdict: the law, or the compatible laws, and why; else what is known where no law describes the runs.
 
-    rows: Best first.
-    not_excluded: Laws outside the set that fit equally well.
-    sustained: Whether the record has sustained sticks; without them friction is constant.
-    measured: Whether the belt's own counts were used.
-    rest_known: Whether the rest position of the spring was stated.
-    runs: How many were fitted together.
+    contradicted: What of each run's calibration its record contradicts.
     """
+    if ranking.members:
+        return name_contradictions(_compatible(ranking), contradicted)
+    cause = next((finding.text for finding in ranking.findings if finding.code == "not-one-contact"), "")
+    if not cause and not any(contradicted):
+        cause = _instead(ranking.adequacy)
+    words = _no_law(ranking, cause)
+    return name_contradictions(words, contradicted)
+
+
+def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:
+    """Return a verdict with the calibrations that its law contradicts, each once."""
+    clauses = {}
+    for one in (one for own in contradicted for one in own):
+        unit, name = UNITS[one.code], one.code.replace("-", " ")
+        if one.code not in clauses:
+            clauses[one.code] = f"{name} (stated {one.expected:.3g} {unit}, the record shows {one.value:.3g} {unit})"
+    return f"{verdict}; it contradicts the stated {' and '.join(clauses.values())}" if clauses else verdict
+
+
+def _compatible(ranking: Ranking) -> str:
+    rows, not_excluded = ranking.rows, ranking.not_excluded
     members = [row for row in rows if row.in_set]
     six = [row for row in members if isinstance(row.law, int)]
     others = [row for row in members if not isinstance(row.law, int)]
+    runs, motions = len(ranking.sides), [side.motion for side in ranking.sides]
     cycles = f"{rows[0].cycles} cycles" if runs == 1 else f"{rows[0].cycles} cycles of {runs} runs"
+    measured = all(motion.belt_measured for motion in motions)
     of_six = [row for row in rows if isinstance(row.law, int)]
     if rows[0].formula is not None:
         words = _of_formula(rows, members, cycles)
-    elif sustained:
+    elif ranking.sustained:
         alone = len([row for row in rows if row.asked]) == 1
         words = f"{_of_six(of_six, six, cycles, measured=measured, runs=runs, alone=alone)}{_as_well(others)}"
     else:
@@ -56,6 +67,7 @@ def verdict_sentence(
     equal = next((row for row in rows if row.law in not_excluded[:1]), None)
     if equal is not None and f"; {equal.label} " not in words:  # unless it was named as the next best
         words += f"; {equal.called} fits equally well"
+    rest_known = all(motion.datum_prior is not None for motion in motions)
     if not rest_known and any(not isinstance(law, int) for law in (*(row.law for row in others), *not_excluded)):
         words += ": the spring's rest position (--x0) would help to distinguish them"
     return words
@@ -116,7 +128,7 @@ def _constant_friction(rows: Sequence[LawResult], members: Sequence[LawResult], 
 
 def _is_compliant(row: LawResult) -> bool:
     """Return whether one of the six was fitted on a belt that slows under load."""
-    return isinstance(row.fit, Fit) and Global.COMPLIANCE in row.fit.active
+    return row.formula is None and Global.COMPLIANCE in row.fit.places
 
 
 def _of_formula(rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str) -> str:
@@ -143,19 +155,16 @@ def _as_well(others: Sequence[LawResult]) -> str:
     return f"; {named} describes the record as well"
 
 
-def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy, cause: str | None) -> str:
-    """Return the verdict on a record that no law describes: what friction does instead, and how far off the laws are.
-
-    rows: Best first.
-    cause: Why no law does, where that is known already.
-    """
+def _no_law(ranking: Ranking, cause: str) -> str:
+    """Return the verdict on a record that no law describes, with its cause, and how far off the laws are."""
+    rows, adequacy = ranking.rows, ranking.adequacy
     asked = [row for row in rows if row.asked]
     if len(asked) == 1:
         head = f"{asked[0].called} does not describe this record"
     else:
         custom = adequacy.verdict == NONE_FITTED or any(row.formula is not None for row in asked)
         head = f"none of the {'laws fitted' if custom else 'six laws'} describes this record"
-    parts = [_instead(adequacy) if cause is None else cause, _left_over(rows[0], adequacy, len(rows))]
+    parts = [cause, _left_over(rows[0], adequacy, len(rows))]
     return f"{head}, nor does a published curve: {'; '.join(part for part in parts if part)}"
 
 
@@ -194,12 +203,6 @@ def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
     if adequacy.of_speed and outside is not None and outside.half_widths > 1:
         band = f", and leaves the measured band by {outside.half_widths:.2g} half-widths at {outside.speed:.2g} m/s"
     return f"{left}{times}{band} (p {format_probability(found.p_value)})"
-
-
-def refused_sentence(reason: str, competitors: Competitors) -> str:
-    """Return the verdict on stick-slip that was rejected before or after its laws were fitted."""
-    which = "none of the six laws" if competitors.laws == ALL_LAWS else "none of the laws fitted"
-    return f"stick-slip, but {which}: {reason}"
 
 
 def format_probability(p: float | None) -> str:

@@ -1,103 +1,84 @@
 """Warnings of a verdict: a table of conditions, each with its sentence."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from daq.runfile.rest_position import question_rest_position
 from fitting.adequacy.result import Adequacy
-from fitting.competitors import Given
-from fitting.data.cycles import CycleSegmentation
-from fitting.data.frame import MeasuredMotion
 from fitting.model.parameters import Global
 from fitting.model.problem import NARROWEST_RAMP
-from fitting.selection.result import LawResult
-from processing.record.finding import Finding
-from processing.record.kinematics import Kinematics
-from rig_sim.friction.law import LAWS
+from fitting.selection.result import Ranking
 
 POOR_ERROR = 0.003  # error over the motion's range: five times what 12 % scatter, ripple and jitter leave over
 
 
-@dataclass(frozen=True, eq=False)
-class JudgedRun:
-    """One run and its results, the subjects of warnings."""
+def _has_ramp(side: Ranking) -> bool:
+    return any(row.fit.problem.ramp for row in side.rows if row.in_set)
 
-    rows: Sequence[LawResult]  # best first
-    best: LawResult  # the first row
-    motion: MeasuredMotion
-    cut: CycleSegmentation
-    record: Kinematics
-    findings: Sequence[Finding]
-    sustained: bool  # whether the mass sticks in the long run
-    given: Mapping[str, Given] = field(default_factory=dict)  # what was given of the best law's parameters
 
-    @property
-    def ramps(self) -> bool:
-        return any(row.fit.problem.ramp for row in self.rows if row.in_set)
+def _ripples(side: Ranking) -> bool:
+    return "ripple" in side.best.parameters
 
-    def fixed(self, name: str) -> bool:
-        return name in self.given and self.given[name].fixed
 
-    @property
-    def ripples(self) -> bool:
-        return "ripple" in self.best.parameters
+def _is_fixed(side: Ranking, *names: str) -> bool:
+    return any(name in side.best.parameters and side.best.parameters[name].fixed for name in names)
 
-    def percent_of_belt(self, speed: float) -> float:
-        return 100 * speed / self.motion.belt_speed
 
-    @property
-    def percent_of_travel(self) -> float:
-        """The best law's misfit beyond noise, in percent of the motion's range."""
-        return 100 * self.best.fit.misfit / self.motion.travel
+def _percent_of_belt(side: Ranking, speed: float) -> str:
+    return f"{100 * speed / side.motion.belt_speed:.2g} %"
 
-    @property
-    def odd_rest(self) -> str:
-        """The question about a stated rest position, or ""."""
-        rest, place = self.motion.datum_prior, self.motion.sign * self.motion.measured
-        if rest is None:
-            return ""
-        stated = replace(rest, value=self.motion.sign * rest.value)
-        return question_rest_position(stated, float(place.min()), float(place.max()))
 
-    @property
-    def left_out(self) -> str:
-        """The omitted cycles, each with its reason, without those that the user excluded."""
-        left = (cycle for cycle in self.cut.cycles if cycle.flag and cycle.flag != "excluded")
-        return ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
+def _percent_of_travel(side: Ranking) -> str:
+    return f"{100 * side.best.fit.misfit / side.motion.travel:.2g} %"
 
-    @property
-    def unfinished(self) -> str:
-        """The laws whose fits did not converge."""
-        stuck = (row.law for row in self.rows if row.asked and row.fit.outcome not in ("converged", "step limit"))
-        return ", ".join(map(str, stuck))
 
-    @property
-    def hidden_ramp(self) -> float | None:
-        """The width (m/s) below which the best law may have a hidden ramp; None where not tested."""
-        jump = self.best.law
-        if not isinstance(jump, int) or not self.sustained or LAWS[jump].ramp:
-            return None
-        row = next((row for row in self.rows if row.law == jump + 1), None)
-        if row is None or row.in_set or "d" not in row.parameters or row.parameters["d"].fixed:
-            return None
-        near = row.rms_m < 1.05 * self.best.rms_m
-        seen = row.fit.u[Global.D] > 10 * NARROWEST_RAMP * self.motion.belt_speed
-        return row.parameters["d"].hi if near and seen else None
+def _question_rest(side: Ranking) -> str:
+    """Return the question about a stated rest position, or ""."""
+    rest, place = side.motion.datum_prior, side.motion.sign * side.motion.measured
+    if rest is None:
+        return ""
+    stated = replace(rest, value=side.motion.sign * rest.value)
+    return question_rest_position(stated, float(place.min()), float(place.max()))
+
+
+def _left_out(side: Ranking) -> str:
+    """Return the omitted cycles, each with its reason, without those that the user excluded."""
+    left = (cycle for cycle in side.cut.cycles if cycle.flag and cycle.flag != "excluded")
+    return ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
+
+
+def _unfinished(side: Ranking) -> str:
+    """Return the laws whose fits did not converge."""
+    stuck = (row.law for row in side.rows if row.asked and row.fit.outcome not in ("converged", "step limit"))
+    return ", ".join(map(str, stuck))
+
+
+def _hidden_ramp(side: Ranking) -> float | None:
+    """Return the width (m/s) below which the best law may have a hidden ramp; None where not tested."""
+    jump = side.best.fit.law
+    if not jump.has_kernel or jump.ramp or not side.sustained:
+        return None
+    row = next((row for row in side.rows if row.fit.law.is_ramp_of(jump)), None)
+    if row is None or row.in_set or "d" not in row.parameters or row.parameters["d"].fixed:
+        return None
+    near = row.rms_m < 1.05 * side.best.rms_m
+    seen = row.fit.u[Global.D] > 10 * NARROWEST_RAMP * side.motion.belt_speed
+    return row.parameters["d"].hi if near and seen else None
 
 
 class Warned(NamedTuple):
     """A warning: its condition and its text."""
 
-    when: Callable[[JudgedRun], object]
-    says: Callable[[JudgedRun], str]
+    when: Callable[[Ranking], object]
+    says: Callable[[Ranking], str]
 
 
 OF_THE_FIT = (
     Warned(
         lambda run: run.best.fit.misfit > POOR_ERROR * run.motion.travel,
         lambda run: (
-            f"no law fits well: the typical error of the best one is {run.percent_of_travel:.2g} % of the motion, "
+            f"no law fits well: the typical error of the best one is {_percent_of_travel(run)} of the motion, "
             "so the friction may follow none of the six"
         ),
     ),
@@ -116,7 +97,7 @@ OF_THE_FIT = (
         ),
     ),
     Warned(
-        lambda run: run.ramps and not run.motion.belt_measured,
+        lambda run: _has_ramp(run) and not run.motion.belt_measured,
         lambda _: (
             "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
             "may be laws 1, 3, 5 on such a belt"
@@ -125,21 +106,21 @@ OF_THE_FIT = (
     Warned(
         lambda run: run.motion.compliance is not None,
         lambda run: (
-            f"the belt slows under load, by {run.percent_of_belt(run.best.parameters['droop'].value):.2g} % at Fs: "
+            f"the belt slows under load, by {_percent_of_belt(run, run.best.parameters['droop'].value)} at Fs: "
             "measured by its encoder, part of every law"
         ),
     ),
     Warned(
-        lambda run: run.ripples,
+        _ripples,
         lambda run: (
-            f"the belt's speed varies by {run.percent_of_belt(run.best.parameters['ripple'].value):.2g} % at "
+            f"the belt's speed varies by {_percent_of_belt(run, run.best.parameters['ripple'].value)} at "
             f"{run.best.parameters['ripple_hz'].value:.3g} Hz: detected in the sticks, included in every law"
         ),
     ),
     Warned(
-        lambda run: not run.ripples and run.motion.speed_variation > 0,
+        lambda run: not _ripples(run) and run.motion.speed_variation > 0,
         lambda run: (
-            f"the measured belt speed varies by {run.percent_of_belt(run.motion.speed_variation):.2g} % rms apart from "
+            f"the measured belt speed varies by {_percent_of_belt(run, run.motion.speed_variation)} rms apart from "
             "load: the fit assumes it steady"
         ),
     ),
@@ -150,9 +131,9 @@ OF_THE_FIT = (
             '(give --x0, as in --x0 "60 mm +- 0.1 mm")'
         ),
     ),
-    Warned(lambda run: run.odd_rest, lambda run: run.odd_rest),
+    Warned(_question_rest, _question_rest),
     Warned(
-        lambda run: (run.motion.damping_prior is None or run.motion.per_mass) and not run.fixed("c/m"),
+        lambda run: (run.motion.damping_prior is None or run.motion.per_mass) and not _is_fixed(run, "c/m", "c"),
         lambda _: (
             "no damping calibration: c assumed 0 +- 1 % of critical; laws 3 and 4 then determine only G_slip - c "
             "(give --damping and --damping-sd with --mass)"
@@ -164,25 +145,27 @@ OF_THE_FIT = (
     ),
 )
 OF_THE_RECORD = (  # after the findings
-    Warned(lambda run: run.left_out, lambda run: f"cycles left out: {run.left_out}"),
+    Warned(_left_out, lambda run: f"cycles left out: {_left_out(run)}"),
     Warned(
-        lambda run: run.record.lost_counts,
-        lambda run: f"counts seem to be lost at {run.record.lost_counts} sample(s): the fit has them put back",
+        lambda run: run.records[0].lost_counts,
+        lambda run: f"counts seem to be lost at {run.records[0].lost_counts} sample(s): the fit has them put back",
     ),
     Warned(
-        lambda run: run.unfinished,
-        lambda run: f"the fit of law {run.unfinished} did not converge: its error is an upper bound",
+        _unfinished,
+        lambda run: f"the fit of law {_unfinished(run)} did not converge: its error is an upper bound",
     ),
     Warned(
-        lambda run: run.hidden_ramp is not None,
-        lambda run: f"a ramp narrower than {run.hidden_ramp:.2g} m/s cannot be excluded",
+        lambda run: _hidden_ramp(run) is not None,
+        lambda run: f"a ramp narrower than {_hidden_ramp(run):.2g} m/s cannot be excluded",
     ),
 )
 
 
-def warnings(run: JudgedRun) -> tuple[str, ...]:
+def warnings(run: Ranking, others: Sequence[str], together: Adequacy) -> tuple[str, ...]:
+    """Return the warnings of one run's side, with ``others`` of its laws; ``together`` is known of all runs."""
     of_fit, of_record = ([one.says(run) for one in table if one.when(run)] for table in (OF_THE_FIT, OF_THE_RECORD))
-    return (*of_fit, *(finding.text for finding in run.findings), *of_record)
+    findings = [finding.text for finding in run.findings]
+    return (*of_fit, *findings, *of_record, *others, *not_judged(run.adequacy), *level_of_curve(together))
 
 
 def not_judged(adequacy: Adequacy) -> tuple[str, ...]:

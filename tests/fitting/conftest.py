@@ -9,8 +9,8 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
+from fitting import rank
 from fitting.model.windows import ShootingWindows
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 from .. import rig as own_rig

@@ -7,8 +7,7 @@ import pytest
 
 from daq.cli import app as daq_cli
 from daq.runfile import store
-from fitting import cli
-from fitting.selection.ranking import rank
+from fitting import cli, rank
 from processing.smoothing import smooth
 from stickslip.console import application
 

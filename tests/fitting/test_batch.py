@@ -17,15 +17,19 @@ import daq
 import fitting
 from daq.runfile.rig import Rig
 from fitting import batch, cli, job
-from fitting.batch import BatchRow, Failure
+from fitting.options import Options
+from fitting.report.comparison import ComparedRun
 from processing.smoothing import smooth
 from stickslip.compute import cluster, workers
 from stickslip.console import application
-from stickslip.errors import DeviceError, InputError
+from stickslip.errors import DataError, DeviceError, InputError, StickslipError
 
 from . import command
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
+
+
+ERRORS = {error.exit_code: error for error in (StickslipError, InputError, DeviceError, DataError)}
 
 
 @pytest.fixture(scope="module")
@@ -102,13 +106,13 @@ def test_a_batch_is_a_table_on_the_screen(folder, capsys):
 )
 def test_the_exit_code_of_a_batch(codes, expected):
     rows = [
-        BatchRow(
+        ComparedRun(
             Path("x"),
             {
                 "set": [5, 6] if code == 5 else [5],
                 "adequacy": {"verdict": "none of the six" if code == 6 else "adequate"},
             },
-            Failure("", "", "", code) if code in (1, 2, 3, 4) else None,
+            ERRORS[code]("") if code in ERRORS else None,
         )
         for code in codes
     ]
@@ -220,7 +224,7 @@ def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
 
 @pytest.mark.slow
 def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(belt_rig, cluster):
-    from fitting.selection.ranking import rank
+    from fitting import rank
 
     runs = [smooth(belt_rig.recording(law=5, duration=10.0, belt=speed)) for speed in (0.15, 0.25)]
     here, there = rank(runs, laws=(3, 5)), rank(runs, laws=(3, 5), scheduler=cluster)
@@ -274,8 +278,8 @@ def test_processes_lost_in_the_middle_leave_the_finished_runs(folder, monkeypatc
         yield each
 
     monkeypatch.setattr(batch, "workers", breaking)
-    monkeypatch.setattr(batch, "_fitted", lambda run, options: Failure("fitted", "", "", 4))
-    rows = batch.fit([folder / "five.h5", folder / "three.h5"], [Path("a"), Path("b")], job.FitOptions())
+    monkeypatch.setattr(batch, "_fitted", lambda run, options, draw: DataError("fitted"))
+    rows = batch.fit([folder / "five.h5", folder / "three.h5"], [Path("a"), Path("b")], Options())
     assert [row.failure.what for row in rows] == ["fitted", "a fitting process was killed"]
 
 

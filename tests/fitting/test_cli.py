@@ -16,6 +16,7 @@ from daq.runfile import listing, store
 from daq.runfile.rig import Rig
 from fitting import cli, job
 from fitting.competitors import Competitors, numbers
+from fitting.options import Options
 from fitting.report import stage as fit_stage
 from fitting.report import table
 from processing import stage
@@ -110,10 +111,9 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, tmp_path, b
     # A fit used to stand beside a smoothed motion, or even a recording, that it was not made from.
     path = tmp_path / "run.h5"
     shutil.copy(run, path)
-    done = job.fit_runs(
-        [job.load_run(path, job.FitOptions())], job.FitOptions(competitors=Competitors((5,)), report=False)
-    )
-    done.save(None)
+    options = Options(competitors=Competitors.of(5))
+    done = job.fit_runs([job.load_run(path, options)], options)
+    job.save(done, None, "")
     stage.save(smooth(store.load(path), method="sg"), path)
     refused(done, path, "smoothed anew")
     command.fit(path, laws="5", no_report=True)
@@ -127,7 +127,7 @@ def refused(done, path, what):
     """Assert that a fit is not written into a run, for this reason."""
     before = path.read_bytes()
     with pytest.raises(InputError, match=what):
-        done.save(None)
+        job.save(done, None, "")
     assert path.read_bytes() == before
 
 

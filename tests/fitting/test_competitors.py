@@ -4,27 +4,26 @@ import math
 
 import pytest
 
-from fitting.competitors import ALL_LAWS, Competitors, Given, restated
-from fitting.law import PUBLISHED, Law, read_law
+from fitting.competitors import ALL_LAWS, Competitors, Given
+from fitting.law import PUBLISHED, SIX, Law, read_law
 from stickslip.errors import InputError
 
 
 def test_laws_are_numbers_published_names_and_formulas():
     found = Competitors.typed("1-3,6,stribeck", ["power", "mine: Fs/(1 + s/v)"], ["mine"])
-    assert found.laws == (1, 2, 3, 6)
-    assert found.names == ("stribeck", "power", "mine")
+    assert [law.key for law in found.laws] == [1, 2, 3, 6, "stribeck", "power", "mine"]
     assert [law.ramp for law in found.formulas] == [False, False, True]
     same = Competitors.of(("1-3", 6, "stribeck", "power", Law("mine", "Fs/(1 + s/v)", ramp=True)))
-    assert (same.laws, same.formulas) == (found.laws, found.formulas)
+    assert same.laws == found.laws
 
 
 @pytest.mark.parametrize(
-    ("laws", "expected"), [(5, ((5,), ())), ("stribeck", ((), ("stribeck",))), (ALL_LAWS, (ALL_LAWS, ()))]
+    ("laws", "expected"), [(5, (SIX[5],)), ("stribeck", (PUBLISHED["stribeck"],)), (ALL_LAWS, tuple(SIX.values()))]
 )
 def test_one_law_need_not_be_in_a_list(laws, expected):
     """``laws=5`` used to end in "'int' object is not iterable"."""
     found = Competitors.of(laws)
-    assert (found.laws, found.names) == expected
+    assert found.laws == expected
 
 
 def test_a_name_alone_is_that_of_every_law_that_has_it():
@@ -36,19 +35,19 @@ def test_a_name_alone_is_that_of_every_law_that_has_it():
         ["k/m=30:40", "5.d=:1"][:1],
         ["6.d=0.03"],
     )
-    assert found.of_law(5) == {"gamma": Given(9.6, 9.6, 9.6), "k/m": Given(30.0, 40.0)}
-    assert found.of_law(6) == {"gamma": Given(9.6, 9.6, 9.6), "k/m": Given(30.0, 40.0), "d": Given(start=0.03)}
-    assert found.of_law(1) == {"k/m": Given(30.0, 40.0)}
+    assert found.of_law(SIX[5]) == {"gamma": Given(9.6, 9.6, 9.6), "k/m": Given(30.0, 40.0)}
+    assert found.of_law(SIX[6]) == {"gamma": Given(9.6, 9.6, 9.6), "k/m": Given(30.0, 40.0), "d": Given(start=0.03)}
+    assert found.of_law(SIX[1]) == {"k/m": Given(30.0, 40.0)}
     assert found.of_law(found.formulas[0]) == {"v_s": Given(0.05, 0.05, 0.05), "k/m": Given(30.0, 40.0)}
-    assert found.of_law(5)["gamma"].fixed
+    assert found.of_law(SIX[5])["gamma"].fixed
 
 
 def test_a_formula_may_call_its_parameters_as_the_rig_does():
     law = Law("mine", "k - c*s")
-    found = Competitors(laws=(), formulas=(law,), fix={"c": -2.0})
+    found = Competitors(laws=(law,), fix={"c": -2.0})
     assert found.of_law(law) == {"c": Given(-2.0, -2.0, -2.0)}
     with pytest.raises(InputError, match="c is -2"):  # of the damping, which every other law has
-        Competitors(laws=(5,), formulas=(law,), fix={"c": -2.0})
+        Competitors(laws=(SIX[5], law), fix={"c": -2.0})
 
 
 @pytest.mark.parametrize(
@@ -110,7 +109,7 @@ def test_what_cannot_be_is_refused(typed, said):
     ],
 )
 def test_values_take_units(law, typed, expected):
-    assert Competitors.typed(str(law), **typed).of_law(law) == expected
+    assert Competitors.typed(str(law), **typed).of_law(SIX[law]) == expected
 
 
 @pytest.mark.parametrize(
@@ -139,19 +138,20 @@ def test_arguments_take_units():
 
 
 def test_bounds_may_be_open():
-    found = Competitors.typed("5", bound=["gamma=2:", "k/m=:40"]).of_law(5)
+    found = Competitors.typed("5", bound=["gamma=2:", "k/m=:40"]).of_law(SIX[5])
     assert found == {"gamma": Given(2.0, math.inf), "k/m": Given(-math.inf, 40.0)}
 
 
 def test_the_slope_of_a_linear_law_is_given_to_its_formula():
     found = Competitors.typed("3-5", fix=["G_slip=0.6"])
-    assert found.direct == (5,)
-    assert found.searched == ALL_LAWS
-    assert {law: (own.formula, own.ramp) for law, own in found.restated.items()} == {
-        3: ("Fs - G_slip*s", False),
-        4: ("Fs - G_slip*s", True),
-    }
-    assert restated(6).ramp
+    assert [law.key for law in found.laws if found.by_kernel(law)] == [5]
+    assert found.searched == tuple(SIX.values())
+
+
+@pytest.mark.parametrize(("name", "formula"), [("7", "Fs"), ("5", "Fs"), ("6", "Fs/(1 + gamma*s)")])
+def test_a_number_is_the_name_of_one_of_the_six_alone(name, formula):
+    with pytest.raises(InputError, match="is no name of a law"):
+        Law(name, formula)
 
 
 def test_a_published_law_may_be_written_out():

@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 from stickslip.errors import EXIT_DONE, EXIT_UNDECIDED, DataError
 from daq.runfile import store
-from fitting.selection.ranking import rank
+from fitting import rank
 from processing.smoothing import smooth
 
 rng, last_bits, found = np.random.default_rng(3), float(sys.argv[1]), {}

@@ -8,8 +8,7 @@ import pytest
 
 from daq.cli.app import app as daq
 from daq.runfile.rig import Rig
-from fitting import cli, job
-from fitting.selection.ranking import rank
+from fitting import cli, job, rank
 from processing.smoothing import smooth
 from stickslip.console import application
 from stickslip.errors import DataError

@@ -1,4 +1,4 @@
-"""Parameters that a formula has only together are named, with the way in which it has them."""
+"""Parameters that a formula has only together are named."""
 
 import pytest
 
@@ -9,12 +9,12 @@ from fitting.undetermined import natural_size, undetermined
 @pytest.mark.parametrize(
     ("formula", "said"),
     [
-        ("a*b/(1 + gamma*s)", ["a and b enter only as a product"]),
-        ("Fs*a*b*exp(-c*d*s)", ["Fs, a and b enter only as a product", "c and d enter only as a product"]),
-        ("Fs - (a + b)*s", ["a and b enter only as a sum"]),
-        ("Fs - (a - b)*s", ["a and b enter only as a difference"]),
-        ("Fs/(1 + s*a/b)", ["a and b enter only as a quotient"]),
-        ("Fs*exp(-s/v) + a*exp(-s/v)", ["Fs and a enter only as a sum"]),
+        ("a*b/(1 + gamma*s)", ["a and b enter only together"]),
+        ("Fs*a*b*exp(-c*d*s)", ["Fs, a and b enter only together", "c and d enter only together"]),
+        ("Fs - (a + b)*s", ["a and b enter only together"]),
+        ("Fs - (a - b)*s", ["a and b enter only together"]),
+        ("Fs/(1 + s*a/b)", ["a and b enter only together"]),
+        ("Fs*exp(-s/v) + a*exp(-s/v)", ["Fs and a enter only together"]),
         ("a*b**2 - G*s", ["a and b enter only together"]),
         ("Fs + 0*a", ["a does not change friction"]),
         ("Fc + (Fs - Fc)*exp(-(s/v_s)**p) + b*s", []),

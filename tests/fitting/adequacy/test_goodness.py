@@ -9,13 +9,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fitting import job
+from fitting import job, rank
 from fitting.adequacy import visible
 from fitting.adequacy.goodness import REJECTED, GoodnessOfFit, RunSlips, limit, probability, tail
 from fitting.adequacy.result import Adequacy
 from fitting.adequacy.statistics import CycleSquares, SlipBins, cycle_squares
 from fitting.selection import verdict_warnings
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")

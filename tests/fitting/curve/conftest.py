@@ -10,7 +10,7 @@ import pytest
 from fitting.curve.measure import measure_curve
 from fitting.data import cycles, frame
 from fitting.driver.driver import fit_laws
-from fitting.estimation.fit import Fit
+from fitting.law import SIX
 from fitting.model.problem import Run
 from processing.smoothing import smooth
 
@@ -37,7 +37,7 @@ def measured():
     @cache
     def of(*together, laws=(5,), bare=False):
         runs = [run_of(contact, bare) for contact in together]
-        fits = sorted(map(Fit.of, fit_laws(laws, runs)), key=lambda fit: fit.geometric_mean_rms)
+        fits = sorted(fit_laws([SIX[law] for law in laws], runs), key=lambda fit: fit.geometric_mean_rms)
         noise = np.array(
             [np.sqrt(COUNT**2 / 12 + belt_rig.JITTER**2 * np.mean(run.motion.velocity**2)) for run in runs]
         )

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fitting.competitors import Competitors
-from fitting.curve.formula_parameters import formula_parameters
 from fitting.curve.measure import furthest_exit, in_newtons
 from fitting.curve.spline_fit import fit_spline
+from fitting.estimation.derived import derived_parameters
 from fitting.model.parameters import Global
 from fitting.selection.rivals import fit_formulas
 
@@ -52,7 +52,7 @@ def test_a_curve_is_measured_where_the_best_law_is_wrong(measured, contact):
     assert half_widths(result) > 2
     assert (in_newtons(result.curve, 0.3).friction == 0.3 * result.curve.friction).all()
     nearest = nearest_published(result)
-    assert nearest.law == "stribeck"
+    assert nearest.law.name == "stribeck"
     assert nearest.own_values["Fs"] == pytest.approx(result.contact.Fs / result.contact.m, rel=0.03)
     assert nearest.own_values["v_s"] == pytest.approx(0.1, rel=0.03)
 
@@ -60,9 +60,9 @@ def test_a_curve_is_measured_where_the_best_law_is_wrong(measured, contact):
 def test_no_curve_is_measured_where_every_slip_lies_on_the_laws_ramp(ranked):
     # A ramp as wide as the slips are fast left it no speeds: "middle coefficient is 0.0; friction must not vanish".
     fit = ranked(law=6, duration=10.0).row(6).fit
-    wide = fit.u.copy()
-    wide[Global.D] = 2 * float(np.max(np.abs(fit.problem.motions[0].velocity)))
-    assert fit_spline(replace(fit, u=wide), np.array([1e-5])) is None
+    wide = fit.q.copy()
+    wide[fit.places.index(Global.D)] = 2 * float(np.max(np.abs(fit.problem.motions[0].velocity)))
+    assert fit_spline(replace(fit, q=wide), np.array([1e-5])) is None
 
 
 @pytest.mark.parametrize(("scatter", "assumed"), [(0.0, True), pytest.param(0.03, False, marks=pytest.mark.slow)])
@@ -77,11 +77,11 @@ def test_without_a_datum_the_level_is_known_from_the_scatter_of_the_levels_alone
     off = curve.friction - result.truth
     assert (np.abs(off - off.mean()) < curve.shape_half).all()
     assert np.std(off) < 0.01 * np.median(result.truth)
-    assert nearest.law in ("stribeck", "stribeck-viscous")
+    assert nearest.law.name in ("stribeck", "stribeck-viscous")
     fall = (result.contact.Fs - 0.5) / result.contact.m
     found = nearest.own_values["Fs"] - nearest.own_values["Fc"]
     assert found == pytest.approx(fall, rel=0.03)
-    parameters = formula_parameters(nearest, result.fits[0].problem.motions[0], 0.05)
+    parameters = derived_parameters(nearest, result.fits[0].problem.motions[0], 0.05)
     assert ("(Fs - Fc)/m" in parameters) is assumed
     assert half_widths(result) > 2
 
@@ -94,7 +94,7 @@ def test_a_fall_that_the_weak_form_hardly_sees_is_measured(duration, seed, measu
     # in every window; or it was far below.  The curves ended with chi 6.0 and 5.9, friction 5 and 7 % off.
     result = measured(contact(**STIFF, duration=duration, seed=seed))
     check(result)
-    assert nearest_published(result).law == "stribeck-viscous"
+    assert nearest_published(result).law.name == "stribeck-viscous"
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_stribeck_and_logarithmic_contacts_are_measured_and_named(name, measured
     changes, law = CONTACTS[name]
     result = measured(contact(**changes))
     check(result)
-    assert nearest_published(result).law == law
+    assert nearest_published(result).law.name == law
     assert half_widths(result) > 2
 
 
@@ -121,7 +121,7 @@ def test_runs_at_two_speeds_give_one_curve(measured, contact):
     changes = CONTACTS["logarithmic"][0] | {"duration": 15.0}
     result = measured(contact(**changes), contact(**changes, belt=0.15, seed=4))
     check(result)
-    assert nearest_published(result).law == "logarithmic"
+    assert nearest_published(result).law.name == "logarithmic"
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_the_level_of_two_runs_without_a_datum_is_assumed(measured, contact):
     assert (curve.lo < result.truth).all()
     assert (result.truth < curve.hi).all()
     assert (np.abs(off - off.mean()) < curve.shape_half).all()
-    assert nearest_published(result).law == "stribeck"
+    assert nearest_published(result).law.name == "stribeck"
 
 
 @pytest.mark.slow

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fitting import rank
 from fitting.data import belt_line
 from fitting.drawing.curves import points
 from fitting.model.parameters import Global
-from fitting.selection.ranking import rank
 from stickslip.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")

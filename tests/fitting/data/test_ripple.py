@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import daq
+from fitting import rank
 from fitting.data import cycles, frame, ripple
 from fitting.selection import law_fits
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 from .. import scales

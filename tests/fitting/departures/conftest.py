@@ -11,8 +11,8 @@ from fitting.data import cycles, frame, ripple
 from fitting.departures.base import Base
 from fitting.driver.driver import fit_all
 from fitting.driver.task import law_task
-from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
+from fitting.law import SIX
 from fitting.model.problem import Run
 from processing.smoothing import smooth
 
@@ -33,7 +33,8 @@ def fitted(belt_rig, tmp_path_factory):
         found = ripple.find_ripple(motion, cut)
         if found is not None:
             cut = cycles.segment_cycles(found.removed(motion))
-        return Fit.of(*fit_all([law_task(law, [Run(motion, cut, found)])]))
+        (fit,) = fit_all([law_task(SIX[law], [Run(motion, cut, found)])])
+        return fit
 
     return of
 
@@ -45,6 +46,6 @@ def base_of(fitted):
     @cache
     def of(**changes):
         found = fitted(**changes)
-        return Base.of(LinearisedFit.at(found.at), found.path(), found.problem.motions)
+        return Base.of(LinearisedFit.at(found), found.path, found.problem.motions)
 
     return of

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fitting import rank
 from fitting.departures.ageing import find_other_break_away
 from fitting.estimation.result import BreakAway
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.units import Measured
 

@@ -8,6 +8,7 @@ import pytest
 from fitting.departures import explain
 from fitting.departures.explain import Question, base_of, confirm, explain_misfit
 from fitting.departures.strongest import strongest
+from fitting.law import SIX
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -22,7 +23,7 @@ def asked(*fits):
 
 def explained(fit, chi=40.0, describes=lambda refit: True, **laws):
     """Explain the misfit of a law beside a free curve that shows no departure of its own."""
-    curve = SimpleNamespace(chi=chi, linear=None, spline_fit=SimpleNamespace(path=None))
+    curve = SimpleNamespace(chi=chi, linear=None, spline_fit=SimpleNamespace(path=object()))
     question = asked(fit, *laws.values())
     with pytest.MonkeyPatch.context() as patch:
         whole = explain.strongest
@@ -89,19 +90,19 @@ def test_the_law_is_found_together_with_the_departure(fitted):
 
 def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeypatch):
     """The first was named: law 5, at 1.005 times the noise, hid law 3 at 0.97 and a spring 11 % harder."""
-    fits = [SimpleNamespace(problem=SimpleNamespace(curve=law), law=law, at=law) for law in (5, 3)]
-    left = {5: 1.005 * NOISE, 3: 0.97 * NOISE}
+    fits = [SimpleNamespace(law=SIX[law]) for law in (5, 3)]
+    left = {SIX[5]: 1.005 * NOISE, SIX[3]: 0.97 * NOISE}
     monkeypatch.setattr(explain, "base_of", lambda fit, records, revolution: fit)
     laws = Question.of(fits, [], NOISE)
 
     def fitted_with(_, law, *__, hurried):
-        assert hurried == (law == 3 and left[5] < 1.05 * NOISE)
+        assert hurried == (law == SIX[3] and left[SIX[5]] < 1.05 * NOISE)
         return SimpleNamespace(law=law, usual_rms=left[law])
 
     monkeypatch.setattr(explain, "refit_with", fitted_with)
-    assert confirm((), laws).law == 3
-    left[3] = 1.2 * NOISE
-    assert confirm((), laws).law == 5
+    assert confirm((), laws).law == SIX[3]
+    left[SIX[3]] = 1.2 * NOISE
+    assert confirm((), laws).law == SIX[5]
 
 
 def test_a_departure_that_is_not_there_is_not_confirmed(fitted):

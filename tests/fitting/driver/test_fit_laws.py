@@ -5,16 +5,16 @@ import pytest
 
 import rig_sim
 from daq.runfile.rig import Rig
-from fitting import noise_levels
+from fitting import noise_levels, rank
 from fitting.data import cycles, frame
 from fitting.driver.driver import fit_laws
 from fitting.driver.noise import without_outliers
 from fitting.driver.passes import first_pass, regressed_start
 from fitting.driver.task import law_task
+from fitting.law import SIX
 from fitting.model.parameters import Global, PerCycle
 from fitting.model.problem import Run
 from fitting.selection import law_fits
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from rig_sim.motion.play import ScenePlayer
 
@@ -32,8 +32,8 @@ CONTAINED = ((1, 2), (3, 4), (5, 6), (1, 3), (1, 5))
 
 def usual_errors(recording, rig=None):
     motion = frame.from_kinematics(smooth(recording), recording.rig if rig is None else rig, None)
-    fits = fit_laws((1, 2, 3, 4, 5, 6), [Run(motion, cycles.segment_cycles(motion))])
-    return {fit.task.curve.law: fit.geometric_mean_rms for fit in fits}
+    fits = fit_laws(tuple(SIX.values()), [Run(motion, cycles.segment_cycles(motion))])
+    return {fit.law.number: fit.geometric_mean_rms for fit in fits}
 
 
 def test_a_law_never_errs_more_than_one_it_contains(belt_rig):
@@ -61,10 +61,10 @@ def test_a_search_that_is_lost_starts_again(simulated):
     """Law 5 ended 0.3 to 0.6 mm off by itself: cycles in poor minima of their own held k/m 2 to 3 % off."""
     smoothed = simulated(*HARSH, duration=30.0)
     run = law_fits.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
-    task = law_task(5, [run])
+    task = law_task(SIX[5], [run])
     lost = first_pass(task, regressed_start(task))
     assert lost.geometric_mean_rms > noise_levels.LOST * run.motion.resolution
-    (found,) = fit_laws((5,), [run])
+    (found,) = fit_laws((SIX[5],), [run])
     assert found.geometric_mean_rms < 2 * run.motion.resolution
     assert found.u[Global.K] == pytest.approx(35.184, rel=1e-4)
 
@@ -92,7 +92,7 @@ def overtaken(simulated):
     """Give a record in which the mass once overtakes the belt, and its fits by laws 5 and 6."""
     smoothed = simulated(*(f"{key}={value}" for key, value in OVERTAKEN.items()), duration=30.0)
     run = law_fits.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
-    return run, {fit.task.curve.law: fit for fit in fit_laws((5, 6), [run])}
+    return run, {fit.law.number: fit for fit in fit_laws((SIX[5], SIX[6]), [run])}
 
 
 @pytest.mark.parametrize("law", [5, 6])

@@ -55,8 +55,8 @@ def test_a_trial_without_friction_at_rest_is_refused():
     law = PUBLISHED["stribeck-gaussian-viscous"]
     curve = FormulaCurve(law, FASTEST, of(law, TRUE[law.name]))
     values = TRUE[law.name] | {"Fc": 0.0, "Fs": 0.0}
-    assert curve.spline(curve.theta(values | {"Fs": 1e-3})) is not None
-    assert curve.spline(curve.theta(values)) is None
+    assert curve.spline(curve.theta_at(values | {"Fs": 1e-3})) is not None
+    assert curve.spline(curve.theta_at(values)) is None
 
 
 def test_knots_that_other_trials_needed_are_not_in_the_way():
@@ -64,9 +64,9 @@ def test_knots_that_other_trials_needed_are_not_in_the_way():
     law = PUBLISHED["power"]
     steep, own = (TRUE["power"] | {"p": p} for p in (0.05, 0.4))
     curve = FormulaCurve(law, FASTEST, of(law, own))
-    assert curve.spline(curve.theta(steep)) is None
+    assert curve.spline(curve.theta_at(steep)) is None
     for values in (own, own | {"p": 0.3}, own):
-        found, s = curve.spline(curve.theta(values)), np.linspace(0.0, FASTEST, 1001)
+        found, s = curve.spline(curve.theta_at(values)), np.linspace(0.0, FASTEST, 1001)
         assert found(s) == pytest.approx(law.curve.value(s, dict(law.fix or {}) | values), abs=4 * SPLINE_ERROR * 4.6)
 
 

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from fitting.driver.nodes import SampleNodes
+from fitting.law import SIX
 from fitting.model.problem import EstimationProblem
 from fitting.model.windows import Thinning
 
 
 @pytest.mark.parametrize("stride", [1, 7])
 def test_every_sample_counts_once_and_a_constant_stays(runs_of, stride):
-    whole = EstimationProblem.build(5, runs_of(law=5, seed=1)).windows(thinned=False)
+    whole = EstimationProblem.build(SIX[5], runs_of(law=5, seed=1)).windows(thinned=False)
     nodes = SampleNodes.of(whole, [Thinning(stride)])
     assert nodes.count.sum() == pytest.approx(whole.time.size)
     assert nodes.windows.rows[-1].stop == nodes.windows.time.size == nodes.count.size
@@ -20,7 +21,7 @@ def test_every_sample_counts_once_and_a_constant_stays(runs_of, stride):
 
 
 def test_nodes_keep_first_and_last_sample_of_every_window(runs_of):
-    whole = EstimationProblem.build(5, runs_of(law=5, seed=1)).windows(thinned=False)
+    whole = EstimationProblem.build(SIX[5], runs_of(law=5, seed=1)).windows(thinned=False)
     nodes = SampleNodes.of(whole, [Thinning(9)])
     for own, all_of_it in zip(nodes.windows.table, whole.table, strict=True):
         first, last = own[2], own[2] + own[3] - 1

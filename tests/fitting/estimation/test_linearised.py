@@ -101,12 +101,12 @@ def test_a_fit_is_linearised_at_its_minimum(ranked):
     The damping of this record ends at its bound 0, with a gradient of 0.35 standard errors.
     """
     fit = ranked(law=5).best.fit
-    found = LinearisedFit.at(fit.at)
+    found = LinearisedFit.at(fit)
     assert found.residual == pytest.approx(fit.residual, abs=1e-12)
     gradient = found.gradients.sum(axis=0) + found.prior_gradient
     gradient *= np.sqrt(np.diag(found.covariance))
-    at_lower, at_upper = fit.at.q <= fit.at.problem.lower, fit.at.q >= fit.at.problem.upper
-    names = np.array([Global(place).name for place in fit.at.task.places])
+    at_lower, at_upper = fit.q <= fit.least_squares.lower, fit.q >= fit.least_squares.upper
+    names = np.array([Global(place).name for place in fit.places])
     assert set(names[at_lower | at_upper]) <= {"DAMPING"}
     assert np.abs(gradient[~(at_lower | at_upper)]).max() < 0.01
     assert gradient[at_lower].min(initial=0) >= 0

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from fitting.data import cycles
+from fitting.law import SIX
 from fitting.model.problem import EstimationProblem, Run
 
 
@@ -17,7 +18,7 @@ def test_overtaking_is_added_to_the_cycles_that_are_fitted_and_to_no_others(moti
         for k, cycle in enumerate(cut.cycles)
     ]
     first = Run(motion, replace(cut, cycles=tuple(marked)))
-    problem = EstimationProblem.build(5, [first, Run(motion, cut)])
+    problem = EstimationProblem.build(SIX[5], [first, Run(motion, cut)])
     added = np.zeros(len(problem.cycles), bool)
     added[[2, len(first.cut.used)]] = True  # the fourth cycle of the first run, the first one of the second
     found = problem.with_overtaking(added)

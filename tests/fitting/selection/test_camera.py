@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from fitting import rank
 from fitting.data import frame
 from fitting.selection import law_fits
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 

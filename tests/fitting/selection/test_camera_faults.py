@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from fitting import rank
 from fitting.data import frame
 from fitting.selection import law_fits
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.errors import DataError
 

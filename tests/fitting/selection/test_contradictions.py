@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from fitting.selection.ranking import rank
+from fitting import rank
 from processing.smoothing import smooth
 from stickslip.errors import DataError
 from stickslip.units import Measured

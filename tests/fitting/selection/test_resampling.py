@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from fitting import rank
 from fitting.estimation.covariance import covariances
 from fitting.model.parameters import Global
 from fitting.selection import resampling
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 from stickslip.errors import InputError
 
@@ -22,15 +22,15 @@ def ranking(belt_rig):
 
 def by_scipy(fit, held):
     """Return the least objective with unknowns held (index to value) and the others fitted by scipy at once."""
-    problem = fit.at.problem
-    free = [place for place in range(fit.at.q.size) if place not in held]
-    cycles, p = fit.at.local.shape, len(free)
+    problem = fit.least_squares
+    free = [place for place in range(fit.q.size) if place not in held]
+    cycles, p = fit.local.shape, len(free)
     weight = np.sqrt(problem.weights)[problem.owner]
     prior, local_prior = np.sqrt(problem.precision), np.sqrt(problem.local_precision)
     known = prior > 0
 
     def unpacked(z):
-        u = fit.at.q.copy()
+        u = fit.q.copy()
         u[list(held)] = list(held.values())
         u[free] = z[:p]
         return u, z[p:].reshape(cycles)
@@ -45,15 +45,15 @@ def by_scipy(fit, held):
         _, tangent = problem.evaluate(*unpacked(z), True)
         tangent, own = tangent * weight[:, None], np.zeros((tangent.shape[0], cycles[0], cycles[1]))
         for k in range(cycles[0]):
-            own[problem.owner == k, k] = tangent[problem.owner == k, fit.at.q.size :]
+            own[problem.owner == k, k] = tangent[problem.owner == k, fit.q.size :]
         rows = np.hstack([tangent[:, free], own.reshape(tangent.shape[0], -1)])
         shared = np.zeros((int(known.sum()), z.size))
         shared[:, :p] = np.diag(prior)[np.ix_(known, free)]
         locals_ = np.hstack([np.zeros((local_prior.size, p)), np.diag(local_prior.ravel())])
         return np.vstack([rows, shared, locals_])
 
-    start = np.concatenate([fit.at.q[free], fit.at.local.ravel()])
-    low = np.concatenate([problem.lower[free], np.full(fit.at.local.size, -np.inf)])
+    start = np.concatenate([fit.q[free], fit.local.ravel()])
+    low = np.concatenate([problem.lower[free], np.full(fit.local.size, -np.inf)])
     high = np.concatenate([problem.upper[free], np.broadcast_to(problem.local_upper, cycles).ravel()])
     start = np.clip(start, np.nextafter(low, np.inf), np.nextafter(high, -np.inf))
     found = least_squares(residuals, start, slopes, (low, high), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
@@ -65,7 +65,7 @@ def test_a_profile_is_that_of_scipy(ranking):
     """Beside a damping that cannot be negative it rises faster on one side."""
     row = ranking.best
     found = resampling.profile(row.fit, ranking.motion, row.parameters, "gamma")
-    place = row.fit.at.task.places.index(Global.SHAPE)
+    place = row.fit.places.index(Global.SHAPE)
     least = by_scipy(row.fit, {})
     for end in (0, -1):
         rise = 2 * (by_scipy(row.fit, {place: found["value"][end]}) - least)
@@ -75,7 +75,7 @@ def test_a_profile_is_that_of_scipy(ranking):
 def test_a_profile_of_a_nearly_linear_unknown_is_the_square_of_the_distance_in_standard_errors(ranking):
     row = ranking.best
     found = resampling.profile(row.fit, ranking.motion, row.parameters, "k/m")
-    by_curvature = math.sqrt(covariances(row.fit, row.fit.precision)[1][0, 0])
+    by_curvature = math.sqrt(covariances(row.fit)[1][0, 0])
     distance = (found["value"] - row.parameters["k/m"].value) / by_curvature
     assert found["deviance"] == pytest.approx(distance**2, rel=0.05, abs=0.01)
     assert np.all(found["rms_m"] >= 0.999 * row.rms_m)
@@ -89,7 +89,7 @@ def test_the_spread_of_drawn_cycles_is_that_of_the_sandwich_covariance(belt_rig)
     fit, draws = ranking.best.fit, 100
     found = resampling.bootstrap(fit, ranking.motion, draws, 1)
     slots = {"k/m": Global.K, "v_dr": Global.V_DR, "gamma": Global.SHAPE, "x0": Global.DATUM}
-    sandwich = np.sqrt(np.diag(covariances(fit, fit.precision)[0])[[fit.active.index(slot) for slot in slots.values()]])
+    sandwich = np.sqrt(np.diag(covariances(fit)[0])[[fit.places.index(slot) for slot in slots.values()]])
     spread = np.array([found[name].std() for name in slots])
     # the scatter of a standard deviation, and what 44 cycles leave out of it
     assert spread / sandwich == pytest.approx(1.0, abs=3 / math.sqrt(2 * draws) + 1 / ranking.best.cycles)

@@ -6,12 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting import job
+from fitting import job, rank
 from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.formula_fit import fit_formula
-from fitting.curve.formula_parameters import formula_parameters
 from fitting.law import PUBLISHED, Law
-from fitting.selection.ranking import rank
 from fitting.selection.rivals import fit_formulas
 from processing.smoothing import smooth
 from stickslip.errors import InputError
@@ -73,38 +71,26 @@ def test_a_true_law_on_an_encoder_has_no_rival_in_its_set(ranked):
     assert job.exit_code(document) == 0
 
 
-def test_law_5_as_a_formula_gives_what_law_5_gives(ranked):
-    row = ranked(law=5, duration=10.0).row(5)
-    curve = ranked(law=5, duration=10.0).adequacy.curve
-    p = row.fit.values
-    law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
-    found = fit_formula(law, curve.spline_fit)
-    assert found.rms == pytest.approx(row.rms_m, rel=1e-3)
-    stiffness = formula_parameters(found, ranked(law=5, duration=10.0).motion, 0.05)["k/m"]
-    assert stiffness.value == pytest.approx(row.parameters["k/m"].value, abs=0.1 * row.parameters["k/m"].stderr)
-    assert found.own_values["gamma"] == pytest.approx(p.shape, rel=1e-3)
-
-
 def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
     law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
-    found = fit_formula(law, curve.spline_fit)
+    found = fit_formula(law, curve)
     at, step = found.solution, 1e-5
     for place in (at.u.size - 2, at.u.size - 1):
         sides = []
         for sign in (-1.0, 1.0):
             q = at.u.copy()
             q[place] += sign * step * max(abs(q[place]), 1.0)
-            sides.append(found.at.problem.evaluate(q, at.local, False)[0])
+            sides.append(found.least_squares.evaluate(q, at.local, False)[0])
         numeric = (sides[1] - sides[0]) / (2 * step * max(abs(at.u[place]), 1.0))
-        own = found.at.jacobian[:, place]
+        own = found.jacobian[:, place]
         assert np.max(np.abs(numeric - own)) < 2e-3 * np.max(np.abs(own))
 
 
 def test_a_curve_that_is_negative_is_not_fitted(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
     with pytest.raises(InputError, match="friction is negative"):
-        fit_formula(Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve.spline_fit)
+        fit_formula(Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve)
 
 
 def test_every_published_law_is_fitted_or_says_why_not(ranked):

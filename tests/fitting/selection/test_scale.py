@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fitting import rank
 from fitting.data import frame
-from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")

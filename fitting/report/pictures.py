@@ -1,0 +1,396 @@
+"""The pictures of a page as SVG: motion, phase portraits, friction, residuals, evidence and levels.
+
+Each shows all runs of a joint fit, each run in its own colour, dashes and marks.
+"""
+
+import html
+import io
+import math
+import re
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
+
+from fitting.data.cycles import Cycle
+from fitting.drawing import plot
+from fitting.drawing.palette import COLOURS, DASHED, INK, MEASURED, law_styles, run_colour, run_dash, run_mark
+from fitting.report.symbols import pretty
+from fitting.selection.result import LawResult, Ranking
+from processing.statistics import pooled
+from stickslip.compute.arrays import Array
+from stickslip.output.lengths import format_length, shown_length
+from stickslip.output.plot import STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+NARROW, WIDE = 4.6, 9.4  # inches: half of the page, and all of it
+# Inches: margins, a row of a legend, its key, and a letter.
+LEFT, RIGHT, BOTTOM, TITLE, ROW, KEY, LETTER = 0.62, 0.08, 0.42, 0.24, 0.17, 0.5, 0.062
+DPI = 110  # of what is drawn as an image
+MOST_VECTOR = 4000  # points of a line; a longer one is drawn as an image
+# Text of a page is set by the browser, in the font of the page.
+LOOK: dict[Any, Any] = dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 9)
+LOOK |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8) | {"savefig.bbox": "standard"}
+MM = 1e3  # positions are drawn in mm, speeds in m/s
+GAP = 0.01  # between runs that are drawn one after another, of the time of all
+BROAD, PALE = 3.0, 0.45  # width and opacity of a measured line, so that a fitted one over it leaves both to be seen
+PALE_RUN = 0.65  # opacity of each of several runs, whose luminances are to stay apart
+BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law that describes the record
+SPREAD = 99.5  # percentile of residuals, beyond which the axes may cut some off
+BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
+Part = Array  # (3, n) time (s), position (mm), velocity (m/s)
+
+
+def look() -> AbstractContextManager[None]:
+    """Return the context in which figures of a page are made and embedded."""
+    return mpl.rc_context(LOOK, fname=STYLE)
+
+
+def embed(drawn: Figure, about: str, name: str) -> str:
+    """Return a figure as an ``<svg>`` element with a unique ``name``; ``about`` is the text alternative."""
+    buffer = io.StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    with mpl.rc_context({"svg.hashsalt": name}):
+        drawn.savefig(buffer, format="svg", dpi=DPI, transparent=True, metadata=nothing)
+    text = buffer.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<g id=\"[^\"]*\"", _without_name, text, flags=re.DOTALL)
+    text = re.sub(r"=\"[^\"]*\"", lambda value: re.sub(r"(\.\d\d)\d+", r"\1", value[0]), text)
+    text = re.sub(r"\s*\n\s*", "\n", re.sub(r"font: ([\d.]+px) [^;\"]*", r"font: \1 sans-serif", text))
+    shown = f'<svg role="img" aria-label="{html.escape(about)}" style="max-width: {130 * drawn.get_figwidth():.0f}px"'
+    return text[text.index("<svg") :].replace("<svg", shown, 1)
+
+
+def _without_name(part: re.Match[str]) -> str:
+    return "<g" if part[0].startswith("<g") else ""
+
+
+def by_law(rows: Sequence[LawResult]) -> list[LawResult]:
+    """Return rows in the order of their laws: the six by number, then formulas, best first."""
+    return sorted(rows, key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
+
+
+def shown_rows(ranking: Ranking) -> list[LawResult]:
+    """Return the laws that were requested or may be the contact's, best first."""
+    may_be = ranking.not_excluded
+    return [row for row in ranking.rows if row.asked or row.in_set or row is ranking.best or row.law in may_be]
+
+
+def _styles(ranking: Ranking) -> dict[int | str, dict[str, Any]]:
+    return law_styles(row.law for row in ranking.rows)
+
+
+def _runs(ranking: Ranking, colour: str, label: str) -> list[dict[str, Any]]:
+    """Return colour, label and mark of each run: the arguments for a single run, else those of its number."""
+    if not ranking.runs:
+        return [{"color": colour, "label": label, **run_mark(1)}]
+    numbers = range(1, len(ranking.runs) + 1)
+    return [{"color": run_colour(number), "label": f"run {number}", **run_mark(number)} for number in numbers]
+
+
+def _measured_lines(ranking: Ranking) -> list[dict[str, Any]]:
+    """Return the style of each run's measured motion."""
+    broad = {"lw": BROAD, "alpha": PALE_RUN if ranking.runs else PALE, "marker": ""}
+    runs = enumerate(_runs(ranking, MEASURED, "measured"), start=1)
+    return [run | broad | {"ls": run_dash(number)} for number, run in runs]
+
+
+def panels(
+    width: float, height: float, rows: int = 1, columns: int = 1, *, left: float = LEFT, gap: float = LEFT, **more: Any
+) -> tuple[Figure, Any]:
+    """Return a figure with axes (rows, columns) in it; lengths in inches.
+
+    Its margins are fixed: a layout that is computed draws every picture twice.
+    """
+    drawn = Figure(figsize=(width, height))
+    wide = (width - left - RIGHT - gap * (columns - 1)) / columns
+    cells = drawn.subplots(rows, columns, squeeze=False, **more)
+    drawn.subplots_adjust(left / width, BOTTOM / height, 1 - RIGHT / width, 1 - TITLE / height, gap / wide, 0.12)
+    return drawn, cells
+
+
+def _legend(drawn: Figure, axes: Sequence["Axes"], marks: float = 1.0) -> None:
+    """Put one legend of some axes above the whole figure, its marks so many times as large."""
+    lines = {name: line for one in axes for line, name in zip(*one.get_legend_handles_labels(), strict=True)}
+    width, height = drawn.get_size_inches()
+    columns = max(1, int((width - LEFT) / (KEY + LETTER * max(map(len, lines)))))
+    top = ROW * math.ceil(len(lines) / columns) + (TITLE if axes[0].get_title(loc="left") else RIGHT)
+    drawn.subplots_adjust(top=1 - top / height)
+    drawn.legend(
+        lines.values(),
+        lines,
+        loc="upper left",
+        bbox_to_anchor=(LEFT / width, 1),
+        ncols=columns,
+        borderaxespad=0,
+        borderpad=0,
+        labelspacing=0.3,
+        markerscale=marks,
+    )
+
+
+def typical_cycle(row: LawResult) -> Cycle:
+    """Return the cycle with a law's median error."""
+    order = np.argsort(row.fit.cycle_rms, kind="stable")
+    return row.fit.cycles[int(order[order.size // 2])]
+
+
+def extent(cycle: Cycle) -> slice:
+    """Return the samples of a cycle, from the first of its stick to the last of its slip."""
+    parts = [part for part in (cycle.stick, cycle.slip) if part[1] > part[0]]
+    return slice(min(first for first, _ in parts), max(end for _, end in parts))
+
+
+def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
+    """Return the smoothed motion of a run or of one cycle."""
+    motion, samples = side.motion, slice(None) if cycle is None else extent(cycle)
+    time = motion.begin + motion.time[samples]
+    return np.stack((time, MM * motion.sign * motion.position[samples], motion.sign * motion.velocity[samples]))
+
+
+def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> Part:
+    """Return the motion of a law in each window of its fit, or of one cycle, with NaN between windows.
+
+    The first and the last sample of a window are left out: there the velocity, a difference, has one side only.  A slip
+    that is started beyond the belt's speed is drawn from where it falls below.
+    """
+    windows = row.fit.windows
+    model = windows.position + row.fit.residual
+    parts: list[Array] = [np.empty((3, 0))]
+    for cycle, stick, first, count, *_ in windows.table:
+        if count > 3 and number in (None, row.fit.cycles[cycle].number):
+            samples = slice(first, first + count)
+            time, x = windows.time[samples], model[samples]
+            v = np.gradient(x, time)
+            v[(v > row.fit.values.v_dr) & (stick == 0)] = np.nan
+            part = np.stack((row.motion.begin + time, MM * sign * x, sign * v))[:, 1:-1]
+            parts.append(np.hstack((part, np.full((3, 1), np.nan))))
+    return np.hstack(parts)
+
+
+def begins(ranking: Ranking) -> list[float]:
+    """Return the offsets of each run's times, s, that put the runs one after another."""
+    if not ranking.runs:
+        return [0.0]
+    spans = np.array([side.motion.span for side in ranking.sides])
+    firsts = np.array([side.motion.begin + side.motion.time[0] for side in ranking.sides])
+    gap = GAP * float(spans.sum())
+    return list(np.cumsum(spans + gap) - spans - gap - firsts)
+
+
+def time_label(ranking: Ranking) -> str:
+    """Return the label of the times that `begins` shifts."""
+    return "time, one run after another (s)" if ranking.runs else "time (s)"
+
+
+def record(ranking: Ranking) -> tuple[Figure, str]:
+    """Draw position and velocity of the whole record, and the best law's motion in every window."""
+    measured, fitted = [], []
+    for side, begin in zip(ranking.sides, begins(ranking), strict=True):
+        shift = np.array([[begin], [0.0], [0.0]])
+        measured.append(measured_motion(side) + shift)
+        if ranking.rows:
+            fitted.append(fitted_motion(side.best, side.motion.sign) + shift)
+    return _over_time(ranking, measured, fitted, time_label(ranking), "Position and velocity of the record")
+
+
+def cycle(ranking: Ranking) -> tuple[Figure, str]:
+    """Draw position (the readings) and smoothed velocity of a typical cycle of each run since its break-away."""
+    measured, fitted = [], []
+    for side in ranking.sides:
+        typical = typical_cycle(side.best)
+        shift = np.array([[side.motion.begin + typical.break_away], [0.0], [0.0]])
+        part = measured_motion(side, typical) - shift
+        part[1] = MM * side.motion.sign * side.motion.measured[extent(typical)]
+        measured.append(part)
+        fitted.append(fitted_motion(side.best, side.motion.sign, typical.number) - shift)
+    return _over_time(ranking, measured, fitted, "time since break-away (s)", "Position and velocity of one cycle")
+
+
+def _over_time(
+    ranking: Ranking, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
+) -> tuple[Figure, str]:
+    """Draw position above velocity against time: the measurement broad and pale, the fit thin and dark."""
+    drawn, cells = panels(NARROW, 3.3, 2, sharex=True)
+    styles, both = _measured_lines(ranking), cells[:, 0]
+    whole = sum(part.shape[1] for part in measured) > MOST_VECTOR
+    words = ["as measured", *([f"{ranking.best.label}, fitted"] if ranking.rows else [])]
+    for place, (axes, unit) in enumerate(zip(both, ("x (mm)", "v (m/s)"), strict=True), start=1):
+        for part, style in zip(measured, styles, strict=True):
+            axes.plot(part[0], part[place], rasterized=whole, **style)
+        if fitted:
+            part = np.hstack(fitted)
+            axes.plot(part[0], part[place], color=INK, lw=0.9, rasterized=whole, label=words[-1])
+        axes.set_ylabel(unit)
+        axes.margins(x=0.01)
+    for side in ranking.sides if ranking.rows else ():
+        both[1].axhline(side.best.parameters["v_dr"].value, color=INK, lw=0.8, ls=DASHED, label="belt speed")
+    both[1].set_xlabel(label)
+    _legend(drawn, both)
+    return drawn, f"{about}: {' and '.join(words)}."
+
+
+def portraits(ranking: Ranking) -> tuple[Figure, str]:
+    """Draw phase portraits of the laws over a measured cycle of each run, the one with the best law's median error.
+
+    Without a law the whole record is drawn.
+    """
+    if not ranking.rows:
+        drawn, ((axes,),) = panels(NARROW, 3.3)
+        _, x, v = measured_motion(ranking.sides[0])
+        axes.plot(x, v, color=MEASURED, rasterized=True)
+        axes.set(xlabel="position (mm)", ylabel="velocity (m/s)")
+        return drawn, "Velocity against position of the record."
+    rows = by_law([row for row in ranking.rows if row.asked or row.in_set or row is ranking.best])
+    lines, columns = math.ceil(len(rows) / 3), min(len(rows), 3)
+    drawn, cells = panels(NARROW, 0.5 + 1.4 * lines, lines, columns, gap=0.1, sharex=True, sharey=True)
+    drawn.subplots_adjust(top=1 - 2 * ROW / drawn.get_figheight(), hspace=0.45)
+    styles = _styles(ranking)
+    typical = [typical_cycle(side.best) for side in ranking.sides]
+    for axes, row in zip(cells.flat, rows, strict=False):
+        for side, one, style in zip(ranking.sides, typical, _measured_lines(ranking), strict=True):
+            _, x, v = measured_motion(side, one)
+            axes.plot(x, v, **style)
+            _, x, v = fitted_motion(side.row(row.law), side.motion.sign, one.number)
+            axes.plot(x, v, lw=1.1, color=styles[row.law]["color"])
+        axes.set_title(f"{row.label}{' *' if row.in_set else ''}\n{pretty(format_length(row.rms_m))}", fontsize=8)
+    for axes in cells.flat[len(rows) :]:
+        axes.remove()
+    drawn.supxlabel("position (mm)", fontsize=9)
+    drawn.supylabel("velocity (m/s)", fontsize=9)
+    return drawn, "Phase portraits of one cycle: as measured, and over it each law as fitted."
+
+
+def friction(ranking: Ranking) -> tuple[Figure, str]:
+    """Draw the measured curve with its band, and the laws that the record cannot tell from the best."""
+    drawn, ((axes,),) = panels(NARROW, 3.3)
+    styles = _styles(ranking)
+    rows = [row for row in ranking.rows if row.in_set] or [ranking.best]
+    shown = [(row.fit, row.label, styles[row.law]) for row in rows]
+    plot.draw(axes, shown, ranking.motion, ranking.adequacy.curve)
+    _legend(drawn, [axes])
+    named = ", ".join(row.label for row in rows)
+    return drawn, f"Friction against relative speed: measured without a law, with its band, and {named}."
+
+
+def laws(ranking: Ranking) -> tuple[Figure, str]:
+    """Draw the measured curve with its band and all shown laws, at all speeds and at low ones."""
+    drawn, cells = panels(WIDE, 3.4, 1, 2)
+    styles = _styles(ranking)
+    shown = [(row.fit, row.label, styles[row.law]) for row in shown_rows(ranking)]
+    plot.draw_both(cells[0], shown, ranking.motion, ranking.adequacy.curve)
+    _legend(drawn, cells[0])
+    return drawn, "Friction against relative speed: the curves of the laws, at all speeds and at low ones."
+
+
+def residuals(ranking: Ranking) -> tuple[Figure, str]:
+    """Draw model minus measurement with the noise band: the best law over time and phase, a rival over phase."""
+    best, styles = ranking.best, _styles(ranking)
+    others = (row for row in ranking.rows if row is not best and not row.in_set)
+    rival = next((row for row in others if row.rms_m > 1.2 * best.rms_m), None)
+    shown = [(best, True), (best, False)] + ([(rival, False)] if rival is not None else [])
+    drawn, cells = panels(WIDE, 2.7, 1, len(shown))
+    noise = 1e6 * BAND * ranking.adequacy.noise_m
+    for axes, (row, whole) in zip(cells[0], shown, strict=True):
+        runs = _runs(ranking, styles[row.law]["color"], "model minus measurement")
+        for side, begin, style in zip(ranking.sides, begins(ranking), runs, strict=True):
+            one = side.row(row.law)
+            time = one.motion.begin + one.fit.windows.time + begin if whole else _since_break_away(one)
+            dots = style | {"marker": ".", "mec": "none", "ms": 2}
+            axes.plot(time, 1e6 * one.fit.residual, ls="", rasterized=True, **dots)
+        axes.axhspan(-noise, noise, color=INK, alpha=0.16, lw=0, label="noise, ±2 sd")
+        reach = 1.4 * max(1e6 * float(np.percentile(np.abs(row.fit.residual), SPREAD)), noise)
+        kind = ("all runs" if ranking.runs else "whole record") if whole else "all cycles"
+        axes.set(ylim=(-reach, reach), title=f"{row.label}, {kind}")
+        axes.set_xlabel(time_label(ranking) if whole else "time since break-away (s)")
+    cells[0, 0].set_ylabel("residual (µm)")
+    _legend(drawn, cells[0], marks=4.0)
+    return drawn, "Residuals against time and against the time since the break-away, with the band of the noise."
+
+
+def _since_break_away(row: LawResult) -> Array:
+    time = row.fit.windows.time
+    phase = np.empty(time.size)
+    for part, cycle in zip(row.fit.rows, row.fit.cycles, strict=True):
+        phase[part] = time[part] - cycle.break_away
+    return phase
+
+
+def evidence(ranking: Ranking) -> tuple[Figure, str]:
+    """Draw each cycle's error under each law, the basis of the ranking."""
+    rows, styles = ranking.rows[::-1], _styles(ranking)
+    named = [f"{row.label}{' *' if row.in_set else ''}" for row in rows]
+    left = 0.2 + LETTER * max(map(len, named))
+    drawn, ((axes,),) = panels(NARROW, 0.6 + 0.27 * len(rows), left=left)
+    for place, row in enumerate(rows):
+        cycles, colour = 1e6 * row.fit.cycle_rms, styles[row.law]["color"]
+        axes.plot(cycles, np.full(cycles.size, place), "|", color=colour, ms=9)
+        axes.plot(np.exp(np.mean(np.log(cycles))), place, "o", color=colour, ms=5)
+    axes.set_yticks(range(len(rows)), named)
+    axes.set_xscale("log", subs=())
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(xlabel="error of each cycle (µm rms)")
+    return drawn, "Error of each cycle under each law."
+
+
+def levels(ranking: Ranking) -> tuple[Figure, str]:
+    """Draw the friction level of each cycle at break-away and in the slip, against time."""
+    drawn, ((axes,),) = panels(NARROW, 2.8)
+    for number, (side, begin) in enumerate(zip(ranking.sides, begins(ranking), strict=True)):
+        events = [event for event in side.events if math.isfinite(event.kinetic_scale)]
+        time = [begin + event.t for event in events]
+        for name, label, style in (
+            ("break_away_level", "break-away", {"color": COLOURS[4], "mfc": "none"}),
+            ("kinetic_scale", "sliding", {"color": COLOURS[2]}),
+        ):
+            named = "" if number else label
+            axes.plot(time, [getattr(event, name) for event in events], "o-", lw=0.5, ms=4, label=named, **style)
+    axes.set(xlabel=time_label(ranking), ylabel="level / mean sliding level")
+    _legend(drawn, [axes])
+    return drawn, "Friction level of each cycle at break-away and in the slip, against time."
+
+
+def break_aways(ranking: Ranking) -> tuple[Figure, str]:
+    """Draw the break-away levels: their distribution, their trend, and level against stick time."""
+    statistics, (factor, unit) = ranking.statistics, shown_length("m")
+    counted = pooled(statistics)
+    time = np.concatenate([begin + run.column("t") for begin, run in zip(begins(ranking), statistics, strict=True)])
+    level = factor * counted.column("break_away_m")
+    mean = float(level.mean())
+    drawn, ((distribution, trend, against),) = panels(WIDE, 2.7, 1, 3)
+    bins = int(np.clip(np.sqrt(level.size), *BINS))
+    distribution.hist(level, bins, color=COLOURS[2], alpha=0.55, edgecolor="white")
+    distribution.axvline(mean, color=COLOURS[4], lw=0.8, ls=DASHED, label=f"mean {mean:.4g} {unit}")
+    distribution.set(title="distribution", xlabel=f"break-away level ({unit})", ylabel="number of break-aways")
+    distribution.legend()
+    for run, begin, style in zip(statistics, begins(ranking), _runs(ranking, COLOURS[2], ""), strict=True):
+        levels_of_run = factor * run.column("break_away_m")
+        trend.plot(begin + run.column("t"), levels_of_run, ls="", ms=4, **style)
+        against.plot(run.column("stick_s"), levels_of_run, ls="", ms=4, **style)
+    summary = counted.summary("break_away_m")
+    if summary is not None and summary["trend_per_s"] is not None:
+        slope, reach = factor * summary["trend_per_s"], np.array([time.min(), time.max()])
+        trend.plot(reach, mean + slope * (reach - time.mean()), color=COLOURS[4], label=f"trend {slope:+.2g} {unit}/s")
+    trend.set(title="against time", xlabel=time_label(ranking), ylabel=f"break-away level ({unit})")
+    against.set(title="against stick time", xlabel="stick time (s)")
+    if trend.get_legend_handles_labels()[1]:
+        trend.legend()
+    return drawn, "Break-away levels: their distribution, and against time and stick time."
+
+
+Picture = Callable[[Ranking], tuple[Figure, str]]  # with its text alternative
+PICTURES: tuple[Picture, ...] = (friction, cycle, record, portraits, laws, residuals, evidence, levels)
+
+
+def draw(ranking: Ranking) -> dict[str, str]:
+    """Return the pictures of the report as ``<svg>`` elements by name; without a law only the measured ones."""
+    shown: list[Picture] = [*(PICTURES if ranking.rows else (record, portraits))]
+    shown += [break_aways] if pooled(ranking.statistics).rows("m") else []
+    with look():
+        return {picture.__name__: embed(*picture(ranking), name=picture.__name__) for picture in shown}
