@@ -15,6 +15,7 @@ from fitting import rank
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
 from processing.smoothing import smooth
+from rig_sim.friction.law import LAWS
 from stickslip.errors import DataError, InputError
 
 from .. import command
@@ -43,7 +44,7 @@ def runs_of(belt_rig):
 
 
 def test_what_runs_share_stands_once_and_the_rest_is_their_own():
-    places = parameters.active_places(6, [False, True], [False, False])
+    places = parameters.active_places(LAWS[6], [False, True], [False, False])
     table = parameters.columns(places, 2)
     own = [PER_RUN + slot for slot in (Global.V_DR, Global.DATUM, Global.FADE, Global.COMPLIANCE)]
     assert set(places) == {0, 1, 2, 3, 4, 5, 6, 7, *own}
@@ -98,7 +99,7 @@ def law_five(runs_of, asked_laws_alone):
 def test_derivatives_by_one_runs_unknowns_are_zero_in_the_others(law_five):
     fit = law_five.rows[0].fit
     cross = fit.solution.blocks.cross
-    own = list(fit.active).index(PER_RUN + Global.V_DR)
+    own = list(fit.places).index(PER_RUN + Global.V_DR)
     assert np.abs(cross[fit.windows.run == 1, own]).max() > 0
     assert not cross[fit.windows.run != 1, own].any()
 
