@@ -114,7 +114,7 @@ def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
     law = fit.law.kind
     slots = columns(fit.places, len(fit.problem.runs))[0]
     known = slots >= 0
-    spread = covariance(fit, fit.least_squares.precision)[np.ix_(known, known)]
+    spread = covariance(fit)[np.ix_(known, known)]
     unknowns_of_run = fit.u[:PER_RUN]
     static = None if law.ramp else _static(ranking)
     names = ["spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs"]
@@ -153,7 +153,7 @@ def of_formula(ranking: Ranking, fit: Fit) -> FittedScene:
         what = "no scene: a belt that slows under load is not modelled beside a formula"
         raise DataError(what, "--save-scene", "leave it out")
     index = [*(k for k, place in enumerate(fit.places) if place < PER_RUN), *range(len(fit.places), fit.q.size)]
-    spread = covariance(fit, fit.least_squares.precision)[np.ix_(index, index)]
+    spread = covariance(fit)[np.ix_(index, index)]
     if motion.datum_prior is None and fit.held_rest is not None:
         spread = _held(spread, places.index(Global.DATUM))
     taken = _scene_names(law)

@@ -245,7 +245,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
         return values(own), curve.values(own, theta)
 
     precision = problem.precision[first]
-    spread = np.array(covariances(fit, problem.precision))[:, index][:, :, index]
+    spread = np.array(covariances(fit))[:, index][:, :, index]
     unseen = np.zeros(index.size)
     if curve.kind == "constant":
         # The datum is held in the fit; Fs/k moves against it, and of a ramp its width and the belt's speed with that.

@@ -148,7 +148,7 @@ def _scaled(index: int, factor: float, *, by_log: bool) -> _Unknown:
 
 def _deviation(fit: Fit, index: int) -> float:
     """Return the standard error of an unknown."""
-    return math.sqrt(max(float(own[index, index]) for own in covariances(fit, fit.least_squares.precision)))
+    return math.sqrt(max(float(own[index, index]) for own in covariances(fit)))
 
 
 def _held(problem: LeastSquaresProblem, index: int, value: float) -> LeastSquaresProblem:

@@ -99,7 +99,7 @@ def law_five(runs_of, asked_laws_alone):
 def test_derivatives_by_one_runs_unknowns_are_zero_in_the_others(law_five):
     fit = law_five.rows[0].fit
     cross = fit.solution.blocks.cross
-    own = list(fit.places).index(PER_RUN + Global.V_DR)
+    own = fit.places.index(PER_RUN + Global.V_DR)
     assert np.abs(cross[fit.windows.run == 1, own]).max() > 0
     assert not cross[fit.windows.run != 1, own].any()
 
