@@ -169,7 +169,7 @@ def _headline(best: LawResult) -> dict[str, Parameter]:
     """Return the parameters of the curve, the spring and the belt; in newtons where those are known."""
     names = (*filter(best.is_own, best.parameters), "k/m", "v_dr")
     shown = (short if (short := name.removesuffix("/m")) in best.parameters else name for name in names)
-    return {name: best.parameters[name] for name in shown}
+    return {name: best.parameters[name] for name in shown if name in best.parameters}  # of runs together, no v_dr
 
 
 def _symbol(name: str) -> "Markup":
