@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import rig_sim
+from fitting import rank
 from fitting.rig_scene import of_ranking
-from fitting.selection.ranking import rank
 from processing.record.finding import Finding
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics
