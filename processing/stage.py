@@ -36,7 +36,7 @@ BREAK_AWAYS = {  # column: attribute of a `SlipEvent`, unit, what it is
     "drop": ("drop_m", LENGTH, "how far the mass slips back"),
     "break_away": ("break_away_m", LENGTH, "stretch of the spring at the break-away"),
 }
-CORNERS = {"land": 1, "leave": 2, "start": 3, "stop": 4, "overtake": 5, "kick": 6}
+CORNERS = {"land": 1, "leave": 2, "start": 3, "stop": 4, "overtake": 5, "kick": 6}  # 5 is of earlier versions
 CORNERS_SAID = ", ".join(f"{code} {what}" for what, code in CORNERS.items())
 SUMMARY = {"mean": "mean", "sd": "sd", "min": "min", "max": "max", "trend": "trend_per_s"}
 HASHED_AT_A_TIME = 1 << 20  # values, 8 MB

@@ -18,7 +18,7 @@ import numpy as np
 from fitting import noise_levels
 from fitting.curve.metric import GRID_SPEEDS, MeasuredTarget, friction_target, measured_target
 from fitting.curve.result import MeasuredCurve
-from fitting.driver.driver import CONTAINED_ERROR, FAR_BEYOND_BEST, best_end, start_beside
+from fitting.driver.driver import FAR_BEYOND_BEST, WORSE, best_end, start_beside
 from fitting.driver.fit import Fit
 from fitting.driver.formula import SPLINE_REACH, FormulaCurve
 from fitting.driver.noise import PassNoise
@@ -71,7 +71,7 @@ def fit_formula(
     again: list[tuple[FitStart, PassNoise | None]] = []
     if settled is None or settled.geometric_mean_rms < noise_levels.LOST * least:
         again += [(start, None) for start in starts]
-    if best is not None and (settled is None or settled.geometric_mean_rms > CONTAINED_ERROR * inner):
+    if best is not None and (settled is None or settled.geometric_mean_rms > WORSE * inner):
         again += [(start, best.noise.without_fade) for start in _at_end_of(task, best)]
     if again and not (settled and settled.geometric_mean_rms < noise_levels.DESCRIBES * float(np.max(noise))):
         ends = (settled, best_end(task, again, noise))

@@ -44,7 +44,6 @@ FIRST_NOISE = 30.0
 # Of each pass on the thinned record.  Half the steps end before a bent valley's floor; twice the steps cost laws that
 # are wrong twice the time.  A wrong law's noise is large and its gain small: its rms says whether it still moves.
 SEARCH = Limits(12, 1e-3, 1e-3)
-AT_START = Limits(0, 1e-3, 1e-3)  # no step at all
 WHOLE = Limits(30, 1e-5, np.inf, corrections=3)  # of every sample: at half, a level that fades is not at its end
 MOST_PASSES = 4  # passes after the first; the noise of a true law stays after two
 # Noise shown over the noise assumed: a pass that shows no less was the last.  At 0.9 each law takes one pass more.
@@ -123,12 +122,6 @@ def regressed_pass(task: Task, noise: PassNoise | None = None) -> Fit | None:
     return first_pass(task, FitStart(_beside(task, held.u, held), held.local), held.noise)
 
 
-def unmoved(task: Task, start: FitStart, at: Fit) -> Fit | None:
-    """Return a task at its start, before the first step, with the samples and noise of another fit."""
-    model = Model(task, at.windows, at.model.longest_step)
-    return _one_pass(model, start, at.noise.without_fade, AT_START, FIRST_DAMPING)
-
-
 def settle(at: Fit, noise_m: Array | None = None) -> Fit | None:
     """Fit again with the noise and the weights of the previous pass, until these no longer change.
 
@@ -153,19 +146,6 @@ def _searched(at: Fit) -> Fit | None:
     """Return another pass on the thinned record, from the end of a fit."""
     model = Model(at.task, at.windows, flow.SEARCH_STEP, at.model.near)
     return _one_pass(model, FitStart(at.q, restarted(at)), at.noise, SEARCH, LATER_DAMPING)
-
-
-def with_cycles_of(pair: tuple[Fit, Fit]) -> Fit | None:
-    """Return the first fit settled with the cheaper cycles of the second; None without one."""
-    at, other = pair
-    residual = at.model.residual(at.q, other.local) if other.local.shape == at.local.shape else None
-    if residual is None:
-        return None
-    own = cost_by_cycle(at.least_squares, at.local, at.residual)
-    better = cost_by_cycle(at.least_squares, other.local, residual) < CYCLE_GAIN * own
-    if not better.any():
-        return None
-    return settle(replace(at, local=np.where(better[:, None], other.local, at.local)))
 
 
 def with_own_static(at: Fit) -> Fit:
@@ -247,18 +227,28 @@ def finish(at: Fit, noise_m: Array | None = None) -> Fit | None:
     at = _with_noise(faded, first=False)
     if noise_m is not None:
         at = replace(at, noise=replace(at.noise, sigma=noise_m))
-    found = _whole(at.task, FitStart(at.q, restarted(at)), at.noise, at.model.near)
+    found = finish_from(at.task, FitStart(at.q, restarted(at)), at.noise, at.model.near)
+    return None if found is None else replace(found, cpu_s=spent + clock.process_time() - begun)
+
+
+def finish_from(task: Task, start: FitStart, noise: PassNoise, near: Path | None = None) -> Fit | None:
+    """Fit with every sample from near the end, with the noise of the pass before.
+
+    A break-away level that gains nothing is left out again; slips that start faster than the belt start again.
+    """
+    begun = clock.process_time()
+    found = _whole(task, start, noise, near)
     if found is None:
         return None
     if _static_gain(found) < STATIC_GAIN:
-        task, u = found.task.without(Global.STATIC), found.u.copy()
-        _set_static(task, u, 1.0)
-        without = _whole(task, FitStart(_beside(task, u, found), found.local), at.noise, at.model.near)
+        level, u = found.task.without(Global.STATIC), found.u.copy()
+        _set_static(level, u, 1.0)
+        without = _whole(level, FitStart(_beside(level, u, found), found.local), noise, near)
         # Its error does not decide: along a bent valley a level may be open, and yet none of them be 1.
         if without is not None and without.solution.cost - found.solution.cost < STATIC_GAIN:
             found = without
-    found = _started_below_belt(found, at.noise)
-    return replace(found, cpu_s=spent + clock.process_time() - begun)
+    found = _started_below_belt(found, noise)
+    return replace(found, cpu_s=clock.process_time() - begun)
 
 
 def _whole(

@@ -18,7 +18,7 @@ from fitting.curve.band import seen_speeds
 from fitting.curve.formula_fit import contained, fit_formula
 from fitting.curve.metric import MeasuredTarget, measured_target
 from fitting.curve.result import MeasuredCurve
-from fitting.driver.driver import CONTAINED_ERROR
+from fitting.driver.driver import WORSE
 from fitting.driver.fit import Fit
 from fitting.driver.start_search import Target, find_starts
 from fitting.law import PUBLISHED, Law
@@ -84,7 +84,7 @@ def _fit(law: Law, curve: MeasuredCurve, target: MeasuredTarget, others: Sequenc
     """Fit one formula, or return why it is not fitted."""
     if not asked:
         least = min(other.geometric_mean_rms for other in others)
-        reached = min(noise_levels.DESCRIBES * float(np.max(curve.noise)), CONTAINED_ERROR * least)
+        reached = min(noise_levels.DESCRIBES * float(np.max(curve.noise)), WORSE * least)
         for other in others:
             if law.contains(other.law) and other.geometric_mean_rms < reached:
                 return f"it contains law {other.law.name}, which no other law fits better: the record cannot exclude it"
@@ -111,8 +111,8 @@ def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
     """Return which of the laws that it contains a fit errs more than: it has not come to its end; None for none."""
     for other in others:
         limit = fit.law.contains(other.law) if fit.law.has_kernel else contained(fit.law, other.law)
-        worse = fit.geometric_mean_rms > CONTAINED_ERROR * other.geometric_mean_rms
-        if limit and (worse or fit.rms > CONTAINED_ERROR * other.rms):
+        worse = fit.geometric_mean_rms > WORSE * other.geometric_mean_rms
+        if limit and (worse or fit.rms > WORSE * other.rms):
             return f"its fit errs more than law {other.law.name}"
     return None
 

@@ -129,12 +129,11 @@ class _Templates:
     variance: Array
     durations: Integers
     resolved: bool  # whether the smoother distinguishes them from corners
-    step_scores: Array  # scores of readings around a step of 1 m in the middle
 
     @classmethod
     def of(cls, noise: white_jerk.Noise, interval: float) -> "_Templates":
         """Return the templates of steps over 1 to `SPREAD` samples and of kicks over after `RETURNS`."""
-        step_scores, covariances = _scores_of_step(noise, interval)
+        covariances = _step_covariances(noise, interval)
         lags = covariances[covariances.size // 2 :][: max(RETURNS)]
 
         def variance(weights: Array) -> float:
@@ -149,27 +148,17 @@ class _Templates:
             np.array([variance(weights) for weights in kicks]),
             np.array(RETURNS),
             bool(lags[0] * noise.reading * RESOLVED**2 >= 1.0),
-            step_scores,
         )
 
-    def readings_beside(self, lags: Integers, width: int) -> Array:
-        """Return the scores of readings ``lags`` samples after the first of the ``width`` samples of a step of 1 m."""
-        middle = self.step_scores.size // 2
-        index = np.clip(lags + middle - np.arange(width)[:, None], 0, self.step_scores.size - 1)
-        return np.asarray(self.step_scores[index].mean(axis=0))
 
-
-def _scores_of_step(noise: white_jerk.Noise, interval: float) -> tuple[Array, Array]:
-    """Return the scores of readings and of steps, (n,) each, around a step of 1 m in the middle.
-
-    The scores of steps are also the covariances of the scores of steps some samples apart.
-    """
+def _step_covariances(noise: white_jerk.Noise, interval: float) -> Array:
+    """Return the covariances of the scores of steps some samples apart, (n,): the scores of steps around one of 1 m."""
     n = min(2 * _samples_to_fade(noise, interval) + 1, 2**12 + 1)
     time, position = np.asarray(interval * np.arange(n), float), np.zeros(n)
     position[n // 2 :] = 1.0
     scores = np.empty((n, white_jerk.SCORES))
     white_jerk.smooth_piece(time, position, noise, n, 0, NO_MOTION, scores=scores)
-    return scores[:, 0].copy(), scores[:, 2].copy()
+    return scores[:, 2].copy()
 
 
 def _samples_to_fade(noise: white_jerk.Noise, interval: float) -> int:
@@ -365,24 +354,8 @@ class _Search:
         """Return the places that are faults, the largest first."""
         if self._fault_places is None:
             faults = [fault for place in self._find_places() if (fault := self._classify(place)) is not None]
-            if not any(fault.kind == OUTLIER for fault in faults):  # they go first
-                steps = [fault.sample for fault in faults if fault.kind == STEP]
-                hidden_steps = [
-                    step
-                    for step in self._find_hidden_steps()
-                    if all(abs(step.sample - sample) > ZONE for sample in steps)
-                ]
-                hidden_samples = [step.sample for step in hidden_steps]
-                faults = [
-                    fault for fault in faults if all(abs(fault.sample - sample) > ZONE for sample in hidden_samples)
-                ] + hidden_steps
             self._fault_places = faults
         return self._fault_places
-
-    def _find_hidden_steps(self) -> list[_Place]:
-        """Return the steps that are faults relative to the noise nearby without them."""
-        places = self._find_places(but_for_steps=True)
-        return [fault for place in places if (fault := self._classify(place)) is not None and fault.kind == STEP]
 
     def _classify(self, place: _Place) -> _Place | None:
         """Return the fault at a place, or None; a step that could be a kick is returned as one."""
@@ -404,12 +377,12 @@ class _Search:
                 return None
         return place
 
-    def _find_places(self, *, but_for_steps: bool = False) -> list[_Place]:
+    def _find_places(self) -> list[_Place]:
         """Return the places with large statistics, the largest first, each without smaller ones nearby."""
         suspects = np.flatnonzero(self._squares.max(axis=0) > LOOKED_AT)
         suspects = suspects[~self._mask_blind()[suspects]]
         squares = self._squares[:, suspects]
-        squares = squares / (self._scale_but_for_steps(suspects, squares) if but_for_steps else self._scale(suspects))
+        squares = squares / self._scale(suspects)
         best = squares.max(axis=0)
         large = np.flatnonzero(best >= NEAR_OUTLIER**2)
         large = large[np.argsort(-best[large], kind="stable")]
@@ -429,34 +402,11 @@ class _Search:
         kinds = squares[:, picked].argmax(axis=0)
         return [_Place(*row) for row in zip(samples.tolist(), kinds.tolist(), best[picked].tolist(), near, strict=True)]
 
-    def _scale_but_for_steps(self, suspects: Integers, squares: Array) -> Array:
-        """Return the `_scale` of samples, near a step without its own contribution if that is less."""
-        scale = self._scale(suspects)
-        step = (scale > 1.0) & (squares.argmax(axis=0) == STEP) & (squares[STEP] >= THRESHOLD[STEP] ** 2)
-        remaining = np.flatnonzero(step)
-        while remaining.size:
-            i = int(suspects[remaining[np.argmax(squares[STEP, remaining])]])
-            neighbours = slice(*np.searchsorted(suspects, (i - ZONE, i + ZONE + 1)))
-            scale[neighbours] = np.minimum(scale[neighbours], self._scale_without(i))
-            remaining = remaining[np.abs(suspects[remaining] - i) > ZONE]
-        return scale
-
-    def _scale_without(self, step: int) -> float:
-        """Return the scale near a step, without the step's contribution to the scores there."""
-        before, n = self._low % LOCAL, self.time.size
-        begin = (before + step) // LOCAL * LOCAL - LOCAL - before
-        first, end = max(begin, 0), min(begin + 3 * LOCAL, n)
-        step_scores = self._templates.readings_beside(np.arange(first, end) - step, int(self._widths[step]))
-        score, variance = self._scores[first:end, :2].T
-        residual = score - float(self._sizes[STEP, step]) * step_scores
-        squares = np.zeros(3 * LOCAL)
-        np.divide(residual**2, variance, out=squares[first - begin : end - begin], where=variance > 0)
-        return float(_scale_blocks(squares.reshape(3, LOCAL)).max())
-
     def _scale(self, samples: Integers) -> Array:
-        """Return how much larger than expected the squares of outliers are nearby: medians of blocks, at least 1.
+        """Return how much larger than expected the squares of outliers are nearby, at least 1.
 
-        Wrong times cause errors in proportion to the velocity, and bursts of noise do so anywhere.
+        Wrong times cause errors in proportion to the velocity, and bursts of noise do so anywhere.  The median of three
+        blocks, each their samples' median, leaves out the block that a step disturbs.
         """
         before = self._low % LOCAL  # so that blocks begin at multiples of `LOCAL` of the record's samples
         block = 1 + (before + samples) // LOCAL
@@ -466,7 +416,7 @@ class _Search:
         wanted[block[:, None] + np.arange(-1, 2)] = True
         scale = np.ones(len(padded))
         scale[wanted] = _scale_blocks(padded[wanted])
-        return np.maximum(scale[block], np.maximum(scale[block - 1], scale[block + 1]))
+        return np.asarray(np.median([scale[block - 1], scale[block], scale[block + 1]], axis=0))
 
     def _mask_blind(self) -> Mask:
         """Return a mask of the samples that are not searched: those left out, and next to long holes of them."""

@@ -19,7 +19,6 @@ from processing.kalman.stick_slip import (
     NEAR_LANDING,
     NEAR_ONSET,
     ONSET,
-    OVERTAKE,
     REST,
     RIDE,
     SLIP,
@@ -48,18 +47,16 @@ def label_samples(time: Array, corner_times: Array, kind: Labels, first: int, un
     # The last samples of a slip that is cut off may hide a landing, so they get the noise of one.
     ended = time[time.size - 1]
     previous, following = -math.inf, math.inf
-    overtaking = False  # a slip without parts: friction hardly changes so close to the belt's speed
     for i in range(time.size):
         while c < corner_times.size and corner_times[c] <= time[i]:
             previous = corner_times[c]
             k = kind[c]
-            overtaking = k == OVERTAKE
             state = STICK if k == LAND else RIDE if k == MEET else REST if k == STOP else SLIP
             c += 1
         following = corner_times[c] if c < corner_times.size else ended
         label[i] = state
         since, remaining = (time[i] - previous) / unit, (following - time[i]) / unit
-        if state == SLIP and not overtaking:
+        if state == SLIP:
             for part in range(4):
                 if remaining < NEAR_LANDING[part]:
                     label[i] = (LANDING if c < corner_times.size else CUT) + part

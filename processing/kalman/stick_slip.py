@@ -11,7 +11,6 @@ samples lie corners:
     KICK    v, a and j all step: reset[4], reset[5], reset[6]
     START   from rest: as LEAVE, of variance reset[7], reset[8]
     STOP    to rest: as LAND
-    OVERTAKE  the mass reaches the belt's speed and runs ahead of it, before it lands: as MEET
 """
 
 from dataclasses import dataclass
@@ -27,13 +26,13 @@ Labels = NDArray[np.uint8]
 
 SNAP = (0.0, 0.0, 0.0, 0.0)  # order of the motion: x, v, a, j (`motion_kernel`)
 STORED = stored_size(len(SNAP))
-LAND, LEAVE, MEET, KICK, START, STOP, OVERTAKE = 1, 2, 3, 4, 5, 6, 7
+LAND, LEAVE, MEET, KICK, START, STOP = 1, 2, 3, 4, 5, 6
 STICK, LANDING, SLIP, ONSET, RIDE, MET, LEAVING, REST = 0, 1, 5, 6, 10, 11, 12, 13  # LANDING and ONSET: four each
 CUT = 14  # four: where a slip is cut off
 LABELS = 18  # all of them
 NEAR_LANDING = (1 / 128, 1 / 48, 1 / 24, 1 / 8)  # of a slip's length: where its parts near a landing begin
 NEAR_ONSET = (1 / 32, 1 / 16, 1 / 8, 1 / 4)  # of a slip's length: where its parts near a break-away end
-KINDS = 8  # of corners, one more than the last
+KINDS = 7  # of corners, one more than the last
 JUMPS = 9  # variances: LEAVE a j, MEET a j, KICK v a j, START a j
 JUMP_KIND = np.array([LEAVE, LEAVE, MEET, MEET, KICK, KICK, KICK, START, START])
 JUMP_DERIVATIVE = np.array([2, 3, 2, 3, 1, 2, 3, 2, 3])  # of x: which derivative jumps
@@ -57,12 +56,4 @@ class NoiseLevels:
         keep[[LAND, STOP]] = 2
         jump = np.zeros((KINDS, len(SNAP)))
         jump[JUMP_KIND, JUMP_DERIVATIVE] = self.reset_variance
-        jump[OVERTAKE] = jump[MEET]
         return Process(self.process_density, self.mean_snap, self.reading_variance, alive, keep, jump)
-
-
-def sum_by_jump(steps: Array) -> Array:
-    """Return the sums for each reset variance, (JUMPS, 2), from those for each kind of corner, (KINDS, 4, 2)."""
-    shared = steps.copy()
-    shared[MEET] += steps[OVERTAKE]
-    return np.asarray(shared[JUMP_KIND, JUMP_DERIVATIVE])

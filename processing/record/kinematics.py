@@ -55,8 +55,7 @@ class SmoothingHeader:
     kicks : tuple of VelocityStep
         Steps of the velocity (`processing.defects.faults`); marked, and smoothed over.
     corners : tuple of Corner
-        Fitted corners of the velocity: landings, break-aways, the mass overtaking the belt; empty for methods
-        without corners ("rts", "sg", "fd").
+        Fitted corners of the velocity: landings and break-aways; empty for methods without corners ("rts", "sg", "fd").
     faults : tuple of Fault
         Samples left out of the smoothing as spikes or frozen values (`processing.defects.faults`): the motion there
         is estimated from the samples on either side, with its errors.

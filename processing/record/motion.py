@@ -20,8 +20,8 @@ class Corner:
 
     time: float  # s
     sd: float  # standard deviation of the time, s
-    # "land" (slip to stick), "leave" (stick to slip), "start" (from rest), "stop" (to rest), "overtake" (the mass
-    # reaches the belt's speed and runs ahead of it) or "kick" (a step of the velocity)
+    # "land" (slip to stick), "leave" (stick to slip), "start" (from rest), "stop" (to rest) or "kick" (a step of the
+    # velocity); files of earlier versions also have "overtake" (the mass runs ahead of the belt)
     what: str
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from processing.kalman import mean_snap_kernel
 from processing.kalman.first_state import first_state
-from processing.kalman.stick_slip import LAND, LANDING, NEAR_LANDING, OVERTAKE, SLIP, SNAP, STICK, NoiseLevels
+from processing.kalman.stick_slip import LAND, LANDING, NEAR_LANDING, SLIP, SNAP, STICK, NoiseLevels
 from processing.record.series import Series
 from processing.segmentation.switching_times import SwitchingTimes
 from stickslip.compute.compile import compiled
@@ -53,8 +53,7 @@ def learn_mean_snap(series: Series, times: SwitchingTimes, levels: NoiseLevels) 
         if k + 1 < times.time.size:
             end = min(end, float(times.time[k + 1]))
         i, j = piece.start + np.searchsorted(series.time[piece], (begin, end))
-        overtaken = k and times.kind[k - 1] == OVERTAKE
-        if j - i < 16 or landing - begin < unit * NEAR_LANDING[-1] or overtaken:
+        if j - i < 16 or landing - begin < unit * NEAR_LANDING[-1]:
             continue
         time, position = series.time[i:j], series.position[i:j]
         state = first_state(time, position, float(levels.reading_variance[SLIP]), 3)

@@ -269,6 +269,23 @@ def _copy_stick_times(times: SwitchingTimes, source: SwitchingTimes, sticks: lis
     return replace(times, time=corner_times, sd=sd)
 
 
+def stick_misfits(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> Array:
+    """Return the mean square innovation of each stick over the median of all, with the reading noise of a slip."""
+    levels = _share_reading_variance(levels)
+    squares = np.zeros(series.time.size)
+    for stretch in split_stretches(series, times):
+        squares[stretch.samples] = _square_innovations(filter_stretch(series, times, levels, stretch, workspace)[1])
+    spans = span_sticks(series, times, group_by_stick(times))[:-1]
+    sizes = np.array([squares[first:end].mean() if end > first else 0.0 for first, end in spans])
+    return np.asarray(sizes / max(float(np.median(sizes)), 1.0)) if sizes.size else sizes
+
+
+def _square_innovations(stored: Array) -> Array:
+    """Return the square of every innovation over its variance, 0 where a reading is missing."""
+    s, scaled = stored[:, 14:].T
+    return np.asarray(scaled**2 / np.where(s > 0, s, 1.0))
+
+
 def find_odd_spans(
     series: Series, times: SwitchingTimes, sticks: list[list[int]], odd: Mask, few: float = FEW
 ) -> list[Span]:
@@ -276,9 +293,7 @@ def find_odd_spans(
     if not odd.any() or odd.mean() >= few:
         return []
     middle = np.array([0.5 * (times.time[stick[0]] + times.time[stick[-1]]) for stick in sticks])
-    # A mass that is ahead of the belt at the end of the record lands after its end.
-    begin, end = min(series.time[0], times.time[0]), max(series.time[-1], times.time[-1])
-    ends = np.concatenate(([begin - 1.0], middle[~odd], [end + 1.0]))
+    ends = np.concatenate(([series.time[0] - 1.0], middle[~odd], [series.time[-1] + 1.0]))
     following = np.unique(np.searchsorted(ends, middle[odd]))
     return [(float(ends[k - 1]), float(ends[k])) for k in following]
 
@@ -302,13 +317,16 @@ def _improve_rounding(
     On a belt that moves a whole number of counts in a sample, most sticks have no rounding error and some half a count
     at every other sample, so that one variance does not fit both.
     """
-    reading = levels.reading_variance.copy()
-    reading[STICK] = reading[SLIP]
-    more = np.maximum(
-        _sum_likelihood(series, times, replace(levels, reading_variance=reading), workspace, spans) - even, 0.0
-    )
+    more = np.maximum(_sum_likelihood(series, times, _share_reading_variance(levels), workspace, spans) - even, 0.0)
     more[-1] = more[:-1].sum()
     return even + more
+
+
+def _share_reading_variance(levels: NoiseLevels) -> NoiseLevels:
+    """Return the levels with the reading variance of slips also in sticks."""
+    reading = levels.reading_variance.copy()
+    reading[STICK] = reading[SLIP]
+    return replace(levels, reading_variance=reading)
 
 
 def _sum_jerk_likelihood(series: Series, noise: white_jerk.Noise, workspace: Workspace, spans: Integers) -> Array:

@@ -13,6 +13,8 @@ from processing.kalman import corner_kernel, motion_kernel, white_jerk
 from processing.kalman.first_state import first_state
 from processing.kalman.stick_slip import (
     CUT,
+    JUMP_DERIVATIVE,
+    JUMP_KIND,
     JUMPS,
     KINDS,
     LABELS,
@@ -27,7 +29,6 @@ from processing.kalman.stick_slip import (
     STICK,
     STORED,
     NoiseLevels,
-    sum_by_jump,
 )
 from processing.record.motion import Motion
 from processing.record.series import Series
@@ -146,7 +147,7 @@ def smooth_stretch(
         steps,
         UNSCORED,
     )
-    return label, noise, sum_by_jump(steps)
+    return label, noise, steps[JUMP_KIND, JUMP_DERIVATIVE]
 
 
 def reestimate_noise(

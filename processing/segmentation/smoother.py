@@ -6,7 +6,7 @@ x and v are continuous and the acceleration drops to 0; at a break-away the jerk
 break-away level differs from sliding friction).  A stick on an uneven belt is smoothed like a slip.
 
 1. A first motion (`processing.kalman.white_jerk`) shows sticks (`processing.segmentation.plateaus`), and rest before
-   the belt starts; the likelihood shows the corners that plateaus do not (`processing.segmentation.missed_corners`).
+   the belt starts.
 2. Noise levels (`processing.segmentation.noise_levels`) and switching times
    (`processing.segmentation.switching_estimate`) are made more likely in turns.
 3. Model selection keeps the sticks that the record supports (`processing.segmentation.model_selection`).
@@ -29,7 +29,6 @@ from processing.kalman.stick_slip import (
     LAND,
     LEAVE,
     MEET,
-    OVERTAKE,
     RIDE,
     SLIP,
     START,
@@ -41,7 +40,6 @@ from processing.record.motion import Corner, Motion
 from processing.record.series import Series
 from processing.segmentation import line_fit, plateaus
 from processing.segmentation.landing_snap import learn_mean_snap
-from processing.segmentation.missed_corners import add_end_corners, add_overtaking, stick_misfits
 from processing.segmentation.model_selection import (
     Gate,
     PlacedCorners,
@@ -51,6 +49,7 @@ from processing.segmentation.model_selection import (
     bic_penalty,
     find_odd_spans,
     learn_gate,
+    stick_misfits,
 )
 from processing.segmentation.noise_levels import (
     Workspace,
@@ -77,7 +76,6 @@ CORNER_NAMES = {
     KICK: "kick",
     START: "start",
     STOP: "stop",
-    OVERTAKE: "overtake",
 }
 ORDER = 7  # of the equivalent spline
 BAD = 16.0  # times the median mean square innovation: misfit of a stick that may raise the noise of all
@@ -92,7 +90,6 @@ class StickSlip:
     first: NoiseLevels  # a rough guess, for the first search for corners
     even: NoiseLevels  # of slips, and of sticks on an even belt: for placing corners and accepting such sticks
     levels: NoiseLevels  # of slips, and of the accepted sticks on even and uneven belts
-    misfit: float  # median mean square innovation at the start of a stick (`add_overtaking`)
     corner: float  # log likelihood that a corner must gain
     gate: Gate | None  # for accepting sticks; None accepts all
     line: float  # factor of the variances of straight lines through sticks
@@ -135,10 +132,10 @@ def learn(
         return rule, None, first_pass
     workspace, needed = Workspace(), bic_penalty(int(np.count_nonzero(~np.isnan(series.position))))
     crude_levels = guess_levels(series, noise, pilot, initial_times.unit)
-    misfit, early = _find_corners(series, workspace, initial_times, crude_levels, None)
+    early = _find_corners(series, workspace, initial_times, crude_levels)
     levels = _estimate_levels(series, workspace, early.times, crude_levels)
-    crude_model = StickSlip(initial_times.unit, crude_levels, levels, levels, misfit, needed, None, 1.0, math.nan)
-    corners = _place_corners(series, workspace, early, crude_model, _stick_speed(rule, stated))
+    crude_model = StickSlip(initial_times.unit, crude_levels, levels, levels, needed, None, 1.0, math.nan)
+    corners = _place_corners(series, workspace, early, levels)
     times, gate, evidence = corners.times, None, None
     if gated:
         accepted = learn_gate(series, workspace, corners, levels, noise, needed)
@@ -163,11 +160,6 @@ def learn(
 def _cut_long_holes(series: Series, rule: plateaus.PlateauRule) -> Series:
     """Return the record without holes longer than the shortest stick."""
     return series.cut_at_holes(max(HOLE * series.interval, rule.shortest))
-
-
-def _stick_speed(rule: plateaus.PlateauRule, stated: float | None) -> float:
-    """Return the speed of sticks near the ends of a piece, m/s."""
-    return rule.speed if stated is None else stated
 
 
 def apply(
@@ -220,8 +212,8 @@ def _find_corners_of_block(
     initial_times = initial_switching_times(
         series, plateaus.segment(series, pilot, rule, model.speed, stated=stated).phases
     )
-    _, early = _find_corners(series, workspace, replace(initial_times, unit=model.slip), model.first, model.misfit)
-    return _place_corners(series, workspace, early, model, _stick_speed(rule, stated))
+    early = _find_corners(series, workspace, replace(initial_times, unit=model.slip), model.first)
+    return _place_corners(series, workspace, early, model.even)
 
 
 def _mask_outside(series: Series, spans: list[Span]) -> Mask:
@@ -233,40 +225,14 @@ def _mask_outside(series: Series, spans: list[Span]) -> Mask:
 
 
 def _find_corners(
-    series: Series, workspace: Workspace, initial_times: SwitchingTimes, levels: NoiseLevels, misfit: float | None
-) -> tuple[float, PlacedCorners]:
-    """Return the usual misfit of `add_overtaking` (``misfit``, if given), and refined corners with overtaking ones."""
-    times = refine_switching_times(series, workspace, initial_times, levels, 1.0)
-    usual, times = add_overtaking(series, workspace, times, levels, misfit)
-    return usual, PlacedCorners(_copy_overtakes(initial_times, times), times)
-
-
-def _place_corners(
-    series: Series, workspace: Workspace, early: PlacedCorners, model: StickSlip, speed: float
+    series: Series, workspace: Workspace, initial_times: SwitchingTimes, levels: NoiseLevels
 ) -> PlacedCorners:
-    """Return refined corners, with those near the ends of a piece, for sticks of this speed, m/s."""
-    unrefined = add_end_corners(series, workspace, early.unrefined, early.times, model.even, speed, model.corner)
-    times = early.times
-    if unrefined is not early.unrefined:
-        times = refine_switching_times(series, workspace, unrefined, model.first, 1.0)
-    return PlacedCorners(unrefined, refine_switching_times(series, workspace, times, model.even, 0.25))
+    return PlacedCorners(initial_times, refine_switching_times(series, workspace, initial_times, levels, 1.0))
 
 
-def _copy_overtakes(first: SwitchingTimes, times: SwitchingTimes) -> SwitchingTimes:
-    """Return the times before the first refinement, with the overtaking landings found after it."""
-    overtakes = np.flatnonzero(times.kind == OVERTAKE)
-    if not overtakes.size:
-        return first
-    corner_times, sd = (
-        np.insert(first.time, overtakes - np.arange(overtakes.size), 0.0),
-        np.insert(first.sd, overtakes - np.arange(overtakes.size), 0.0),
-    )
-    overtakes_and_landings = np.concatenate((overtakes, overtakes + 1))
-    corner_times[overtakes_and_landings], sd[overtakes_and_landings] = (
-        times.time[overtakes_and_landings],
-        times.sd[overtakes_and_landings],
-    )
-    return replace(times, time=corner_times, sd=sd)
+def _place_corners(series: Series, workspace: Workspace, early: PlacedCorners, levels: NoiseLevels) -> PlacedCorners:
+    """Return the corners refined once more, with these better ``levels``."""
+    return PlacedCorners(early.unrefined, refine_switching_times(series, workspace, early.times, levels, 0.25))
 
 
 def _estimate_levels(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> NoiseLevels:

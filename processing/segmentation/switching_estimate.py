@@ -14,7 +14,6 @@ from processing.kalman.stick_slip import (
     NEAR_LANDING,
     NEAR_ONSET,
     ONSET,
-    OVERTAKE,
     REST,
     RIDE,
     SLIP,
@@ -60,13 +59,11 @@ def refine_switching_times(
             (corner_times - 0.45 * (corner_times - before), corner_times + 0.45 * (following - corner_times)), axis=1
         )  # never past a neighbour
         first = np.array([stretch.first, *(label_after(int(kind)) for kind in kinds[:-1])])
-        overtaking = np.concatenate(([False], kinds[:-1] == OVERTAKE))
-        for kind, state, overtaken in sorted({*zip(kinds.tolist(), first.tolist(), overtaking.tolist(), strict=True)}):
-            pick = np.flatnonzero((kinds == kind) & (first == state) & (overtaking == overtaken))
-            if kind in (LAND, STOP, MEET, OVERTAKE):
+        for kind, state in sorted({*zip(kinds.tolist(), first.tolist(), strict=True)}):
+            pick = np.flatnonzero((kinds == kind) & (first == state))
+            if kind in (LAND, STOP, MEET):
                 edges = np.concatenate((-near[::-1], [0.0]))
-                approach = [SLIP] * len(landing) if overtaken else landing
-                parts = [*approach, {LAND: STICK, STOP: REST, MEET: MET, OVERTAKE: SLIP}[kind]]
+                parts = [*landing, {LAND: STICK, STOP: REST, MEET: MET}[kind]]
                 corner, half, back, forth = 4, unit / 64, unit / 64, unit / 12
                 if kind == MEET:
                     edges, parts = np.append(edges, far[0]), [*parts, RIDE]
@@ -101,5 +98,5 @@ def refine_switching_times(
                 *(edges, np.array(parts, np.uint8), corner, noise, estimates),
             )
             new_at[stretch.corners.start + pick] = estimates[:, 0]
-            new_sd[stretch.corners.start + pick] = estimates[:, 1] * (SHARP if kind in (LAND, STOP, OVERTAKE) else 1.0)
+            new_sd[stretch.corners.start + pick] = estimates[:, 1] * (SHARP if kind in (LAND, STOP) else 1.0)
     return replace(times, time=new_at, sd=new_sd)
