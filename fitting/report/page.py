@@ -167,9 +167,10 @@ def _badge(ranking: Ranking) -> tuple[str, str]:
 
 def _headline(best: LawResult) -> dict[str, Parameter]:
     """Return the parameters of the curve, the spring and the belt; in newtons where those are known."""
-    names = (*filter(best.is_own, best.parameters), "k/m", "v_dr")
-    shown = (short if (short := name.removesuffix("/m")) in best.parameters else name for name in names)
-    return {name: best.parameters[name] for name in shown if name in best.parameters}  # of runs together, no v_dr
+    parameters = best.parameters
+    names = (*filter(best.is_own, parameters), *(name for name in ("k/m", "v_dr") if name in parameters))
+    shown = (short if (short := name.removesuffix("/m")) in parameters else name for name in names)
+    return {name: parameters[name] for name in shown}
 
 
 def _symbol(name: str) -> "Markup":
@@ -186,7 +187,7 @@ def _typeset(row: LawResult) -> "tuple[Markup, str]":
     """Return the curve of a law typeset, and its contact in words."""
     from markupsafe import Markup
 
-    curve, contact = symbols.typeset(row)
+    curve, contact = symbols.typeset(row.fit.law)
     return Markup(curve), contact
 
 

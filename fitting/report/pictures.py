@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from fitting.data.cycles import Cycle
 from fitting.drawing import plot
@@ -113,8 +114,8 @@ def panels(
     return drawn, cells
 
 
-def _legend(drawn: Figure, axes: Sequence["Axes"]) -> None:
-    """Put one legend of some axes above the whole figure."""
+def _legend(drawn: Figure, axes: Sequence["Axes"], marks: float = 1.0) -> None:
+    """Put one legend of some axes above the whole figure, its marks so many times as large."""
     lines = {name: line for one in axes for line, name in zip(*one.get_legend_handles_labels(), strict=True)}
     width, height = drawn.get_size_inches()
     columns = max(1, int((width - LEFT) / (KEY + LETTER * max(map(len, lines)))))
@@ -129,6 +130,7 @@ def _legend(drawn: Figure, axes: Sequence["Axes"]) -> None:
         borderaxespad=0,
         borderpad=0,
         labelspacing=0.3,
+        markerscale=marks,
     )
 
 
@@ -154,16 +156,19 @@ def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
 def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> Part:
     """Return the motion of a law in each window of its fit, or of one cycle, with NaN between windows.
 
-    The first and the last sample of a window are left out: there the velocity, a difference, has one side only.
+    The first and the last sample of a window are left out: there the velocity, a difference, has one side only.  A slip
+    that is started beyond the belt's speed is drawn from where it falls below.
     """
     windows = row.fit.windows
     model = windows.position + row.fit.residual
     parts: list[Array] = [np.empty((3, 0))]
-    for cycle, _, first, count, *_ in windows.table:
+    for cycle, stick, first, count, *_ in windows.table:
         if count > 3 and number in (None, row.fit.cycles[cycle].number):
             samples = slice(first, first + count)
             time, x = windows.time[samples], model[samples]
-            part = np.stack((row.motion.begin + time, MM * sign * x, sign * np.gradient(x, time)))[:, 1:-1]
+            v = np.gradient(x, time)
+            v[(v > row.fit.values.v_dr) & (stick == 0)] = np.nan
+            part = np.stack((row.motion.begin + time, MM * sign * x, sign * v))[:, 1:-1]
             parts.append(np.hstack((part, np.full((3, 1), np.nan))))
     return np.hstack(parts)
 
@@ -304,7 +309,7 @@ def residuals(ranking: Ranking) -> tuple[Figure, str]:
         axes.set(ylim=(-reach, reach), title=f"{row.label}, {kind}")
         axes.set_xlabel(time_label(ranking) if whole else "time since break-away (s)")
     cells[0, 0].set_ylabel("residual (µm)")
-    _legend(drawn, cells[0])
+    _legend(drawn, cells[0], marks=4.0)
     return drawn, "Residuals against time and against the time since the break-away, with the band of the noise."
 
 
@@ -327,7 +332,10 @@ def evidence(ranking: Ranking) -> tuple[Figure, str]:
         axes.plot(cycles, np.full(cycles.size, place), "|", color=colour, ms=9)
         axes.plot(np.exp(np.mean(np.log(cycles))), place, "o", color=colour, ms=5)
     axes.set_yticks(range(len(rows)), named)
-    axes.set(xscale="log", xlabel="error of each cycle (µm rms)")
+    axes.set_xscale("log", subs=())
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(xlabel="error of each cycle (µm rms)")
     return drawn, "Error of each cycle under each law."
 
 
