@@ -197,14 +197,12 @@ class BreakAwayLevel(NamedTuple):
     least_share: float
 
 
-def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene:
+def of_ranking(ranking: Ranking) -> FittedScene:
     """Return the scene of the best law, or of the measured curve; DataError where neither describes the record.
 
     Slips hardly constrain friction at rest.  Where the break-aways disagree with a law (finding ``break-away``), or no
     law describes the record, the break-aways decide: a higher level is the contact's own, ``friction.static``; else the
     curve passes through them, weighted by both errors.
-
-    statistics: Of the first run.
     """
     fit, measured = _choose(ranking)
     rig = FittedRig(fit, ranking.motion)
@@ -213,7 +211,7 @@ def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene
         level = _level_of_law(ranking, rig)
     else:
         unknowns, spread = rig.unknowns + _move_of_rest(rig), _held(_covariance_of_curve(measured), rig)
-        level = _level_of_curve(measured, statistics, rig)
+        level = _level_of_curve(measured, ranking.statistics[0], rig)
     static = None
     if level is not None:
         gap, slopes = level.excess(unknowns), _slopes(level.excess, unknowns, spread)
@@ -430,9 +428,9 @@ def _toml(value: Any) -> str:
     return f"[{', '.join(map(_toml, value))}]"
 
 
-def save(path: Path, ranking: Ranking, statistics: StickSlipStatistics, run: Path) -> None:
+def save(path: Path, ranking: Ranking, run: Path) -> None:
     """Write the scene of a ranking, in place of an older file: see `refuse_existing`."""
-    content = text(of_ranking(ranking, statistics), ranking, run)
+    content = text(of_ranking(ranking), ranking, run)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(content, encoding="utf-8")
 

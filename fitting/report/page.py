@@ -15,8 +15,7 @@ from fitting.estimation.result import Correlations, Parameter
 from fitting.report import mathml, symbols
 from fitting.selection.result import LawResult, Ranking
 from fitting.selection.verdict import format_probability
-from processing.record.kinematics import Kinematics
-from processing.statistics import StickSlipStatistics, pooled
+from processing.statistics import pooled
 from stickslip.errors import InputError
 from stickslip.output import atomic
 from stickslip.output.lengths import format_length
@@ -86,14 +85,16 @@ def _holder(digests: set[str], file: Path) -> Path | None:
     return None
 
 
-def write(page: str, path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
-    """Write a page of `render`, in place of a report of the same runs, or of any file with ``force``.
+def write(ranking: Ranking, path: Path, text: str = "", *, force: bool = False) -> None:
+    """Write the page of a ranking, or its ``text``, in place of a report of the same runs, or any file with ``force``.
 
     Raises InputError where ``path`` is another file, and RefusedError where it cannot be written; an older report then
     remains.
     """
+    recordings = [record.recording for record in ranking.records]
+    digests, files = [one.digest for one in recordings], [one.source for one in recordings if one.source.name]
     refuse_foreign_file(path, digests, files=files, force=force)
-    put(page, path)
+    put(text or render(ranking), path)
 
 
 def put(page: str, path: Path) -> None:
@@ -115,15 +116,13 @@ def now() -> str:
     return datetime.now().astimezone().isoformat(" ", timespec="minutes")
 
 
-def render(
-    ranking: Ranking, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
-) -> str:
-    """Return the report as HTML; motions and statistics are those of each run."""
+def render(ranking: Ranking) -> str:
+    """Return the report as HTML."""
     from markupsafe import Markup
 
     from fitting.report import pictures
 
-    first = motions[0].recording
+    motions, first = ranking.records, ranking.records[0].recording
     best = ranking.best if ranking.rows else None
     title = ", ".join(motion.recording.source.name for motion in motions)
     return template("report.html").render(
@@ -144,10 +143,10 @@ def render(
         correlations=ranking.correlations(),
         motion=symbols.MOTION,
         symbols=symbols.symbols({name for side in ranking.sides for row in side.rows for name in row.parameters}),
-        confidence=f"{100 * (1 - alpha):g} %",
-        statistics=pooled(statistics).rows(motions[0].unit),
+        confidence=f"{100 * (1 - ranking.alpha):g} %",
+        statistics=pooled(ranking.statistics).rows(motions[0].unit),
         smallest_departure=smallest_departure(ranking.adequacy),
-        pictures={name: Markup(text) for name, text in pictures.draw(ranking, statistics).items()},
+        pictures={name: Markup(text) for name, text in pictures.draw(ranking).items()},
         now=now(),
         version=VERSION,
     )

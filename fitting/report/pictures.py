@@ -21,7 +21,7 @@ from fitting.drawing import plot
 from fitting.drawing.palette import COLOURS, DASHED, INK, MEASURED, law_styles, run_colour, run_dash, run_mark
 from fitting.report.symbols import pretty
 from fitting.selection.result import LawResult, Ranking
-from processing.statistics import StickSlipStatistics, pooled
+from processing.statistics import pooled
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import format_length, shown_length
 from stickslip.output.plot import STYLE
@@ -356,9 +356,10 @@ def levels(ranking: Ranking) -> tuple[Figure, str]:
     return drawn, "Friction level of each cycle at break-away and in the slip, against time."
 
 
-def break_aways(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> tuple[Figure, str]:
+def break_aways(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the break-away levels: their distribution, their trend, and level against stick time."""
-    counted, (factor, unit) = pooled(statistics), shown_length("m")
+    statistics, (factor, unit) = ranking.statistics, shown_length("m")
+    counted = pooled(statistics)
     time = np.concatenate([begin + run.column("t") for begin, run in zip(begins(ranking), statistics, strict=True)])
     level = factor * counted.column("break_away_m")
     mean = float(level.mean())
@@ -396,10 +397,10 @@ PICTURES: tuple[Callable[[Ranking], tuple[Figure, str]], ...] = (
 WITHOUT_LAW = (record, portraits)
 
 
-def draw(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
+def draw(ranking: Ranking) -> dict[str, str]:
     """Return the pictures of the report as ``<svg>`` elements by name; without a law only the measured ones."""
     with look():
         drawn = {one.__name__: one(ranking) for one in (PICTURES if ranking.rows else WITHOUT_LAW)}
-        if pooled(statistics).rows("m"):
-            drawn["break_aways"] = break_aways(ranking, statistics)
+        if pooled(ranking.statistics).rows("m"):
+            drawn["break_aways"] = break_aways(ranking)
         return {name: embed(drawn, name, about) for name, (drawn, about) in drawn.items()}

@@ -11,7 +11,6 @@ from fitting import rank
 from fitting.rig_scene import of_ranking
 from processing.record.finding import Finding
 from processing.smoothing import smooth
-from processing.statistics import from_kinematics
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.scenes.draws import draw_changes
 from rig_sim.scenes.scene import scene
@@ -91,8 +90,7 @@ def test_break_aways_below_the_law_at_rest_move_the_law_to_them(belt_rig):
     """The scene had the fitted Fs, and broke away beyond every break-away of the record."""
     ranking = rank(smooth(belt_rig.recording(law=5, duration=12.0)), laws=(5,))
     low = Finding("break-away", "lower", 0.95, 1.0, 50.0)
-    statistics = from_kinematics(ranking.records[0])
-    fitted, moved = (of_ranking(one, statistics) for one in (ranking, replace(ranking, findings=(low,))))
+    fitted, moved = (of_ranking(one) for one in (ranking, replace(ranking, findings=(low,))))
     before, after = (dict(zip(one.keys, one.values, strict=True)) for one in (fitted, moved))
     assert "friction.static" not in after
     assert after["friction.Fs"] == pytest.approx(0.95 * before["friction.Fs"], rel=0.01)

@@ -11,14 +11,12 @@ from fitting.adequacy.result import NONE_OF_SIX
 from fitting.estimation.result import Parameter
 from fitting.report import page as report
 from processing.smoothing import smooth
-from processing.statistics import from_kinematics
 from stickslip.errors import InputError
 
 
 @pytest.fixture(scope="module")
 def page(ranked, belt_rig):
-    motion = smooth(belt_rig.recording(law=5))
-    return report.render(ranked(law=5), [motion], [from_kinematics(motion)], 0.05)
+    return report.render(replace(ranked(law=5), records=(smooth(belt_rig.recording(law=5)),)))
 
 
 def test_the_page_asks_nothing_of_the_network(page):
@@ -129,8 +127,7 @@ def test_where_no_law_describes_the_record_no_set_weight_or_interval_is_shown(ra
         members=(),
         adequacy=replace(ranking.adequacy, verdict=NONE_OF_SIX),
     )
-    motion = smooth(belt_rig.recording(law=5))
-    text = report.render(rejected, [motion], [from_kinematics(motion)], 0.05)
+    text = report.render(rejected)
     assert "law 5 does not describe the record" in text
     shown = text[text.index("<body>") : text.index("<summary>Method")]
     for word in (">weight", "behind the best", "95 % interval", "std. error", "marks the set", "±</td>"):
@@ -154,7 +151,7 @@ def test_an_imported_table_is_a_file_of_some_date(ranked, belt_rig):
     recording = belt_rig.recording(law=5)
     imported = replace(recording, provenance=recording.provenance | {"start_time_from": OF_FILE})
     motion = replace(smooth(recording), recording=imported)
-    text = report.render(ranked(law=5), [motion], [from_kinematics(motion)], 0.05)
+    text = report.render(replace(ranked(law=5), records=(motion,)))
     assert ", file of 2" in text
     assert "recorded 2" not in text
 
