@@ -85,9 +85,8 @@ def covariances(fit: Fit) -> tuple[Array, Array]:
     cycles = own.shape[0]
     scale, bread = scaled_inverse(H, np.diag(blocks.H))
     own = own * scale
-    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + np.diag(
-        fit.least_squares.precision * scale**2
-    )
+    priors = np.diag(fit.least_squares.precision * scale**2)
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + priors
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
     share = _founded(fit)
     informed = np.einsum("c,cpr->pr", share - 1, reduced.by_cycle(blocks.cycle_curvature))

@@ -122,12 +122,12 @@ def render(ranking: Ranking) -> str:
 
     from fitting.report import pictures
 
-    motions, first = ranking.records, ranking.records[0].recording
+    recordings = [record.recording for record in ranking.records]
     best = ranking.best if ranking.rows else None
-    title = ", ".join(motion.recording.source.name for motion in motions)
+    title = ", ".join(recording.source.name for recording in recordings)
     return template("report.html").render(
         mark=Markup(f'{MARK} {html.escape(VERSION)}">'),
-        title=title if ranking.runs or not first.title else first.title,
+        title=title if ranking.runs else recordings[0].title or title,
         ranking=ranking,
         adequacy=ranking.adequacy,
         goodness=ranking.adequacy.goodness,
@@ -138,13 +138,13 @@ def render(ranking: Ranking) -> str:
         colours={law: style["color"] for law, style in law_styles(row.law for row in ranking.rows).items()},
         parameters=[row for row in ranking.rows if row is best or row.in_set],
         joint=bool(ranking.runs),
-        runs=list(zip(range(1, len(motions) + 1), ranking.sides, motions, strict=True)),
+        runs=list(zip(range(1, len(recordings) + 1), ranking.sides, ranking.records, strict=True)),
         run_colour=run_colour,
         correlations=ranking.correlations(),
         motion=symbols.MOTION,
         symbols=symbols.symbols({name for side in ranking.sides for row in side.rows for name in row.parameters}),
         confidence=f"{100 * (1 - ranking.alpha):g} %",
-        statistics=pooled(ranking.statistics).rows(motions[0].unit),
+        statistics=pooled(ranking.statistics).rows(ranking.records[0].unit),
         smallest_departure=smallest_departure(ranking.adequacy),
         pictures={name: Markup(text) for name, text in pictures.draw(ranking).items()},
         now=now(),

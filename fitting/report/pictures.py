@@ -52,7 +52,7 @@ def look() -> AbstractContextManager[None]:
     return mpl.rc_context(LOOK, fname=STYLE)
 
 
-def embed(drawn: Figure, name: str, about: str) -> str:
+def embed(drawn: Figure, about: str, name: str) -> str:
     """Return a figure as an ``<svg>`` element with a unique ``name``; ``about`` is the text alternative."""
     buffer = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
@@ -384,23 +384,13 @@ def break_aways(ranking: Ranking) -> tuple[Figure, str]:
     return drawn, "Break-away levels: their distribution, and against time and stick time."
 
 
-PICTURES: tuple[Callable[[Ranking], tuple[Figure, str]], ...] = (
-    friction,
-    cycle,
-    record,
-    portraits,
-    laws,
-    residuals,
-    evidence,
-    levels,
-)
-WITHOUT_LAW = (record, portraits)
+Picture = Callable[[Ranking], tuple[Figure, str]]  # with its text alternative
+PICTURES: tuple[Picture, ...] = (friction, cycle, record, portraits, laws, residuals, evidence, levels)
 
 
 def draw(ranking: Ranking) -> dict[str, str]:
     """Return the pictures of the report as ``<svg>`` elements by name; without a law only the measured ones."""
+    shown: list[Picture] = [*(PICTURES if ranking.rows else (record, portraits))]
+    shown += [break_aways] if pooled(ranking.statistics).rows("m") else []
     with look():
-        drawn = {one.__name__: one(ranking) for one in (PICTURES if ranking.rows else WITHOUT_LAW)}
-        if pooled(ranking.statistics).rows("m"):
-            drawn["break_aways"] = break_aways(ranking)
-        return {name: embed(drawn, name, about) for name, (drawn, about) in drawn.items()}
+        return {picture.__name__: embed(*picture(ranking), name=picture.__name__) for picture in shown}

@@ -17,7 +17,6 @@ from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
 from fitting.report import page, pictures
 from processing.smoothing import smooth
-from processing.statistics import from_kinematics
 from rig_sim.friction.law import LAWS
 from stickslip.errors import DataError, InputError
 
@@ -254,11 +253,9 @@ def test_reports_of_a_batch_are_numbered(files, tmp_path):
 
 
 def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five):
-    counted = [from_kinematics(motion) for motion in runs_of(5, 2)]
     with pictures.look():
-        drawn = [picture(law_five) for picture in (pictures.cycle, pictures.record, pictures.residuals)]
-        drawn.append(pictures.break_aways(law_five, counted))
-        texts = [pictures.embed(figure, "one", about) for figure, about in drawn]
+        shown = (pictures.cycle, pictures.record, pictures.residuals, pictures.break_aways)
+        texts = [pictures.embed(*picture(law_five), "one") for picture in shown]
     for text in texts:
         for number in (1, 2, 3):
             assert f">run {number}</text>" in text
