@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -28,10 +29,6 @@ from fitting.law import Law
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
 from stickslip.compute.arrays import Array
-
-# Share of the binned residuals' variance that repeats from slip to slip, from which a misfit is deterministic.
-# Friction that fluctuates at random leaves -0.03 to 0.02, contacts with memory 0.5 to 0.8.
-REPEATS = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,11 +96,12 @@ def assess(
     if curve is not None and rejected and explain:
         departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
-    if rejected and explain and not departures and chosen.together.repeat < REPEATS and chosen.linearised is not None:
+    if rejected and explain and not departures and chosen.linearised is not None:
         path = chosen.fit.path
         if path is not None:
             base = Base.of(chosen.linearised, path, motions, revolution)
-            fluctuation = fluctuation_share(base, float(np.max(noise)))
+            count_repeated = partial(_count_repeated, chosen.slips)
+            fluctuation = fluctuation_share(base, chosen.fit, count_repeated, float(np.max(noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -149,6 +147,13 @@ def describing(
         for fit in fits
         if fit is nearest or fit.geometric_mean_rms < noise_levels.LOST * noise
     }
+
+
+def _count_repeated(slips: Sequence[RunSlips], residuals: Array) -> Array:
+    """Return the share of residuals (N, B) that repeats from slip to slip, the mean over the runs' slips, (B,)."""
+    judged = [own for own in slips if own.judged]
+    repeated = [own.bins.statistics(residuals).repeat for own in judged]
+    return np.asarray(np.average(repeated, axis=0, weights=[own.bins.slips for own in judged]))
 
 
 def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:

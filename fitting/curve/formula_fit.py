@@ -88,8 +88,11 @@ def fit_formula(
 
 
 def contained(law: Law, other: Law) -> bool:
-    """Return whether the other law can err no less than this one: constant friction, or a limit of it; no ramp."""
-    return not other.ramp and (law.contains(other) or other.number == 1)
+    """Return whether the other law can err no less than this one: constant friction, or a limit of it.
+
+    A ramp of the six may have a break-away level of its own, which none of a formula has.
+    """
+    return (law.contains(other) or other.number == 1) and not (other.number and other.ramp)
 
 
 def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:

@@ -65,18 +65,18 @@ def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
     return max(float(np.mean(fit.local[own, column] ** 2)) - likely, 0.0), error
 
 
-def covariance(fit: Fit, precision: Array) -> Array:
-    """Return a covariance (p, p) of the active shared unknowns not smaller than either of `covariances`.
+def covariance(fit: Fit) -> Array:
+    """Return a covariance (p, p) of the unknowns not smaller than either of `covariances`.
 
     A variance in it may exceed both: for one quantity take the larger of both variances.
     """
-    return upper_bound(*covariances(fit, precision))
+    return upper_bound(*covariances(fit))
 
 
-def covariances(fit: Fit, precision: Array) -> tuple[Array, Array]:
-    """Return the covariances (p, p) of the active shared unknowns by the sandwich and by the curvature.
+def covariances(fit: Fit) -> tuple[Array, Array]:
+    """Return the covariances (p, p) of the unknowns, the curve's last, by the sandwich and by the curvature.
 
-    ``precision`` (p,) is 1/sd^2 of the priors, each one more independent source, or 0.
+    The priors are so many more independent sources.
     """
     blocks = fit.solution.blocks
     reduced = SchurComplement(blocks)
@@ -85,7 +85,8 @@ def covariances(fit: Fit, precision: Array) -> tuple[Array, Array]:
     cycles = own.shape[0]
     scale, bread = scaled_inverse(H, np.diag(blocks.H))
     own = own * scale
-    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + np.diag(precision * scale**2)
+    priors = np.diag(fit.least_squares.precision * scale**2)
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + priors
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
     share = _founded(fit)
     informed = np.einsum("c,cpr->pr", share - 1, reduced.by_cycle(blocks.cycle_curvature))

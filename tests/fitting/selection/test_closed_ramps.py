@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from fitting.law import SIX
 from fitting.selection.equivalence import closed_ramps
 
 
@@ -12,7 +13,7 @@ def test_a_ramp_that_no_record_shows_is_its_jump_law(width, closed):
     # Harsh records of law 3, a ramp of 0.0012: one cycle in 22 left 8 % less under law 4, and the set was {3, 4}.
     problem = SimpleNamespace(motions=[SimpleNamespace(belt_speed=0.22)])
     jump, ramp = (
-        SimpleNamespace(law=law, values=SimpleNamespace(d=d), problem=problem)
+        SimpleNamespace(law=SIX[law], values=SimpleNamespace(d=d), problem=problem)
         for law, d in ((3, 0.0), (4, 0.22 * width))
     )
-    assert closed_ramps([jump, ramp]) == ([(3, 4)] if closed else [])
+    assert closed_ramps([jump, ramp]) == ([(SIX[3], SIX[4])] if closed else [])
