@@ -68,6 +68,7 @@ class Contact:
     by_belt_position: tuple = ()  # relative amplitude, wavelength in m
     ageing: tuple = ()  # relative growth of the break-away level per e-fold of stick time, time constant in s
     lugre: tuple = ()  # bristle stiffness N/m and damping N s/m; the steady curve is Stribeck with power 2
+    fluctuation: tuple = ()  # of friction at random in time: relative standard deviation, correlation time in s
     eccentricity: tuple = ()  # m, revolution in m: of the reading
     wear: float = 0.0  # fraction of the friction level that is lost over the record
     kick: float = 0.0  # m/s, of either sign, when the belt's joint passes
@@ -136,6 +137,10 @@ def belt_motion(p, t):
 def factor_of(p, t, x, belt):
     """Factor of friction at a time, at mass position x on the belt that has moved by ``belt``."""
     factor = 1.0 - p.wear * t / p.duration
+    if p.fluctuation:
+        size, scale = p.fluctuation
+        rates, phases = _random_sines(p.seed)
+        factor *= 1 + size * math.sqrt(2 / rates.size) * float(np.sum(np.cos(rates * t / scale + phases)))
     if p.by_mass_position:
         size, length = p.by_mass_position
         factor *= 1 + size * math.sin(2 * math.pi * x / length)
@@ -143,6 +148,13 @@ def factor_of(p, t, x, belt):
         size, length = p.by_belt_position
         factor *= 1 + size * math.sin(2 * math.pi * (belt - x) / length)
     return factor
+
+
+@lru_cache(maxsize=4)
+def _random_sines(seed):
+    """Rates and phases of sines whose sum has a Gaussian correlation of unit time."""
+    rng = np.random.default_rng([seed, 3])
+    return rng.standard_normal(64), rng.uniform(0, 2 * math.pi, 64)
 
 
 def other_forces(p, t, state, v, way):

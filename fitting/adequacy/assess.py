@@ -5,12 +5,14 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from fitting import noise_levels
 from fitting.adequacy.goodness import GoodnessOfFit, RunSlips, goodness_of_fit, judge
 from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_SPEED, Adequacy
+from fitting.adequacy.statistics import cycle_squares
 from fitting.adequacy.struck import left_out
 from fitting.adequacy.visible import smallest_visible
 from fitting.competitors import ALL_LAWS
@@ -27,10 +29,6 @@ from fitting.law import Law
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
 from stickslip.compute.arrays import Array
-
-# Share of the binned residuals' variance that repeats from slip to slip, from which a misfit is deterministic.
-# Friction that fluctuates at random leaves -0.03 to 0.02, contacts with memory 0.5 to 0.8.
-REPEATS = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +96,10 @@ def assess(
     if curve is not None and rejected and explain:
         departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
-    if rejected and explain and not departures and chosen.together.repeat < REPEATS and chosen.linearised is not None:
+    if rejected and explain and not departures and chosen.linearised is not None:
         base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
-        fluctuation = None if base is None else fluctuation_share(base, float(np.max(noise)))
+        if base is not None:
+            fluctuation = fluctuation_share(base, partial(_count_repeated, chosen), float(np.max(noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -146,6 +145,13 @@ def describing(
         for fit in fits
         if fit is nearest or fit.geometric_mean_rms < noise_levels.LOST * noise
     }
+
+
+def _count_repeated(chosen: Judged, residuals: Array) -> Array:
+    """Return the share of residuals (N, B) that repeats from slip to slip, the mean over the runs' slips, (B,)."""
+    judged, squares = [own for own in chosen.slips if own.bins.judged], cycle_squares(residuals, chosen.fit.rows)
+    repeated = [own.bins.statistics(residuals, squares[own.counted]).repeat for own in judged]
+    return np.asarray(np.average(repeated, axis=0, weights=[own.bins.slips for own in judged]))
 
 
 def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:

@@ -16,11 +16,10 @@ import numpy as np
 
 from fitting.driver.fit import Fit
 from fitting.least_squares import elimination
-from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import Run
 from fitting.sensitivity.path import Path
-from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 from stickslip.units import Measured
 
@@ -45,7 +44,7 @@ def rest_prior(run: Run, sd: float = REST_SD) -> Measured:
 
 
 def assumed_rest(fit: Fit) -> Measured | None:
-    """Return the rest position to assume where the levels do not scatter (`levels_scatter`).
+    """Return the rest position to assume where the levels do not scatter (`law_scatters`).
 
     None where a calibration determines the level: of a rest position, or of the sticking speed where the load changes
     it.
@@ -58,24 +57,23 @@ def assumed_rest(fit: Fit) -> Measured | None:
 
 
 def law_scatters(fit: Fit, noise: Array) -> bool:
-    """Return `levels_scatter` of a law's fit, by its friction at the belt's speed."""
-    friction = float(fit.task.friction(fit.q, np.array([fit.values.v_dr]))[0])
-    return levels_scatter(fit.solution, fit.inlier_cycles, friction / fit.values.K, noise)
+    """Return whether the levels of the usual cycles scatter by more than noise and misfit explain.
 
-
-def levels_scatter(solution: Solution, inlier: Mask, stretch: float, noise: Array) -> bool:
-    """Return whether the levels of the inlier cycles scatter by more than noise and misfit explain.
-
-    ``stretch`` is that of the spring under friction in slip, m; the levels must move it by more than ``noise`` (runs,),
-    m: rounding to counts, which is not white, makes levels scatter by a fifth of that.
+    They must move the spring, stretched by friction at the belt's speed, by more than ``noise`` (runs,), m: rounding to
+    counts, which is not white, makes levels scatter by a fifth of that.  Levels are compared within a run: the mean of
+    each trades against the run's own rest position.
     """
-    if inlier.sum() < 2:
+    usual, run = fit.inlier_cycles, fit.windows.run[fit.inlier_cycles]
+    if usual.sum() < np.unique(run).size + 1:
         return False
-    inverse = np.empty_like(solution.blocks.Hl)
-    compiled(elimination.invert, (elimination.__name__,))(solution.blocks.Hl, inverse)
-    by_noise = float(np.mean(inverse[inlier, PerCycle.LEVEL, PerCycle.LEVEL]))
-    seen = float(np.var(solution.local[inlier, PerCycle.LEVEL], ddof=1))
-    return seen > SCATTER_SHOWN * by_noise and seen * stretch**2 > float(np.max(noise)) ** 2
+    stretch = float(fit.task.friction(fit.q, np.array([fit.values.v_dr]))[0]) / fit.values.K
+    inverse = np.empty_like(fit.solution.blocks.Hl)
+    compiled(elimination.invert, (elimination.__name__,))(fit.solution.blocks.Hl, inverse)
+    by_noise = float(np.mean(inverse[usual, PerCycle.LEVEL, PerCycle.LEVEL]))
+    level = fit.solution.local[usual, PerCycle.LEVEL]
+    own = [level[run == number] - np.mean(level[run == number]) for number in np.unique(run)]
+    seen = float(np.sum(np.concatenate(own) ** 2)) / (level.size - len(own))
+    return bool(seen > SCATTER_SHOWN * by_noise and seen * stretch**2 > float(np.max(noise)) ** 2)
 
 
 def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tuple[Array, Array]:

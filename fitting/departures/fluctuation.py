@@ -5,10 +5,13 @@ is the one for which what is then left, with the noise, has the correlation time
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
+from fitting.curve.level import rest_prior
 from fitting.departures.base import Base, usual_rms
+from fitting.driver.fit import Fit
 from fitting.forces.departure import Forcing
 from stickslip.compute.arrays import Array, autocorrelation_time
 
@@ -18,10 +21,13 @@ HARMONICS = 64  # sines whose sum is one draw
 TIMES_TRIED = (1.0, 0.5, 0.25, 0.125, 0.0625)
 
 
-def fluctuation_share(base: Base, noise: float) -> float | None:
-    """Return the standard deviation of random friction over the friction at rest; None beside an unstable motion.
+def fluctuation_share(base: Base, count_repeated: Callable[[Array], Array], noise: float) -> float | None:
+    """Return the standard deviation of random friction over the friction at rest.
 
-    ``noise`` is the standard deviation of a position, m.
+    None where more of the residual repeats from slip to slip than random friction leaves, or beside an unstable motion.
+
+    count_repeated: Returns the share of residuals (N, B) that repeats, (B,).
+    noise: Standard deviation of a position, m.
     """
     linear, path = base.linear, base.path
     excess = usual_rms(linear.residual, linear.rows) ** 2 - noise**2
@@ -33,15 +39,30 @@ def fluctuation_share(base: Base, noise: float) -> float | None:
     steps = np.diff(path.windows.time)
     seen = _correlation(linear.residual, base)
     found: list[tuple[float, float]] = []
+    repeat = -math.inf
     for share in TIMES_TRIED:
         time = share * seen * float(np.median(steps[steps > 0])) / math.sqrt(2 * math.pi)
         left = linear.refit(base.respond([Forcing(acceleration=friction * _random(path.time, time, rng))]))
         unit = float(np.median([usual_rms(one, linear.rows) for one in left.T]))
         if math.isfinite(unit) and unit > 0:
             size = math.sqrt(excess) / unit
-            times = [_correlation(one, base) for one in (size * left + white).T]
+            drawn = size * left + white
+            times = [_correlation(one, base) for one in drawn.T]
             found.append((abs(math.log(float(np.median(times)) / seen)), size))
-    return min(found)[1] if found else None
+            repeat = max(repeat, float(np.max(count_repeated(drawn))))
+    if not found or count_repeated(linear.residual[:, None])[0] > repeat:
+        return None
+    return min(found)[1] * base.fit.values.F / _friction_at_rest(base.fit)
+
+
+def _friction_at_rest(fit: Fit) -> float:
+    """Return friction at the break-aways (m/s^2) by the stretch of the spring from the stated or assumed rest position.
+
+    A law that does not describe the record may end at any level: 100 times the true one was seen.
+    """
+    own = [rows for rows, run in zip(fit.rows, fit.windows.run, strict=True) if run == 0]
+    highest = float(np.mean([np.max(fit.windows.position[rows]) for rows in own]))
+    return fit.values.K * (highest - rest_prior(fit.problem.runs[0]).value)
 
 
 def _correlation(residual: Array, base: Base) -> float:

@@ -27,6 +27,7 @@ from fitting.distributions import student_quantile
 from fitting.driver.fit import Fit
 from fitting.law import Law
 from fitting.model.problem import Run
+from fitting.selection.contradictions import CONTRADICTED_BY
 from stickslip.compute.arrays import Array, autocorrelation_time
 
 FEWEST_CYCLES = 4  # cycles of which the usual are trusted: of fewer, all count
@@ -246,8 +247,7 @@ def _paired(errors: Array, others: Array) -> tuple[float, float]:
     return float(difference.mean()), float(np.std(difference, ddof=1)) / math.sqrt(difference.size)
 
 
-def no_larger(errors: Array, best: Array, samples: float, alpha: float) -> bool:
+def no_larger(errors: Array, best: Array, samples: float) -> bool:
     """Return whether a law's log errors (units,), without penalties, are no larger than the best law's within noise."""
     mean, error = _paired(errors, best)
-    quantile = student_quantile(1 - alpha / 2, errors.size - 1)
-    return mean <= quantile * error or 2 * max(errors.size, samples) * mean < OPEN
+    return mean <= CONTRADICTED_BY * error or 2 * max(errors.size, samples) * mean < OPEN

@@ -101,7 +101,7 @@ def compete(
     chosen = equivalence.with_indistinct_contacts(chosen, fitting, errors, runs, alpha, sustained=sustained)
     outside = sorted(described.difference(chosen.members), key=chosen.score.__getitem__)
     first = chosen.members[0]
-    equal = [law for law in outside if evidence.no_larger(errors[law], errors[first], units.samples, alpha)]
+    equal = [law for law in outside if evidence.no_larger(errors[law], errors[first], units.samples)]
     rest = sorted((law for law in by_law if law not in described), key=misfit.__getitem__)
     return Competition(
         tuple(by_law[law] for law in (*chosen.members, *outside, *rest)),

@@ -55,14 +55,16 @@ def rank(
         if refused.stick_slip:
             return answer.without_law(refused.reason, contradicted, options, runs, records, begun)
         raise screening.refusal(refused.reason, contradicted, runs, records) from None
-    described = list(answer.describing(competition, options).values())
-    contradicted = find_contradictions(described, competition.runs, records, refit)
     other_contact = None
     if not competition.described and len(runs) > 1:
         alone: list[Mapping[int | str, Mapping[str, Parameter]]] = []
         for record, run in zip(records, competition.runs, strict=True):
             alone.append({law: own[0] for law, own in describing([record], [run]).items()})
         other_contact = find_other_contact(alone)
+    contradicted = [[] for _ in runs]
+    if other_contact is None:  # else each run is described with what was stated
+        described = list(answer.describing(competition, options).values())
+        contradicted = find_contradictions(described, competition.runs, records, refit)
     adequacies = assess(
         competition.fits,
         competition.judged[competition.best.law],

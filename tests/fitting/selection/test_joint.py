@@ -12,8 +12,10 @@ import pytest
 
 from daq.runfile import joint, listing, store
 from fitting import rank
+from fitting.drawing import palette
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
+from fitting.report import page, pictures
 from processing.smoothing import smooth
 from rig_sim.friction.law import LAWS
 from stickslip.errors import DataError, InputError
@@ -243,8 +245,6 @@ def test_outputs_of_one_name_are_refused(files):
 
 
 def test_reports_of_a_batch_are_numbered(files, tmp_path):
-    from fitting.report import page
-
     assert [place.name for place in page.report_paths(files, tmp_path / "all.html")] == [
         "all.html",
         "all-2.html",
@@ -253,19 +253,23 @@ def test_reports_of_a_batch_are_numbered(files, tmp_path):
 
 
 def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five):
-    from fitting.drawing import palette
-    from fitting.report import pictures
-    from processing.statistics import from_kinematics
-
-    counted = [from_kinematics(motion) for motion in runs_of(5, 2)]
     with pictures.look():
-        drawn = [picture(law_five) for picture in (pictures.cycle, pictures.record, pictures.residuals)]
-        drawn.append(pictures.break_aways(law_five, counted))
-        texts = [pictures.embed(figure, "one", about) for figure, about in drawn]
+        shown = (pictures.cycle, pictures.record, pictures.residuals, pictures.break_aways)
+        texts = [pictures.embed(*picture(law_five), "one") for picture in shown]
     for text in texts:
         for number in (1, 2, 3):
             assert f">run {number}</text>" in text
             assert palette.run_colour(number).lower() in text
+
+
+def test_the_page_of_a_joint_fit_has_a_line_and_a_row_of_each_run(runs_of, law_five):
+    """The first screen asked for the one belt speed of the joint fit, which has one of each run."""
+    text = page.render(law_five)
+    for number, side in enumerate(law_five.runs, start=1):
+        speed = side.best.parameters["v_dr"]
+        assert f"<p>run {number}: " in text
+        assert f"belt {speed.value:.4g} m/s" in text
+        assert f"{speed.value:.{speed.decimals}f} ± " in text
 
 
 def test_a_run_named_twice_is_refused(files, tmp_path):
