@@ -118,6 +118,8 @@ def test_a_published_curve_that_cannot_be_fitted_has_a_row_with_the_reason(ranke
     negative = Law("logarithmic", formula, bounds={"Fs": (0.0, 100.0)})
     monkeypatch.setattr("fitting.selection.rivals.PUBLISHED", {"logarithmic": negative})
     ranking = ranked(law=5, duration=10.0)
-    found = fit_formulas(Competitors.of(ALL_LAWS), ranking.adequacy.curve, [row.fit for row in ranking.rows[:1]])
-    assert found.fits == ()
-    assert found.unfitted[0].reason
+    fits, unfitted, _ = fit_formulas(
+        Competitors.of(ALL_LAWS), ranking.adequacy.curve, [row.fit for row in ranking.rows[:1]]
+    )
+    assert fits == []
+    assert unfitted[0].reason
