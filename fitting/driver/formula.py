@@ -47,13 +47,14 @@ class FormulaCurve(FrictionCurve):
         fitted = law.given(fix={name: first.get(name, size) for name, size in sizes.items()})
         self.fixed, self.free, self.size = fitted.fix or {}, fitted.free, len(fitted.free)
         search = StartSearch(fitted, near, fastest)
-        self.starts = search.minima()
         self.by_log = np.array([search.bends[name] and law.limits(name)[0] >= 0.0 for name in self.free], np.bool_)
-        self.start = self.theta_at(self.starts[0].values)
         self.prior = self.precision = np.zeros(self.size)
         self.lower, self.upper = self.bounds
         self._first = FrictionSpline.over(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
         self._near = self._first
+        # A logarithm of speed over next to nothing is near on the target, and too abrupt to be followed.
+        self.starts = sorted(search.minima(), key=lambda start: self.spline(self.theta_at(start.values)) is None)
+        self.start = self.theta_at(self.starts[0].values)
 
     def on_path(self, theta: Array, beside: Array) -> Curve | None:
         spline = self.spline(theta)
@@ -108,9 +109,11 @@ class FormulaCurve(FrictionCurve):
     def spline(self, theta: Array) -> FrictionSpline | None:
         """Return a spline through the formula; None where it is not a friction, or too abrupt.
 
-        It begins with the knots of the trial before, or anew where those of other trials do not fit.
+        It begins with the knots of the trial before, or anew where those of other trials do not fit or are so many that
+        a path along them has too many steps.
         """
-        for begin in dict.fromkeys((self._near, self._first)):
+        crowded = self._near.knots.size > MOST_PIECES // 2
+        for begin in dict.fromkeys((self._first, self._near) if crowded else (self._near, self._first)):
             found = self._through(theta, begin)
             if found is not None:
                 self._near = found
