@@ -44,7 +44,7 @@ def _question_rest(side: Ranking) -> str:
 
 def _left_out(side: Ranking) -> str:
     """Return the omitted cycles, each with its reason, without those that the user excluded."""
-    left = (cycle for cycle in side.cut.cycles if cycle.flag and cycle.flag != "excluded")
+    left = (cycle for cycle in side.cut.cycles if cycle.flag and cycle.flag not in ("excluded", "surplus"))
     return ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
 
 
@@ -146,6 +146,13 @@ OF_THE_FIT = (
 )
 OF_THE_RECORD = (  # after the findings
     Warned(_left_out, lambda run: f"cycles left out: {_left_out(run)}"),
+    Warned(
+        lambda run: run.cut.surplus,
+        lambda run: (
+            f"{len(run.cut.used)} of {len(run.cut.used) + run.cut.surplus} cycles are fitted, evenly spread over the "
+            "record (fit parts with --from and --to for the others)"
+        ),
+    ),
     Warned(
         lambda run: run.records[0].lost_counts,
         lambda run: f"counts seem to be lost at {run.records[0].lost_counts} sample(s): the fit has them put back",
