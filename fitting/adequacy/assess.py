@@ -12,6 +12,7 @@ import numpy as np
 from fitting import noise_levels
 from fitting.adequacy.goodness import GoodnessOfFit, RunSlips, goodness_of_fit, judge
 from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_SPEED, Adequacy
+from fitting.adequacy.statistics import cycle_squares
 from fitting.adequacy.struck import left_out
 from fitting.adequacy.visible import smallest_visible
 from fitting.competitors import ALL_LAWS
@@ -105,12 +106,10 @@ def assess(
     if curve is not None and rejected and explain:
         departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
-    if rejected and explain and not departures:
-        linear = chosen.linearised
-        base = None if linear is None else Base.at(chosen.fit, motions, revolution, linear)
+    if rejected and explain and not departures and chosen.linearised is not None:
+        base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
         if base is not None:
-            count_repeated = partial(_count_repeated, chosen.slips)
-            fluctuation = fluctuation_share(base, chosen.fit, count_repeated, float(np.max(noise)))
+            fluctuation = fluctuation_share(base, partial(_count_repeated, chosen), float(np.max(noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -158,10 +157,10 @@ def describing(
     }
 
 
-def _count_repeated(slips: Sequence[RunSlips], residuals: Array) -> Array:
+def _count_repeated(chosen: Judged, residuals: Array) -> Array:
     """Return the share of residuals (N, B) that repeats from slip to slip, the mean over the runs' slips, (B,)."""
-    judged = [own for own in slips if own.bins.judged]
-    repeated = [own.bins.statistics(residuals, np.ones_like(residuals[:1])).repeat for own in judged]
+    judged, squares = [own for own in chosen.slips if own.bins.judged], cycle_squares(residuals, chosen.fit.rows)
+    repeated = [own.bins.statistics(residuals, squares[own.counted]).repeat for own in judged]
     return np.asarray(np.average(repeated, axis=0, weights=[own.bins.slips for own in judged]))
 
 

@@ -8,6 +8,7 @@ law, whose motion follows the departure; a scanned scale is one more unknown.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,11 +18,12 @@ from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base, usual_rms
 from fitting.departures.library import DEPARTURES
 from fitting.departures.result import FittedDeparture, Scale
-from fitting.departures.scores import Score, log_probability, score, sigmas
+from fitting.departures.scores import log_probability, sigmas
 from fitting.departures.strongest import LEAST_SIGMAS, Candidate, rank_candidates
 from fitting.driver.fit import Fit
 from fitting.driver.passes import finish, first_pass, regressed_start, settle
 from fitting.driver.task import FitStart, Task
+from fitting.estimation.covariance import covariance, without_level_errors
 from fitting.estimation.derived import derived_parameters
 from fitting.forces.force import Force
 from stickslip.compute.arrays import Array
@@ -45,8 +47,8 @@ class Refit:
     """A law fitted with one departure."""
 
     fit: Fit
-    base: Base  # the departure's columns are the last of the shared ones
-    score: Score  # its coefficients with errors at the solution; the gain is that over the fit without it
+    base: Base
+    gain: float  # by how much the cost falls with it
 
     @property
     def force(self) -> Force:
@@ -54,9 +56,26 @@ class Refit:
         return force
 
     @property
+    def size(self) -> Array:
+        """The departure's unknowns: its coefficients, and the relative change of its scale."""
+        return self.fit.q[self.fit.q.size - self.force.width :]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the coefficients, (columns, columns)."""
+        first = self.fit.q.size - self.force.width
+        own = slice(first, first + self.force.departure.columns)
+        return covariance(self.fit)[own, own]
+
+    @property
+    def sigmas(self) -> float:
+        log_p = log_probability(self.force.coefficients(self.size), self.covariance, len(self.fit.rows))
+        return sigmas(log_p, len(DEPARTURES))
+
+    @property
     def usual_rms(self) -> float:
         """Median of the cycles' errors, m."""
-        return usual_rms(self.base.linear.residual, self.base.linear.rows)
+        return usual_rms(self.fit.residual, self.fit.rows)
 
 
 def explain_misfit(
@@ -122,7 +141,7 @@ def fit_with(candidate: Candidate, fits: Sequence[Fit], noise: float) -> Refit |
 
 
 def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> Refit | None:
-    """Fit a law with a departure; None where it stays far from the noise, or the law adjusts the departure.
+    """Fit a law with a departure; None where it stays far from the noise, or the departure is not significant.
 
     The law that was ``tested`` starts at its end: another may have ended far away without the departure.
     """
@@ -133,7 +152,14 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
     if settled is None or settled.geometric_mean_rms > GIVEN_UP_ABOVE_NOISE * noise:
         return None
     finished = finish(settled, noises)
-    return None if finished is None else _with_errors(finished, fit)
+    base = None if finished is None else Base.at(finished, fit.problem.motions)
+    if finished is None or base is None:
+        return None
+    linear = base.linear
+    before = 0.5 * float(np.sum(np.add.reduceat(fit.residual**2, linear.first[:-1]) * linear.weights))
+    refit = Refit(without_level_errors(finished), base, before - linear.cost)
+    dissipates = candidate.departure.drag is None or refit.size[0] > 0
+    return refit if dissipates and refit.sigmas > LEAST_SIGMAS else None
 
 
 def _start(task: Task, end: Fit | None, size: Array) -> FitStart:
@@ -148,45 +174,25 @@ def _start(task: Task, end: Fit | None, size: Array) -> FitStart:
     return regressed_start(task)._replace(q=np.concatenate([u[list(task.places)], [max(drag, 0.0)]]))
 
 
-def _with_errors(fit: Fit, host: Fit) -> Refit | None:
-    """Return a fit with the errors of its departure; None where it is not significant, or a drag is negative."""
-    base = Base.at(fit, fit.problem.motions)
-    if base is None:
-        return None
-    (force,), linear = fit.task.forces, base.linear
-    first, k = fit.q.size - force.width, force.departure.columns
-    without = linear.with_shared([*range(first), *range(first + k, fit.q.size)])  # its own scale is adjusted besides
-    step = score(without, linear.derivatives.columns(slice(first, first + k)))
-    coefficients = force.coefficients(fit.q[first:])
-    if step is None or (force.departure.drag is not None and not coefficients[0] > 0):
-        return None
-    log_p = log_probability(coefficients, step.covariance, len(linear.rows))
-    if not sigmas(log_p, len(DEPARTURES)) > LEAST_SIGMAS:
-        return None
-    before = 0.5 * float(np.sum(np.add.reduceat(host.residual**2, linear.first[:-1]) * linear.weights))
-    step = replace(step, coefficients=coefficients, gain=before - linear.cost, log_p=log_p)
-    return Refit(fit, base, step)
-
-
 def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
     """Convert a departure to the units of the rig."""
     departure, record = refit.force.departure, refit.fit.problem.motions[0]
-    size = amplitude(refit.score.coefficients, refit.score.covariance)
+    size = amplitude(refit.force.coefficients(refit.size), refit.covariance)
     parameter, unit = departure.parameter, departure.unit
     if departure.with_mass is not None and record.mass is not None:
         parameter, unit = departure.with_mass
         size = Measured(size.value * record.mass.value, size.sd * record.mass.value)
-    misfit = refit.score.gain + refit.base.misfit_beyond_noise(noise)
-    scale = refit.force.scale_of(refit.fit.q[-1:])
+    misfit = refit.gain + refit.base.misfit_beyond_noise(noise)
+    scale = refit.force.scale_of(refit.size)
     return FittedDeparture(
         name=departure.name,
-        sigmas=sigmas(refit.score.log_p, len(DEPARTURES)),
+        sigmas=refit.sigmas,
         parameter=parameter,
         value=size.value,
         stderr=size.sd,
         unit=unit,
         text=departure.says(counted=record.counted),
-        explained=min(refit.score.gain / misfit, 1.0) if misfit > 0 else 0.0,
+        explained=min(refit.gain / misfit, 1.0) if misfit > 0 else 0.0,
         law=refit.fit.law.key,
         parameters=derived_parameters(refit.fit, record, alpha),
         scale=Scale(departure.scale, scale, departure.scale_unit) if math.isfinite(scale) else None,

@@ -48,6 +48,8 @@ def test_a_hard_spring_is_fitted_with_the_law(fitted):
         ("belt-ripple", {"ripple": ((0.015, 0.7), (0.01, 2.9))}, 0.0022),
         ("second-mode", {"second_mass": (0.006, 0.006 * OMEGA**2, 0.006 * 0.02 * OMEGA)}, 0.02),
         ("friction-by-belt-position", {"by_belt_position": (0.05, 1.6)}, 0.05),
+        # Its fit reached the noise, and was then refused: one step beside its wavelength showed it in no two cycles.
+        ("friction-by-mass-position", {"by_mass_position": (0.05, 0.1)}, 0.05),
     ],
 )
 def test_the_size_after_the_refit_is_within_a_few_percent(fitted, name, changes, size):
@@ -104,12 +106,6 @@ def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
     others = [candidate for candidate in found if candidate.departure.name == "second-mode"]
     assert others
     assert fit_with(others[0], [fit], NOISE) is None
-
-
-@pytest.mark.slow
-def test_a_departure_whose_motion_cannot_be_followed_is_not_named(fitted):
-    # Friction by the mass's position was named with the size of one linear step, which was right to 5 %.
-    assert explained(fitted(scatter=0.03, by_mass_position=(0.05, 0.1))) == ()
 
 
 def test_a_departure_that_no_law_describes_the_record_with_is_not_named(fitted, monkeypatch):
