@@ -84,9 +84,7 @@ def save(ranking: Ranking, report: Path | None, text: str, *, force: bool = Fals
     """
     stage.save(ranking, force=force)
     if report is not None:
-        recordings = [record.recording for record in ranking.records]
-        digests, files = [one.digest for one in recordings], [one.source for one in recordings]
-        page.write(text, report, digests, files=files, force=force)
+        page.write(ranking, report, text, force=force)
 
 
 def _smoothed(run: LoadedRun) -> Kinematics:

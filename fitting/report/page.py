@@ -85,14 +85,16 @@ def _holder(digests: set[str], file: Path) -> Path | None:
     return None
 
 
-def write(page: str, path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
-    """Write a page of `render`, in place of a report of the same runs, or of any file with ``force``.
+def write(ranking: Ranking, path: Path, text: str = "", *, force: bool = False) -> None:
+    """Write the page of a ranking, or its ``text``, in place of a report of the same runs, or any file with ``force``.
 
     Raises InputError where ``path`` is another file, and RefusedError where it cannot be written; an older report then
     remains.
     """
+    recordings = [record.recording for record in ranking.records]
+    digests, files = [one.digest for one in recordings], [one.source for one in recordings if one.source.name]
     refuse_foreign_file(path, digests, files=files, force=force)
-    put(page, path)
+    put(text or render(ranking), path)
 
 
 def put(page: str, path: Path) -> None:
@@ -122,10 +124,9 @@ def render(ranking: Ranking) -> str:
 
     recordings = [record.recording for record in ranking.records]
     best = ranking.best if ranking.rows else None
-    title = ", ".join(recording.source.name for recording in recordings)
     return template("report.html").render(
         mark=Markup(f'{MARK} {html.escape(VERSION)}">'),
-        title=title if ranking.runs else recordings[0].title or title,
+        title=", ".join(recording.source.name or recording.title for recording in recordings),
         ranking=ranking,
         adequacy=ranking.adequacy,
         goodness=ranking.adequacy.goodness,
