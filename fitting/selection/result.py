@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
+# Found by name when a file is written: they know the ranking, which is below them.
+PAGE, SCENE = "fitting.report.page", "fitting.rig_scene"
 CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
 
@@ -716,11 +719,9 @@ class Ranking:
             The name has the suffix of another format, its folder does not exist, or what stands there is something
             else and ``force`` is not given.
         """
-        from fitting.report import page
-
         target = Path(path)
         suffix.check(target, suffix.PAGE, "--report", {suffix.PDF: "then print the page from a browser"})
-        page.write(self, target, force=force)
+        import_module(PAGE).write(self, target, force=force)
         return target
 
     def save_scene(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
@@ -748,9 +749,7 @@ class Ranking:
         DataError
             Neither a law nor a friction curve describes the record.
         """
-        from fitting import rig_scene
-
-        target = Path(path)
+        rig_scene, target = import_module(SCENE), Path(path)
         suffix.check(target, suffix.TOML, "--save-scene", {})
         recordings = [record.recording for record in self.records]
         rig_scene.refuse_existing(target, [one.source for one in recordings if one.source.name], force=force)
