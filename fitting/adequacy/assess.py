@@ -3,7 +3,7 @@
 `measure` judges the nearest of the six and measures the curve; `assess` concludes, once all laws have competed.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,18 +24,18 @@ from fitting.departures.explain import Refit, explain_misfit
 from fitting.departures.fluctuation import fluctuation_share
 from fitting.departures.result import FittedDeparture
 from fitting.driver.fit import Fit
-from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.linearised import LinearisedFit, Repeat
 from fitting.law import Law
+from fitting.least_squares.problem import Block
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
-from stickslip.compute.arrays import Array
+from stickslip.compute.arrays import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
     fit: Fit
-    linearised: LinearisedFit | None
-    usual: LinearisedFit | None
+    faults: Mask | None  # (cycles,) those that a fault of the record spoilt; None where derivatives cannot be followed
     slips: tuple[RunSlips, ...]
     together: GoodnessOfFit
     each: tuple[GoodnessOfFit, ...]
@@ -44,6 +44,16 @@ class Judged:
     def noise(self) -> Array:
         """Standard deviation of one position of each run, m, (runs,)."""
         return np.array([own.noise_m for own in self.slips])
+
+    @property
+    def linearised(self) -> LinearisedFit | None:
+        return None if self.faults is None else LinearisedFit.at(self.fit)
+
+    @property
+    def usual(self) -> LinearisedFit | None:
+        """The fit without these cycles."""
+        linear = self.linearised
+        return None if linear is None or self.faults is None else linear.without(self.faults)
 
 
 def measure(
@@ -96,8 +106,9 @@ def assess(
     if curve is not None and rejected and explain:
         departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
-    if rejected and explain and not departures and chosen.linearised is not None:
-        base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
+    if rejected and explain and not departures:
+        linear = chosen.linearised
+        base = None if linear is None else Base.at(chosen.fit, motions, revolution, linear)
         if base is not None:
             fluctuation = fluctuation_share(base, partial(_count_repeated, chosen), float(np.max(noise)))
     visible = _visible(chosen, motions)
@@ -155,9 +166,8 @@ def _count_repeated(chosen: Judged, residuals: Array) -> Array:
 
 
 def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
-    if chosen.usual is None:
-        return (None,) * len(motions)
-    return smallest_visible(chosen.fit, chosen.usual, chosen.slips)
+    usual = chosen.usual
+    return (None,) * len(motions) if usual is None else smallest_visible(chosen.fit, usual, chosen.slips)
 
 
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
@@ -182,35 +192,35 @@ def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:
     linearised = LinearisedFit.at(fit)
     if linearised is None:
         # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
-        usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
-        slips = judge(fit.residual, _unchanged, fit, motions, nowhere)
+        faults, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
+        slips = judge(fit.residual, partial(_unchanged, fit.windows.blocks), fit, motions, nowhere)
     else:
-        usual, slips = _judged_without_faults(linearised, lambda: fit.path, fit, fit.windows, motions)
-    return Judged(fit, linearised, usual, slips, *goodness_of_fit(slips))
+        faults, slips = _judged_without_faults(linearised, fit.path_in, fit, fit.windows, motions)
+    return Judged(fit, faults, slips, *goodness_of_fit(slips))
 
 
-def _unchanged(residuals: Array) -> Array:
-    return residuals
+def _unchanged(blocks: Sequence[Block], residuals: Repeat) -> Iterator[tuple[Block, Array]]:
+    return zip(blocks, residuals(blocks), strict=True)
 
 
 def _judged_without_faults(
     linear: LinearisedFit,
-    path: Callable[[], Path | None],
+    path_in: Callable[[Block], Path | None],
     fit: Fit,
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
-) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:
-    """Return the fit without the cycles that a fault of the record spoilt, and the slips; makes ``path`` if needed."""
+) -> tuple[Mask, tuple[RunSlips, ...]]:
+    """Return the cycles (cycles,) that a fault of the record spoilt, and the slips of the fit without them."""
     spoilt = windows.spoilt(linear.residual)
     landings = np.array([cycle.landing for cycle in fit.cycles])
-    faults = left_out(path() if spoilt.any() else None, linear, landings, spoilt, windows.run)
+    faults = left_out(path_in, linear, landings, spoilt, windows.run)
     usual = linear.without(faults)
-    return usual, judge(usual.residual, usual.refit, fit, motions, faults, windows)
+    return faults, judge(usual.residual, usual.refit, fit, motions, faults, windows)
 
 
 def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
     fit = curve.spline_fit
-    _, slips = _judged_without_faults(curve.linear, lambda: fit.path, fit, fit.windows, motions)
+    _, slips = _judged_without_faults(curve.linear, fit.path_in, fit, fit.windows, motions)
     return goodness_of_fit(slips)[0]
 
 
@@ -225,7 +235,7 @@ def _departures(
 
     def describes(refit: Refit) -> bool:
         base = refit.base
-        _, slips = _judged_without_faults(base.linear, lambda: base.path, refit.fit, base.path.windows, motions)
+        _, slips = _judged_without_faults(base.linear, refit.fit.path_in, refit.fit, base.path.windows, motions)
         return not goodness_of_fit(slips)[0].rejected
 
     return explain_misfit(fits, curve, motions, float(np.max(noise)), revolution, describes)

@@ -9,8 +9,9 @@ gives the same number.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,12 +20,13 @@ from fitting.adequacy.statistics import SlipBins, Statistics, cycle_squares
 from fitting.data.frame import MeasuredMotion
 from fitting.distributions import gamma_tail
 from fitting.driver.fit import Fit
+from fitting.estimation.linearised import Repeat
+from fitting.least_squares.problem import MOST_AT_ONCE, Block
 from fitting.model.windows import SPOILT, ShootingWindows
-from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.arrays import Array, Integers, Mask
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13  # seed of the repetitions: the same for every record
-MOST_AT_ONCE = 2_000_000  # residuals held at a time: 16 MB an array
 # Probability below which noise is not what made the residuals.  The tails are those of a gamma distribution with the
 # moments of 60 repetitions of a linearised refit, so small probabilities are rough; 1e-6 is five standard deviations.
 REJECTED = 1e-6
@@ -74,9 +76,43 @@ class RunSlips:
     left_out: tuple[int, ...]  # numbers of the run's cycles that are not judged
 
 
+class Repetitions:
+    """Draws of a run's noise, repeated block by block of its samples: the same each time."""
+
+    def __init__(self, noise: PositionNoise, rng: np.random.Generator, samples: int) -> None:
+        self.noise, self.begin = noise, rng.bit_generator.state
+        for first in range(0, 0 if noise.rounded_alone else samples, MOST_AT_ONCE):
+            rng.standard_normal(min(MOST_AT_ONCE, samples - first))
+        self.shift = float(rng.uniform(-0.5, 0.5)) if noise.pitch else 0.0
+
+    def restart(self) -> np.random.Generator:
+        rng = np.random.default_rng()
+        rng.bit_generator.state = self.begin
+        return rng
+
+
+def draw_noise(
+    repeated: Sequence[Sequence[Repetitions]],
+    position: Array,
+    velocity: Array,
+    owner: Integers,
+    blocks: Sequence[Block],
+) -> Iterator[Array]:
+    """Yield repetitions (n, B) of the noise in each block, m, from those ``repeated`` of each run."""
+    rngs = [[one.restart() for one in runs] for runs in repeated]
+    for block in blocks:
+        run, x, v = owner[block.rows], position[block.rows], velocity[block.rows]
+        drawn = np.empty((run.size, len(repeated)))
+        for j, runs in enumerate(repeated):
+            for k, (one, rng) in enumerate(zip(runs, rngs[j], strict=True)):
+                own = run == k
+                drawn[own, j] = one.noise.draw(x[own], v[own], rng, one.shift)
+        yield drawn
+
+
 def judge(
     residual: Array,
-    refit: Callable[[Array], Array],
+    refit: Callable[[Repeat], Iterable[tuple[Block, Array]]],
     fit: Fit,
     motions: Sequence[MeasuredMotion],
     left_out: Mask,
@@ -100,19 +136,15 @@ def judge(
     landings = np.array([cycle.landing for cycle in fit.cycles])
     judged = [~left_out & (windows.run == run) for run in range(len(motions))]
     bins = [SlipBins.cut(windows, landings, own, run) for run, own in enumerate(judged)]
-    repeated: list[list[Statistics]] = [[] for _ in motions]
-    rng = np.random.default_rng(SEED)
-    at_once = max(1, min(REPETITIONS, MOST_AT_ONCE // position.size))
-    for first in range(0, REPETITIONS, at_once):
-        drawn = np.empty((position.size, min(at_once, REPETITIONS - first)))
-        for j in range(drawn.shape[1]):
-            for run, noise in enumerate(noises):
-                own = owner == run
-                drawn[own, j] = noise.draw(position[own], velocity[own], rng)
-        drawn = refit(drawn)
-        squares = cycle_squares(drawn, windows.rows)
-        for run, cut in enumerate(bins):
-            repeated[run].append(cut.statistics(drawn, squares[judged[run]]))
+    rng, samples = np.random.default_rng(SEED), np.bincount(owner, minlength=len(motions)).tolist()
+    repeated = [
+        [Repetitions(noise, rng, n) for noise, n in zip(noises, samples, strict=True)] for _ in range(REPETITIONS)
+    ]
+    parts = []
+    for block, left in refit(partial(draw_noise, repeated, position, velocity, owner)):
+        squares = cycle_squares(left, windows.rows[block.cycles])
+        parts.append((squares, *(part for cut in bins for part in (cut.sums(left, block), cut.sums(left**2, block)))))
+    null_squares, *null_sums = (np.concatenate(part) for part in zip(*parts, strict=True))
     squares = cycle_squares(residual[:, None], windows.rows)
     return tuple(
         RunSlips(
@@ -121,7 +153,7 @@ def judge(
             bins=cut,
             lag1=cut.lag1(residual),
             seen=cut.statistics(residual[:, None], squares[judged[run]]),
-            null=Statistics(*map(np.concatenate, zip(*repeated[run], strict=True))),
+            null=cut.combine(null_sums[2 * run], null_sums[2 * run + 1], null_squares[judged[run]]),
             counted=judged[run],
             left_out=tuple(fit.cycles[k].number for k in np.flatnonzero(left_out & (windows.run == run))),
         )

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fitting.least_squares.problem import Block
 from fitting.model.windows import ShootingWindows
 from stickslip.compute.arrays import Array, Integers, Mask
 
@@ -38,7 +39,7 @@ class Statistics(NamedTuple):
 
 def cycle_squares(residuals: Array, rows: Sequence[slice]) -> Array:
     """Return the mean square of residuals (N, B) in each cycle, m^2, shape (cycles, B)."""
-    first = np.array([own.start for own in rows])
+    first = np.array([own.start - rows[0].start for own in rows])
     count = np.array([own.stop - own.start for own in rows])
     return np.asarray(np.add.reduceat(residuals**2, first, axis=0) / count[:, np.newaxis])
 
@@ -82,9 +83,15 @@ class SlipBins:
         occupied, starts, count = np.unique(np.concatenate(cell), return_index=True, return_counts=True)
         return cls(np.concatenate(rows), starts, occupied // bins, occupied % bins, count.astype(float), slips, bins)
 
-    def sums(self, values: Array) -> Array:
-        """Return the sum of values (N, B) in each bin, shape (occupied bins, B)."""
-        return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
+    def sums(self, values: Array, block: Block | None = None) -> Array:
+        """Return the sum of values (N, B) in each bin, shape (occupied bins, B); of a block, those of its bins."""
+        if block is None:
+            return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
+        first, last = np.searchsorted(self.rows, (block.rows.start, block.rows.stop))
+        starts = self.starts[np.searchsorted(self.starts, first) : np.searchsorted(self.starts, last)]
+        if not starts.size:
+            return np.zeros((0, values.shape[1]))
+        return np.asarray(np.add.reduceat(values[self.rows[first:last] - block.rows.start], starts - first, axis=0))
 
     def per_slip(self, binned: Array) -> Array:
         """Return the sum over the bins (occupied bins, B) of each slip, shape (slips, B)."""
@@ -118,12 +125,16 @@ class SlipBins:
 
     def statistics(self, residuals: Array, squares: Array) -> Statistics:
         """Return the statistics of residuals (N, B), m, with the mean squares (cycles, B) of their judged cycles."""
+        return self.combine(self.sums(residuals), self.sums(residuals**2), squares)
+
+    def combine(self, sums: Array, squared: Array, squares: Array) -> Statistics:
+        """Return the same from the sums of residuals and of their squares in each bin."""
         rms = np.asarray(np.sqrt(np.sum(squares, axis=0) / max(squares.shape[0], 1)))
         if not self.judged:
             nothing = np.zeros(rms.size)
             return Statistics(nothing, nothing, nothing, rms)
-        sums, (number, occupied) = self.sums(residuals), self.residuals_and_bins
-        square = np.maximum(self.per_slip(self.sums(residuals**2)) / number, 1e-300)
+        number, occupied = self.residuals_and_bins
+        square = np.maximum(self.per_slip(squared) / number, 1e-300)
         binned = self.per_slip(sums**2 / self.count[:, None]) / occupied
         usual = np.median(square, axis=0)
         weight = np.sqrt(np.minimum(usual / square, 1.0))  # a spoilt slip is scaled down to the usual one

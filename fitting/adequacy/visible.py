@@ -10,15 +10,18 @@ it cannot follow at all is detected at half of the size.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
 from fitting.adequacy.goodness import REJECTED, TESTS, RunSlips, least
 from fitting.distributions import gamma_upper_quantile
 from fitting.driver.fit import Fit
-from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.linearised import LinearisedFit, Repeat
+from fitting.least_squares.problem import Block, UnfollowableError
 from fitting.model.parameters import PER_RUN, Global
+from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
 from stickslip.compute.arrays import Array
 
@@ -31,23 +34,32 @@ def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSli
 
     None where no slip is judged, the motion cannot be followed, or even an amplitude of Fs would not be detected.
     """
-    waves = departure_waves(fit)
+    waves = departure_waves(fit, linearised.derivatives.blocks)
     if waves is None:
         return (None,) * len(slips)
-    left = linearised.refit(waves)
-    return tuple(_percent(run, left) for run in slips)
+    parts = [
+        [part for run in slips for part in (run.bins.sums(left, block), run.bins.sums(left**2, block))]
+        for block, left in linearised.refit(waves)
+    ]
+    sums = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    return tuple(_percent(run, sums[2 * k], sums[2 * k + 1]) for k, run in enumerate(slips))
 
 
-def _percent(run: RunSlips, left: Array) -> float | None:
-    """Return the median amplitude, %, of waves (N, waves); None where half of them would not be detected."""
-    typical = 100 * float(np.median([half_seen(run, wave) for wave in left.T])) if run.bins.judged else math.inf
+def _percent(run: RunSlips, sums: Array, squares: Array) -> float | None:
+    """Return the median amplitude, %, of waves with these sums in each bin; None where half would not be detected."""
+    if not run.bins.judged:
+        return None
+    typical = 100 * float(np.median([half_seen(run, *wave) for wave in zip(sums.T, squares.T, strict=True)]))
     return typical if typical < 100 else None
 
 
-def half_seen(run: RunSlips, wave: Array) -> float:
-    """Return the amplitude of a wave (N,), of Fs, that rejects half of a run's repetitions; inf without one."""
+def half_seen(run: RunSlips, wave: Array, square: Array) -> float:
+    """Return the amplitude of a wave, of Fs, that rejects half of a run's repetitions; inf without one.
+
+    ``wave`` and ``square`` (occupied bins,) are sums of the wave and of its square in each bin.
+    """
     bins, begin = run.bins, least(run.bins)
-    sums, squares = bins.sums(wave[:, None]), bins.sums(wave[:, None] ** 2)
+    sums, squares = wave[:, None], square[:, None]
     number, occupied = bins.residuals_and_bins
     mean, noise = sums / bins.count[:, None], run.noise_m**2 * float(np.sum(1 / bins.count))
     repeated = float(np.sum(bins.per_phase(mean) ** 2)) / (bins.slips - 1) / noise
@@ -67,20 +79,37 @@ def _amplitude(null: Array, excess: float, more: float) -> float:
     return math.sqrt((limit - mean) / gain) if gain > 0 else math.inf
 
 
-def departure_waves(fit: Fit) -> Array | None:
-    """Return the response of the positions to waves as large as the friction, shape (N, waves), m."""
-    path = fit.path
-    if path is None or not path.slips.any():
-        return None
-    F = np.exp(fit.u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
+def departure_waves(fit: Fit, blocks: Sequence[Block]) -> Repeat | None:
+    """Return the response of the positions to waves as large as the friction, (n, waves) of each block, m."""
+    fastest, low, high = 0.0, math.inf, -math.inf
+    for block in blocks:
+        path = fit.path_in(block)
+        if path is None:
+            return None
+        fastest = max(fastest, float(np.max(path.slip_speed, where=path.slips, initial=0.0)))
+        low, high = min(low, float(path.position.min())), max(high, float(path.position.max()))
+    return partial(_respond, fit, fastest, high - low) if fastest > 0 else None
+
+
+def _respond(fit: Fit, fastest: float, travel: float, blocks: Sequence[Block]) -> Iterator[Array]:
+    for block in blocks:
+        path = fit.path_in(block)
+        if path is None:
+            raise UnfollowableError
+        yield tangents(path, _waves(path, fit.u, fastest, travel))
+
+
+def _waves(path: Path, u: Array, fastest: float, travel: float) -> Array:
+    """Return the acceleration (M, waves) by each wave."""
+    F = np.exp(u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
     level = np.where(path.slips, path.side * path.level * F, 0.0)
     friction = np.where(path.slips, path.friction, 0.0)
-    turn = 2 * math.pi * path.slip_speed / float(np.max(path.slip_speed[path.slips]))
-    place = 2 * math.pi * path.position / float(np.ptp(path.position))
+    turn = 2 * math.pi * path.slip_speed / fastest
+    place = 2 * math.pi * path.position / travel
     waves = [
         size * shape(number * argument)
         for size, argument, numbers in ((level, turn, PERIODS), (friction, place, PERIODS_OF_TRAVEL))
         for number in numbers
         for shape in (np.sin, np.cos)
     ]
-    return tangents(path, np.stack(waves, axis=1))
+    return np.stack(waves, axis=1)

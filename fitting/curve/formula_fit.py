@@ -84,7 +84,7 @@ def fit_formula(
     limit = min(noise_levels.LOST * position, noise_levels.NEAR * max(least, position))
     if settled is not None and settled.geometric_mean_rms < limit:
         found = finish(settled, noise) or settled
-    return None if found is None or found.path is None else found
+    return found if found is not None and found.can_be_followed else None
 
 
 def contained(law: Law, other: Law) -> bool:

@@ -42,7 +42,8 @@ def fluctuation_share(base: Base, count_repeated: Callable[[Array], Array], nois
     repeat = -math.inf
     for share in TIMES_TRIED:
         time = share * seen * float(np.median(steps[steps > 0])) / math.sqrt(2 * math.pi)
-        left = linear.refit(base.respond([Forcing(acceleration=friction * _random(path.time, time, rng))]))
+        response = base.respond([Forcing(acceleration=friction * _random(path.time, time, rng))])
+        left = linear.refit_columns(response)
         unit = float(np.median([usual_rms(one, linear.rows) for one in left.T]))
         if math.isfinite(unit) and unit > 0:
             size = math.sqrt(excess) / unit

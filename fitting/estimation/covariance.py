@@ -18,7 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from fitting.driver.fit import Fit
-from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, normal_equations, scaled_inverse
+from fitting.least_squares.levenberg_marquardt import linearise
+from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, scaled_inverse
 from fitting.model.parameters import PerCycle
 from stickslip.compute.arrays import Array, autocorrelation_time
 
@@ -44,12 +45,10 @@ def without_level_errors(fit: Fit) -> Fit:
     for column in (PerCycle.LEVEL, PerCycle.NEXT_LEVEL):
         true, error = _true_square(fit, column)
         local[:, column] *= true / (true + error)
-    task = fit.least_squares
-    found = task.evaluate(fit.solution.u, local, True)
-    if found is None:
+    there, here = linearise(fit.least_squares, fit.solution.u, local), fit.solution.blocks
+    if there is None:
         return fit
-    there, here = normal_equations(task, fit.solution.u, local, *found), fit.solution.blocks
-    blocks = replace(there, g=here.g, gl=here.gl, cycle_g=here.cycle_g)
+    blocks = replace(there.blocks, g=here.g, gl=here.gl, cycle_g=here.cycle_g)
     return replace(fit, solution=replace(fit.solution, blocks=blocks))
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from fitting.data.ripple import Ripple
 from fitting.law import Law
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
-from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
+from fitting.model.windows import ShootingWindows, Thinning
 from rig_sim.friction.law import Law as Kind
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
@@ -58,6 +59,11 @@ class Run:
     cut: CycleSegmentation
     ripple: Ripple | None = None
     given: Mapping[str, tuple[GivenUnknown, ...]] = field(default_factory=dict)
+
+    @cached_property
+    def windows(self) -> ShootingWindows:
+        """The windows of every sample: all laws have the same."""
+        return ShootingWindows.from_cycles(self.motion, self.cut.used)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,11 +206,10 @@ class EstimationProblem:
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
         """Return the windows of all runs, of every sample or thinned (`thinned_to`)."""
+        if not thinned:
+            return ShootingWindows.join([run.windows for run in self.runs])
         return ShootingWindows.join(
-            [
-                ShootingWindows.from_cycles(run.motion, run.cut.used, thinned_to(run) if thinned else EVERY_SAMPLE)
-                for run in self.runs
-            ]
+            [ShootingWindows.from_cycles(run.motion, run.cut.used, thinned_to(run)) for run in self.runs]
         )
 
     @property

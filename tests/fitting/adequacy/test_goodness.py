@@ -53,17 +53,22 @@ def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
     cycles = [slice(k * samples, (k + 1) * samples) for k in range(slips)]
     wave = np.tile(np.sin(2 * np.pi * 3 * np.arange(samples) / samples), slips)
     rejected = []
+
+    def binned(wave):
+        return bins.sums(wave[:, None])[:, 0], bins.sums(wave[:, None] ** 2)[:, 0]
+
     for seed in range(4):
         rng = np.random.default_rng(seed)
         noise = rng.standard_normal((slips * samples, 90))
         null = bins.statistics(noise[:, :60], cycle_squares(noise[:, :60], cycles))
         run = RunSlips(None, 1.0, bins, 0.0, None, null, np.ones(slips, bool), ())
-        size = visible.half_seen(run, wave)
+        size = visible.half_seen(run, *binned(wave))
         for residual in (noise[:, 60:] + size * wave[:, None]).T[:, :, None]:
             seen = bins.statistics(residual, cycle_squares(residual, cycles))
             rejected.append(probability(replace(run, seen=seen)) < REJECTED)
     assert 0.2 < np.mean(rejected) < 0.8
-    assert visible.half_seen(run, rng.standard_normal(wave.size)) == np.inf
+    noise = rng.standard_normal(wave.size)
+    assert visible.half_seen(run, *binned(noise)) == np.inf
 
 
 def test_a_probability_is_that_of_the_null_distribution():

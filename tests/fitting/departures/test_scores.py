@@ -125,7 +125,7 @@ def test_a_thinned_record_chooses_the_same_scale(base_of):
 
 def test_a_column_that_the_fit_already_adjusts_is_not_tested(base_of):
     base = base_of(scatter=0.03)
-    assert score(base.linear, base.linear.shared[:, :1] * 3.0) is None
+    assert score(base.linear, base.linear.derivatives.columns(slice(1)) * 3.0) is None
 
 
 def test_more_trials_take_standard_deviations_away():

@@ -25,7 +25,7 @@ def by_scipy(fit, held):
     problem = fit.least_squares
     free = [place for place in range(fit.q.size) if place not in held]
     cycles, p = fit.local.shape, len(free)
-    weight = np.sqrt(problem.weights)[problem.owner]
+    weight = np.sqrt(problem.weight)
     prior, local_prior = np.sqrt(problem.precision), np.sqrt(problem.local_precision)
     known = prior > 0
 
@@ -42,10 +42,10 @@ def by_scipy(fit, held):
         return np.concatenate([weight * found, *priors])
 
     def slopes(z):
-        _, tangent = problem.evaluate(*unpacked(z), True)
+        tangent = problem.evaluate(*unpacked(z), True)[1].columns()
         tangent, own = tangent * weight[:, None], np.zeros((tangent.shape[0], cycles[0], cycles[1]))
         for k in range(cycles[0]):
-            own[problem.owner == k, k] = tangent[problem.owner == k, fit.q.size :]
+            own[problem.rows[k], k] = tangent[problem.rows[k], fit.q.size :]
         rows = np.hstack([tangent[:, free], own.reshape(tangent.shape[0], -1)])
         shared = np.zeros((int(known.sum()), z.size))
         shared[:, :p] = np.diag(prior)[np.ix_(known, free)]
