@@ -16,11 +16,10 @@ import numpy as np
 
 from fitting.driver.fit import Fit
 from fitting.least_squares import elimination
-from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import Run
 from fitting.sensitivity.path import Path
-from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 from stickslip.units import Measured
 
@@ -74,7 +73,7 @@ def law_scatters(fit: Fit, noise: Array) -> bool:
     level = fit.solution.local[usual, PerCycle.LEVEL]
     own = [level[run == number] - np.mean(level[run == number]) for number in np.unique(run)]
     seen = float(np.sum(np.concatenate(own) ** 2)) / (level.size - len(own))
-    return seen > SCATTER_SHOWN * by_noise and seen * stretch**2 > float(np.max(noise)) ** 2
+    return bool(seen > SCATTER_SHOWN * by_noise and seen * stretch**2 > float(np.max(noise)) ** 2)
 
 
 def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tuple[Array, Array]:

@@ -52,10 +52,10 @@ def rank(
     try:
         competition = _compete(options, records, runs, progress)
     except law_fits.NoLawError as refused:
-        contradicted = find_contradictions([], runs, records, refit)
+        doubts = find_contradictions([], runs, records, refit)
         if refused.stick_slip:
-            return answer.without_law(refused.reason, contradicted, options, runs, records, begun)
-        raise screening.refusal(refused.reason, contradicted, runs, records) from None
+            return answer.without_law(refused.reason, doubts, options, runs, records, begun)
+        raise screening.refusal(refused.reason, doubts, runs, records) from None
     other_contact = None
     if not competition.described and len(runs) > 1:
         alone: list[Mapping[int | str, Mapping[str, Parameter]]] = []
