@@ -135,7 +135,7 @@ def _fitted(run: LoadedRun | StickslipError, options: Options, draw: bool) -> Ou
         return run
     try:
         ranking = job.fit_runs([run], options)
-        return ranking, job.draw(ranking) if draw else ""
+        return ranking, page.render(ranking) if draw else ""
     except Exception as error:
         return _failure(error, run.recording.source)
 

@@ -118,7 +118,7 @@ def _fit_together(files: "Sequence[Path]", options: "Options", outputs: OutputFl
             show.status("then goodness of fit" if laws >= searched else "")
 
         ranking = job.fit_runs(runs, options, count)
-        text = job.draw(ranking) if place is not None else ""
+        text = page.render(ranking) if place is not None else ""
     job.save(ranking, place, text, force=force)
     _write_tables(ranking, files, outputs)
     document = ranking.as_json() | {"report": place}
@@ -142,7 +142,7 @@ def _write_tables(ranking: "Ranking", files: "Sequence[Path]", outputs: OutputFl
             raise DataError("no friction curve could be measured", str(files[0]), "leave out --curve-csv")
         table.write_curve(outputs.curve_csv, ranking, ranking.adequacy.curve)
     if outputs.save_scene is not None:
-        rig_scene.save(outputs.save_scene, ranking, ranking.statistics[0], files[0])
+        rig_scene.save(outputs.save_scene, ranking, files[0])
 
 
 def main() -> NoReturn:

@@ -33,19 +33,19 @@ from stickslip.errors import InputError, check_known, nearest
 ALL_LAWS = tuple(SIX)  # numbers of the six laws
 # Least value of each parameter of rig and contact, and whether it may be that.
 LEAST_VALUES: dict[str, tuple[float, bool]] = {
-    "k/m": (0.0, False),
-    "Fs/m": (0.0, False),
+    "k": (0.0, False),
+    "Fs": (0.0, False),
     "gamma": (0.0, True),
-    "G_slip/m": (0.0, True),
+    "G_slip": (0.0, True),
     "d": (0.0, False),
     "static": (1.0, True),
-    "c/m": (0.0, True),
+    "c": (0.0, True),
 }
-UNITS = {"k/m": "s^-2", "k": "N/m", "c/m": "s^-1", "c": "N s/m", "v_dr": "m/s", "x0": "m", "d": "m/s", "static": ""}
+OF_EVERY_LAW = {"k/m": "s^-2", "k": "N/m", "c/m": "s^-1", "c": "N s/m", "v_dr": "m/s", "x0": "m"}
+OF_A_RAMP = {"d": "m/s", "static": ""}  # the second of the six alone
 NO_LIMIT = (-math.inf, True)
 PER_MASS = "/m"
 LAST_CYCLE = 100_000  # largest number of a cycle: no record holds as many
-OF_EVERY_LAW = ("k/m", "k", "c/m", "c", "v_dr", "x0")
 BY_FORMULA = {"G_slip/m", "G_slip"}  # parameters of the six that are no unknowns of their kernels
 
 
@@ -78,9 +78,6 @@ class Competitors:
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise InputError(f"two laws have the name {twice[0]}", "--law", "give each law a name of its own")
-        for flag, given in (("--fix", self.fix), ("--bound", self.bounds), ("--start", self.start)):
-            for name in given:
-                self._check_name(name, flag)
         newtons: set[str] = set()
         for flag, kind in (("--fix", "fix"), ("--bound", "bounds"), ("--start", "start")):
             object.__setattr__(self, kind, self._in_numbers(getattr(self, kind), flag, newtons))
@@ -168,19 +165,23 @@ class Competitors:
                     given_of[own_name] = _with(given_of.get(own_name, Given()), kind, value)
         own_names = () if law.number else law.curve.parameters
         for name, one in given_of.items():
-            _check(name, one, *(LEAST_VALUES.get(_per_mass(name), NO_LIMIT) if name not in own_names else NO_LIMIT))
+            plain = "" if name in own_names else name.removesuffix(PER_MASS)
+            _check(name, one, *LEAST_VALUES.get(plain, NO_LIMIT))
         return given_of
 
     def _in_numbers(self, given: Mapping[str, Any], flag: str, newtons: set[str]) -> dict[str, Any]:
         """Return values as numbers in the unit of the results; adds names whose unit has newtons to ``newtons``."""
         found: dict[str, Any] = {}
         for name, value in given.items():
+            having = [law for law in self.laws if _named(name, law)]
+            if not having:
+                raise self._unknown(name, flag)
             ends = value if isinstance(value, tuple | list) else (value,)
             if not any(isinstance(end, str) for end in ends):
                 found[name] = value
                 continue
             typed = any(isinstance(end, str) and units.typed_unit(end) for end in ends)
-            readings = {_read_value(name, value, law, flag, typed=typed) for law in self.laws if _named(name, law)}
+            readings = {_read_value(name, value, law, flag, typed=typed) for law in having}
             if len(readings) > 1:
                 what = f"{name} has another unit in each law"
                 raise InputError(what, flag, f"name the law: {self.laws[-1].name}.{name}")
@@ -188,26 +189,25 @@ class Competitors:
             if own in found or (own != name and own in given):
                 raise InputError(f"{own} is given twice", flag, "leave one out")
             found[own] = number
-            if typed and any(f"{_named(own, law)}{PER_MASS}" in names_of(law) for law in self.laws):
+            if typed and any(f"{_named(own, law)}{PER_MASS}" in units_of(law) for law in self.laws):
                 newtons.add(own)
         return found
 
-    def _check_name(self, name: str, flag: str) -> None:
-        if any(_named(name, law) for law in self.laws):
-            return
+    def _unknown(self, name: str, flag: str) -> InputError:
         prefix, dot, _ = name.partition(".")
         known = [law.name for law in self.laws]
         if dot and prefix not in known:
-            raise InputError(f"{name}: there is no law {prefix}", flag, nearest(prefix, known))
-        choices = dict.fromkeys(own for law in self.laws if not dot or law.name == prefix for own in names_of(law))
-        raise InputError(f"no law that is fitted has a parameter {name}", flag, nearest(name, list(choices)))
+            return InputError(f"{name}: there is no law {prefix}", flag, nearest(prefix, known))
+        choices = dict.fromkeys(own for law in self.laws if not dot or law.name == prefix for own in units_of(law))
+        return InputError(f"no law that is fitted has a parameter {name}", flag, nearest(name, list(choices)))
 
 
-def names_of(law: Law) -> tuple[str, ...]:
-    parameters = law.curve.parameters
-    forces = [f"{name}{PER_MASS}" for name in parameters if law.dimensions.get(name, (0, 0))[0]]
-    ramp = () if not law.ramp else ("d", "static") if law.number else ("d",)
-    return (*parameters, *forces, *OF_EVERY_LAW, *ramp)
+def units_of(law: Law) -> dict[str, str]:
+    """Return the unit in the results of each parameter that can be given."""
+    own = {name: law.unit(name, newtons=True) for name in law.curve.parameters}
+    per_mass = {f"{name}{PER_MASS}": law.unit(name) for name in own if law.dimensions.get(name, (0, 0))[0]}
+    ramp = {name: unit for name, unit in OF_A_RAMP.items() if law.ramp and (law.number or name == "d")}
+    return {**OF_EVERY_LAW, **ramp, **per_mass, **own}
 
 
 def _named(name: str, law: Law) -> str | None:
@@ -216,24 +216,16 @@ def _named(name: str, law: Law) -> str | None:
     if dot and prefix != law.name:
         return None
     bare = bare if dot else name
-    return bare if bare in names_of(law) else None
+    return bare if bare in units_of(law) else None
 
 
 def _read_value(name: str, value: Any, law: Law, flag: str, *, typed: bool) -> tuple[str, Any]:
     """Return the name, per unit mass if the value's unit is, and the value as a number."""
-    own = str(_named(name, law))
-    if typed and f"{own}{PER_MASS}" in names_of(law):
+    own, known = str(_named(name, law)), units_of(law)
+    if typed and f"{own}{PER_MASS}" in known:
         with suppress(InputError):
-            return f"{name}{PER_MASS}", in_unit(value, unit_of(f"{own}{PER_MASS}", law), name, flag)
-    return name, in_unit(value, unit_of(own, law), name, flag)
-
-
-def unit_of(name: str, law: Law) -> str:
-    """Return the unit of a parameter of a law in the results."""
-    plain = name.removesuffix(PER_MASS)
-    if plain in law.curve.parameters:
-        return law.unit(plain, newtons=name == plain)
-    return UNITS[name]
+            return f"{name}{PER_MASS}", in_unit(value, known[f"{own}{PER_MASS}"], name, flag)
+    return name, in_unit(value, known[own], name, flag)
 
 
 def _with(given: Given, kind: str, value: float | Bound) -> Given:
@@ -245,10 +237,6 @@ def _with(given: Given, kind: str, value: float | Bound) -> Given:
         )
     number = float(value)  # type: ignore[arg-type]
     return Given(number, number, number) if kind == "fix" else given._replace(start=number)
-
-
-def _per_mass(name: str) -> str:
-    return f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in LEAST_VALUES else name
 
 
 def _check(name: str, given: Given, least: float, itself: bool) -> None:

@@ -13,7 +13,6 @@ import numpy as np
 from fitting.least_squares import elimination
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.windows import ShootingWindows
-from fitting.selection.phase_distance import nearest_distances
 from fitting.sensitivity.path import Path, follow, law_curve
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
@@ -36,7 +35,6 @@ def compile_arithmetic() -> None:
         (elimination.sum_gradients, (rows, residual, first, matrix.copy())),
         (elimination.sum_cross, (rows, rows, first, matrices.copy())),
         (elimination.add_along, (rows, first, matrices, rows.copy())),
-        (nearest_distances, (residual, residual, residual, residual, residual.copy())),
     ):
         compiled(function, (function.__module__,))(*arguments)
     FrictionSpline.over(np.linspace(0.0, 1.0, SAMPLES)).basis(np.zeros(1))

@@ -77,11 +77,6 @@ def fit_runs(runs: Sequence[LoadedRun], options: Options, progress: Callable[[fl
     return replace(_with_replaced_mass(ranking, options), part=part, stages=tuple(run.stage for run in runs))
 
 
-def draw(ranking: Ranking) -> str:
-    """Return the page of the report."""
-    return page.render(ranking, ranking.records, ranking.statistics, ranking.alpha)
-
-
 def save(ranking: Ranking, report: Path | None, text: str, *, force: bool = False) -> None:
     """Write the results into the run file, of several runs into a new one, and the page's ``text`` to ``report``.
 
@@ -89,9 +84,7 @@ def save(ranking: Ranking, report: Path | None, text: str, *, force: bool = Fals
     """
     stage.save(ranking, force=force)
     if report is not None:
-        recordings = [record.recording for record in ranking.records]
-        digests, files = [one.digest for one in recordings], [one.source for one in recordings]
-        page.write(text, report, digests, files=files, force=force)
+        page.write(ranking, report, text, force=force)
 
 
 def _smoothed(run: LoadedRun) -> Kinematics:

@@ -1,17 +1,6 @@
 """`Law`: a friction curve with its contact: one of the six, a published one, or a custom one.
 
 ``s`` is the slip speed, m/s; every other name of the formula is a parameter, per unit mass as Fs/m is.
-
-==========================  ================================================  =======================================
-name                        friction at slip speed s                            source
-==========================  ================================================  =======================================
-stribeck                    Fc + (Fs - Fc) exp(-s/v_s)                          A. Tustin, J. IEE 94 (1947) 143
-stribeck-viscous            ... + Fv s                                          the same
-stribeck-gaussian           Fc + (Fs - Fc) exp(-(s/v_s)^2)                      B. Armstrong-Helouvry et al. (1994)
-stribeck-gaussian-viscous   ... + Fv s                                          the same
-logarithmic                 Fs - b ln(1 + s/v_0)                                J. Dieterich, JGR 84 (1979) 2161
-power                       Fs - b (s/v_1)^p, v_1 = 1 m/s                      E. Rabinowicz (1958)
-==========================  ================================================  =======================================
 """
 
 import math
@@ -20,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 from rig_sim.friction.formula import SPEED, Formula
 from rig_sim.friction.law import LAWS, NESTED
@@ -182,7 +171,7 @@ class Law:
         """Return whether the other law is a limit of this one; a formula has those of either contact."""
         if self.number:
             return other.number in NESTED[self.number]
-        return other.formula in LIMITS.get(self.name, ())
+        return self.name in ABOUT and other.formula in ABOUT[self.name].limits
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -251,11 +240,6 @@ class Law:
         """Return the law behind a ramp."""
         return replace(self, ramp=True)
 
-    @property
-    def title(self) -> str:
-        """Name of the curve in a sentence."""
-        return TITLES.get(self.name, f"the formula {self.formula}")
-
     def given(
         self,
         fix: Mapping[str, float] | None = None,
@@ -263,15 +247,13 @@ class Law:
         start: Mapping[str, float] | None = None,
     ) -> "Law":
         """Return the law with more parameters fixed, bounded or started; these take precedence."""
-        fixed = dict(self.fix or {}) | dict(fix or {})
+        fixed = {**(self.fix or {}), **(fix or {})}
+        first = {**(self.start or {}), **(start or {})}
         return replace(
             self,
             fix=fixed or None,
-            bounds=dict(self.bounds or {}) | dict(bounds or {}) or None,
-            start={
-                name: value for name, value in (dict(self.start or {}) | dict(start or {})).items() if name not in fixed
-            }
-            or None,
+            bounds={**(self.bounds or {}), **(bounds or {})} or None,
+            start={name: value for name, value in first.items() if name not in fixed} or None,
         )
 
     def __str__(self) -> str:
@@ -283,50 +265,44 @@ SIX = {
     for name, formula, ramp in OF_SIX
 }
 STRIBECK, GAUSSIAN = "Fc + (Fs - Fc)*exp(-s/v_s)", "Fc + (Fs - Fc)*exp(-(s/v_s)**2)"
-
-
-def _published(name: str, formula: str, **more: Mapping[str, float]) -> Law:
-    positive = [own for own in ("Fs", "Fc", "v_s", "v_0", "p") if re.search(rf"\b{own}\b", formula)]
-    return Law(name, formula, bounds=dict.fromkeys(positive, (0.0, None)), fix=more.get("fix"))
-
-
-PUBLISHED = {
-    law.name: law
-    for law in (
-        _published("stribeck", STRIBECK),
-        _published("stribeck-viscous", f"{STRIBECK} + Fv*{SPEED}"),
-        _published("stribeck-gaussian", GAUSSIAN),
-        _published("stribeck-gaussian-viscous", f"{GAUSSIAN} + Fv*{SPEED}"),
-        _published("logarithmic", "Fs - b*log(1 + s/v_0)"),
-        _published("power", "Fs - b*(s/v_1)**p", fix={"v_1": 1.0}),
-    )
-}
+TUSTIN = "A. Tustin, J. IEE 94 (1947) 143"
 ARMSTRONG = "B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994) 1083"
-SOURCES = {
-    "stribeck": "A. Tustin, J. IEE 94 (1947) 143",
-    "stribeck-viscous": "A. Tustin, J. IEE 94 (1947) 143",
-    "stribeck-gaussian": ARMSTRONG,
-    "stribeck-gaussian-viscous": ARMSTRONG,
-    "logarithmic": "J. Dieterich, J. Geophys. Res. 84 (1979) 2161",  # steady state
-    "power": "E. Rabinowicz, Proc. Phys. Soc. 71 (1958) 668",
+DIETERICH = "J. Dieterich, J. Geophys. Res. 84 (1979) 2161"  # steady state
+RABINOWICZ = "E. Rabinowicz, Proc. Phys. Soc. 71 (1958) 668"
+
+
+class About(NamedTuple):
+    """A published curve in a sentence, its source, its formula, and the curves that are its limits."""
+
+    title: str
+    source: str
+    formula: str
+    limits: tuple[str, ...]
+
+
+# An exponential fall, a logarithm and a power include the straight line; a Gaussian fall without a viscous term does
+# not.
+ABOUT = {
+    "stribeck": About("a Stribeck curve", TUSTIN, STRIBECK, (CONSTANT, LINEAR)),
+    "stribeck-viscous": About(
+        "a Stribeck curve with a viscous term", TUSTIN, f"{STRIBECK} + Fv*s", (CONSTANT, LINEAR, STRIBECK)
+    ),
+    "stribeck-gaussian": About("a Gaussian Stribeck curve", ARMSTRONG, GAUSSIAN, (CONSTANT,)),
+    "stribeck-gaussian-viscous": About(
+        "a Gaussian Stribeck curve with a viscous term", ARMSTRONG, f"{GAUSSIAN} + Fv*s", (CONSTANT, LINEAR, GAUSSIAN)
+    ),
+    "logarithmic": About("a logarithmic curve", DIETERICH, "Fs - b*log(1 + s/v_0)", (CONSTANT, LINEAR)),
+    "power": About("a power curve", RABINOWICZ, "Fs - b*(s/v_1)**p", (CONSTANT, LINEAR)),
 }
-# Which curves are limits of a published one.  An exponential fall, a logarithm and a power include the straight line; a
-# Gaussian fall without a viscous term does not.
-LIMITS = {
-    "stribeck": (CONSTANT, LINEAR),
-    "stribeck-viscous": (CONSTANT, LINEAR, STRIBECK),
-    "stribeck-gaussian": (CONSTANT,),
-    "stribeck-gaussian-viscous": (CONSTANT, LINEAR, GAUSSIAN),
-    "logarithmic": (CONSTANT, LINEAR),
-    "power": (CONSTANT, LINEAR),
-}
-TITLES = {
-    "stribeck": "a Stribeck curve",
-    "stribeck-viscous": "a Stribeck curve with a viscous term",
-    "stribeck-gaussian": "a Gaussian Stribeck curve",
-    "stribeck-gaussian-viscous": "a Gaussian Stribeck curve with a viscous term",
-    "logarithmic": "a logarithmic curve",
-    "power": "a power curve",
+POSITIVE, UNIT_SPEED = ("Fs", "Fc", "v_s", "v_0", "p"), "v_1"
+PUBLISHED = {
+    name: Law(
+        name,
+        about.formula,
+        bounds={own: (0.0, None) for own in Formula.parse(about.formula).parameters if own in POSITIVE},
+        fix={UNIT_SPEED: 1.0} if UNIT_SPEED in about.formula else None,
+    )
+    for name, about in ABOUT.items()
 }
 
 

@@ -15,20 +15,19 @@ predictions are for a steady belt.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fitting.curve.band import covariances
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
+from fitting.driver.curves import FreeCurve, FrictionCurve
 from fitting.driver.fit import Fit
-from fitting.driver.formula import FormulaCurve
-from fitting.driver.task import free_curve
 from fitting.estimation.covariance import covariance
-from fitting.law import Law
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
@@ -38,10 +37,13 @@ from processing.statistics import StickSlipStatistics
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError
 from stickslip.output import atomic
+from stickslip.text import storable
+from stickslip.toml import quote
 from stickslip.units import Measured
 
 DERIVATIVE_STEP = 1e-6  # step over an unknown or, where that is larger, over its error: derivatives err by 1e-9
-# A break-away level above that of slip is written where it exceeds it by this many standard errors, and by this share.
+# A break-away level above that of a measured curve is written where it exceeds it by so many standard errors and this
+# share.
 # With 2 errors one in 40 contacts without such a level would be given one; 8 would hide a level twice as high.
 STATIC_ERRORS, LEAST_STATIC = 4.0, 0.005
 BREAK_AWAY_BLUR = 0.5  # how far smoothing moves a break-away found without a law, over its half-window
@@ -51,276 +53,282 @@ OWN_KEYS = ("law", "curve", "formula", "contact", "static", "d", "G_stick")
 LEAST_SCATTER = 2.0  # scatter of the levels over what noise makes of it: with less the scene has none
 
 
-class Calibration(NamedTuple):
-    """Conversion of the fit's units to a scene's: mass (kg) or stiffness (N/m), and the error of a metre."""
-
-    mass: Measured | None
-    stiffness: Measured | None
-    length_error: float
-
-    @property
-    def errors(self) -> tuple[float, float]:
-        """Standard deviations of the mass or stiffness, relative, and of lengths."""
-        known = self.mass or self.stiffness
-        return (known.sd / known.value if known else 0.0), self.length_error
-
-    def mass_for(self, K: float, factor: float) -> float:
-        """Return the mass (kg) for k/m = K, with ``factor`` on the calibration; 1 without one."""
-        if self.mass is not None:
-            return self.mass.value * factor
-        return self.stiffness.value * factor / K if self.stiffness is not None else 1.0
-
-
 @dataclass(frozen=True, eq=False)
 class FittedScene:
-    """The contents of the file: keys ``section.key`` in order with their values (n,) and covariance (n, n).
+    """The contents of the file: keys ``section.key`` in order with their values (n,) and covariance (n, n)."""
 
-    ``points`` are the slip speeds (m/s) of a measured curve, whose frictions are the last keys; ``scatter`` is the
-    standard deviation of the levels, of Fs.  A law given as a formula has its text and ``fixed`` parameters.
-    """
-
-    law: int
+    friction: Mapping[str, Any]  # of the section friction: law or formula, and what was not fitted
     keys: tuple[str, ...]
     values: Array
     covariance: Array
     cycles: int
-    points: Array
-    ramp: bool
-    scatter: float
-    formula: str = ""
-    fixed: Mapping[str, float] = field(default_factory=dict)
+    points: Array  # slip speeds (m/s) of a measured curve, whose frictions are the last keys
+    scatter: float  # standard deviation of the levels, of Fs
 
 
-def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene:
+@dataclass(frozen=True, eq=False)
+class FittedRig:
+    """A fit as a rig, at values ``unknowns`` (n,) of its shared unknowns and of its curve's."""
+
+    fit: Fit
+    motion: MeasuredMotion
+
+    @property
+    def unknowns(self) -> Array:
+        """Those at the fit."""
+        return self.fit.q[: sum(self.fit.task.widths[:2])].copy()
+
+    @property
+    def curve(self) -> FrictionCurve:
+        return self.fit.task.curve
+
+    @property
+    def slots(self) -> list[int]:
+        """The place of each shared unknown among the first run's, or -1."""
+        return [int(slot) for slot in columns(self.fit.places, len(self.fit.problem.runs))[0]]
+
+    @cached_property
+    def points(self) -> Array:
+        """The slip speeds of a free curve, m/s: its knots, and one more in the first and in the last piece.
+
+        A spline through points has no break at those next to its ends.
+        """
+        if not isinstance(self.curve, FreeCurve):
+            return np.empty(0)
+        knots = self.curve.spline.knots
+        return np.sort(np.concatenate((knots, [0.5 * (knots[0] + knots[1]), 0.5 * (knots[-2] + knots[-1])])))
+
+    @cached_property
+    def keys(self) -> dict[str, str]:
+        """The key of each parameter of the law in a scene, whose section friction has reserved keys."""
+        keys: dict[str, str] = {}
+        parameters = self.curve.law.curve.parameters if self.curve.law is not None else ()
+        for name in parameters:
+            key = name
+            while key in OWN_KEYS or (key != name and key in parameters):
+                key += "_"
+            keys[name] = key
+        return keys
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters of the law that were fitted."""
+        return tuple(self.keys) if self.curve.kind else self.curve.free
+
+    @property
+    def sized(self) -> bool:
+        """Whether the units of the law's parameters are known, so that they can be those of forces."""
+        law = self.curve.law
+        return law is None or bool(law.dimensions) or self.motion.per_mass
+
+    def q(self, unknowns: Array) -> Array:
+        return np.concatenate((unknowns, self.fit.q[unknowns.size :]))
+
+    def values(self, unknowns: Array) -> Values:
+        """Return the parameters of the first run."""
+        return values(self.fit.task.split(self.q(unknowns))[0][:PER_RUN])
+
+    def friction(self, unknowns: Array, s: Array) -> Array:
+        """Return friction per unit mass (m/s^2) at slip speeds s (k,)."""
+        return self.fit.task.friction(self.q(unknowns), s)
+
+    def at_rest(self, unknowns: Array) -> float:
+        return float(self.friction(unknowns, np.zeros(1))[0])
+
+    def mass(self, K: float, factor: float = 1.0) -> float:
+        """Return the mass (kg) for k/m = K, with ``factor`` on the calibration; 1 without one."""
+        if self.motion.mass is not None:
+            return self.motion.mass.value * factor
+        return self.motion.stiffness.value * factor / K if self.motion.stiffness is not None else 1.0
+
+    def scene(self, unknowns: Array, factor: float = 1.0, length: float = 1.0) -> dict[str, float]:
+        """Return the values of a scene, with ``factor`` on the mass or stiffness, and ``length`` metres a metre."""
+        p, law, sign = self.values(unknowns), self.curve.law, self.motion.sign
+        m = self.mass(p.K, factor)
+        scene = {
+            "mass.m": m,
+            "spring.k": p.K * m,
+            "spring.x0": sign * p.datum * length,
+            "belt.speed": sign * p.v_dr * length,
+            "damper.c": p.damping * m,
+            "droop.fraction": p.compliance * p.F / p.K / p.v_dr,
+            # speeds of the points are exact in the scene: a length's error is that of the belt's speed against them
+            "friction.d": p.d * (1.0 if law is None else length),
+            "friction.static": p.static,
+        }
+        u, theta, _ = self.fit.task.split(self.q(unknowns))
+        for name, value in self.curve.values(theta, u).items():
+            force, speed = (0, 0) if law is None else law.dimensions.get(name, (0, 0))
+            size = m**force if self.sized else 1.0
+            scene[f"friction.{self.keys[name]}"] = value * size * length ** (force + speed)
+        if self.points.size:
+            forces = m * self.friction(unknowns, self.points)
+            scene |= {f"friction.curve.{i}": float(force) for i, force in enumerate(forces)}
+        return scene
+
+    def names(self, *, static: bool) -> list[str]:
+        """Return the keys of a scene that were fitted; ``static`` is whether its break-away level is among them."""
+        names = [] if self.motion.per_mass else ["mass.m"]
+        names += ["spring.k", "spring.x0", "belt.speed", "damper.c"]
+        names += [f"friction.{self.keys[name]}" for name in self.free]
+        names += ["friction.d"] if self.curve.ramp else []
+        names += ["friction.static"] if static or Global.STATIC in self.slots else []
+        names += ["droop.fraction"] if Global.COMPLIANCE in self.slots and self.curve.kind else []
+        return names + [f"friction.curve.{i}" for i in range(self.points.size)]
+
+    def unfitted(self) -> dict[str, Any]:
+        """Return what a scene's section friction has besides the fitted keys."""
+        law = self.curve.law
+        if law is None:
+            return {"law": 0} | ({"contact": "ramp"} if self.curve.ramp else {})
+        if self.curve.kind:
+            return {"law": law.number}
+        text, scene = law.curve.renamed({a: b for a, b in self.keys.items() if a != b}).text, self.scene(self.unknowns)
+        fixed = {key: scene[f"friction.{key}"] for name, key in self.keys.items() if name not in self.free}
+        return {"formula": text if self.sized else f"{scene['mass.m']!r}*({text})"} | fixed
+
+
+class BreakAwayLevel(NamedTuple):
+    """Friction at the break-aways minus that at rest, m/s^2, at given unknowns, and the error that they do not have."""
+
+    excess: Callable[[Array], float]
+    sd: float
+    least: float  # excess over both errors, and over friction at rest, from which the contact has a level of its own
+    least_share: float
+
+
+def of_ranking(ranking: Ranking) -> FittedScene:
     """Return the scene of the best law, or of the measured curve; DataError where neither describes the record.
 
-    ``statistics`` are those of the first run.
+    Slips hardly constrain friction at rest.  Where the break-aways disagree with a law (finding ``break-away``), or no
+    law describes the record, the break-aways decide: a higher level is the contact's own, ``friction.static``; else the
+    curve passes through them, weighted by both errors.
     """
+    fit, measured = _choose(ranking)
+    rig = FittedRig(fit, ranking.motion)
+    if measured is None:
+        unknowns, spread = rig.unknowns, _held(covariance(fit), rig)
+        level = _level_of_law(ranking, rig)
+    else:
+        unknowns, spread = rig.unknowns + _move_of_rest(rig), _held(_covariance_of_curve(measured), rig)
+        level = _level_of_curve(measured, ranking.statistics[0], rig)
+    static = None
+    if level is not None:
+        gap, slopes = level.excess(unknowns), _slopes(level.excess, unknowns, spread)
+        along = np.einsum("ij,j->i", spread, slopes)
+        variance = float(np.sum(along * slopes)) + level.sd**2
+        rest = rig.at_rest(unknowns)
+        if gap > max(level.least * math.sqrt(variance), level.least_share * rest):
+            static = Measured(1 + gap / rest, level.sd / rest)
+        else:
+            unknowns = unknowns - along * gap / variance
+            spread = spread - np.outer(along, along) / variance
+    names = rig.names(static=static is not None)
+    numbers, spread = _propagated(rig, names, unknowns, spread)
+    if static is not None:
+        place = names.index("friction.static")
+        numbers[place], spread[place], spread[:, place] = static.value, 0.0, 0.0
+        spread[place, place] = static.sd**2
+    best = ranking.best.fit
+    return FittedScene(
+        friction=rig.unfitted(),
+        keys=tuple(names),
+        values=numbers,
+        covariance=_positive(spread),
+        cycles=len(best.rows),
+        points=rig.points,
+        scatter=_scatter(best),
+    )
+
+
+def _choose(ranking: Ranking) -> tuple[Fit, MeasuredCurve | None]:
+    """Return the fit that describes the record, with the measured curve where it is that one's."""
     adequacy = ranking.adequacy
-    if not adequacy.rejected and ranking.rows:
+    if ranking.rows and not adequacy.rejected:
         fit = ranking.best.fit
-        return of_law(ranking, fit) if fit.task.curve.kind else of_formula(ranking, fit)
+        if Global.COMPLIANCE in fit.places and not fit.task.curve.kind:
+            what = "no scene: a belt that slows under load is not modelled beside a formula"
+            raise DataError(what, "--save-scene", "leave it out")
+        return fit, None
     if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
         raise DataError(
             f"no scene: {adequacy.verdict}, and no friction curve describes the record",
             "--save-scene",
             "leave it out; departures in the report may say what is missing",
         )
-    return of_curve(ranking, adequacy.curve, statistics)
+    return adequacy.curve.spline_fit, adequacy.curve
 
 
-def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
-    motion = ranking.motion
-    law = fit.law.kind
-    slots = columns(fit.places, len(fit.problem.runs))[0]
-    known = slots >= 0
-    spread = covariance(fit, fit.least_squares.precision)[np.ix_(known, known)]
-    unknowns_of_run = fit.u[:PER_RUN]
-    static = None if law.ramp else _static(ranking)
-    names = ["spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs"]
-    names += {"hyperbolic": ["friction.gamma"], "linear": ["friction.G_slip"], "constant": []}[law.curve]
-    names += ["friction.d"] if law.ramp else []
-    names += ["friction.static"] if static or Global.STATIC in fit.places else []
-    names += ["droop.fraction"] if Global.COMPLIANCE in fit.places else []
-
-    def scene_of(unknowns: Array, calibration: Calibration, factor: float, length: float) -> dict[str, float]:
-        u = unknowns_of_run.copy()
-        u[slots[known]] = unknowns
-        p = values(u)
-        m = calibration.mass_for(p.K, factor)
-        return _rig_of(p, m, motion.sign, length) | {
-            "friction.Fs": p.F * m * length,
-            "friction.gamma": p.shape / length,
-            "friction.G_slip": p.shape * p.F * m,
-            "friction.d": p.d * length,
-            "friction.static": static.value if static else p.static,
-            "droop.fraction": p.compliance * p.F / p.K / p.v_dr,
-        }
-
-    if motion.datum_prior is None and law.curve != "hyperbolic":
-        spread = _held(spread, slots[known].tolist().index(Global.DATUM))
-    propagated = _propagated(scene_of, unknowns_of_run[slots[known]], spread, motion, names)
-    return _built(ranking, law.number, propagated, static, np.empty(0), ramp=False)
+def _level_of_law(ranking: Ranking, rig: FittedRig) -> BreakAwayLevel | None:
+    """Return the level of the break-aways where they disagree with the law; a belt that slows under load has none."""
+    finding = next((each for each in ranking.sides[0].findings if each.code == "break-away"), None)
+    if finding is None or Global.COMPLIANCE in rig.fit.places:
+        return None
+    rest = rig.at_rest(rig.unknowns)
+    level = rest * finding.value / finding.expected
+    return BreakAwayLevel(lambda q: level - rig.at_rest(q), abs(level - rest) / finding.sigmas, 0.0, 0.0)
 
 
-def of_formula(ranking: Ranking, fit: Fit) -> FittedScene:
-    """Return the scene of a formula; DataError where its belt slows under load, which a scene cannot have."""
-    motion, law, curve = ranking.motion, fit.law, fit.task.curve
-    if not isinstance(curve, FormulaCurve):
-        raise TypeError("not the fit of a formula")
-    places = [place % PER_RUN for place in fit.places if place < PER_RUN]
-    if Global.COMPLIANCE in places:
-        what = "no scene: a belt that slows under load is not modelled beside a formula"
-        raise DataError(what, "--save-scene", "leave it out")
-    index = [*(k for k, place in enumerate(fit.places) if place < PER_RUN), *range(len(fit.places), fit.q.size)]
-    spread = covariance(fit, fit.least_squares.precision)[np.ix_(index, index)]
-    if motion.datum_prior is None and fit.held_rest is not None:
-        spread = _held(spread, places.index(Global.DATUM))
-    taken = _scene_names(law)
-    sized = bool(law.dimensions) or ranking.motion.per_mass
-    static = None if fit.problem.ramp else _static(ranking)
-    names = ["spring.k", "spring.x0", "belt.speed", "damper.c"]
-    names += [f"friction.{taken[name]}" for name in curve.free]
-    names += ["friction.d"] if fit.problem.ramp else []
-    names += ["friction.static"] if static else []
+def _level_of_curve(curve: MeasuredCurve, statistics: StickSlipStatistics, rig: FittedRig) -> BreakAwayLevel | None:
+    """Return the level of the break-aways by their positions, which need no law; None on a ramp, or with too few."""
+    place = None if curve.ramp else _break_away_position(statistics, rig.motion)
+    if place is None:
+        return None
 
-    def scene_of(unknowns: Array, calibration: Calibration, factor: float, length: float) -> dict[str, float]:
-        u = fit.u[:PER_RUN].copy()
-        u[places] = unknowns[: len(places)]
-        p = values(u)
-        m = calibration.mass_for(p.K, factor)
-        scene = _rig_of(p, m, motion.sign, length)
-        scene |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
-        for name, value in curve.values(u, unknowns[len(places) :]).items():
-            force, speed = law.dimensions.get(name, (0, 0))
-            scene[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
-        return scene
+    def excess(unknowns: Array) -> float:
+        p = rig.values(unknowns)
+        return p.K * (place.value - p.datum) + p.damping * p.v_dr - rig.at_rest(unknowns)
 
-    propagated = _propagated(scene_of, fit.q[index], spread, motion, names)
-    calibration = Calibration(motion.mass, motion.stiffness, motion.length_error)
-    at_fit = scene_of(fit.q[index], calibration, 1.0, 1.0)
-    keys = [f"friction.{taken[name]}" for name in law.curve.parameters if name not in curve.free]
-    text = law.curve.renamed({name: key for name, key in taken.items() if name != key}).text
-    built = _built(ranking, 0, propagated, static, np.empty(0), ramp=fit.problem.ramp)
-    return replace(
-        built,
-        formula=text if sized else f"{calibration.mass_for(fit.values.K, 1.0)!r}*({text})",
-        fixed={key.removeprefix("friction."): at_fit[key] for key in keys},
-    )
+    return BreakAwayLevel(excess, curve.spline_fit.values.K * place.sd, STATIC_ERRORS, LEAST_STATIC)
 
 
-def _scene_names(law: Law) -> dict[str, str]:
-    """Return the key of each parameter of a formula in a scene, whose friction section has reserved keys."""
-    keys: dict[str, str] = {}
-    for name in law.curve.parameters:
-        key = name
-        while key in OWN_KEYS or (key != name and key in law.curve.parameters):
-            key += "_"
-        keys[name] = key
-    return keys
-
-
-def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
-    """Return the scene of the measured curve.
-
-    Slips hardly constrain friction at rest, break-aways do: unless they are significantly above the curve, it passes
-    through them, weighted by both errors.
-    """
-    spline_fit, motion = curve.spline_fit, ranking.motion
-    spline, basis = spline_fit.spline, free_curve(spline_fit.task).basis
-    knots = spline.knots
-    # one more point in the first and in the last piece: a spline through points has no break at those next to its ends
-    points = np.sort(np.concatenate((knots, [0.5 * (knots[0] + knots[1]), 0.5 * (knots[-2] + knots[-1])])))
-    matrix = spline.basis(points)
-    places = list(spline_fit.places)
-    unknowns = spline_fit.solution.u.copy()
-    datums = [i for i, place in enumerate(places) if place % PER_RUN == Global.DATUM]
-    if motion.datum_prior is None:
-        default = datum_calibration(motion) if spline_fit.held_rest is None else spline_fit.held_rest
-        unknowns[datums] += _other_rest(spline_fit, unknowns, datums[0], default.value)
-    slots = columns(tuple(places), len(ranking.sides))[0]
-
-    def values_at(unknowns: Array) -> Values:
-        u = spline_fit.u[:PER_RUN].copy()
-        u[slots[slots >= 0]] = unknowns[: len(places)][slots >= 0]
-        return values(u)
-
-    noise, scattered = covariances(curve.linear)
-    wider = np.sqrt(np.maximum(np.diag(noise) / np.maximum(np.diag(scattered), 1e-300), 1.0))
-    spread = scattered * wider[:, None] * wider
-    if motion.datum_prior is None:
-        spread = _held(spread, datums[0])
-
-    static = None
-    broken = None if curve.ramp else _break_away_position(statistics, motion)
-    if broken is not None:
-        place = broken.value
-
-        def above(unknowns: Array) -> float:
-            """Return the load at the break-aways minus the curve at rest, m/s^2."""
-            p = values_at(unknowns)
-            return p.K * (place - p.datum) + p.damping * p.v_dr - float(basis.coefficients(unknowns)[0])
-
-        gap, slopes = above(unknowns), _slopes(above, unknowns, spread)
-        along = np.einsum("ij,j->i", spread, slopes)
-        placed = (spline_fit.values.K * broken.sd) ** 2
-        variance = float(np.sum(along * slopes)) + placed
-        rest = float(basis.coefficients(unknowns)[0])
-        if gap > max(STATIC_ERRORS * math.sqrt(variance), LEAST_STATIC * rest):
-            static = Measured(1 + gap / rest, math.sqrt(placed) / rest)
-        else:
-            unknowns = unknowns - along * gap / variance
-            spread = spread - np.outer(along, along) / variance
-    names = ["spring.k", "spring.x0", "belt.speed", "damper.c"]
-    names += ["friction.d"] if curve.ramp else []
-    names += ["friction.static"] if static else []
-    names += [f"friction.curve.{i}" for i in range(points.size)]
-
-    def scene_of(unknowns: Array, calibration: Calibration, factor: float, length: float) -> dict[str, float]:
-        p = values_at(unknowns)
-        m = calibration.mass_for(p.K, factor)
-        friction = m * np.einsum("ij,j->i", matrix, basis.coefficients(unknowns))
-        # speeds of the points are exact in the scene: a length's error is that of the belt's speed against them
-        return (
-            _rig_of(p, m, motion.sign, length)
-            | {"friction.d": p.d, "friction.static": static.value if static else 1.0}
-            | {f"friction.curve.{i}": float(F) for i, F in enumerate(friction)}
-        )
-
-    propagated = _propagated(scene_of, unknowns, spread, motion, names)
-    return _built(ranking, 0, propagated, static, points, ramp=bool(curve.ramp))
-
-
-def _held(spread: Array, place: int) -> Array:
-    """Return a covariance (p, p) where the unknown at ``place`` is fixed."""
+def _held(spread: Array, rig: FittedRig) -> Array:
+    """Return a covariance (p, p) with the rest position fixed, where nothing but the assumption determines it."""
+    fit, curve = rig.fit, rig.curve
+    assumed = curve.law is None or fit.held_rest is not None or curve.kind in ("constant", "linear")
+    if rig.motion.datum_prior is not None or not assumed:
+        return spread
+    place = rig.slots.index(Global.DATUM)
     if not spread[place, place] > 0:
         return spread
     return np.asarray(spread - np.outer(spread[place], spread[place]) / spread[place, place])
 
 
-def _other_rest(fit: Fit, unknowns: Array, place: int, default: float) -> float:
-    """Return the move of the spring's rest (m), and of the curve with it: see the module."""
-    moved = unknowns.copy()
-    moved[place] = default
-    lowest = fit.spline.with_coefficients(free_curve(fit.task).basis.coefficients(moved))
-    friction = lowest(np.linspace(0.0, fit.spline.knots[-1], 20 * fit.spline.knots.size))
-    fall = float(np.ptp(friction))
-    missing = max(0.0, LEAST_FRICTION * fall - float(friction.min()))
-    return default - float(unknowns[place]) - missing / fit.values.K
+def _covariance_of_curve(curve: MeasuredCurve) -> Array:
+    """Return the covariance by the scatter between cycles, no smaller than the noise makes each variance."""
+    noise, scattered = covariances(curve.linear)
+    wider = np.sqrt(np.maximum(np.diag(noise) / np.maximum(np.diag(scattered), 1e-300), 1.0))
+    return np.asarray(scattered * wider[:, None] * wider)
 
 
-def _rig_of(p: Values, m: float, sign: float, length: float) -> dict[str, float]:
-    return {
-        "mass.m": m,
-        "spring.k": p.K * m,
-        "spring.x0": sign * p.datum * length,
-        "belt.speed": sign * p.v_dr * length,
-        "damper.c": p.damping * m,
-    }
+def _move_of_rest(rig: FittedRig) -> Array:
+    """Return the move of the unknowns (n,) to the spring's rest that a measured curve is given: see the module."""
+    moved = np.zeros(rig.unknowns.size)
+    if rig.motion.datum_prior is not None:
+        return moved
+    place = rig.slots.index(Global.DATUM)
+    default = rig.fit.held_rest or datum_calibration(rig.motion)
+    moved[place] = default.value - rig.unknowns[place]
+    knots = rig.fit.spline.knots
+    friction = rig.friction(rig.unknowns + moved, np.linspace(0.0, knots[-1], 20 * knots.size))
+    missing = max(0.0, LEAST_FRICTION * float(np.ptp(friction)) - float(friction.min()))
+    moved[place] -= missing / rig.fit.values.K
+    return moved
 
 
-def _propagated(
-    scene_of: Callable[[Array, Calibration, float, float], dict[str, float]],
-    unknowns: Array,
-    spread: Array,
-    motion: MeasuredMotion,
-    names: list[str],
-) -> tuple[list[str], Array, Array]:
-    """Return names, values and covariance of the scene's keys, the calibrations' errors included."""
-    calibration = Calibration(motion.mass, motion.stiffness, motion.length_error)
-    names = ["mass.m", *names] if not motion.per_mass else names
-    n = unknowns.size
-    start = np.concatenate((unknowns, [1.0, 1.0]))
-    whole = np.zeros((n + 2, n + 2))
+def _propagated(rig: FittedRig, names: list[str], unknowns: Array, spread: Array) -> tuple[Array, Array]:
+    """Return values and covariance of a scene's keys ``names``, the errors of mass, stiffness and metres included."""
+    n, known = unknowns.size, rig.motion.mass or rig.motion.stiffness
+    start, whole = np.concatenate((unknowns, [1.0, 1.0])), np.zeros((n + 2, n + 2))
     whole[:n, :n] = spread
-    whole[n, n], whole[n + 1, n + 1] = (error**2 for error in calibration.errors)
+    whole[n, n], whole[n + 1, n + 1] = (known.sd / known.value if known else 0.0) ** 2, rig.motion.length_error**2
 
     def row(u: Array) -> Array:
-        found = scene_of(u[:n], calibration, float(u[n]), float(u[n + 1]))
-        return np.array([found[name] for name in names])
+        scene = rig.scene(u[:n], float(u[n]), float(u[n + 1]))
+        return np.array([scene[name] for name in names])
 
     slopes = _slopes(row, start, whole)
-    return names, row(start), np.asarray(np.einsum("ik,kl,jl->ij", slopes, whole, slopes))
+    return row(start), np.asarray(np.einsum("ik,kl,jl->ij", slopes, whole, slopes))
 
 
 def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array) -> Array:
@@ -333,32 +341,6 @@ def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array)
     return np.stack(columns_of, axis=-1)
 
 
-def _built(
-    ranking: Ranking,
-    law: int,
-    propagated: tuple[list[str], Array, Array],
-    static: Measured | None,
-    points: Array,
-    *,
-    ramp: bool,
-) -> FittedScene:
-    names, numbers, spread = propagated
-    if static:
-        place = names.index("friction.static")
-        spread[place, place] = static.sd**2
-    fit = ranking.best.fit
-    return FittedScene(
-        law=law,
-        keys=tuple(names),
-        values=numbers,
-        covariance=_positive(spread),
-        cycles=len(fit.rows),
-        points=points,
-        ramp=ramp,
-        scatter=_scatter(fit),
-    )
-
-
 def _positive(spread: Array) -> Array:
     """Return a covariance without the rounding errors of directions with next to no variance."""
     scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
@@ -366,15 +348,6 @@ def _positive(spread: Array) -> Array:
     root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
     positive = np.asarray(np.einsum("ik,jk->ij", root, root))
     return np.asarray(0.5 * (positive + positive.T))
-
-
-def _static(ranking: Ranking) -> Measured | None:
-    """Return the break-away level over Fs where it is significantly above 1."""
-    ratio = np.array([e.break_away_level for e in ranking.events if e.flag == "" and math.isfinite(e.break_away_level)])
-    if ratio.size < FEWEST_LEVELS:
-        return None
-    mean, error = float(np.mean(ratio)), float(np.std(ratio, ddof=1) / math.sqrt(ratio.size))
-    return Measured(mean, error) if mean - 1 > max(STATIC_ERRORS * error, LEAST_STATIC) else None
 
 
 def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion) -> Measured | None:
@@ -407,67 +380,57 @@ def _scatter(fit: Fit) -> float:
 
 
 def text(scene: FittedScene, ranking: Ranking, run: Path) -> str:
+    """Return the TOML file of a scene fitted to a ``run``."""
     values = dict(zip(scene.keys, scene.values.tolist(), strict=True))
     assumed = "mass.m" not in values
-    mass = values.get("mass.m", 1.0)
-    curve = [values[f"friction.curve.{i}"] for i in range(scene.points.size)]
-    lines = [f"# Fitted rig, written by fit-friction from {_quoted(run.name)}."]
-    if assumed:
-        lines.append(
-            "# No mass or stiffness is known: mass 1 kg is assumed, so that N here are N per kg of the rig's mass."
-        )
-    kind = f"law {scene.law}" if scene.law else ranking.best.label if scene.formula else "measured curve"
-    lines += [f"title = {_quoted(f'fitted to {run.name}: {kind}')}"]
-    lines += [
-        "",
-        "[mass]",
-        f"m = {mass!r}",
-        "",
-        "[spring]",
-        f"k = {values['spring.k']!r}",
-        f"x0 = {values['spring.x0']!r}",
-    ]
-    lines += [
-        "",
-        "[belt]",
-        f"speed = {values['belt.speed']!r}",
-        "",
-        "[damper]",
-        f"c = {max(values['damper.c'], 0.0)!r}",
-    ]
-    lines += ["", "[start]", f"x = {values['spring.x0']!r}", "", "[friction]"]
-    lines += [f"formula = {_quoted(scene.formula)}" if scene.formula else f"law = {scene.law}"]
-    lines += [f"{key} = {value!r}" for key, value in scene.fixed.items()]
-    lines += [
-        f"{name.removeprefix('friction.')} = {value!r}"
+    kind = "measured curve" if scene.points.size else ranking.best.label
+    per_kg = ["# No mass or stiffness is known: mass 1 kg is assumed, so that N here are N per kg of the rig's mass."]
+    friction = dict(scene.friction) | {
+        name.removeprefix("friction."): value
         for name, value in values.items()
         if name.startswith("friction.") and not name.startswith("friction.curve.")
-    ]
-    if curve:
-        lines += ['contact = "ramp"'] if scene.ramp else []
-        lines += ["# slip speed in m/s, friction in N" + (" per kg" if assumed else ""), "curve = ["]
-        lines += [f"    [{s!r}, {F!r}]," for s, F in zip(scene.points.tolist(), curve, strict=True)]
-        lines += ["]"]
+    }
+    if scene.points.size:
+        forces = [values[f"friction.curve.{i}"] for i in range(scene.points.size)]
+        friction["curve"] = [list(pair) for pair in zip(scene.points.tolist(), forces, strict=True)]
+    sections: dict[str, dict[str, Any]] = {
+        "mass": {"m": values.get("mass.m", 1.0)},
+        "spring": {"k": values["spring.k"], "x0": values["spring.x0"]},
+        "belt": {"speed": values["belt.speed"]},
+        "damper": {"c": max(values["damper.c"], 0.0)},
+        "start": {"x": values["spring.x0"]},
+        "friction": friction,
+    }
     if "droop.fraction" in values:
-        lines += ["", "[droop]", f"fraction = {max(values['droop.fraction'], 0.0)!r}"]
+        sections["droop"] = {"fraction": max(values["droop.fraction"], 0.0)}
     if scene.scatter > 0:
-        lines += ["", "[scatter]", f"Fs = {scene.scatter!r}"]
-    lines += ["", "[fit]", f"verdict = {_quoted(ranking.verdict)}", f"cycles = {scene.cycles}"]
-    lines += [f"mass_assumed = {str(assumed).lower()}"]
-    lines += ["parameters = [" + ", ".join(_quoted(name) for name in scene.keys) + "]"]
-    lines += [f"values = {scene.values.tolist()!r}", "covariance = ["]
-    lines += [f"    {row!r}," for row in scene.covariance.tolist()]
-    return "\n".join([*lines, "]"]) + "\n"
+        sections["scatter"] = {"Fs": scene.scatter}
+    sections["fit"] = {"verdict": ranking.verdict, "cycles": scene.cycles, "mass_assumed": assumed}
+    sections["fit"] |= {"parameters": list(scene.keys), "values": scene.values.tolist()}
+    sections["fit"] |= {"covariance": scene.covariance.tolist()}
+    lines = [f"# Fitted rig, written by fit-friction from {_toml(run.name)}.", *(per_kg if assumed else [])]
+    lines += [f"title = {_toml(f'fitted to {run.name}: {kind}')}"]
+    for section, content in sections.items():
+        lines += ["", f"[{section}]", *(f"{key} = {_toml(value)}" for key, value in content.items())]
+    return "\n".join(lines) + "\n"
 
 
-def _quoted(words: str) -> str:
-    plain = words.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(letter if letter.isprintable() else " " for letter in plain) + '"'
+def _toml(value: Any) -> str:
+    """Return a value in TOML; the rows of a table are on lines of their own."""
+    if isinstance(value, str):
+        return quote(storable(value))
+    if isinstance(value, bool):
+        return str(value).lower()
+    if not isinstance(value, list):
+        return repr(value)
+    if value and isinstance(value[0], list):
+        return "[\n" + "".join(f"    {_toml(row)},\n" for row in value) + "]"
+    return f"[{', '.join(map(_toml, value))}]"
 
 
-def save(path: Path, ranking: Ranking, statistics: StickSlipStatistics, run: Path) -> None:
+def save(path: Path, ranking: Ranking, run: Path) -> None:
     """Write the scene of a ranking, in place of an older file: see `refuse_existing`."""
-    content = text(of_ranking(ranking, statistics), ranking, run)
+    content = text(of_ranking(ranking), ranking, run)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(content, encoding="utf-8")
 

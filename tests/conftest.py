@@ -71,7 +71,7 @@ def empty_pictures() -> Iterator[None]:
 
     names = [picture.__name__ for picture in (*pictures.PICTURES, pictures.break_aways)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pictures, "draw", lambda ranking, counted: dict.fromkeys(names, "<svg></svg>"))
+        patch.setattr(pictures, "draw", lambda ranking: dict.fromkeys(names, "<svg></svg>"))
         yield
 
 

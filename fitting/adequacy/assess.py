@@ -3,7 +3,7 @@
 `measure` judges the nearest of the six and measures the curve; `assess` concludes, once all laws have competed.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,6 +12,7 @@ import numpy as np
 from fitting import noise_levels
 from fitting.adequacy.goodness import GoodnessOfFit, RunSlips, goodness_of_fit, judge
 from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_SPEED, Adequacy
+from fitting.adequacy.statistics import cycle_squares
 from fitting.adequacy.struck import left_out
 from fitting.adequacy.visible import smallest_visible
 from fitting.competitors import ALL_LAWS
@@ -19,23 +20,22 @@ from fitting.curve.measure import furthest_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
-from fitting.departures.explain import Question, explain_misfit
+from fitting.departures.explain import Refit, explain_misfit
 from fitting.departures.fluctuation import fluctuation_share
-from fitting.departures.refit import Refit
-from fitting.departures.result import FoundDeparture
+from fitting.departures.result import FittedDeparture
 from fitting.driver.fit import Fit
-from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.linearised import LinearisedFit, Repeat
 from fitting.law import Law
+from fitting.least_squares.problem import Block
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
-from stickslip.compute.arrays import Array
+from stickslip.compute.arrays import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
     fit: Fit
-    linearised: LinearisedFit | None
-    usual: LinearisedFit | None
+    faults: Mask | None  # (cycles,) those that a fault of the record spoilt; None where derivatives cannot be followed
     slips: tuple[RunSlips, ...]
     together: GoodnessOfFit
     each: tuple[GoodnessOfFit, ...]
@@ -44,6 +44,16 @@ class Judged:
     def noise(self) -> Array:
         """Standard deviation of one position of each run, m, (runs,)."""
         return np.array([own.noise_m for own in self.slips])
+
+    @property
+    def linearised(self) -> LinearisedFit | None:
+        return None if self.faults is None else LinearisedFit.at(self.fit)
+
+    @property
+    def usual(self) -> LinearisedFit | None:
+        """The fit without these cycles."""
+        linear = self.linearised
+        return None if linear is None or self.faults is None else linear.without(self.faults)
 
 
 def measure(
@@ -92,16 +102,14 @@ def assess(
         outcome = NONE_FITTED
     else:
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
-    departures: tuple[FoundDeparture, ...] = ()
+    departures: tuple[FittedDeparture, ...] = ()
     if curve is not None and rejected and explain:
         departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
     if rejected and explain and not departures and chosen.linearised is not None:
-        path = chosen.fit.path
-        if path is not None:
-            base = Base.of(chosen.linearised, path, motions, revolution)
-            count_repeated = partial(_count_repeated, chosen.slips)
-            fluctuation = fluctuation_share(base, chosen.fit, count_repeated, float(np.max(noise)))
+        base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
+        if base is not None:
+            fluctuation = fluctuation_share(base, partial(_count_repeated, chosen), float(np.max(noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,
@@ -149,17 +157,16 @@ def describing(
     }
 
 
-def _count_repeated(slips: Sequence[RunSlips], residuals: Array) -> Array:
+def _count_repeated(chosen: Judged, residuals: Array) -> Array:
     """Return the share of residuals (N, B) that repeats from slip to slip, the mean over the runs' slips, (B,)."""
-    judged = [own for own in slips if own.judged]
-    repeated = [own.bins.statistics(residuals).repeat for own in judged]
+    judged, squares = [own for own in chosen.slips if own.bins.judged], cycle_squares(residuals, chosen.fit.rows)
+    repeated = [own.bins.statistics(residuals, squares[own.counted]).repeat for own in judged]
     return np.asarray(np.average(repeated, axis=0, weights=[own.bins.slips for own in judged]))
 
 
 def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
-    if chosen.usual is None:
-        return (None,) * len(motions)
-    return smallest_visible(chosen.fit, chosen.usual, chosen.slips)
+    usual = chosen.usual
+    return (None,) * len(motions) if usual is None else smallest_visible(chosen.fit, usual, chosen.slips)
 
 
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
@@ -184,35 +191,35 @@ def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:
     linearised = LinearisedFit.at(fit)
     if linearised is None:
         # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
-        usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
-        slips = judge(fit.residual, _unchanged, fit, motions, nowhere)
+        faults, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
+        slips = judge(fit.residual, partial(_unchanged, fit.windows.blocks), fit, motions, nowhere)
     else:
-        usual, slips = _judged_without_faults(linearised, lambda: fit.path, fit, fit.windows, motions)
-    return Judged(fit, linearised, usual, slips, *goodness_of_fit(slips))
+        faults, slips = _judged_without_faults(linearised, fit.path_in, fit, fit.windows, motions)
+    return Judged(fit, faults, slips, *goodness_of_fit(slips))
 
 
-def _unchanged(residuals: Array) -> Array:
-    return residuals
+def _unchanged(blocks: Sequence[Block], residuals: Repeat) -> Iterator[tuple[Block, Array]]:
+    return zip(blocks, residuals(blocks), strict=True)
 
 
 def _judged_without_faults(
     linear: LinearisedFit,
-    path: Callable[[], Path | None],
+    path_in: Callable[[Block], Path | None],
     fit: Fit,
     windows: ShootingWindows,
     motions: Sequence[MeasuredMotion],
-) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:
-    """Return the fit without the cycles that a fault of the record spoilt, and the slips; makes ``path`` if needed."""
+) -> tuple[Mask, tuple[RunSlips, ...]]:
+    """Return the cycles (cycles,) that a fault of the record spoilt, and the slips of the fit without them."""
     spoilt = windows.spoilt(linear.residual)
     landings = np.array([cycle.landing for cycle in fit.cycles])
-    faults = left_out(path() if spoilt.any() else None, linear, landings, spoilt, windows.run)
+    faults = left_out(path_in, linear, landings, spoilt, windows.run)
     usual = linear.without(faults)
-    return usual, judge(usual.residual, usual.refit, fit, motions, faults, windows)
+    return faults, judge(usual.residual, usual.refit, fit, motions, faults, windows)
 
 
 def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
     fit = curve.spline_fit
-    _, slips = _judged_without_faults(curve.linear, lambda: fit.path, fit, fit.windows, motions)
+    _, slips = _judged_without_faults(curve.linear, fit.path_in, fit, fit.windows, motions)
     return goodness_of_fit(slips)[0]
 
 
@@ -222,12 +229,12 @@ def _departures(
     motions: Sequence[MeasuredMotion],
     noise: Array,
     revolution: float | None,
-) -> tuple[FoundDeparture, ...]:
+) -> tuple[FittedDeparture, ...]:
     """Return the departures with which a law describes the runs; ``fits``, best first."""
 
     def describes(refit: Refit) -> bool:
-        fit = next(fit for fit in fits if fit.law == refit.law)
-        _, slips = _judged_without_faults(refit.linear, lambda: refit.path, fit, refit.path.windows, motions)
+        base = refit.base
+        _, slips = _judged_without_faults(base.linear, refit.fit.path_in, refit.fit, base.path.windows, motions)
         return not goodness_of_fit(slips)[0].rejected
 
-    return explain_misfit(Question.of(fits, motions, float(np.max(noise)), revolution), curve, describes)
+    return explain_misfit(fits, curve, motions, float(np.max(noise)), revolution, describes)

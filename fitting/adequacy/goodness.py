@@ -9,24 +9,24 @@ gives the same number.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 
 import numpy as np
 
 from fitting.adequacy.noise import PositionNoise, estimate_noise
-from fitting.adequacy.statistics import CycleSquares, SlipBins, SlipStatistics, cycle_squares
+from fitting.adequacy.statistics import SlipBins, Statistics, cycle_squares
 from fitting.data.frame import MeasuredMotion
-from fitting.distributions import gamma_tail, gamma_upper_quantile
+from fitting.distributions import gamma_tail
 from fitting.driver.fit import Fit
+from fitting.estimation.linearised import Repeat
+from fitting.least_squares.problem import MOST_AT_ONCE, Block
 from fitting.model.windows import SPOILT, ShootingWindows
-from stickslip.compute.arrays import Array, Mask
+from stickslip.compute.arrays import Array, Integers, Mask
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13  # seed of the repetitions: the same for every record
-MOST_AT_ONCE = 2_000_000  # residuals held at a time: 16 MB an array
-FEWEST_SLIPS = 2  # at least: what repeats needs two
 # Probability below which noise is not what made the residuals.  The tails are those of a gamma distribution with the
 # moments of 60 repetitions of a linearised refit, so small probabilities are rough; 1e-6 is five standard deviations.
 REJECTED = 1e-6
@@ -69,32 +69,50 @@ class RunSlips:
     noise: PositionNoise
     noise_m: float  # standard deviation of one position, m
     bins: SlipBins
-    seen: SlipStatistics  # of the record
-    null_sums: Array  # (bins, B) sums of the residuals of the repetitions, and of their squares, in each bin
-    null_squares: Array
-    cycles: CycleSquares  # of the record, and of the repetitions
-    null_cycles: CycleSquares
+    lag1: float  # autocorrelation of neighbouring residuals of the record
+    seen: Statistics  # of the record
+    null: Statistics  # of the repetitions
     counted: Mask  # (cycles,) which cycles of all runs these are
     left_out: tuple[int, ...]  # numbers of the run's cycles that are not judged
 
-    @cached_property
-    def null(self) -> SlipStatistics:
-        return self.bins.combine(self.null_sums, self.null_squares)
 
-    @property
-    def judged(self) -> bool:
-        return self.bins.slips >= FEWEST_SLIPS
+class Repetitions:
+    """Draws of a run's noise, repeated block by block of its samples: the same each time."""
 
-    def limits(self, p: float) -> tuple[float, float, float]:
-        """Return the values of `repeat`, `smooth` and rms (m) that reject noise; inf for a statistic not judged."""
-        found = (self.null.repeat - least(self.bins), self.null.smooth, self.null_cycles.rms)
-        repeat, smooth, rms = (limit(p / TESTS, null) for null in found)
-        return repeat, smooth, NOISE_KNOWN * rms
+    def __init__(self, noise: PositionNoise, rng: np.random.Generator, samples: int) -> None:
+        self.noise, self.begin = noise, rng.bit_generator.state
+        for first in range(0, 0 if noise.rounded_alone else samples, MOST_AT_ONCE):
+            rng.standard_normal(min(MOST_AT_ONCE, samples - first))
+        self.shift = float(rng.uniform(-0.5, 0.5)) if noise.pitch else 0.0
+
+    def restart(self) -> np.random.Generator:
+        rng = np.random.default_rng()
+        rng.bit_generator.state = self.begin
+        return rng
+
+
+def draw_noise(
+    repeated: Sequence[Sequence[Repetitions]],
+    position: Array,
+    velocity: Array,
+    owner: Integers,
+    blocks: Sequence[Block],
+) -> Iterator[Array]:
+    """Yield repetitions (n, B) of the noise in each block, m, from those ``repeated`` of each run."""
+    rngs = [[one.restart() for one in runs] for runs in repeated]
+    for block in blocks:
+        run, x, v = owner[block.rows], position[block.rows], velocity[block.rows]
+        drawn = np.empty((run.size, len(repeated)))
+        for j, runs in enumerate(repeated):
+            for k, (one, rng) in enumerate(zip(runs, rngs[j], strict=True)):
+                own = run == k
+                drawn[own, j] = one.noise.draw(x[own], v[own], rng, one.shift)
+        yield drawn
 
 
 def judge(
     residual: Array,
-    refit: Callable[[Array], Array],
+    refit: Callable[[Repeat], Iterable[tuple[Block, Array]]],
     fit: Fit,
     motions: Sequence[MeasuredMotion],
     left_out: Mask,
@@ -118,48 +136,37 @@ def judge(
     landings = np.array([cycle.landing for cycle in fit.cycles])
     judged = [~left_out & (windows.run == run) for run in range(len(motions))]
     bins = [SlipBins.cut(windows, landings, own, run) for run, own in enumerate(judged)]
-    repeated: list[list[tuple[Array, Array, Array]]] = [[] for _ in motions]
-    rng = np.random.default_rng(SEED)
-    at_once = max(1, min(REPETITIONS, MOST_AT_ONCE // position.size))
-    for first in range(0, REPETITIONS, at_once):
-        drawn = np.empty((position.size, min(at_once, REPETITIONS - first)))
-        for j in range(drawn.shape[1]):
-            for run, noise in enumerate(noises):
-                own = owner == run
-                drawn[own, j] = noise.draw(position[own], velocity[own], rng)
-        left = refit(drawn)
-        for run, cut in enumerate(bins):
-            if cut.slips >= FEWEST_SLIPS:
-                squares = cycle_squares(left, windows.rows)[judged[run]]
-                repeated[run].append((cut.sums(left), cut.sums(left**2), squares))
-    seen_squares = cycle_squares(residual[:, None], windows.rows)
-    found = []
-    for run, (noise, cut, draws) in enumerate(zip(noises, bins, repeated, strict=True)):
-        parts = [np.hstack(part) for part in zip(*draws, strict=True)] if draws else [np.zeros((0, 1))] * 3
-        own = np.flatnonzero(windows.run == run)
-        found.append(
-            RunSlips(
-                noise=noise,
-                noise_m=noise.sd(velocity[owner == run]),
-                bins=cut,
-                seen=cut.statistics(residual[:, None]) if draws else SlipStatistics(*np.zeros((4, 1))),
-                null_sums=parts[0],
-                null_squares=parts[1],
-                cycles=CycleSquares(seen_squares[judged[run]]),
-                null_cycles=CycleSquares(parts[2]),
-                counted=judged[run],
-                left_out=tuple(fit.cycles[k].number for k in own if left_out[k]),
-            )
+    rng, samples = np.random.default_rng(SEED), np.bincount(owner, minlength=len(motions)).tolist()
+    repeated = [
+        [Repetitions(noise, rng, n) for noise, n in zip(noises, samples, strict=True)] for _ in range(REPETITIONS)
+    ]
+    parts = []
+    for block, left in refit(partial(draw_noise, repeated, position, velocity, owner)):
+        squares = cycle_squares(left, windows.rows[block.cycles])
+        parts.append((squares, *(part for cut in bins for part in (cut.sums(left, block), cut.sums(left**2, block)))))
+    null_squares, *null_sums = (np.concatenate(part) for part in zip(*parts, strict=True))
+    squares = cycle_squares(residual[:, None], windows.rows)
+    return tuple(
+        RunSlips(
+            noise=noise,
+            noise_m=noise.sd(velocity[owner == run]),
+            bins=cut,
+            lag1=cut.lag1(residual),
+            seen=cut.statistics(residual[:, None], squares[judged[run]]),
+            null=cut.combine(null_sums[2 * run], null_sums[2 * run + 1], null_squares[judged[run]]),
+            counted=judged[run],
+            left_out=tuple(fit.cycles[k].number for k in np.flatnonzero(left_out & (windows.run == run))),
         )
-    return tuple(found)
+        for run, (noise, cut) in enumerate(zip(noises, bins, strict=True))
+    )
 
 
 def goodness_of_fit(slips: Sequence[RunSlips]) -> tuple[GoodnessOfFit, tuple[GoodnessOfFit, ...]]:
     each = [
         GoodnessOfFit(
             noise_m=own.noise_m,
-            misfit=float(own.cycles.rms[0]) / own.noise_m if own.noise_m > 0 else math.inf,
-            lag1=float(own.seen.lag1[0]),
+            misfit=float(own.seen.rms[0]) / own.noise_m if own.noise_m > 0 else math.inf,
+            lag1=own.lag1,
             repeat=float(own.seen.repeat[0]),
             p_value=probability(own),
             left_out=own.left_out,
@@ -181,15 +188,15 @@ def goodness_of_fit(slips: Sequence[RunSlips]) -> tuple[GoodnessOfFit, tuple[Goo
 
 
 def probability(slips: RunSlips) -> float | None:
-    if not slips.judged:
+    if not slips.bins.judged:
         return None
-    begin, cycles, null = least(slips.bins), slips.cycles, slips.null_cycles
-    worst = float(cycles.worst[0])
+    begin, null = least(slips.bins), slips.null
+    repeat, smooth, worst, rms = (float(seen[0]) for seen in slips.seen)
     found = (
-        tail(float(slips.seen.repeat[0]) - begin, slips.null.repeat - begin),
-        tail(float(slips.seen.smooth[0]), slips.null.smooth),
+        tail(repeat - begin, null.repeat - begin),
+        tail(smooth, null.smooth),
         tail(worst, null.worst) if worst > SPOILT else None,
-        tail(float(cycles.rms[0]) / NOISE_KNOWN, null.rms),
+        tail(rms / NOISE_KNOWN, null.rms),
     )
     return _corrected(found, TESTS)
 
@@ -207,18 +214,6 @@ def least(bins: SlipBins) -> float:
 
 def tail(value: float, null: Array) -> float | None:
     """Return the p-value under a gamma distribution with the moments of ``null``; None where the repetitions agree."""
-    moments = _moments(null)
-    return None if moments is None else gamma_tail(value, *moments)
-
-
-def limit(p: float, null: Array) -> float:
-    """Return the value exceeded with probability p under that distribution; inf without one."""
-    moments = _moments(null)
-    return math.inf if moments is None else gamma_upper_quantile(p, *moments)
-
-
-def _moments(null: Array) -> tuple[float, float] | None:
-    """Return mean and standard deviation of the repetitions; None where they agree."""
     mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
     # The mean of equal numbers differs from them by rounding, and so would their spread from 0.
-    return (mean, spread) if mean > 0 and spread > ROUNDING * mean else None
+    return gamma_tail(value, mean, spread) if mean > 0 and spread > ROUNDING * mean else None

@@ -46,13 +46,17 @@ class PositionNoise:
         """Return the standard deviation of a position, m rms over the velocities."""
         return math.sqrt(float(np.mean(self.variance(velocity))))
 
-    def draw(self, position: Array, velocity: Array, rng: np.random.Generator) -> Array:
-        """Draw position minus reading (n,), m, rounded to one randomly placed grid: repeated motion rounds alike."""
+    @property
+    def rounded_alone(self) -> bool:
+        return self.white == self.jitter == 0
+
+    def draw(self, position: Array, velocity: Array, rng: np.random.Generator, shift: float) -> Array:
+        """Draw position minus reading (n,), m, on a grid moved by ``shift`` pitches: repeated motion rounds alike."""
         spread = np.sqrt(self.white**2 + (self.jitter * velocity) ** 2)
-        error = spread * rng.standard_normal(position.size) if spread.any() else 0.0
+        error = 0.0 if self.rounded_alone else spread * rng.standard_normal(position.size)
         if self.pitch == 0:
             return np.asarray(-error + np.zeros(position.size))
-        moved = position + self.pitch * rng.uniform(-0.5, 0.5)
+        moved = position + self.pitch * shift
         return np.asarray(moved - (np.floor((moved + error) / self.pitch) + 0.5) * self.pitch)
 
 

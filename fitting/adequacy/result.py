@@ -6,7 +6,7 @@ from typing import Any
 
 from fitting.adequacy.goodness import GoodnessOfFit
 from fitting.curve.result import BandExit, MeasuredCurve
-from fitting.departures.result import FoundDeparture
+from fitting.departures.result import FittedDeparture
 
 ADEQUATE = "adequate"
 NONE_OF_SIX = "none of the six"
@@ -32,7 +32,7 @@ class Adequacy:
     # where each law leaves the curve's band the furthest
     outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)
     unit: str = "N/kg"  # of the curve's friction
-    departures: tuple[FoundDeparture, ...] = ()  # those with which a law describes the record, strongest first
+    departures: tuple[FittedDeparture, ...] = ()  # those with which a law describes the record, strongest first
     # standard deviation of random friction within slips, over Fs, where that is what no law describes
     fluctuation: float | None = None
 

@@ -8,9 +8,11 @@ a velocity step has spoilt must not count for more than the others.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
+from fitting.least_squares.problem import Block
 from fitting.model.windows import ShootingWindows
 from stickslip.compute.arrays import Array, Integers, Mask
 
@@ -19,11 +21,11 @@ MOST_BINS = 60  # bins of a slip, with 8 to 20 samples each at 1 kHz
 # hides what is smooth in a slip; with 6, a slip of 12 samples has two bins, in which what repeats from slip to slip
 # cancels.
 SAMPLES_IN_BIN = 3
+FEWEST_SLIPS = 2  # at least: what repeats needs two
 
 
-@dataclass(frozen=True, eq=False)
-class SlipStatistics:
-    """Statistics of B sets of residuals of the same slips, each (B,)."""
+class Statistics(NamedTuple):
+    """Statistics of B sets of residuals of a run's judged cycles, each (B,); 0 without slips to judge but for `rms`."""
 
     # share of the binned residuals' variance that repeats from slip to slip, without bias: 0 for noise, 1 for residuals
     # that are the same in every slip
@@ -31,29 +33,13 @@ class SlipStatistics:
     # variance of the binned residuals over that of independent residuals of the same rms; median over the slips. 1 for
     # white noise, up to the number of samples in a bin.
     smooth: Array
-    rms: Array  # m, all slips together
-    lag1: Array  # autocorrelation of neighbouring residuals
-
-
-@dataclass(frozen=True, eq=False)
-class CycleSquares:
-    """Mean squares of the judged cycles of a run, m^2, shape (cycles, B), of B sets of residuals."""
-
-    square: Array
-
-    @property
-    def worst(self) -> Array:
-        return np.asarray(np.max(self.square, axis=0) / np.maximum(np.median(self.square, axis=0), 1e-300))
-
-    @property
-    def rms(self) -> Array:
-        """Of all cycles, equally weighted, m, shape (B,); 0 without cycles."""
-        return np.asarray(np.sqrt(np.sum(self.square, axis=0) / max(self.square.shape[0], 1)))
+    worst: Array  # largest mean square of a cycle, over the median
+    rms: Array  # of all cycles, equally weighted, m
 
 
 def cycle_squares(residuals: Array, rows: Sequence[slice]) -> Array:
     """Return the mean square of residuals (N, B) in each cycle, m^2, shape (cycles, B)."""
-    first = np.array([own.start for own in rows])
+    first = np.array([own.start - rows[0].start for own in rows])
     count = np.array([own.stop - own.start for own in rows])
     return np.asarray(np.add.reduceat(residuals**2, first, axis=0) / count[:, np.newaxis])
 
@@ -71,6 +57,10 @@ class SlipBins:
     # into how many the phase of a slip is cut: `SAMPLES_IN_BIN` of the usual slip's samples in each, at most
     # `MOST_BINS`
     bins: int
+
+    @property
+    def judged(self) -> bool:
+        return self.slips >= FEWEST_SLIPS
 
     @classmethod
     def cut(cls, windows: ShootingWindows, landings: Array, inliers: Mask, run: int = 0) -> "SlipBins":
@@ -93,9 +83,15 @@ class SlipBins:
         occupied, starts, count = np.unique(np.concatenate(cell), return_index=True, return_counts=True)
         return cls(np.concatenate(rows), starts, occupied // bins, occupied % bins, count.astype(float), slips, bins)
 
-    def sums(self, values: Array) -> Array:
-        """Return the sum of values (N, B) in each bin, shape (occupied bins, B)."""
-        return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
+    def sums(self, values: Array, block: Block | None = None) -> Array:
+        """Return the sum of values (N, B) in each bin, shape (occupied bins, B); of a block, those of its bins."""
+        if block is None:
+            return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
+        first, last = np.searchsorted(self.rows, (block.rows.start, block.rows.stop))
+        starts = self.starts[np.searchsorted(self.starts, first) : np.searchsorted(self.starts, last)]
+        if not starts.size:
+            return np.zeros((0, values.shape[1]))
+        return np.asarray(np.add.reduceat(values[self.rows[first:last] - block.rows.start], starts - first, axis=0))
 
     def per_slip(self, binned: Array) -> Array:
         """Return the sum over the bins (occupied bins, B) of each slip, shape (slips, B)."""
@@ -118,29 +114,35 @@ class SlipBins:
         return order, np.unique(self.phase[order], return_index=True)[1]
 
     @cached_property
-    def _residuals_and_bins(self) -> tuple[Array, Array]:
+    def residuals_and_bins(self) -> tuple[Array, Array]:
         """Residuals and occupied bins of each slip, shapes (slips, 1)."""
         return self.per_slip(self.count[:, None]), self.per_slip(np.ones((self.slip.size, 1)))
 
-    def statistics(self, residuals: Array) -> SlipStatistics:
-        """Return the statistics of residuals (N, B), m, of at least two slips."""
-        products = np.zeros_like(residuals)
-        products[1:] = residuals[1:] * residuals[:-1]
-        return self.combine(self.sums(residuals), self.sums(residuals**2), self.sums(products))
+    def lag1(self, residual: Array) -> float:
+        """Return the autocorrelation of neighbouring residuals (N,) of the slips."""
+        products = np.r_[0.0, residual[1:] * residual[:-1]]
+        return float(np.sum(products[self.rows])) / max(float(np.sum(residual[self.rows] ** 2)), 1e-300)
 
-    def combine(self, sums: Array, squares: Array, products: Array | None = None) -> SlipStatistics:
-        """Return the statistics from sums in each bin; without the products of neighbours `lag1` is 0."""
-        number, occupied = self._residuals_and_bins
-        square = np.maximum(self.per_slip(squares) / number, 1e-300)
+    def statistics(self, residuals: Array, squares: Array) -> Statistics:
+        """Return the statistics of residuals (N, B), m, with the mean squares (cycles, B) of their judged cycles."""
+        return self.combine(self.sums(residuals), self.sums(residuals**2), squares)
+
+    def combine(self, sums: Array, squared: Array, squares: Array) -> Statistics:
+        """Return the same from the sums of residuals and of their squares in each bin."""
+        rms = np.asarray(np.sqrt(np.sum(squares, axis=0) / max(squares.shape[0], 1)))
+        if not self.judged:
+            nothing = np.zeros(rms.size)
+            return Statistics(nothing, nothing, nothing, rms)
+        number, occupied = self.residuals_and_bins
+        square = np.maximum(self.per_slip(squared) / number, 1e-300)
         binned = self.per_slip(sums**2 / self.count[:, None]) / occupied
         usual = np.median(square, axis=0)
         weight = np.sqrt(np.minimum(usual / square, 1.0))  # a spoilt slip is scaled down to the usual one
         mean = sums / self.count[:, None] * weight[self.slip]
-        own = np.sum(mean**2, axis=0)
-        together, total = self.per_phase(mean), np.sum(squares, axis=0)
-        return SlipStatistics(
-            repeat=(np.sum(together**2, axis=0) - own) / np.maximum((self.slips - 1) * own, 1e-300),
+        each, together = np.sum(mean**2, axis=0), self.per_phase(mean)
+        return Statistics(
+            repeat=(np.sum(together**2, axis=0) - each) / np.maximum((self.slips - 1) * each, 1e-300),
             smooth=np.median(binned / square, axis=0),
-            rms=np.sqrt(total / self.count.sum()),
-            lag1=np.zeros(sums.shape[1]) if products is None else np.sum(products, axis=0) / np.maximum(total, 1e-300),
+            worst=np.max(squares, axis=0) / np.maximum(np.median(squares, axis=0), 1e-300),
+            rms=rms,
         )

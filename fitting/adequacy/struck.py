@@ -5,11 +5,15 @@ the excess.  In a slip the step changes the velocity at one time; in a stick, an
 mass again within milliseconds, and a step of the position remains.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.linearised import LinearisedFit
+from fitting.least_squares.problem import Block
 from fitting.model.windows import SPOILT
+from fitting.sensitivity.columns import local_tangents
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
 from stickslip.compute.arrays import Array, Integers, Mask
@@ -22,14 +26,16 @@ LEAST_EXPLAINED = 0.9
 MOST_ODD, MOST_ODD_SHARE = 1, 0.1
 
 
-def left_out(path: Path | None, linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers) -> Mask:
+def left_out(
+    path_in: Callable[[Block], Path | None], linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers
+) -> Mask:
     """Return which spoilt cycles (cycles,) to leave out: those struck, and others where they are few.
 
-    Velocity steps are searched only where a ``path`` is given; ``run`` is each cycle's run, ``landings`` are in s.
+    ``path_in`` returns the path of a cycle, ``run`` is each cycle's run, ``landings`` are in s.
     """
     if not spoilt.any():
         return spoilt
-    struck = np.zeros_like(spoilt) if path is None else _struck(path, linear, landings, spoilt, run)
+    struck = _struck(path_in, linear, landings, spoilt, run)
     odd = spoilt & ~struck
     for one in np.unique(run[odd]):
         own = odd & (run == one)
@@ -38,40 +44,51 @@ def left_out(path: Path | None, linear: LinearisedFit, landings: Array, spoilt: 
     return np.asarray(struck | odd)
 
 
-def _struck(path: Path, linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers) -> Mask:
+def _struck(
+    path_in: Callable[[Block], Path | None], linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers
+) -> Mask:
     """Return the spoilt cycles whose excess residual one velocity step explains nearly in full."""
-    columns = np.hstack([tangents(path, _impulses(path, landings, spoilt)), _position_steps(path, landings, spoilt)])
     square = cycle_squares(linear.residual[:, np.newaxis], linear.rows)[:, 0]
     found = np.zeros_like(spoilt)
-    for k in np.flatnonzero(spoilt):
+    for k in np.flatnonzero(spoilt).tolist():
         rows = linear.rows[k]
+        path = path_in(Block(slice(k, k + 1), rows))
+        if path is None:
+            continue
+        at = k if len(path.windows.rows) == spoilt.size else 0
         usual = float(np.median(square[run == run[k]]))
-        left = square[k] - _best_gain(linear, int(k), columns[rows]) / (rows.stop - rows.start)
+        left = square[k] - _best_gain(linear, k, path, at, float(landings[k])) / (rows.stop - rows.start)
         found[k] = left < SPOILT * usual or left - usual < (1 - LEAST_EXPLAINED) * (square[k] - usual)
     return found
 
 
-def _best_gain(linear: LinearisedFit, k: int, columns: Array) -> float:
-    """Return by how much the best column (n, steps) lowers a cycle's sum of squares with its own unknowns free."""
-    rows, q = linear.rows[k], linear.local.shape[1]
-    prior = np.diag(np.sqrt(linear.local_precision[k] / max(linear.weights[k], 1e-300)))
-    scale = np.sqrt(np.maximum(np.sum(linear.local[rows] ** 2, axis=0) + np.diag(prior) ** 2, 1e-300))
-    own = np.linalg.qr(np.vstack([linear.local[rows], prior]) / scale)[0]
-    both = np.vstack([np.column_stack([linear.residual[rows], columns]), np.zeros((q, 1 + columns.shape[1]))])
+def _best_gain(linear: LinearisedFit, k: int, path: Path, at: int, landing: float) -> float:
+    """Return by how much the best step lowers a cycle's sum of squares with its own unknowns free."""
+    rows = path.windows.rows[at]
+    columns = np.hstack([tangents(path, _impulses(path, landing, at)), _position_steps(path, landing, at)])[rows]
+    local, residual, q = (
+        local_tangents(path)[rows],
+        linear.residual[linear.rows[k]],
+        linear.priors.local_gradient.shape[1],
+    )
+    prior = np.diag(np.sqrt(linear.priors.local_precision[k] / max(linear.weights[k], 1e-300)))
+    scale = np.sqrt(np.maximum(np.sum(local**2, axis=0) + np.diag(prior) ** 2, 1e-300))
+    own = np.linalg.qr(np.vstack([local, prior]) / scale)[0]
+    both = np.vstack([np.column_stack([residual, columns]), np.zeros((q, 1 + columns.shape[1]))])
     both -= own @ (own.T @ both)
     square = np.sum(both[:, 1:] ** 2, axis=0)
     seen = square > 1e-9 * np.sum(columns**2, axis=0)
     return float(np.max((both[:, 1:].T @ both[:, 0]) ** 2 / np.where(seen, square, np.inf), initial=0.0))
 
 
-def _impulses(path: Path, landings: Array, spoilt: Mask) -> Array:
-    """Return accelerations (M, TIMES_TRIED) that change the velocity by about 1 m/s in one step of a spoilt slip."""
+def _impulses(path: Path, landing: float, cycle: int) -> Array:
+    """Return accelerations (M, TIMES_TRIED) that change the velocity by about 1 m/s in one step of a cycle's slip."""
     found = np.zeros((path.time.size, TIMES_TRIED))
     table = path.windows.table
-    for row in np.flatnonzero((table[:, 1] == 0) & spoilt[table[:, 0]]):
+    for row in np.flatnonzero((table[:, 1] == 0) & (table[:, 0] == cycle)):
         first = path.steps[path.first_step[row] : path.first_step[row + 1], 0]
         length = path.time[first + 2] - path.time[first]
-        slips = (path.time[first] < landings[table[row, 0]]) & (length > 0)
+        slips = (path.time[first] < landing) & (length > 0)
         first, length = first[slips], length[slips]
         if first.size:
             chosen = np.round(np.linspace(0, first.size - 1, TIMES_TRIED)).astype(np.int64)
@@ -80,13 +97,13 @@ def _impulses(path: Path, landings: Array, spoilt: Mask) -> Array:
     return found
 
 
-def _position_steps(path: Path, landings: Array, spoilt: Mask) -> Array:
-    """Return steps of the position (N, 2 TIMES_TRIED) in each spoilt cycle's stick and after its landing."""
+def _position_steps(path: Path, landing: float, cycle: int) -> Array:
+    """Return steps of the position (N, 2 TIMES_TRIED) in a cycle's stick and after its landing."""
     windows = path.windows
     found = np.zeros((windows.time.size, 2 * TIMES_TRIED))
-    for k, stick, first, count, _, _ in windows.table[spoilt[windows.table[:, 0]]]:
+    for _, stick, first, count, _, _ in windows.table[windows.table[:, 0] == cycle]:
         own = slice(first, first + count)
-        begin = windows.time[first] if stick else landings[k]
+        begin = windows.time[first] if stick else landing
         times = np.linspace(begin, windows.time[first + count - 1], TIMES_TRIED + 1)[:-1]
         place = slice(0, TIMES_TRIED) if stick else slice(TIMES_TRIED, 2 * TIMES_TRIED)
         found[own, place] = windows.time[own, np.newaxis] >= times

@@ -26,7 +26,7 @@ def covariances(linear: LinearisedFit) -> tuple[Array, Array]:
     noise = linear.covariance
     own = linear.gradients
     cycles = own.shape[0]
-    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + linear.prior_precision
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + linear.priors.precision
     return noise, np.einsum("ik,kl,lj->ij", noise, meat, noise, optimize=False)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from fitting import noise_levels
 from fitting.curve.metric import GRID_SPEEDS, MeasuredTarget, friction_target, measured_target
 from fitting.curve.result import MeasuredCurve
-from fitting.driver.driver import FAR_BEYOND_BEST, WORSE, best_end, start_beside
+from fitting.driver.driver import WORSE, best_end, start_beside
 from fitting.driver.fit import Fit
 from fitting.driver.formula import SPLINE_REACH, FormulaCurve
 from fitting.driver.noise import PassNoise
@@ -64,27 +64,35 @@ def fit_formula(
             rise = measured.alone.constant_beside(friction, measured.level_sd) / host.u[Global.K]
             shared = beside.q[: len(task.places)] + [rise * _is_free_rest(problem, place) for place in task.places]
             starts.append(beside._replace(q=np.concatenate([shared, theta])))
+    position = float(np.max(noise))
+    # On one contact no law is nearer to the record than the free curve.
+    hopeless = seen.chi > noise_levels.LOST
+    starts = starts[:1] if hopeless else starts
     settled = best_end(task, [(start, host.noise.without_fade) for start in starts], noise)
     best = min(others, key=lambda one: one.geometric_mean_rms, default=None)
     inner = min((one.geometric_mean_rms for one in others if contained(law, one.law)), default=math.inf)
     least = math.inf if best is None else best.geometric_mean_rms
     again: list[tuple[FitStart, PassNoise | None]] = []
-    if settled is None or settled.geometric_mean_rms < noise_levels.LOST * least:
+    if not hopeless and (settled is None or settled.geometric_mean_rms < noise_levels.LOST * least):
         again += [(start, None) for start in starts]
     if best is not None and (settled is None or settled.geometric_mean_rms > WORSE * inner):
         again += [(start, best.noise.without_fade) for start in _at_end_of(task, best)]
-    if again and not (settled and settled.geometric_mean_rms < noise_levels.DESCRIBES * float(np.max(noise))):
+    if again and not (settled and settled.geometric_mean_rms < noise_levels.DESCRIBES * position):
         ends = (settled, best_end(task, again, noise))
         settled = min((end for end in ends if end), key=attrgetter("geometric_mean_rms"), default=None)
     found = settled
-    if settled is not None and settled.geometric_mean_rms < FAR_BEYOND_BEST * least:
+    limit = min(noise_levels.LOST * position, noise_levels.NEAR * max(least, position))
+    if settled is not None and settled.geometric_mean_rms < limit:
         found = finish(settled, noise) or settled
-    return None if found is None or found.path is None else found
+    return found if found is not None and found.can_be_followed else None
 
 
 def contained(law: Law, other: Law) -> bool:
-    """Return whether the other law can err no less than this one: constant friction, or a limit of it; no ramp."""
-    return not other.ramp and (law.contains(other) or other.number == 1)
+    """Return whether the other law can err no less than this one: constant friction, or a limit of it.
+
+    A ramp of the six may have a break-away level of its own, which none of a formula has.
+    """
+    return (law.contains(other) or other.number == 1) and not (other.number and other.ramp)
 
 
 def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:

@@ -18,7 +18,7 @@ from fitting.driver.fit import Fit
 from fitting.least_squares import elimination
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import Run
-from fitting.sensitivity.path import Path
+from fitting.sensitivity.path import Curve
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 from stickslip.units import Measured
@@ -93,13 +93,12 @@ def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tu
     return moved, coefficients + rise
 
 
-def unseen(places: Sequence[int], path: Path) -> Array:
+def unseen(places: Sequence[int], curve: Curve, u: Array) -> Array:
     """Return the moves of the unknowns at ``places`` (p,) that hide a move of the first run's rest position."""
-    spline = path.curve.spline
-    if spline is None:
-        raise ValueError("this path follows a law's curve: its level is not free")
-    K, D, compliance = (float(path.u[slot]) for slot in (Global.K, Global.D, Global.COMPLIANCE))
-    wider = -K * D / float(spline.coefficients[0]) if path.curve.ramp else 0.0
+    if curve.spline is None:
+        raise ValueError("this is a law's curve: its level is not free")
+    K, D, compliance = (float(u[slot]) for slot in (Global.K, Global.D, Global.COMPLIANCE))
+    wider = -K * D / float(curve.spline.coefficients[0]) if curve.ramp else 0.0
     moves = {Global.DATUM: 1.0, Global.D: wider, Global.V_DR: wider - compliance}
     found = np.array([moves.get(Global(place % PER_RUN), 0.0) for place in places])
     found[list(places).index(Global.DATUM)] = 0.0

@@ -58,7 +58,7 @@ def measured_target(curve: MeasuredCurve) -> MeasuredTarget:
     prior[places:, places:] = np.diag(basis.precision)
     total, prior, data = (np.einsum("ki,kl,lj->ij", turn, one, turn) for one in (total, prior, total - prior))
     gradient = linear.gradients.sum(axis=0)
-    gradient[:places] += linear.prior_gradient[:places]
+    gradient[:places] += linear.priors.gradient[:places]
     gradient = np.einsum("ki,k->i", turn, gradient)
     if fit.held_rest is not None:  # taken as known here: how far it may be off is `MeasuredTarget.level_sd`
         known = fit.places.index(Global.DATUM)

@@ -27,23 +27,28 @@ def linearised(fit: Fit) -> LinearisedFit:
 
     An assumed rest position stays as uncertain as assumed.
     """
-    linear, path, rest = LinearisedFit.at(fit), fit.path, fit.held_rest
-    if linear is None or path is None:
+    linear, curve, rest = LinearisedFit.at(fit), fit.curve_on_path, fit.held_rest
+    if linear is None or curve is None:
         raise RuntimeError("a fitted curve has a path")
     if rest is None:
         return linear
-    place, beside = fit.places.index(Global.DATUM), unseen(fit.places, path)
-    shared, precision = linear.shared.copy(), linear.prior_precision.copy()
-    shared[:, place] = -np.einsum("ij,j->i", shared[:, : beside.size], beside)
+    place, beside = fit.places.index(Global.DATUM), unseen(fit.places, curve, fit.u)
+    precision = linear.priors.precision.copy()
     precision[place, place] = 1 / rest.sd**2
-    return replace(linear, shared=shared, prior_precision=precision)
+
+    def move(part: Array) -> Array:
+        part = part.copy()
+        part[:, place] = -np.einsum("ij,j->i", part[:, : beside.size], beside)
+        return part
+
+    return linear.changed(move, linear.priors._replace(precision=precision))
 
 
 def chi(fit: Fit, noise: Array) -> float:
     """Return the weighted rms residual over the noise (runs,), m."""
     task = fit.least_squares
-    w = np.repeat(task.weights, [rows.stop - rows.start for rows in task.rows])
-    own = noise[fit.windows.run][task.owner]
+    w = task.weight
+    own = noise[fit.windows.run].repeat(np.diff(task.first))
     return math.sqrt(float(np.sum(w * fit.residual**2) / np.sum(w * own**2)))
 
 
@@ -69,7 +74,7 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> Fit | None:
     starts = [(law_end, fit.noise.without_fade), *((start, None) for start in _regressed(task))]
     settled = best_end(task, starts, noise)
     found = None if settled is None else finish(settled, noise) or settled
-    return None if found is None or found.path is None else found
+    return found if found is not None and found.can_be_followed else None
 
 
 def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None:

@@ -23,7 +23,7 @@ HARMONICS = 64  # sines whose sum is one draw
 TIMES_TRIED = (1.0, 0.5, 0.25, 0.125, 0.0625)
 
 
-def fluctuation_share(base: Base, fit: Fit, count_repeated: Callable[[Array], Array], noise: float) -> float | None:
+def fluctuation_share(base: Base, count_repeated: Callable[[Array], Array], noise: float) -> float | None:
     """Return the standard deviation of random friction over the friction at rest.
 
     None where more of the residual repeats from slip to slip than random friction leaves, or beside an unstable motion.
@@ -44,7 +44,8 @@ def fluctuation_share(base: Base, fit: Fit, count_repeated: Callable[[Array], Ar
     repeat = -math.inf
     for share in TIMES_TRIED:
         time = share * seen * float(np.median(steps[steps > 0])) / math.sqrt(2 * math.pi)
-        left = linear.refit(base.respond([Forcing(acceleration=friction * _random(path.time, time, rng))]))
+        response = base.respond([Forcing(acceleration=friction * _random(path.time, time, rng))])
+        left = linear.refit_columns(response)
         unit = float(np.median([usual_rms(one, linear.rows) for one in left.T]))
         if math.isfinite(unit) and unit > 0:
             size = math.sqrt(excess) / unit
@@ -54,7 +55,7 @@ def fluctuation_share(base: Base, fit: Fit, count_repeated: Callable[[Array], Ar
             repeat = max(repeat, float(np.max(count_repeated(drawn))))
     if not found or count_repeated(linear.residual[:, None])[0] > repeat:
         return None
-    return min(found)[1] * fit.values.F / _friction_at_rest(fit)
+    return min(found)[1] * base.fit.values.F / _friction_at_rest(base.fit)
 
 
 def _friction_at_rest(fit: Fit) -> float:

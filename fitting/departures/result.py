@@ -1,9 +1,10 @@
-"""A departure that was found in a record."""
+"""A departure with which a law describes a record."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from stickslip.units import Measured
+from fitting.estimation.result import Parameter
 
 
 @dataclass(frozen=True)
@@ -16,25 +17,21 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class FoundDeparture:
+class FittedDeparture:
     name: str
-    # standard deviations of a normal variable that is as unlikely, the number of departures and scales that were tried
-    # taken into account
+    # standard deviations of a normal variable that is as unlikely, the number of departures that were tried taken into
+    # account
     sigmas: float
     parameter: str  # symbol of its size
     value: float
     stderr: float
     unit: str
     text: str  # what it says of the rig
+    explained: float  # share of the misfit beyond the noise that it explains
+    law: int | str  # the law that describes the record together with it
+    parameters: Mapping[str, Parameter]  # of that law
     scale: Scale | None = None
-    gain: float = 0.0  # by how much the cost falls with it
-    explained: float = 0.0  # share of the misfit beyond the noise that it explains
-    refitted: bool = False  # whether value and stderr come from a fit with it
-    law: int | None = None  # the law that describes the record together with it, where one does
-
-    @property
-    def size(self) -> Measured:
-        return Measured(self.value, self.stderr)
+    refitted: bool = True  # no other departure is reported
 
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""
@@ -49,6 +46,7 @@ class FoundDeparture:
             "explained": self.explained,
             "refitted": self.refitted,
             "law": self.law,
+            "parameters": {name: item.as_json() for name, item in self.parameters.items()},
         }
         if self.scale is not None:
             row["scale"] = vars(self.scale)

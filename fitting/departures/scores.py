@@ -9,13 +9,12 @@ Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fitting.distributions import fisher_log_tail, normal_quantile
-from fitting.estimation.linearised import LinearisedFit, Scores
+from fitting.estimation.linearised import LinearisedFit
 from stickslip.compute.arrays import Array
 
 # Share of a column's curvature left after the projection: with no more, the fit already adjusts it.  Derivatives
@@ -32,48 +31,41 @@ class Score:
     covariance: Array  # (k, k) the jackknife's over the cycles, and at least that of the noise
     gain: float  # by how much the cost falls
     log_p: float  # log of the probability of as large a step by chance, from the jackknife alone
-    kept: float  # share of the columns' curvature that the fit does not already adjust, the least of the columns
 
 
-def score(base: LinearisedFit, columns: Array, widths: Sequence[int]) -> list[Score | None]:
-    """Test departures, each with ``widths`` (1 or 2) of the derivatives ``columns`` (N, d).
+def score(base: LinearisedFit, columns: Array) -> Score | None:
+    """Test a departure with the derivatives ``columns`` (N, 1 or 2).
 
-    None where the fit already adjusts the parameters, fewer than four cycles remain, or a single cycle shows one.
+    None where the fit already adjusts its parameters, fewer than four cycles remain, or a single cycle shows it.
     """
     scores = base.scores(columns)
-    ends = np.cumsum(widths)
-    return [_score(scores, slice(end - width, end)) for end, width in zip(ends, widths, strict=True)]
-
-
-def _score(scores: Scores, columns: slice) -> Score | None:
-    information, total = scores.information[:, columns, columns], scores.score[:, columns]
+    information, total = scores.information, scores.score
     k, n = total.shape[1], int(np.sum(np.any(total != 0, axis=1)))
-    whole, gradient = scores.total_information[columns, columns], scores.total[columns]
-    kept = float(np.min(np.diag(whole) / np.maximum(scores.raw[columns], 1e-300)))
+    whole, gradient = scores.total_information, scores.total
+    kept = float(np.min(np.diag(whole) / np.maximum(scores.raw, 1e-300)))
     if not kept > LEAST_KEPT or n < k + 3:
         return None
-    coefficients = -_solve(whole, gradient)
+    coefficients = -solve(whole, gradient)
     others = whole - information
     if np.any(np.einsum("nii->ni", others) <= RIDGE * np.diag(whole)):
         return None  # one cycle alone shows it: there is no other to compare with
-    steps = np.array([-_solve(left, gradient - b) for left, b in zip(others, total, strict=True)])
+    steps = -solve(others, gradient - total)
     beside = steps - steps.mean(axis=0)
     jackknife = (n - 1) / n * np.einsum("ck,cl->kl", beside, beside)
-    noise = np.diag(_solve(whole, np.eye(k)))
+    noise = np.diag(solve(whole, np.eye(k)))
     floor = np.sqrt(np.maximum(noise / np.maximum(np.diag(jackknife), 1e-300), 1.0))
     return Score(
         coefficients=coefficients,
         covariance=jackknife * floor[:, np.newaxis] * floor,
         gain=-0.5 * float(np.sum(gradient * coefficients)),
         log_p=log_probability(coefficients, jackknife, n),
-        kept=kept,
     )
 
 
 def log_probability(coefficients: Array, covariance: Array, cycles: int) -> float:
     """Return the log p-value of coefficients (k,) by Hotelling's T^2 of the cycles."""
     k, n = coefficients.size, cycles
-    statistic = float(np.sum(coefficients * _solve(covariance, coefficients)))
+    statistic = float(np.sum(coefficients * solve(covariance, coefficients)))
     return fisher_log_tail(statistic * (n - k) / (k * (n - 1)), k, n - k)
 
 
@@ -85,8 +77,8 @@ def sigmas(log_p: float, trials: float = 1.0) -> float:
     return math.sqrt(-2 * log_tail - math.log(-2 * log_tail * 2 * math.pi))
 
 
-def _solve(matrix: Array, right: Array) -> Array:
-    """Solve for one or two unknowns (k,), or for k columns, in units of the diagonal."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix * scale[:, np.newaxis] * scale + RIDGE * np.eye(scale.size)
-    return np.asarray((scale * np.linalg.solve(scaled, (scale * right.T).T).T).T)
+def solve(matrix: Array, right: Array) -> Array:
+    """Solve for one or two unknowns each, (..., k), in units of the diagonal of the matrices (..., k, k)."""
+    scale = 1 / np.sqrt(np.maximum(np.einsum("...kk->...k", matrix), 1e-300))
+    scaled = matrix * scale[..., :, np.newaxis] * scale[..., np.newaxis, :] + RIDGE * np.eye(scale.shape[-1])
+    return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., np.newaxis])[..., 0])

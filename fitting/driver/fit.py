@@ -13,7 +13,7 @@ from fitting.driver.task import FitStart, Task
 from fitting.law import Law
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.normal_equations import SchurComplement
-from fitting.least_squares.problem import LeastSquaresProblem
+from fitting.least_squares.problem import Block, Derivatives, LeastSquaresProblem
 from fitting.model import parameters, wear
 from fitting.model.parameters import NUISANCE, PER_RUN, Global
 from fitting.model.problem import EstimationProblem
@@ -86,7 +86,7 @@ class Fit:
     @property
     def own_values(self) -> dict[str, float]:
         """The law's parameters by name, per unit mass."""
-        return self.task.curve.values(self.u, self.theta)
+        return self.task.curve.values(self.theta, self.u)
 
     @property
     def start(self) -> FitStart:
@@ -112,15 +112,22 @@ class Fit:
         inliers = self.noise.inliers
         return inliers if self.run is None else inliers[self.model.windows.run == self.run]
 
-    @cached_property
+    @property
     def path(self) -> Path | None:
         """The fitted motion of all runs, for tangents; None where it cannot be followed."""
         return self.model.path(self.q, self.local)
 
-    @cached_property
-    def jacobian(self) -> Array | None:
-        """Derivatives of the positions by all unknowns, shape (N, p + n + m + 6); None without a path."""
-        return None if self.path is None else self.model.jacobian(self.path, self.q)
+    @property
+    def can_be_followed(self) -> bool:
+        return all(self.path_in(block) is not None for block in self.model.windows.blocks)
+
+    def path_in(self, block: Block) -> Path | None:
+        return self.model.path_in(block, self.q, self.local)
+
+    @property
+    def derivatives(self) -> Derivatives:
+        """Derivatives (N, p + n + m + 6) of the positions by all unknowns."""
+        return self.model.all_derivatives(self.q, self.local)
 
     @cached_property
     def cycle_rms(self) -> Array:

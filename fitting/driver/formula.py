@@ -47,13 +47,14 @@ class FormulaCurve(FrictionCurve):
         fitted = law.given(fix={name: first.get(name, size) for name, size in sizes.items()})
         self.fixed, self.free, self.size = fitted.fix or {}, fitted.free, len(fitted.free)
         search = StartSearch(fitted, near, fastest)
-        self.starts = search.minima()
         self.by_log = np.array([search.bends[name] and law.limits(name)[0] >= 0.0 for name in self.free], np.bool_)
-        self.start = self.theta_at(self.starts[0].values)
         self.prior = self.precision = np.zeros(self.size)
         self.lower, self.upper = self.bounds
         self._first = FrictionSpline.over(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
         self._near = self._first
+        # A logarithm of speed over next to nothing is near on the target, and too abrupt to be followed.
+        self.starts = sorted(search.minima(), key=lambda start: self.spline(self.theta_at(start.values)) is None)
+        self.start = self.theta_at(self.starts[0].values)
 
     def on_path(self, theta: Array, beside: Array) -> Curve | None:
         spline = self.spline(theta)
@@ -76,10 +77,7 @@ class FormulaCurve(FrictionCurve):
         except InputError:
             return self.at_speeds(theta, np.minimum(s, self.fastest))
 
-    def values(self, u: Array, theta: Array) -> dict[str, float]:
-        return self._values(theta)
-
-    def _values(self, theta: Array) -> dict[str, float]:
+    def values(self, theta: Array, u: Array | None = None) -> dict[str, float]:
         free = np.where(self.by_log, np.exp(np.clip(theta, -700.0, 700.0)), theta)
         return dict(self.fixed) | dict(zip(self.free, free.tolist(), strict=True))
 
@@ -95,25 +93,27 @@ class FormulaCurve(FrictionCurve):
 
     def at_speeds(self, theta: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s; InputError if not finite or negative."""
-        found = self.law.curve.value(s, self._values(theta))
+        found = self.law.curve.value(s, self.values(theta))
         if found.min() < 0:
-            at = self.law.curve.place(float(s[np.argmin(found)]), self._values(theta))
+            at = self.law.curve.place(float(s[np.argmin(found)]), self.values(theta))
             what = f"law {self.law.name}: friction is negative, {found.min():.4g} m/s^2, {at}"
             raise InputError(what, "formula", "give bounds, or a form that stays above 0")
         return found
 
     def slopes(self, theta: Array, s: Array) -> Array:
         """Return the derivatives (k, unknowns) of friction at slip speeds s (k,)."""
-        values = self._values(theta)
+        values = self.values(theta)
         found = self.law.curve.gradient(s, values, self.free)
         return np.asarray(found * np.where(self.by_log, [values[name] for name in self.free], 1.0))
 
     def spline(self, theta: Array) -> FrictionSpline | None:
         """Return a spline through the formula; None where it is not a friction, or too abrupt.
 
-        It begins with the knots of the trial before, or anew where those of other trials do not fit.
+        It begins with the knots of the trial before, or anew where those of other trials do not fit or are so many that
+        a path along them has too many steps.
         """
-        for begin in dict.fromkeys((self._near, self._first)):
+        crowded = self._near.knots.size > MOST_PIECES // 2
+        for begin in dict.fromkeys((self._first, self._near) if crowded else (self._near, self._first)):
             found = self._through(theta, begin)
             if found is not None:
                 self._near = found

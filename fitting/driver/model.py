@@ -1,5 +1,7 @@
 """Positions that a task predicts in windows, and their derivatives: what a least-squares problem evaluates."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,7 +10,7 @@ from fitting.driver.task import Task
 from fitting.forces.departure import Forcing
 from fitting.forces.fitted_motion import FittedMotion
 from fitting.forces.force import Force
-from fitting.least_squares.problem import Evaluate
+from fitting.least_squares.problem import Block, Derivatives, Evaluate
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.columns import local_tangents
 from fitting.sensitivity.path import Curve, Path, follow
@@ -73,14 +75,13 @@ class Model:
         self._last = q.copy(), local.copy(), found
         return found
 
-    def evaluate(self, q: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
+    def evaluate(self, q: Array, local: Array, derivatives: bool) -> tuple[Array, Derivatives | None] | None:
         """As `fitting.least_squares.problem.Evaluate`; rows are weighted by the root of their count."""
         residual = self.residual(q, local)
-        path = self.path(q, local) if derivatives and residual is not None else None
-        if residual is None or (derivatives and path is None):
+        if residual is None:
             return None
-        jacobian = np.zeros((0, 0)) if path is None else self.jacobian(path, q)
-        return self._sized(residual, jacobian)
+        found = self.all_derivatives(q, local) if derivatives else None
+        return residual if self._size is None else residual * self._size, found
 
     def some(self, q: Array, cycles: Integers) -> Evaluate:
         """Return an evaluation of the own unknowns of these cycles alone, with q fixed."""
@@ -88,16 +89,37 @@ class Model:
         if self._size is not None:
             part._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
 
-        def evaluate(_: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
+        def evaluate(_: Array, local: Array, derivatives: bool) -> tuple[Array, Derivatives | None] | None:
             residual = part.residual(q, local)
-            path = part.path(q, local) if derivatives and residual is not None else None
-            if residual is None or (derivatives and path is None):
+            if residual is None:
                 return None
-            return part._sized(residual, np.zeros((0, 0)) if path is None else local_tangents(path))
+            found = part.derivatives(q, local, local_tangents) if derivatives else None
+            return residual if part._size is None else residual * part._size, found
 
         return evaluate
 
-    def jacobian(self, path: Path, q: Array) -> Array:
+    def path_in(self, block: Block, q: Array, local: Array) -> Path | None:
+        """Return the motion in a block of cycles; of all cycles where a force acts along an earlier path."""
+        if self.along or block.rows == slice(0, self.windows.time.size):
+            return self.path(q, local)
+        cycles = np.arange(block.cycles.start, block.cycles.stop)
+        return Model(self.task, self.windows.some(cycles), self.longest_step).path(q, local[block.cycles])
+
+    def all_derivatives(self, q: Array, local: Array) -> Derivatives:
+        return self.derivatives(q, local, partial(self._columns, q=q))
+
+    def derivatives(self, q: Array, local: Array, columns: Callable[[Path], Array]) -> Derivatives:
+        """Return the derivatives of the positions, ``columns`` (n, k) of the path of each block."""
+
+        def derive(block: Block) -> Array | None:
+            path = self.path_in(block, q, local)
+            part = None if path is None else columns(path)
+            return part if part is None or self._size is None else part * self._size[block.rows, None]
+
+        whole = Block(slice(0, len(self.windows.rows)), slice(0, self.windows.time.size))
+        return Derivatives((whole,) if self.along else self.windows.blocks, derive)
+
+    def _columns(self, path: Path, q: Array) -> Array:
         _, theta, sizes = self.task.split(q)
         parts = [self.task.curve.columns(path, theta, self.task.places)]
         for forcing in self._forcings(path, sizes):
@@ -111,11 +133,6 @@ class Model:
 
     def _curve(self, q: Array, theta: Array) -> Curve | None:
         return self.task.curve.on_path(theta, q[: len(self.task.places)])
-
-    def _sized(self, residual: Array, jacobian: Array) -> tuple[Array, Array]:
-        if self._size is None:
-            return residual, jacobian
-        return residual * self._size, jacobian * self._size[: len(jacobian), None]
 
     def _motion(self, path: Path) -> FittedMotion:
         return FittedMotion.from_path(path, self.task.problem.motions, path.residual)

@@ -151,19 +151,15 @@ def _searched(at: Fit) -> Fit | None:
 def with_own_static(at: Fit) -> Fit:
     """Return the fit of a ramp with a separate break-away level where that gains on the thinned record.
 
-    It is settled from several starts until one reaches the noise. A level free from the first pass on ends in poor
-    minima.
+    Starts whose first pass gains something are settled until one reaches the noise. A level free from the first pass on
+    ends in poor minima.
     """
     begun, task = clock.process_time(), at.task.with_static
-    if task is at.task:
-        return at
-    best = at
     reached = noise_levels.DESCRIBES * task.resolution
-    for u in _static_starts(task, at):
+    best = at
+    for u in [] if task is at.task else _static_starts(task, at):
         first = first_pass(task, FitStart(_beside(task, u, at), at.local), at.noise)
-        if first is None or first.geometric_mean_rms > GIVEN_UP_BEYOND_BEST * at.geometric_mean_rms:
-            continue
-        found = settle(first)
+        found = settle(first) if first is not None and first.geometric_mean_rms < at.geometric_mean_rms else None
         if found is not None and found.geometric_mean_rms < best.geometric_mean_rms:
             best = found
             if best.geometric_mean_rms < reached:

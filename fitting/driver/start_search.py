@@ -1,12 +1,12 @@
 """Starting values of a formula: its projection on another friction, such as the measured curve.
 
-The parameters in which the formula is linear follow from least squares beside trials of the others.  Where one other
-bends the curve, it is scanned; more are tried in combination.  For a fit the best of these are improved within the
-bounds, and several valleys count: motion tells more than a curve.  Nothing is needed from the user.
+The parameters in which the formula is linear follow from least squares beside trials of the others.  The best trials,
+each in a valley of its own, are improved within the bounds; several count, since motion tells more than a curve.
+Nothing is needed from the user.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from itertools import product
 from typing import NamedTuple
@@ -21,12 +21,10 @@ from stickslip.errors import InputError
 DOUBLED = 2.0  # factor on a parameter: whether the derivative by it changes then shows whether it bends the curve
 BEND_DRAWS = 3  # sets of values at which that is looked at
 DERIVATIVE_ROUNDING = 1e-9  # change over a derivative: less is rounding
-SCANNED = 40  # values of a parameter that are scanned: half as many find the same minima
-# Steps of a minimum of the scan, at most, and the change of the logarithm at which it is settled.
-MOST_STEPS, LOG_SETTLED = 40, 1e-6
-# Trials of the parameters that bend the curve, over their natural sizes: half as many a decade still start Stribeck
-# curves.
-TRIALS = 10.0 ** np.arange(-2.5, 2.1, 0.5)
+SCANNED = 40  # values of one parameter that is tried alone: half as many find the same minima
+# Values of each of several parameters, and the range of all over their natural sizes: half as many a decade still start
+# Stribeck curves.
+COMBINED, TRIED_SIZES = 10, (10**-2.5, 1e2)
 MOST_TRIALS, SEED = 300, 7  # trials of all such parameters together; more than that are drawn
 BEST_TRIALS = 4  # best trials that are improved, each in a valley of its own
 SAME_VALLEY = 0.25  # difference over what a start leaves: curves that differ by less are in one valley
@@ -98,9 +96,7 @@ class StartSearch:
 
     def minima(self) -> list[Start]:
         """Return the best local minima where the formula is a friction, nearest first."""
-        found = self._tried()
-        best = self._valleys(sorted(found, key=_order))
-        improved = [end for start in best if (end := self._improved(start)) is not None]
+        improved = [end for start in self._tried() if (end := self._improved(start)) is not None]
         if not improved:
             why = self.refused or InputError("no values were tried", "formula", "give first values")
             what = f"law {self.law.name} is no friction curve with any of the values tried: {why.what}"
@@ -148,84 +144,41 @@ class StartSearch:
             return 0.5 * (low + high)
         return float(np.clip(value, low, high))
 
-    @property
-    def _bending(self) -> list[str]:
-        """The parameters to try: those without a first value in which the formula is not linear."""
-        return [name for name in self.law.free if name not in self.linear and name not in self.given]
-
     def _tried(self) -> list[Start]:
-        """Return the first values and the trials of the parameters that bend the curve, with the linear ones."""
-        tried = self._bending
-        trials = [self.begin, *(self._combined(tried) if len(tried) != 1 else ())]
-        found = [start for values in trials if (start := self._with_linear(values)) is not None]
-        return found + (list(self._scanned(*tried)) if len(tried) == 1 else [])
+        """Return the best trials of the parameters that bend the curve, with the linear ones.
 
-    def _scanned(self, name: str) -> Iterator[Start]:
-        """Yield the minima over a scan of the one parameter to try.
-
-        On fine records the true valley is so narrow that a wide one elsewhere is lower on the scan: so every minimum is
-        settled.
+        Of one parameter these are the minima of a scan: on fine records the true valley is so narrow that a wide one
+        elsewhere is lower on the scan.
         """
-        for sign in (1.0, -1.0):
-            low, high = sorted(sign * limit for limit in self.law.limits(name))
-            if not (low > 0 and math.isfinite(high)):
-                low, high = max(low, self.sizes[name] * TRIALS[0]), min(high, self.sizes[name] * TRIALS[-1])
-            if low >= high:
-                continue
-            logs = np.linspace(math.log(low), math.log(high), SCANNED)
-            starts = [self._with_linear(self.begin | {name: sign * value}) for value in np.exp(logs).tolist()]
-            left = np.array([math.inf, *(math.inf if one is None else one.misfit for one in starts), math.inf])
-            for k in np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])).tolist():
-                start = starts[k]
-                if start is not None:
-                    yield self._settled(name, start, float(logs[max(k - 1, 0)]), float(logs[min(k + 1, SCANNED - 1)]))
-
-    def _settled(self, name: str, start: Start, begin: float, end: float) -> Start:
-        """Return the minimum between two logarithms of the parameter's size (Golub and Pereyra, 1973).
-
-        By secants of the derivative of the residual, halved where these do not descend.
-        """
-        sign = math.copysign(1.0, start.values[name])
-        at, before = math.log(abs(start.values[name])), None
-        for _ in range(MOST_STEPS):
-            columns, left = self.sloped(start.values, (*self.linear, name)), self._left(start.values)
-            if columns is None or left is None:
-                return start
-            along, beside = columns[:, -1] * start.values[name], columns[:, :-1]
-            along = along - np.einsum("mp,p->m", beside, np.linalg.lstsq(beside, along, rcond=None)[0])
-            slope, curvature = float(np.sum(along * left)), float(np.sum(along**2))
-            if before is not None and before[1] != slope:
-                curvature = (slope - before[1]) / (at - before[0])
-            begin, end = (begin, at) if slope > 0 else (at, end)
-            there = at - slope / curvature if curvature > 0 else math.inf
-            if not begin <= there <= end:
-                there = 0.5 * (begin + end)
-            while abs(there - at) > LOG_SETTLED:
-                moved = self._with_linear(start.values | {name: sign * math.exp(there)})
-                if moved is not None and moved.misfit < start.misfit:
-                    break
-                there = 0.5 * (at + there)
-            else:
-                return start
-            before, at, start = (at, slope), there, moved
-        return start
+        tried = [name for name in self.law.free if name not in self.linear and name not in self.given]
+        first, found = self._with_linear(self.begin), [self._with_linear(values) for values in self._combined(tried)]
+        if len(tried) != 1:
+            return self._valleys(sorted((one for one in [first, *found] if one is not None), key=_order))
+        left = np.array([math.inf, *(math.inf if one is None else one.misfit for one in found), math.inf])
+        lowest = (left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:])
+        minima = [start for start, low in zip(found, lowest, strict=True) if low]
+        return [one for one in [first, *minima] if one is not None]
 
     def _combined(self, tried: Sequence[str]) -> list[dict[str, float]]:
         """Return trials of the parameters that bend the curve: all combinations, or some of very many."""
-        each = []
-        for name in tried:
-            low, high = self.law.limits(name)
-            values = [float(self.sizes[name] * factor) for factor in TRIALS]
-            values += [] if low >= 0 else [-value for value in values]
-            if math.isfinite(low) and math.isfinite(high):
-                values += np.linspace(low, high, TRIALS.size)[1:-1].tolist()
-            each.append([value for value in values if low <= value <= high])
-        if math.prod(len(values) for values in each) <= MOST_TRIALS:
+        each = [self._values(name, SCANNED if len(tried) == 1 else COMBINED) for name in tried]
+        if math.prod(map(len, each)) <= MOST_TRIALS:
             combined = list(product(*each))
         else:
             rng = np.random.default_rng(SEED)
             combined = [tuple(values[rng.integers(len(values))] for values in each) for _ in range(MOST_TRIALS)]
         return [self.begin | dict(zip(tried, values, strict=True)) for values in combined]
+
+    def _values(self, name: str, count: int) -> list[float]:
+        """Return values of a parameter of each sign within its bounds, evenly spaced in their logarithm."""
+        found: list[float] = []
+        for sign in (1.0, -1.0):
+            low, high = sorted(sign * limit for limit in self.law.limits(name))
+            if not (low > 0 and math.isfinite(high)):
+                low, high = max(low, self.sizes[name] * TRIED_SIZES[0]), min(high, self.sizes[name] * TRIED_SIZES[1])
+            if low < high:
+                found += (sign * np.geomspace(low, high, count)[:: -int(sign)]).tolist()
+        return found
 
     def _with_linear(self, values: dict[str, float]) -> Start | None:
         """Return values with the linear ones by bounded least squares; None where not finite."""

@@ -18,7 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from fitting.driver.fit import Fit
-from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, normal_equations, scaled_inverse
+from fitting.least_squares.levenberg_marquardt import linearise
+from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, scaled_inverse
 from fitting.model.parameters import PerCycle
 from stickslip.compute.arrays import Array, autocorrelation_time
 
@@ -44,12 +45,10 @@ def without_level_errors(fit: Fit) -> Fit:
     for column in (PerCycle.LEVEL, PerCycle.NEXT_LEVEL):
         true, error = _true_square(fit, column)
         local[:, column] *= true / (true + error)
-    task = fit.least_squares
-    found = task.evaluate(fit.solution.u, local, True)
-    if found is None:
+    there, here = linearise(fit.least_squares, fit.solution.u, local), fit.solution.blocks
+    if there is None:
         return fit
-    there, here = normal_equations(task, fit.solution.u, local, *found), fit.solution.blocks
-    blocks = replace(there, g=here.g, gl=here.gl, cycle_g=here.cycle_g)
+    blocks = replace(there.blocks, g=here.g, gl=here.gl, cycle_g=here.cycle_g)
     return replace(fit, solution=replace(fit.solution, blocks=blocks))
 
 
@@ -65,18 +64,18 @@ def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
     return max(float(np.mean(fit.local[own, column] ** 2)) - likely, 0.0), error
 
 
-def covariance(fit: Fit, precision: Array) -> Array:
-    """Return a covariance (p, p) of the active shared unknowns not smaller than either of `covariances`.
+def covariance(fit: Fit) -> Array:
+    """Return a covariance (p, p) of the unknowns not smaller than either of `covariances`.
 
     A variance in it may exceed both: for one quantity take the larger of both variances.
     """
-    return upper_bound(*covariances(fit, precision))
+    return upper_bound(*covariances(fit))
 
 
-def covariances(fit: Fit, precision: Array) -> tuple[Array, Array]:
-    """Return the covariances (p, p) of the active shared unknowns by the sandwich and by the curvature.
+def covariances(fit: Fit) -> tuple[Array, Array]:
+    """Return the covariances (p, p) of the unknowns, the curve's last, by the sandwich and by the curvature.
 
-    ``precision`` (p,) is 1/sd^2 of the priors, each one more independent source, or 0.
+    The priors are so many more independent sources.
     """
     blocks = fit.solution.blocks
     reduced = SchurComplement(blocks)
@@ -85,7 +84,8 @@ def covariances(fit: Fit, precision: Array) -> tuple[Array, Array]:
     cycles = own.shape[0]
     scale, bread = scaled_inverse(H, np.diag(blocks.H))
     own = own * scale
-    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + np.diag(precision * scale**2)
+    priors = np.diag(fit.least_squares.precision * scale**2)
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + priors
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
     share = _founded(fit)
     informed = np.einsum("c,cpr->pr", share - 1, reduced.by_cycle(blocks.cycle_curvature))

@@ -188,6 +188,26 @@ def independent_parameters(fit: Fit, motion: MeasuredMotion) -> IndependentParam
     return IndependentParameters(tuple(row.name for row in rows), np.array([row.length for row in rows]), at)
 
 
+def unknown_of(fit: Fit, motion: MeasuredMotion, name: str) -> tuple[int, Callable[[float], float]] | None:
+    """Return the unknown that alone decides a parameter of the first run, and the parameter by its value; else None."""
+    known = _known(fit, motion, 0)
+    for row, scale in (*_own_rows(fit, motion), *_table(fit, motion, known)):
+        if row.name != name:
+            continue
+        deciding = np.flatnonzero(list(known.slopes(row.formula)))
+        if deciding.size != 1:
+            return None
+        factor = _sign_of(row, motion) * (1.0 if scale is None else scale.value**row.power)
+
+        def value(at: float, row: Derived = row, factor: float = factor, k: int = int(deciding[0])) -> float:
+            q = known.q.copy()
+            q[k] = at
+            return factor * row.formula(*known.at(q))
+
+        return int(known.places[deciding[0]]), value
+    return None
+
+
 def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> float:
     """Return the error of a run's break-away level over Fs from rest position, Fs and k/m, which all cycles share.
 
@@ -242,10 +262,10 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
         own[active] = q[: len(active)]
         if theta.size:
             own[Global.LOG_F] = math.log(float(curve.friction(own, theta, q[:0], np.zeros(1))[0]))
-        return values(own), curve.values(own, theta)
+        return values(own), curve.values(theta, own)
 
     precision = problem.precision[first]
-    spread = np.array(covariances(fit, problem.precision))[:, index][:, :, index]
+    spread = np.array(covariances(fit))[:, index][:, :, index]
     unseen = np.zeros(index.size)
     if curve.kind == "constant":
         # The datum is held in the fit; Fs/k moves against it, and of a ramp its width and the belt's speed with that.

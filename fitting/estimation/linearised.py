@@ -7,16 +7,28 @@ The cost is 1/2 sum_c w_c |r_c|^2 and the priors' quadratic forms, as in `fittin
 the unknowns of each cycle are eliminated by the same `SchurComplement`.
 """
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from fitting.driver.fit import Fit
 from fitting.least_squares import elimination
-from fitting.least_squares.normal_equations import NormalEquations, SchurComplement, kernel
+from fitting.least_squares.normal_equations import (
+    NormalEquations,
+    Priors,
+    SchurComplement,
+    first_rows,
+    kernel,
+    normal_equations,
+    priors,
+)
+from fitting.least_squares.problem import Block, Derivatives, UnfollowableError, first_of
 from stickslip.compute.arrays import Array, Integers, Mask
 
+# Residuals (n, B) of each block, m, the same when called again.
+Repeat = Callable[[Sequence[Block]], Iterable[Array]]
 WEIGHT_LEFT = 1e-6  # share of its weight left to a cycle that does not count: its own unknowns stay determined
 
 
@@ -45,66 +57,73 @@ class Scores:
         return np.asarray(self.information.sum(axis=0) + self.prior_information)
 
 
+def cut(columns: Array, blocks: Sequence[Block]) -> Iterator[Array]:
+    """Yield the rows of columns (N, n) in each block."""
+    return (columns[block.rows] for block in blocks)
+
+
 @dataclass(frozen=True, eq=False)
 class LinearisedFit:
     """Derivatives, residuals and priors of an estimation problem at its solution."""
 
-    shared: Array  # (N, p) derivatives of the predicted positions with respect to the shared unknowns
-    local: Array  # (N, q) the same for the unknowns of the cycle that a position belongs to
+    derivatives: Derivatives  # of the positions by the shared unknowns, and by those of their cycle
     residual: Array  # (N,) model minus measurement, m
     rows: tuple[slice, ...]  # the residuals of each cycle, one after another without a gap
     weights: Array  # (cycles,) 1/variance of each cycle's residuals, 1/m^2
-    prior_precision: Array  # (p, p) curvature and gradient of the shared unknowns' priors
-    prior_gradient: Array
-    local_precision: Array  # (cycles, q) the same for the cycles' own, whose priors are independent
-    local_gradient: Array
+    priors: Priors
+    blocks: NormalEquations
+
+    @classmethod
+    def of(
+        cls, derivatives: Derivatives, residual: Array, rows: tuple[slice, ...], weights: Array, priors: Priors
+    ) -> "LinearisedFit":
+        blocks = normal_equations(first_of(rows), weights, residual, derivatives, priors)
+        return cls(derivatives, residual, rows, weights, priors, blocks)
 
     @classmethod
     def at(cls, fit: Fit) -> "LinearisedFit | None":
         """Linearise a fit; None where the motion cannot be followed there."""
-        jacobian, task = fit.jacobian, fit.least_squares
-        if jacobian is None:
+        task = fit.least_squares
+        known = fit.windows.rows, task.weights, priors(task, fit.q, fit.local)
+        try:
+            return cls.of(fit.derivatives, fit.residual, *known)
+        except UnfollowableError:
             return None
-        u = fit.q
-        residual, p = fit.residual, u.size
-        return cls(
-            shared=np.ascontiguousarray(jacobian[:, :p]),
-            local=np.ascontiguousarray(jacobian[:, p:]),
-            residual=residual,
-            rows=fit.windows.rows,
-            weights=task.weights,
-            prior_precision=np.diag(task.precision),
-            prior_gradient=task.precision * (u - task.prior),
-            local_precision=task.local_precision,
-            local_gradient=task.local_precision * (fit.local - task.local_prior),
-        )
+
+    def changed(self, change: Callable[[Array], Array], priors: Priors) -> "LinearisedFit":
+        """Return the same with the derivatives (n, p + q) of each block changed."""
+        return self.of(self.derivatives.changed(change), self.residual, self.rows, self.weights, priors)
+
+    def with_shared(self, places: Sequence[int]) -> "LinearisedFit":
+        """Return the same with some of the shared unknowns alone."""
+        p = self.priors.gradient.size
+        index, kept = list(places), [*places, *range(p, p + self.priors.local_gradient.shape[1])]
+        precision = self.priors.precision[np.ix_(index, index)]
+        own = self.priors._replace(precision=precision, gradient=self.priors.gradient[index])
+        return self.changed(lambda part: np.ascontiguousarray(part[:, kept]), own)
 
     @cached_property
     def first(self) -> Integers:
         """First residual of each cycle, and their number, shape (cycles + 1,)."""
-        return np.array([*(rows.start for rows in self.rows), self.rows[-1].stop], np.int64)
+        return first_of(self.rows)
 
-    def _product(self, left: Array, right: Array) -> Array:
-        """Return w L'R of each cycle, shape (cycles, m, n), for L (N, m) and R (N, n)."""
-        out = np.zeros((len(self.rows), left.shape[1], right.shape[1]))
-        kernel(elimination.sum_cross)(left, np.ascontiguousarray(right), self.first, out)
-        out *= self.weights[:, None, None]
+    def _gradients(self, columns: Iterable[Array]) -> tuple[Array, Array]:
+        """Return w J'C of columns in each cycle, by the shared (cycles, p, n) and the own unknowns (cycles, q, n).
+
+        ``columns`` are those (n rows of a block, n) of each block.
+        """
+        parts = []
+        for (block, part), own in zip(self.derivatives, columns, strict=True):
+            parts.append(self._product(part, own, block))
+        both, p = np.concatenate(parts), self.priors.gradient.size
+        return np.ascontiguousarray(both[:, :p]), np.ascontiguousarray(both[:, p:])
+
+    def _product(self, left: Array, right: Array, block: Block) -> Array:
+        """Return w L'R of each cycle of a block, shape (cycles, m, n), for L (rows, m) and R (rows, n)."""
+        out = np.zeros((block.cycles.stop - block.cycles.start, left.shape[1], right.shape[1]))
+        kernel(elimination.sum_cross)(left, np.ascontiguousarray(right), first_rows(self.first, block), out)
+        out *= self.weights[block.cycles, None, None]
         return out
-
-    @cached_property
-    def blocks(self) -> NormalEquations:
-        residual = self.residual[:, None]
-        curvature, own = self._product(self.shared, self.shared), self._product(self.local, self.local)
-        cycle_g = self._product(self.shared, residual)[:, :, 0]
-        return NormalEquations(
-            g=cycle_g.sum(axis=0) + self.prior_gradient,
-            H=curvature.sum(axis=0) + self.prior_precision,
-            gl=self._product(self.local, residual)[:, :, 0] + self.local_gradient,
-            Hl=own + self.local_precision[:, :, None] * np.eye(own.shape[1]),
-            cross=self._product(self.shared, self.local),
-            cycle_g=cycle_g,
-            cycle_curvature=curvature,
-        )
 
     @cached_property
     def reduced(self) -> SchurComplement:
@@ -131,47 +150,67 @@ class LinearisedFit:
         """Each cycle's gradient in the shared unknowns, its own eliminated, shape (cycles, p)."""
         return self.reduced.reduced_gradients(self.blocks.cycle_g, self._pull)
 
-    def refit(self, residuals: Array) -> Array:
-        """Return the residuals (N, B), m, of a linear fit to B records with the fit's true unknowns, such as noise.
+    def refit(self, residuals: Repeat) -> Iterator[tuple[Block, Array]]:
+        """Yield what a linear fit leaves of B records with the fit's true unknowns, such as noise, block by block.
 
         Unchanged where the step would raise the cost: at a jump of the motion the derivatives fail.
         """
-        gradient = self._product(self.shared, residuals).sum(axis=0)
-        out = self._moved(residuals, *self.reduced.newton_step(gradient, self._product(self.local, residuals)))
-        return np.where(self._squares(out) <= self._squares(residuals), out, residuals)
+        shared, own = self._gradients(residuals(self.derivatives.blocks))
+        step, local = self.reduced.newton_step(shared.sum(axis=0), own)
+        lower = self._change(shared.sum(axis=0), own, step, local) <= 0
+        steps = self._steps(step, local)
+        for (block, part), drawn in zip(self.derivatives, residuals(self.derivatives.blocks), strict=True):
+            yield block, np.where(lower, self._moved(block, part, drawn, steps), drawn)
+
+    def refit_columns(self, residuals: Array) -> Array:
+        """Return what a linear fit leaves of residuals (N, B), as `refit`."""
+        return np.concatenate([left for _, left in self.refit(partial(cut, residuals))])
+
+    def _change(self, g: Array, gl: Array, step: Array, local: Array) -> Array:
+        """Return the changes (B,) of the weighted sums of squares with gradients g (p, B) and gl (cycles, q, B)."""
+        at, own = self.blocks, self.blocks.Hl - self.priors.local_precision[:, :, None] * np.eye(gl.shape[1])
+        slope = 2 * np.einsum("pb,pb->b", g, step) + 2 * np.einsum("cqb,cqb->b", gl, local)
+        bend = np.einsum("pb,pr,rb->b", step, at.H - self.priors.precision, step)
+        bend += 2 * np.einsum("pb,cpq,cqb->b", step, at.cross, local, optimize=True)
+        return np.asarray(slope + bend + np.einsum("cqb,cqr,crb->b", local, own, local, optimize=True))
 
     def without(self, spoilt: Mask) -> "LinearisedFit":
         """Return the fit after a Gauss-Newton step without some cycles (cycles,), or as it was if that is worse."""
-        others = replace(self, weights=np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights))
+        weights = np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights)
+        others = self.of(self.derivatives, self.residual, self.rows, weights, self.priors)
         step, own = others.reduced.newton_step(others.blocks.g, others.blocks.gl)
-        moved = replace(others, residual=self._moved(self.residual[:, None], step[:, None], own[:, :, None])[:, 0])
-        return moved if moved.cost <= others.cost else self
+        steps, residual = self._steps(step[:, None], own[:, :, None]), self.residual[:, None]
+        moved = [self._moved(block, part, residual[block.rows], steps) for block, part in self.derivatives]
+        found = replace(others, residual=np.concatenate(moved)[:, 0], blocks=others.blocks.moved(step, own))
+        return found if found.cost <= others.cost else self
 
-    def _moved(self, residuals: Array, step: Array, own: Array) -> Array:
-        """Return residuals (N, B) after steps of the shared (p, B) and the cycles' own unknowns (cycles, q, B)."""
+    def _steps(self, step: Array, own: Array) -> Array:
+        """Return the steps (cycles, p + q, B) of all unknowns from those of the shared (p, B) and (cycles, q, B)."""
+        return np.concatenate([np.broadcast_to(step, (len(self.rows), *step.shape)), own], axis=1)
+
+    def _moved(self, block: Block, part: Array, residuals: Array, steps: Array) -> Array:
+        """Return residuals (n, B) of a block after steps (cycles, p + q, B)."""
         out = np.array(residuals, order="C")
-        shared = np.broadcast_to(step, (len(self.rows), *step.shape))
-        for columns, steps in ((self.shared, shared), (self.local, own)):
-            kernel(elimination.add_along)(columns, self.first, np.ascontiguousarray(steps), out)
+        kernel(elimination.add_along)(part, first_rows(self.first, block), steps[block.cycles], out)
         return out
 
     @property
     def cost(self) -> float:
         """Cost of the residuals alone, without the priors."""
-        return 0.5 * float(self._squares(self.residual))
-
-    def _squares(self, residuals: Array) -> Array:
-        """Return the weighted sum of squares of residuals (N, ...), shape (...)."""
-        return np.asarray(np.einsum("c,c...->...", self.weights, np.add.reduceat(residuals**2, self.first[:-1])))
+        squares = np.add.reduceat(self.residual**2, self.first[:-1])
+        return 0.5 * float(np.einsum("c,c...->...", self.weights, squares))
 
     def scores(self, columns: Array) -> Scores:
         """Return gradient and curvature in further unknowns with position derivatives ``columns`` (N, d)."""
         columns = np.ascontiguousarray(columns)
-        raw, to_local = self._product(columns, columns), self._product(self.local, columns)
+        to_shared, to_local = self._gradients(cut(columns, self.derivatives.blocks))
+        parts = [(block, columns[block.rows]) for block in self.derivatives.blocks]
+        raw = np.concatenate([self._product(part, part, block) for block, part in parts])
         pull = self.reduced.local_step(to_local)
-        beside = self.reduced.reduced_gradients(self._product(self.shared, columns), pull)
+        beside = self.reduced.reduced_gradients(to_shared, pull)
         own = raw - np.einsum("cqd,cqe->cde", to_local, pull)
-        gradient = self._product(columns, self.residual[:, None])[:, :, 0]
+        residual = self.residual[:, None]
+        gradient = np.concatenate([self._product(part, residual[block.rows], block) for block, part in parts])[:, :, 0]
         gradient -= np.einsum("cqd,cq->cd", to_local, self._pull)
         follow = np.einsum("ij,jd->id", self.covariance, beside.sum(axis=0))
         back = np.einsum("id,cie->cde", follow, beside)
@@ -180,7 +219,7 @@ class LinearisedFit:
         return Scores(
             score=gradient - np.einsum("id,ci->cd", follow, self.gradients),
             information=own,
-            prior_score=-np.einsum("id,i->d", follow, self.prior_gradient),
-            prior_information=np.einsum("id,ij,je->de", follow, self.prior_precision, follow),
+            prior_score=-np.einsum("id,i->d", follow, self.priors.gradient),
+            prior_information=np.einsum("id,ij,je->de", follow, self.priors.precision, follow),
             raw=np.einsum("cdd->d", raw),
         )

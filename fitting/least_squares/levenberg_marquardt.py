@@ -24,10 +24,19 @@ from fitting.least_squares.normal_equations import (
     NormalEquations,
     SchurComplement,
     eigen,
+    first_rows,
     kernel,
     normal_equations,
+    priors,
+    sum_gradients,
 )
-from fitting.least_squares.problem import LeastSquaresProblem, cost, cost_by_cycle
+from fitting.least_squares.problem import (
+    Derivatives,
+    LeastSquaresProblem,
+    UnfollowableError,
+    cost,
+    cost_by_cycle,
+)
 from stickslip.compute.arrays import Array
 
 # Chosen by trial; the objective does not depend on them.  With half and twice of each, true laws end at the same
@@ -70,12 +79,12 @@ class Step(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A point of a search: unknowns (p,) and (cycles, q), residuals (N,), derivatives (N, p + q), and cost."""
+    """A point of a search: unknowns (p,) and (cycles, q), residuals (N,), their derivatives, and cost."""
 
     u: Array
     local: Array
     residual: Array
-    jacobian: Array
+    derivatives: Derivatives
     cost: float
     blocks: NormalEquations
 
@@ -107,7 +116,7 @@ def minimise(
     back by the same derivatives, which pays where derivatives cost more than residuals.
     """
     u, local = np.clip(u, problem.lower, problem.upper), np.minimum(local, problem.local_upper)
-    at = _point(problem, u, local)
+    at = linearise(problem, u, local)
     if at is None:
         return None
     calm, outcome, steps = 0, "step limit", 1
@@ -125,7 +134,7 @@ def minimise(
         damping = max(damping / (CAUTIOUS_CUT if refused else DAMPING_CUT), LEAST_DAMPING)
         gain = at.cost - trial.cost
         steps += 1
-        there = _point(problem, trial.u, trial.local)
+        there = linearise(problem, trial.u, trial.local)
         if there is None:  # the point itself can be followed, one of its neighbours cannot
             at, outcome = at._replace(u=trial.u, local=trial.local, cost=trial.cost), "no progress"
             break
@@ -145,7 +154,7 @@ def last_step(problem: LeastSquaresProblem, near: Solution) -> Solution | None:
 
     None where it cannot be followed.
     """
-    at = _point(problem, near.u, near.local)
+    at = linearise(problem, near.u, near.local)
     if at is None:
         return None
     trial = _trial(problem, at, LEAST_DAMPING)
@@ -162,17 +171,21 @@ def _rms(problem: LeastSquaresProblem, at: Point) -> float:
     return math.sqrt(float(np.sum(problem.weights * np.add.reduceat(at.residual**2, problem.starts))))
 
 
-def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None:
+def linearise(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None:
     """Return the point, or None where it or its neighbourhood cannot be followed."""
     found = problem.evaluate(u, local, True)
-    if found is None:
+    residual, derivatives = found or (None, None)
+    if residual is None or derivatives is None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):  # derivatives too large for a number are none
-        blocks = normal_equations(problem, u, local, *found)
+        try:
+            blocks = normal_equations(problem.first, problem.weights, residual, derivatives, priors(problem, u, local))
+        except UnfollowableError:
+            return None
         largest = HELD_CURVATURE * (np.abs(np.diag(blocks.H)).sum() + np.abs(np.einsum("cii->c", blocks.Hl)).sum())
     if not largest < math.inf:
         return None
-    return Point(u, local, *found, cost(problem, u, local, found[0]), blocks)
+    return Point(u, local, residual, derivatives, cost(problem, u, local, residual), blocks)
 
 
 def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections: int = 0) -> Trial | None:
@@ -202,8 +215,7 @@ def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections:
 def _corrected(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> tuple[Trial, Array] | None:
     """Return the trial corrected across the valley by the previous derivatives, and its residuals, or None."""
     p = at.u.size
-    gradient = np.zeros((trial.local.shape[0], p + trial.local.shape[1]))
-    kernel(elimination.sum_gradients)(at.jacobian, residual * problem.weights[problem.owner], problem.first, gradient)
+    gradient = sum_gradients(problem.first, residual * problem.weight, at.derivatives, p + trial.local.shape[1])
     g = gradient[:, :p].sum(axis=0) + problem.precision * (trial.u - problem.prior)
     gl = gradient[:, p:] + problem.local_precision * (trial.local - problem.local_prior)
     damped = SchurComplement(at.blocks, CORRECTION_DAMPING, (trial.local >= problem.local_upper) & (gl < 0))
@@ -248,12 +260,14 @@ def _accelerated_step(problem: LeastSquaresProblem, at: Point, damping: float) -
     if near is None:
         return None
     both = np.hstack([np.tile(step.u, (at.local.shape[0], 1)), step.local])
-    straight = np.empty(at.residual.size)
-    kernel(elimination.along)(at.jacobian, problem.first, both, straight)
-    bend = ((near[0] - at.residual) / PROBE_STEP - straight) * (2 / PROBE_STEP)
-    push = bend * problem.weights[problem.owner]
     gradient = np.zeros_like(both)
-    kernel(elimination.sum_gradients)(at.jacobian, push, problem.first, gradient)
+    for block, part in at.derivatives:
+        own, rows, begin = block.cycles, block.rows, first_rows(problem.first, block)
+        straight = np.empty(begin[-1])
+        kernel(elimination.along)(part, begin, both[own], straight)
+        bend = ((near[0][rows] - at.residual[rows]) / PROBE_STEP - straight) * (2 / PROBE_STEP)
+        push = bend * problem.weights[own].repeat(np.diff(begin))
+        kernel(elimination.sum_gradients)(part, push, begin, gradient[own])
     turn = _step(problem, at.u, damped, gradient[:, :p].sum(axis=0), gradient[:, p:])
     scale, local_scale = np.diag(at.blocks.H), np.einsum("cii->ci", at.blocks.Hl)
     with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long

@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from fitting.least_squares import elimination
-from fitting.least_squares.problem import LeastSquaresProblem
-from stickslip.compute.arrays import Array, Mask
+from fitting.least_squares.problem import Block, Derivatives, LeastSquaresProblem
+from stickslip.compute.arrays import Array, Integers, Mask
 from stickslip.compute.compile import compiled
 
 HELD_CURVATURE = 1e12  # curvature over its own, of an unknown that does not move
@@ -38,19 +39,44 @@ class NormalEquations:
         )
 
 
+class Priors(NamedTuple):
+    """Curvature (p, p) and gradient (p,) of the shared unknowns' priors, and 1/sd^2 and gradient (c, q) of the own."""
+
+    precision: Array
+    gradient: Array
+    local_precision: Array
+    local_gradient: Array
+
+
+def priors(problem: LeastSquaresProblem, u: Array, local: Array) -> Priors:
+    return Priors(
+        np.diag(problem.precision),
+        problem.precision * (u - problem.prior),
+        problem.local_precision,
+        problem.local_precision * (local - problem.local_prior),
+    )
+
+
 def normal_equations(
-    problem: LeastSquaresProblem, u: Array, local: Array, residual: Array, jacobian: Array
+    first: Integers, weights: Array, residual: Array, derivatives: Derivatives, priors: Priors
 ) -> NormalEquations:
-    p, (c, q) = u.size, local.shape
+    """Sum residuals (N,) and their derivatives over cycles that begin at ``first`` (c + 1,)."""
+    p, (c, q) = priors.gradient.size, priors.local_gradient.shape
     square, gradient = np.zeros((c, p + q, p + q)), np.zeros((c, p + q))
-    kernel(elimination.sum_products)(jacobian, residual, problem.first, square, gradient)
-    square *= problem.weights[:, None, None]
-    gradient *= problem.weights[:, None]
-    H = square[:, :p, :p].sum(axis=0) + np.diag(problem.precision)
-    Hl = square[:, p:, p:] + problem.local_precision[:, :, None] * np.eye(q)
-    g = gradient[:, :p].sum(axis=0) + problem.precision * (u - problem.prior)
-    gl = gradient[:, p:] + problem.local_precision * (local - problem.local_prior)
-    return NormalEquations(g, H, gl, Hl, np.ascontiguousarray(square[:, :p, p:]), gradient[:, :p], square[:, :p, :p])
+    for block, part in derivatives:
+        own, begin = block.cycles, first_rows(first, block)
+        kernel(elimination.sum_products)(part, residual[block.rows], begin, square[own], gradient[own])
+    square *= weights[:, None, None]
+    gradient *= weights[:, None]
+    return NormalEquations(
+        g=gradient[:, :p].sum(axis=0) + priors.gradient,
+        H=square[:, :p, :p].sum(axis=0) + priors.precision,
+        gl=gradient[:, p:] + priors.local_gradient,
+        Hl=square[:, p:, p:] + priors.local_precision[:, :, None] * np.eye(q),
+        cross=np.ascontiguousarray(square[:, :p, p:]),
+        cycle_g=gradient[:, :p],
+        cycle_curvature=square[:, :p, :p],
+    )
 
 
 class SchurComplement:
@@ -125,6 +151,19 @@ def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
     size, axes = eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
     half = axes / np.sqrt(np.maximum(size, 1e-15))
     return scale, np.asarray(np.einsum("ik,jk->ij", half, half))
+
+
+def sum_gradients(first: Integers, residual: Array, derivatives: Derivatives, width: int) -> Array:
+    """Return J'r of each cycle, (c, width), for residuals (N,)."""
+    out = np.zeros((first.size - 1, width))
+    for block, part in derivatives:
+        kernel(elimination.sum_gradients)(part, residual[block.rows], first_rows(first, block), out[block.cycles])
+    return out
+
+
+def first_rows(first: Integers, block: Block) -> Integers:
+    """Return the first rows (c + 1,) of a block's cycles within the block."""
+    return np.asarray(first[block.cycles.start : block.cycles.stop + 1] - block.rows.start)
 
 
 def kernel(function: Callable[..., None]) -> Callable[..., None]:

@@ -1,17 +1,81 @@
 """A least-squares problem of unknowns that all cycles share and of each cycle's own, and its objective."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.compute.arrays import Array, Integers, end_to_end
 
-# Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
-Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
+# Residuals (N,) m and, when asked for, their derivatives; None when the flow cannot be followed there.
+Evaluate = Callable[[Array, Array, bool], "tuple[Array, Derivatives | None] | None"]
+MOST_AT_ONCE = 30_000  # residuals whose derivatives or repetitions are made at a time: some 20 MB
+MOST_KEPT = 8_000_000  # derivatives kept: 64 MB; others are made anew each time
+
+
+class Block(NamedTuple):
+    """Consecutive cycles, and their residuals."""
+
+    cycles: slice
+    rows: slice
+
+
+def blocks_of(rows: Sequence[slice]) -> tuple[Block, ...]:
+    """Divide cycles with residuals ``rows`` into blocks of about `MOST_AT_ONCE` residuals."""
+    stop = np.array([own.stop for own in rows])
+    edges = [0, *(np.flatnonzero(np.diff((stop - 1) // MOST_AT_ONCE)) + 1).tolist(), stop.size]
+    return tuple(Block(slice(a, b), slice(rows[a].start, rows[b - 1].stop)) for a, b in pairwise(edges))
+
+
+def first_of(rows: Sequence[slice]) -> Integers:
+    """Return the first residual of each cycle, and their number, shape (cycles + 1,)."""
+    return np.array([*(own.start for own in rows), rows[-1].stop], np.int64)
+
+
+class Derivatives:
+    """The derivatives of residuals by the shared and own unknowns, made block by block: of a long record they are many.
+
+    ``derive`` returns those of a block, (n, p + q), or None where the motion cannot be followed.
+    """
+
+    def __init__(self, blocks: Sequence[Block], derive: "Callable[[Block], Array | None]") -> None:
+        self.blocks, self.derive = blocks, derive
+        self._kept: dict[int, Array] = {}
+        self._room = MOST_KEPT
+
+    def __iter__(self) -> Iterator[tuple[Block, Array]]:
+        for number, block in enumerate(self.blocks):
+            part = self._kept.get(number)
+            if part is None:
+                part = self.derive(block)
+                if part is None:
+                    raise UnfollowableError
+                if part.size <= self._room:
+                    self._kept[number] = part
+                    self._room -= part.size
+            yield block, part
+
+    def columns(self, unknowns: slice = slice(None)) -> Array:
+        """Return the derivatives (N, k) by some of the unknowns."""
+        return np.concatenate([part[:, unknowns] for _, part in self])
+
+    def changed(self, change: Callable[[Array], Array]) -> "Derivatives":
+        """Return the same with each block's derivatives changed."""
+
+        def derive(block: Block) -> Array | None:
+            part = self.derive(block)
+            return None if part is None else change(part)
+
+        return Derivatives(self.blocks, derive)
+
+
+class UnfollowableError(ArithmeticError):
+    """The motion near a point cannot be followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,17 +116,17 @@ class LeastSquaresProblem:
     @cached_property
     def starts(self) -> NDArray[np.int64]:
         """First residual of each cycle; the cycles' rows are contiguous."""
-        return np.array([rows.start for rows in self.rows], np.int64)
+        return self.first[:-1]
 
     @cached_property
     def first(self) -> Integers:
         """First residual of each cycle, and their number, shape (cycles + 1,)."""
-        return np.append(self.starts, self.rows[-1].stop)
+        return first_of(self.rows)
 
-    @cached_property
-    def owner(self) -> NDArray[np.int64]:
-        """Cycle of each residual."""
-        return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
+    @property
+    def weight(self) -> Array:
+        """Weight (N,) of each residual."""
+        return np.repeat(self.weights, np.diff(self.first))
 
 
 def cost(problem: LeastSquaresProblem, u: Array, local: Array, residual: Array) -> float:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from fitting.data.ripple import Ripple
 from fitting.law import Law
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
-from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
+from fitting.model.windows import ShootingWindows, Thinning
 from rig_sim.friction.law import Law as Kind
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
@@ -58,6 +59,11 @@ class Run:
     cut: CycleSegmentation
     ripple: Ripple | None = None
     given: Mapping[str, tuple[GivenUnknown, ...]] = field(default_factory=dict)
+
+    @cached_property
+    def windows(self) -> ShootingWindows:
+        """The windows of every sample: all laws have the same."""
+        return ShootingWindows.from_cycles(self.motion, self.cut.used)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,11 +206,10 @@ class EstimationProblem:
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
         """Return the windows of all runs, of every sample or thinned (`thinned_to`)."""
+        if not thinned:
+            return ShootingWindows.join([run.windows for run in self.runs])
         return ShootingWindows.join(
-            [
-                ShootingWindows.from_cycles(run.motion, run.cut.used, thinned_to(run) if thinned else EVERY_SAMPLE)
-                for run in self.runs
-            ]
+            [ShootingWindows.from_cycles(run.motion, run.cut.used, thinned_to(run)) for run in self.runs]
         )
 
     @property
@@ -217,7 +222,8 @@ class EstimationProblem:
 
         Constant friction fixes the datum, so that no level pulls at it.
         """
-        return 1.0 if self.law.kind.curve == "constant" else level_prior(self.motions)
+        guessed = any(motion.datum_prior is None for motion in self.motions)
+        return LOOSE_LEVELS if guessed and self.law.kind.curve != "constant" else 1.0
 
     @property
     def motions(self) -> tuple[MeasuredMotion, ...]:
@@ -245,11 +251,6 @@ def thinned_to(run: Run) -> Thinning:
     motion = run.motion
     stride = max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE_SAMPLES))
     return Thinning(stride, COARSE_SAMPLES if run.ripple is None else math.inf)
-
-
-def level_prior(motions: Sequence[MeasuredMotion]) -> float:
-    """Return `EstimationProblem.level_prior` where the datum is fitted with a curve that is not constant."""
-    return LOOSE_LEVELS if any(motion.datum_prior is None for motion in motions) else 1.0
 
 
 def datum_calibration(motion: MeasuredMotion) -> Measured:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
+from fitting.least_squares.problem import Block, blocks_of
 from fitting.model import parameters
 from fitting.model.parameters import PER_CYCLE, PER_RUN, PerCycle
 from stickslip.compute.arrays import Array, end_to_end
@@ -114,6 +116,10 @@ class ShootingWindows:
             rows=tuple(rows),
             parts=tuple(parts),
         )
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        return blocks_of(self.rows)
 
     def some(self, cycles: NDArray[np.int64]) -> "ShootingWindows":
         """Return the windows of these cycles (ascending indices)."""

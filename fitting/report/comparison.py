@@ -161,4 +161,4 @@ def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, 
             axes.remove()
         drawn.axes[0].set_yticks(range(1, len(runs) + 1), [f"run {number}" for number in range(1, len(runs) + 1)])
         drawn.axes[0].set_ylim(len(runs) + 0.6, 0.4)
-        return pictures.embed(drawn, "comparison", f"Values and intervals of {', '.join(names)} of each run.")
+        return pictures.embed(drawn, f"Values and intervals of {', '.join(names)} of each run.", "comparison")

@@ -15,8 +15,7 @@ from fitting.estimation.result import Correlations, Parameter
 from fitting.report import mathml, symbols
 from fitting.selection.result import LawResult, Ranking
 from fitting.selection.verdict import format_probability
-from processing.record.kinematics import Kinematics
-from processing.statistics import StickSlipStatistics, pooled
+from processing.statistics import pooled
 from stickslip.errors import InputError
 from stickslip.output import atomic
 from stickslip.output.lengths import format_length
@@ -86,14 +85,16 @@ def _holder(digests: set[str], file: Path) -> Path | None:
     return None
 
 
-def write(page: str, path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
-    """Write a page of `render`, in place of a report of the same runs, or of any file with ``force``.
+def write(ranking: Ranking, path: Path, text: str = "", *, force: bool = False) -> None:
+    """Write the page of a ranking, or its ``text``, in place of a report of the same runs, or any file with ``force``.
 
     Raises InputError where ``path`` is another file, and RefusedError where it cannot be written; an older report then
     remains.
     """
+    recordings = [record.recording for record in ranking.records]
+    digests, files = [one.digest for one in recordings], [one.source for one in recordings if one.source.name]
     refuse_foreign_file(path, digests, files=files, force=force)
-    put(page, path)
+    put(text or render(ranking), path)
 
 
 def put(page: str, path: Path) -> None:
@@ -115,20 +116,17 @@ def now() -> str:
     return datetime.now().astimezone().isoformat(" ", timespec="minutes")
 
 
-def render(
-    ranking: Ranking, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
-) -> str:
-    """Return the report as HTML; motions and statistics are those of each run."""
+def render(ranking: Ranking) -> str:
+    """Return the report as HTML."""
     from markupsafe import Markup
 
     from fitting.report import pictures
 
-    first = motions[0].recording
+    recordings = [record.recording for record in ranking.records]
     best = ranking.best if ranking.rows else None
-    title = ", ".join(motion.recording.source.name for motion in motions)
     return template("report.html").render(
         mark=Markup(f'{MARK} {html.escape(VERSION)}">'),
-        title=title if ranking.runs or not first.title else first.title,
+        title=", ".join(recording.source.name or recording.title for recording in recordings),
         ranking=ranking,
         adequacy=ranking.adequacy,
         goodness=ranking.adequacy.goodness,
@@ -139,15 +137,15 @@ def render(
         colours={law: style["color"] for law, style in law_styles(row.law for row in ranking.rows).items()},
         parameters=[row for row in ranking.rows if row is best or row.in_set],
         joint=bool(ranking.runs),
-        runs=list(zip(range(1, len(motions) + 1), ranking.sides, motions, strict=True)),
+        runs=list(zip(range(1, len(recordings) + 1), ranking.sides, ranking.records, strict=True)),
         run_colour=run_colour,
         correlations=ranking.correlations(),
         motion=symbols.MOTION,
         symbols=symbols.symbols({name for side in ranking.sides for row in side.rows for name in row.parameters}),
-        confidence=f"{100 * (1 - alpha):g} %",
-        statistics=pooled(statistics).rows(motions[0].unit),
+        confidence=f"{100 * (1 - ranking.alpha):g} %",
+        statistics=pooled(ranking.statistics).rows(ranking.records[0].unit),
         smallest_departure=smallest_departure(ranking.adequacy),
-        pictures={name: Markup(text) for name, text in pictures.draw(ranking, statistics).items()},
+        pictures={name: Markup(text) for name, text in pictures.draw(ranking).items()},
         now=now(),
         version=VERSION,
     )
@@ -167,9 +165,10 @@ def _badge(ranking: Ranking) -> tuple[str, str]:
 
 def _headline(best: LawResult) -> dict[str, Parameter]:
     """Return the parameters of the curve, the spring and the belt; in newtons where those are known."""
-    names = (*filter(best.is_own, best.parameters), "k/m", "v_dr")
-    shown = (short if (short := name.removesuffix("/m")) in best.parameters else name for name in names)
-    return {name: best.parameters[name] for name in shown}
+    parameters = best.parameters
+    names = (*filter(best.is_own, parameters), *(name for name in ("k/m", "v_dr") if name in parameters))
+    shown = (short if (short := name.removesuffix("/m")) in parameters else name for name in names)
+    return {name: parameters[name] for name in shown}
 
 
 def _symbol(name: str) -> "Markup":
@@ -186,7 +185,7 @@ def _typeset(row: LawResult) -> "tuple[Markup, str]":
     """Return the curve of a law typeset, and its contact in words."""
     from markupsafe import Markup
 
-    curve, contact = symbols.typeset(row)
+    curve, contact = symbols.typeset(row.fit.law)
     return Markup(curve), contact
 
 

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from fitting.data.cycles import Cycle
 from fitting.drawing import plot
 from fitting.drawing.palette import COLOURS, DASHED, INK, MEASURED, law_styles, run_colour, run_dash, run_mark
 from fitting.report.symbols import pretty
 from fitting.selection.result import LawResult, Ranking
-from processing.statistics import StickSlipStatistics, pooled
+from processing.statistics import pooled
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import format_length, shown_length
 from stickslip.output.plot import STYLE
@@ -51,7 +52,7 @@ def look() -> AbstractContextManager[None]:
     return mpl.rc_context(LOOK, fname=STYLE)
 
 
-def embed(drawn: Figure, name: str, about: str) -> str:
+def embed(drawn: Figure, about: str, name: str) -> str:
     """Return a figure as an ``<svg>`` element with a unique ``name``; ``about`` is the text alternative."""
     buffer = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
@@ -113,8 +114,8 @@ def panels(
     return drawn, cells
 
 
-def _legend(drawn: Figure, axes: Sequence["Axes"]) -> None:
-    """Put one legend of some axes above the whole figure."""
+def _legend(drawn: Figure, axes: Sequence["Axes"], marks: float = 1.0) -> None:
+    """Put one legend of some axes above the whole figure, its marks so many times as large."""
     lines = {name: line for one in axes for line, name in zip(*one.get_legend_handles_labels(), strict=True)}
     width, height = drawn.get_size_inches()
     columns = max(1, int((width - LEFT) / (KEY + LETTER * max(map(len, lines)))))
@@ -129,6 +130,7 @@ def _legend(drawn: Figure, axes: Sequence["Axes"]) -> None:
         borderaxespad=0,
         borderpad=0,
         labelspacing=0.3,
+        markerscale=marks,
     )
 
 
@@ -154,16 +156,19 @@ def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
 def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> Part:
     """Return the motion of a law in each window of its fit, or of one cycle, with NaN between windows.
 
-    The first and the last sample of a window are left out: there the velocity, a difference, has one side only.
+    The first and the last sample of a window are left out: there the velocity, a difference, has one side only.  A slip
+    that is started beyond the belt's speed is drawn from where it falls below.
     """
     windows = row.fit.windows
     model = windows.position + row.fit.residual
     parts: list[Array] = [np.empty((3, 0))]
-    for cycle, _, first, count, *_ in windows.table:
+    for cycle, stick, first, count, *_ in windows.table:
         if count > 3 and number in (None, row.fit.cycles[cycle].number):
             samples = slice(first, first + count)
             time, x = windows.time[samples], model[samples]
-            part = np.stack((row.motion.begin + time, MM * sign * x, sign * np.gradient(x, time)))[:, 1:-1]
+            v = np.gradient(x, time)
+            v[(v > row.fit.values.v_dr) & (stick == 0)] = np.nan
+            part = np.stack((row.motion.begin + time, MM * sign * x, sign * v))[:, 1:-1]
             parts.append(np.hstack((part, np.full((3, 1), np.nan))))
     return np.hstack(parts)
 
@@ -304,7 +309,7 @@ def residuals(ranking: Ranking) -> tuple[Figure, str]:
         axes.set(ylim=(-reach, reach), title=f"{row.label}, {kind}")
         axes.set_xlabel(time_label(ranking) if whole else "time since break-away (s)")
     cells[0, 0].set_ylabel("residual (µm)")
-    _legend(drawn, cells[0])
+    _legend(drawn, cells[0], marks=4.0)
     return drawn, "Residuals against time and against the time since the break-away, with the band of the noise."
 
 
@@ -327,7 +332,10 @@ def evidence(ranking: Ranking) -> tuple[Figure, str]:
         axes.plot(cycles, np.full(cycles.size, place), "|", color=colour, ms=9)
         axes.plot(np.exp(np.mean(np.log(cycles))), place, "o", color=colour, ms=5)
     axes.set_yticks(range(len(rows)), named)
-    axes.set(xscale="log", xlabel="error of each cycle (µm rms)")
+    axes.set_xscale("log", subs=())
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(xlabel="error of each cycle (µm rms)")
     return drawn, "Error of each cycle under each law."
 
 
@@ -348,9 +356,10 @@ def levels(ranking: Ranking) -> tuple[Figure, str]:
     return drawn, "Friction level of each cycle at break-away and in the slip, against time."
 
 
-def break_aways(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> tuple[Figure, str]:
+def break_aways(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the break-away levels: their distribution, their trend, and level against stick time."""
-    counted, (factor, unit) = pooled(statistics), shown_length("m")
+    statistics, (factor, unit) = ranking.statistics, shown_length("m")
+    counted = pooled(statistics)
     time = np.concatenate([begin + run.column("t") for begin, run in zip(begins(ranking), statistics, strict=True)])
     level = factor * counted.column("break_away_m")
     mean = float(level.mean())
@@ -375,23 +384,13 @@ def break_aways(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> 
     return drawn, "Break-away levels: their distribution, and against time and stick time."
 
 
-PICTURES: tuple[Callable[[Ranking], tuple[Figure, str]], ...] = (
-    friction,
-    cycle,
-    record,
-    portraits,
-    laws,
-    residuals,
-    evidence,
-    levels,
-)
-WITHOUT_LAW = (record, portraits)
+Picture = Callable[[Ranking], tuple[Figure, str]]  # with its text alternative
+PICTURES: tuple[Picture, ...] = (friction, cycle, record, portraits, laws, residuals, evidence, levels)
 
 
-def draw(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
+def draw(ranking: Ranking) -> dict[str, str]:
     """Return the pictures of the report as ``<svg>`` elements by name; without a law only the measured ones."""
+    shown: list[Picture] = [*(PICTURES if ranking.rows else (record, portraits))]
+    shown += [break_aways] if pooled(ranking.statistics).rows("m") else []
     with look():
-        drawn = {one.__name__: one(ranking) for one in (PICTURES if ranking.rows else WITHOUT_LAW)}
-        if pooled(statistics).rows("m"):
-            drawn["break_aways"] = break_aways(ranking, statistics)
-        return {name: embed(drawn, name, about) for name, (drawn, about) in drawn.items()}
+        return {picture.__name__: embed(*picture(ranking), name=picture.__name__) for picture in shown}

@@ -16,7 +16,7 @@ from daq.runfile.tree import Field, Group
 from fitting.drawing.curves import curve, speeds_of_all, unit
 from fitting.estimation.derived import RUNS_OWN
 from fitting.estimation.result import Parameter
-from fitting.report.symbols import formula_of
+from fitting.report.symbols import formula
 from fitting.selection.result import LawResult, Ranking
 from processing import stage as smoothed_stage
 from stickslip.compute.arrays import Array
@@ -105,7 +105,7 @@ def _law(path: str, title: str, runs: int = 0) -> tree.Tree:
         *tree.process(path, "fit-friction", 2, "friction_curve"),
         Group(f"{path}/parameters", "NXparameters"),
         Field(f"{path}/parameters/law_name", "text", "", "of the law", value=lambda law: _shown_name(law.row)),
-        Field(f"{path}/parameters/formula", "text", "", "of the law", value=lambda law: formula_of(law.row)),
+        Field(f"{path}/parameters/formula", "text", "", "of the law", value=lambda law: formula(law.row.fit.law)),
         Field(f"{path}/parameters/*", "parameters", "", PARAMETERS, "shared"),
         *(
             row

@@ -2,10 +2,8 @@
 
 from collections.abc import Iterable
 
-from fitting.law import FORMULAS
+from fitting.law import Law
 from fitting.report import mathml
-from fitting.selection.result import LawResult
-from rig_sim.friction.law import LAWS
 
 MOTION = "m dv/dt = F(w) - k (x - x0) - c v, with w = v - v_dr"
 # Every symbol of the formulas, and every parameter that a fit reports, without "/m".
@@ -37,30 +35,21 @@ SYMBOLS = {
 ALWAYS = ("x", "v", "w", "s", "F", "m")
 
 
-def formula(law: int) -> str:
-    kind = LAWS[law]
-    return _with_contact(FORMULAS[kind.curve].replace("*", " "), "Fs", ramp=bool(kind.ramp))
+def formula(law: Law) -> str:
+    curve = law.formula.replace("*", " ") if law.number else law.formula
+    return _contact(law, f"({curve})", "F(0)")
 
 
-def formula_of(row: LawResult) -> str:
-    if isinstance(row.law, int):
-        return formula(row.law)
-    return _with_contact(row.formula or "", "F(0)", ramp=row.fit.problem.ramp)
+def typeset(law: Law) -> tuple[str, str]:
+    """Return the curve of a law as MathML, and its contact in words."""
+    return mathml.typeset(law.formula), _contact(law, "f(s)", "f(0)")
 
 
-def typeset(row: LawResult) -> tuple[str, str]:
-    """Return the curve of a law of the ranking as MathML, and its contact in words."""
-    curve = FORMULAS[LAWS[row.law].curve] if isinstance(row.law, int) else row.formula or ""
-    level = "Fs" if isinstance(row.law, int) else "f(0)"
-    if row.fit.problem.ramp:
-        return mathml.typeset(curve), f"F = -{level} w/d for |w| <= d, else -sign(w) f(s) with s = |w| - d"
-    return mathml.typeset(curve), "F = -sign(w) f(s) with s = |w|"
-
-
-def _with_contact(curve: str, level: str, *, ramp: bool) -> str:
-    if ramp:
-        return f"F = -{level} w/d for |w| <= d, else -sign(w) ({curve}) with s = |w| - d"
-    return f"F = -sign(w) ({curve}) with s = |w|"
+def _contact(law: Law, curve: str, at_rest: str) -> str:
+    if law.ramp:
+        level = "Fs" if law.number else at_rest
+        return f"F = -{level} w/d for |w| <= d, else -sign(w) {curve} with s = |w| - d"
+    return f"F = -sign(w) {curve} with s = |w|"
 
 
 def symbols(parameters: Iterable[str]) -> list[tuple[str, str]]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitting.adequacy.result import Adequacy
 from fitting.report import page
-from fitting.report.symbols import MOTION, formula_of
+from fitting.report.symbols import MOTION, formula
 from fitting.selection.result import Ranking
 from fitting.selection.verdict import format_probability
 from processing.statistics import pooled
@@ -24,7 +24,7 @@ def of_ranking(ranking: Ranking, written: Sequence[Path | None]) -> list[Any]:
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
     lines: list[Any] = [f"verdict: {ranking.verdict}"]
     if ranking.rows:
-        law = f"{ranking.best.label}: {formula_of(ranking.best)}; {MOTION}"
+        law = f"{ranking.best.label}: {formula(ranking.best.fit.law)}; {MOTION}"
         unfitted = [f"law {row.law} was not fitted: {row.reason}" for row in ranking.unfitted]
         lines += [_laws(ranking), *unfitted, _parameters(ranking), law, *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]

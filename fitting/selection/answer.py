@@ -57,10 +57,10 @@ def build_ranking(
         findings = [*contradicted[number], *shared]
         adequacy = adequacies[number + 1] if len(adequacies) > 1 else together
         side = _side(competition, options, number, record, tables[number], findings, adequacy)
-        depends = () if not competition.described else rig_intervals.law_dependent(tables[number])
+        depends = rig_intervals.law_dependent(tables[number], competition.compatible)
         warnings = verdict_warnings.warnings(side, (*competition.warnings, *depends), together)
         sides.append(replace(side, warnings=warnings))
-    rows = tuple(rig_intervals.over_the_set(tables[-1]))
+    rows = tuple(rig_intervals.over_compatible_laws(tables[-1], competition.compatible))
     events = tuple(event for side in sides for event in side.events)
     return _complete(sides, contradicted, begun, rows=rows, events=events, adequacy=together)
 
@@ -174,7 +174,7 @@ def _side(
     adequacy: Adequacy,
 ) -> Ranking:
     """Return one run's side, without verdict and warnings: its rows, break-aways and findings."""
-    run, rows = competition.runs[number], tuple(rig_intervals.over_the_set(table))
+    run, rows = competition.runs[number], tuple(rig_intervals.over_compatible_laws(table, competition.compatible))
     events = break_aways.find_break_aways(rows[0].fit, run.motion, run.cut)
     # The fitted belt speed is compared with the stated one more exactly than the sticks that smoothing found.
     findings = [*(finding for finding in record.findings if finding.code != "belt-speed"), *findings]

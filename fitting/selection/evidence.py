@@ -1,6 +1,6 @@
 """Evidence between laws, and the model confidence set: the laws that it cannot distinguish.
 
-Fit are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
+Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
 Where the best law's residual is white noise, a cycle is divided into pieces of `PIECE_TIMES` correlation times, because
 there a law may fail in a small part of a cycle: with cycles as units law 2, better than law 1 by 5 % over 1500 samples,
 was ranked lower.  The score is a BIC: with N effective samples (samples over the correlation time of the best law's
@@ -179,10 +179,13 @@ def _drag_rows(fit: Fit, drag: tuple[int, int]) -> slice:
     return slice(int(first), int(first + count))
 
 
-def penalised(fit: Fit, errors: Array, units: Units) -> Array:
-    """Return the log errors with the penalties for the law's parameters and for contradicted calibrations."""
+def penalised(fit: Fit, errors: Array, units: Units, belts: int = 0) -> Array:
+    """Return the log errors with the penalties for the law's parameters and for contradicted calibrations.
+
+    ``belts`` is the number of belts whose compliance this fit alone has as a parameter.
+    """
     n = max(units.samples, errors.size)
-    return errors + (fit.law_parameters * math.log(n) + prior_misfit(fit)) / (2 * n)
+    return errors + ((fit.law_parameters + belts) * math.log(n) + prior_misfit(fit)) / (2 * n)
 
 
 def prior_misfit(fit: Fit) -> float:

@@ -18,16 +18,16 @@ from stickslip.errors import InputError
 from stickslip.units import Measured
 
 UNKNOWNS = {
-    "k/m": Global.K,
-    "Fs/m": Global.LOG_F,
+    "k": Global.K,
+    "Fs": Global.LOG_F,
     "gamma": Global.SHAPE,
     "d": Global.D,
     "static": Global.STATIC,
     "v_dr": Global.V_DR,
     "x0": Global.DATUM,
-    "c/m": Global.DAMPING,
+    "c": Global.DAMPING,
 }
-SIGNED = ("v_dr", "x0")
+IN_NEWTONS, SIGNED = ("k", "Fs", "c"), ("v_dr", "x0")
 
 
 def known_rest(rig: Rig, competitors: Competitors) -> Rig:
@@ -73,8 +73,9 @@ def formula_given(law: Law, given: Mapping[str, Given], motion: MeasuredMotion) 
         if own.fixed:
             fix[plain] = factor * own.low
             continue
-        ends = [None if math.isinf(end) else factor * end for end in (own.low, own.high)]
-        bounds[plain] = ends[0], ends[1]
+        ends = zip((own.low, own.high), (law.bounds or {}).get(plain, (None, None)), strict=True)
+        low, high = (before if math.isinf(end) else factor * end for end, before in ends)
+        bounds[plain] = low, high
         if own.start is not None:
             start[plain] = factor * own.start
     return law.given(fix, bounds, start)
@@ -84,11 +85,10 @@ def _unknowns(given: Mapping[str, Given], sign: float, motion: MeasuredMotion) -
     """Return the values of the shared unknowns."""
     found = []
     for name, own in given.items():
-        per_mass = f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in UNKNOWNS else name
-        slot = UNKNOWNS.get(per_mass)
+        slot = UNKNOWNS.get(name.removesuffix(PER_MASS))
         if slot is None:
             continue
-        factor = 1.0 if per_mass == name else 1.0 / _newtons(name, motion)
+        factor = 1.0 / _newtons(name, motion) if name in IN_NEWTONS else 1.0
         factor *= sign if name in SIGNED else 1.0
         values = [None if end is None else _in_units(slot, factor * end) for end in (own.low, own.high, own.start)]
         low, high = sorted((values[0], values[1]))  # type: ignore[type-var]

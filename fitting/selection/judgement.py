@@ -8,7 +8,7 @@ import numpy as np
 from fitting.adequacy.assess import Judged, describing
 from fitting.curve.result import MeasuredCurve
 from fitting.driver.fit import Fit
-from fitting.law import SIX, Law
+from fitting.law import Law
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence
 from fitting.selection.evidence import Evidence, ModelSet, Units
@@ -44,6 +44,12 @@ class Competition:
         return self.chosen.members
 
     @property
+    def compatible(self) -> tuple[int | str, ...]:
+        """The set, and the laws that fit as well without containing the best law."""
+        others = (law for law in self.not_excluded if not law.contains(self.best.law))
+        return tuple(law.key for law in (*self.members, *others))
+
+    @property
     def best(self) -> Fit:
         """The law of the first row."""
         return self.fits[0]
@@ -63,65 +69,36 @@ def compete(
 ) -> Competition:
     """Compare all laws by one evidence; the set is one of those that describe the record.
 
-    A jump law on a compliant belt that is equivalent to the best ramp law takes its place.
+    The jump law of a narrow ramp competes on a compliant belt too; of both fits of a law the better one is its row.
 
     noise: (runs,) Standard deviation of one position of each run, m.
     known: A law whose goodness of fit is known already.
     sustained: Whether the mass sticks in the long run; else the start-up drags alone are evidence.
     """
-    motions, by_law = [run.motion for run in runs], {fit.law: fit for fit in fits}
-    units = evidence.common_units(fits, runs, sustained=sustained)
-    judged = describing(fits, motions, float(np.max(noise)), {known.fit.law: known})
+    compliant = equivalence.fit_on_compliant_belt(fits, runs, alpha, sustained=sustained)
+    contenders = [*fits, *([] if compliant is None else [compliant])]
+    units = evidence.common_units(contenders, runs, sustained=sustained)
+    by_law: dict[Law, Fit] = {}
+    errors: dict[Law, Array] = {}
+    penalised: dict[Law, Array] = {}
+    for fit in contenders:
+        own = evidence.unit_errors(fit, runs, units)
+        paid = evidence.penalised(fit, own, units, belts=len(runs) if fit is compliant else 0)
+        if fit.law not in by_law or paid.mean() < penalised[fit.law].mean():
+            by_law[fit.law], errors[fit.law], penalised[fit.law] = fit, own, paid
     misfit = {law: _misfit(fit, units, noise) for law, fit in by_law.items()}
-    described = {law for law, own in judged.items() if law in by_law and not own.together.rejected}
-    if not described:  # a jump on a belt that slows under load may describe what no ramp does at several speeds
-        ramps = [law for law in sorted(misfit, key=misfit.__getitem__) if law.number and law.ramp]
-        double = equivalence.equivalent_jump_law(fits, ramps[:1], runs)
-        seen = {} if double is None else describing([double], motions, float(np.max(noise)))
-        if double is not None and not seen[double.law].together.rejected:
-            by_law[double.law], judged, described = double, judged | seen, {double.law}
-            misfit[double.law] = _misfit(double, units, noise)
+    motions, largest = [run.motion for run in runs], float(np.max(noise))
+    seen = {known.fit.law: known} if known.fit is by_law.get(known.fit.law) else {}
+    judged = describing(list(by_law.values()), motions, largest, seen)
+    described = {law for law, own in judged.items() if not own.together.rejected}
     if not described:
-        order = sorted(fits, key=lambda fit: misfit[fit.law])
-        judged = describing(order[:1], motions, float(np.max(noise)), judged) | judged
+        order = sorted(by_law.values(), key=lambda fit: misfit[fit.law])
+        judged = describing(order[:1], motions, largest, judged) | judged
         return Competition(tuple(order), judged, ModelSet((), {}, {}, {}), misfit)
-    errors = {law: evidence.unit_errors(fit, runs, units) for law, fit in by_law.items()}
-    for jump, ramp in equivalence.closed_ramps(list(by_law.values())):
-        if errors[ramp].mean() < errors[jump].mean():
-            errors[ramp] = errors[jump]
-    penalised = {law: evidence.penalised(fit, errors[law], units) for law, fit in by_law.items()}
-
-    def choose() -> ModelSet:
-        table = np.array(list(penalised.values()))
-        return evidence.model_confidence_set(Evidence(tuple(penalised), table, units.samples), alpha, described)
-
-    chosen = choose()
-    double = equivalence.equivalent_jump_law(list(by_law.values()), chosen.members, runs)
-    if double is not None:
-        jump = double.law
-        ramp = next(law for law in by_law if law.is_ramp_of(jump))
-        own = evidence.unit_errors(double, runs, units)
-        lag = equivalence.mean_excess(own, errors[ramp])
-        seen = describing([double], motions, float(np.max(noise)))
-        # one observable, one piece of evidence, unless runs at several speeds split it
-        if lag < equivalence.SAME and not seen[jump].together.rejected:
-            apart = len(runs) > 1 and lag < -equivalence.SAME
-            by_law[jump], judged, described = double, judged | seen, described | {jump}
-            errors[jump], misfit[jump] = own, _misfit(double, units, noise)
-            penalised[jump] = evidence.penalised(double, own, units) if apart else penalised[ramp]
-            chosen = choose()
-    if not sustained and chosen.members == (SIX[2],) and SIX[1] in described:
-        if equivalence.explained_by_belt_ripple(by_law[SIX[2]], errors[SIX[2]], runs):
-            penalised[SIX[1]] = penalised[SIX[2]]
-            chosen = choose()
-    chosen = equivalence.with_open_ramps(
-        chosen,
-        [fit for fit in by_law.values() if fit.law in described],
-        runs,
-        alpha,
-        units.samples,
-        sustained=sustained,
-    )
+    table = Evidence(tuple(penalised), np.array(list(penalised.values())), units.samples)
+    chosen = evidence.model_confidence_set(table, alpha, described)
+    fitting = {law: by_law[law] for law in described}
+    chosen = equivalence.with_indistinct_contacts(chosen, fitting, errors, runs, alpha, sustained=sustained)
     outside = sorted(described.difference(chosen.members), key=chosen.score.__getitem__)
     first = chosen.members[0]
     equal = [law for law in outside if evidence.no_larger(errors[law], errors[first], units.samples)]

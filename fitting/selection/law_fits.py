@@ -188,8 +188,8 @@ def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematic
     """Return whether the mass sticks in the long run; DataError unless there are enough cycles of one kind."""
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
-    for run, kind, record in zip(runs, kinds, records, strict=True):
-        refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
+    for run, record in zip(runs, records, strict=True):
+        refuse(screening.reject_by_cycles(run.motion, run.cut), [record])
     sources = [record.recording.where for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)

@@ -12,24 +12,19 @@ It excludes the errors of the metres per count and of the mass, which only scale
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
-from fitting.competitors import PER_MASS
 from fitting.data.frame import MeasuredMotion
 from fitting.driver.fit import Fit
-from fitting.driver.formula import FormulaCurve
 from fitting.estimation.covariance import covariances
-from fitting.estimation.derived import independent_parameters
+from fitting.estimation.derived import independent_parameters, unknown_of
 from fitting.estimation.result import Parameter
 from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.problem import LeastSquaresProblem
-from fitting.model.parameters import PER_RUN, Global
-from fitting.selection.given import SIGNED, UNKNOWNS
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError, InputError, nearest
 
@@ -80,75 +75,36 @@ def profile(fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter
     """
     if name not in parameters:
         raise InputError(f"law {fit.law.name} has no parameter {name!r}", "profile", nearest(name, list(parameters)))
-    item, place = parameters[name], _unknown(fit, motion, name)
-    if place is None:
-        able = [other for other in parameters if _unknown(fit, motion, other) and not parameters[other].fixed]
+    item, unknown = parameters[name], unknown_of(fit, motion, name)
+    if unknown is None:
+        able = [other for other in parameters if unknown_of(fit, motion, other) and not parameters[other].fixed]
         raise InputError(f"{name} follows from other parameters", "profile", f"take one of {', '.join(able)}")
-    problem = fit.least_squares
-    if item.fixed or problem.lower[place.number] == problem.upper[place.number]:
+    (index, value), problem = unknown, fit.least_squares
+    if item.fixed or problem.lower[index] == problem.upper[index]:
         raise InputError(f"{name} is fixed", "profile", "name a parameter that is fitted, or leave it out of fix")
     least = _fitted(problem, fit.q, fit.local) or fit.solution
-    middle, sd = float(least.u[place.number]), _deviation(fit, place.number)
-    found = [(place.value(middle), least)]
+    middle = float(least.u[index])
+    sd = math.sqrt(max(float(own[index, index]) for own in covariances(fit)))
+    found = [(value(middle), least)]
     for side in (-1.0, 1.0):
         at = least
         for step in range(1, PROFILE_STEPS + 1):
             u = middle + side * PROFILE_REACH * step / PROFILE_STEPS * sd
-            if not problem.lower[place.number] <= u <= problem.upper[place.number]:
+            if not problem.lower[index] <= u <= problem.upper[index]:
                 break
-            solution = _fitted(_held(problem, place.number, u), at.u, at.local)
+            solution = _fitted(_held(problem, index, u), at.u, at.local)
             if solution is None:
                 break
             at = solution
-            found.append((place.value(u), solution))
+            found.append((value(u), solution))
     if len(found) == 1:
         raise DataError(f"the motion cannot be followed with other values of {name}", "profile", "use its interval")
     found.sort(key=lambda one: one[0])
     return {
-        "value": np.array([value for value, _ in found]),
+        "value": np.array([at for at, _ in found]),
         "deviance": np.array([2 * (solution.cost - least.cost) for _, solution in found]),
         "rms_m": np.array([float(np.sqrt(np.mean(solution.residual**2))) for _, solution in found]),
     }
-
-
-class _Unknown(NamedTuple):
-    """The unknown of a parameter, and the map between them."""
-
-    number: int
-    value: Callable[[float], float]
-
-
-def _unknown(fit: Fit, motion: MeasuredMotion, name: str) -> _Unknown | None:
-    """Return the unknown of a parameter, None where it follows from others."""
-    plain = name.removesuffix(PER_MASS)
-    curve = fit.task.curve
-    if isinstance(curve, FormulaCurve) and plain in curve.free:
-        k = curve.free.index(plain)
-        factor = _newtons(motion, name, fit.law.dimensions.get(plain, (0, 0))[0])
-        return None if factor is None else _scaled(len(fit.places) + k, factor, by_log=bool(curve.by_log[k]))
-    per_mass = f"{name}{PER_MASS}" if f"{name}{PER_MASS}" in UNKNOWNS else name
-    slot, places = UNKNOWNS.get(per_mass), [place % PER_RUN for place in fit.places]
-    if slot is None or slot not in places or (slot == Global.SHAPE and curve.kind != "hyperbolic"):
-        return None
-    factor = _newtons(motion, name, int(per_mass != name))
-    sign = motion.sign if name in SIGNED else 1.0
-    return None if factor is None else _scaled(places.index(slot), sign * factor, by_log=slot == Global.LOG_F)
-
-
-def _newtons(motion: MeasuredMotion, name: str, power: int) -> float | None:
-    """Return the factor from the parameter per unit mass; None where only the stiffness is known."""
-    if power == 0 or name.endswith(PER_MASS) or motion.per_mass:
-        return 1.0
-    return None if motion.mass is None else motion.mass.value**power
-
-
-def _scaled(index: int, factor: float, *, by_log: bool) -> _Unknown:
-    return _Unknown(index, (lambda u: factor * math.exp(u)) if by_log else (lambda u: factor * u))
-
-
-def _deviation(fit: Fit, index: int) -> float:
-    """Return the standard error of an unknown."""
-    return math.sqrt(max(float(own[index, index]) for own in covariances(fit, fit.least_squares.precision)))
 
 
 def _held(problem: LeastSquaresProblem, index: int, value: float) -> LeastSquaresProblem:

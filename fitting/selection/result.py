@@ -17,7 +17,7 @@ from fitting.driver.fit import Fit
 from fitting.estimation.derived import RUNS_OWN, correlations
 from fitting.estimation.motion_at import motion_at
 from fitting.estimation.result import STATED_ERROR, BreakAway, Correlations, Parameter, in_columns
-from fitting.law import PUBLISHED, SOURCES, TITLES
+from fitting.law import ABOUT, PUBLISHED
 from fitting.selection import resampling
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
@@ -78,7 +78,7 @@ class _Row:
         return {
             "name": name,
             "formula": self.formula,
-            "source": SOURCES[name],
+            "source": ABOUT[name].source,
             "parameters": {own: self.parameters.get(own) for own in PUBLISHED[name].free},
             "chi": self.misfit,
             "inside_band": band is not None and band.half_widths <= 1,
@@ -158,8 +158,8 @@ class LawResult(_Row):
         """The law in a sentence: its name and number, or name and, for a custom law, formula."""
         if self.formula is None:
             return f"law {self.law} ({self.name})"
-        title = TITLES.get(str(self.law))
-        return f"law {self.law} ({self.formula})" if title is None else f"{title} (law {self.law})"
+        about = ABOUT.get(str(self.law))
+        return f"law {self.law} ({self.formula})" if about is None else f"{about.title} (law {self.law})"
 
     @property
     def shown(self) -> str:
@@ -688,11 +688,10 @@ class Ranking:
         DataError
             For a ranking without laws: nothing is known of the friction.
         """
-        if not self.rows:
-            raise DataError("no law came near this record", "ranking", "plot the kinematics instead")
         from fitting.drawing import plot
 
-        rows = [row for row in self.rows if row.in_set] or [self.best]
+        best = self._best("ranking")
+        rows = [row for row in self.rows if row.in_set] or [best]
         shown = [(row.fit, row.called) for row in rows]
         return plot.friction(shown, self.motion, self.adequacy.curve, self.verdict, ax)
 
@@ -719,11 +718,9 @@ class Ranking:
         """
         from fitting.report import page
 
-        target, digests = Path(path), [record.recording.digest for record in self.records]
+        target = Path(path)
         suffix.check(target, suffix.PAGE, "--report", {suffix.PDF: "then print the page from a browser"})
-        page.refuse_foreign_file(target, digests, files=self._files, force=force)
-        text = page.render(self, self.records, self.statistics, self.alpha)
-        page.write(text, target, digests, files=self._files, force=force)
+        page.write(self, target, force=force)
         return target
 
     def save_scene(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
@@ -755,14 +752,10 @@ class Ranking:
 
         target = Path(path)
         suffix.check(target, suffix.TOML, "--save-scene", {})
-        rig_scene.refuse_existing(target, self._files, force=force)
-        rig_scene.save(target, self, self.statistics[0], Path(self.records[0].recording.name))
+        recordings = [record.recording for record in self.records]
+        rig_scene.refuse_existing(target, [one.source for one in recordings if one.source.name], force=force)
+        rig_scene.save(target, self, Path(recordings[0].name))
         return target
-
-    @property
-    def _files(self) -> list[Path]:
-        """The files of the runs; empty for a run in memory."""
-        return [record.recording.source for record in self.records if record.recording.source.name]
 
     @property
     def _names(self) -> list[str]:

@@ -7,7 +7,6 @@ from fitting import noise_levels
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.competitors import ALL_LAWS
-from fitting.departures.result import FoundDeparture
 from fitting.model.parameters import Global
 from fitting.selection.contradictions import UNITS
 from fitting.selection.result import LawResult, Ranking
@@ -49,59 +48,53 @@ def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]])
 
 
 def _compatible(ranking: Ranking) -> str:
-    rows, not_excluded = ranking.rows, ranking.not_excluded
-    members = [row for row in rows if row.in_set]
-    six = [row for row in members if isinstance(row.law, int)]
-    others = [row for row in members if not isinstance(row.law, int)]
-    runs, motions = len(ranking.sides), [side.motion for side in ranking.sides]
-    cycles = f"{rows[0].cycles} cycles" if runs == 1 else f"{rows[0].cycles} cycles of {runs} runs"
-    measured = all(motion.belt_measured for motion in motions)
-    of_six = [row for row in rows if isinstance(row.law, int)]
-    if rows[0].formula is not None:
-        words = _of_formula(rows, members, cycles)
-    elif ranking.sustained:
-        alone = len([row for row in rows if row.asked]) == 1
-        words = f"{_of_six(of_six, six, cycles, measured=measured, runs=runs, alone=alone)}{_as_well(others)}"
+    formulas = [row for row in ranking.rivals if row.in_set]
+    if ranking.best.formula is not None:
+        words = _of_formula(ranking)
     else:
-        words = f"{_constant_friction(of_six, six, measured=measured)}{_as_well(others)}"
-    equal = next((row for row in rows if row.law in not_excluded[:1]), None)
+        words = _of_six(ranking) if ranking.sustained else _constant_friction(ranking)
+        if formulas:
+            named = " or ".join(f"{row.called} ({row.shown})" for row in formulas)
+            words += f"; {named} describes the record as well"
+    equal = next((row for row in ranking.rows if row.law in ranking.not_excluded[:1]), None)
     if equal is not None and f"; {equal.label} " not in words:  # unless it was named as the next best
         words += f"; {equal.called} fits equally well"
-    rest_known = all(motion.datum_prior is not None for motion in motions)
-    if not rest_known and any(not isinstance(law, int) for law in (*(row.law for row in others), *not_excluded)):
+    rest_known = all(side.motion.datum_prior is not None for side in ranking.sides)
+    if not rest_known and (formulas or any(isinstance(law, str) for law in ranking.not_excluded)):
         words += ": the spring's rest position (--x0) would help to distinguish them"
     return words
 
 
-def _of_six(
-    rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str, *, measured: bool, runs: int, alone: bool
-) -> str:
+def _cycles(ranking: Ranking) -> str:
+    runs = f" of {len(ranking.runs)} runs" if ranking.runs else ""
+    return f"{ranking.best.cycles} cycles{runs}"
+
+
+def _of_six(ranking: Ranking) -> str:
     """Return the verdict on the six, of which some are in the set."""
-    best, fit = rows[0], f"{cycles} fit to {format_length(rows[0].rms_m)} rms"
+    best, cycles = ranking.best, _cycles(ranking)
+    members = [row for row in ranking.rows if row.in_set and isinstance(row.law, int)]
+    fit = f"{cycles} fit to {format_length(best.rms_m)} rms"
     if len(members) > 1:
         others = " or ".join(row.called for row in members[1:])
         split = SPLITS.get(frozenset(int(row.law) for row in members[:2]), f"more cycles{OTHER_SPEEDS}")
-        if runs > 1:
+        if ranking.runs:
             split = split.removesuffix(OTHER_SPEEDS)
-        if _is_compliant(best) and not measured:
+        if _gives(ranking):
             return (
                 f"{best.called} on a belt that slows under load, or {others}: equivalent, the record cannot "
                 f"distinguish them ({fit}); {split} would"
             )
-        gap = abs(_lag(members[1]) - _lag(best))
+        lag, best_lag = (0.0 if row.behind is None else row.behind[0] for row in (members[1], best))
         return (
             f"{best.called} or {others}: {cycles} cannot distinguish them (their errors differ by "
-            f"{100 * math.expm1(gap):.0f} %, within the scatter between cycles); {split} would"
+            f"{100 * math.expm1(abs(lag - best_lag)):.0f} %, within the scatter between cycles); {split} would"
         )
-    rest = [row for row in rows if not row.in_set]
-    if not rest:
-        return f"{best.called}{', the only law fitted' if alone else ''}: {fit}"
-    return f"{best.called}: {fit}; {_behind(best, rest[0])}"
-
-
-def _lag(row: LawResult) -> float:
-    """Return the mean log error behind the best law's."""
-    return 0.0 if row.behind is None else row.behind[0]
+    rest = next((row for row in ranking.rows if isinstance(row.law, int) and not row.in_set), None)
+    if rest is not None:
+        return f"{best.called}: {fit}; {_behind(best, rest)}"
+    alone = ", the only law fitted" if len([row for row in ranking.rows if row.asked]) == 1 else ""
+    return f"{best.called}{alone}: {fit}"
 
 
 def _behind(best: LawResult, other: LawResult) -> str:
@@ -114,45 +107,40 @@ def _behind(best: LawResult, other: LawResult) -> str:
     return f"{other.label} {lag}"
 
 
-def _constant_friction(rows: Sequence[LawResult], members: Sequence[LawResult], *, measured: bool) -> str:
-    best = rows[0]
+def _constant_friction(ranking: Ranking) -> str:
+    six, best = [row for row in ranking.rows if isinstance(row.law, int)], ranking.best
     head = "no sustained stick: constant friction, "
-    if len(members) == 1:
+    if len([row for row in six if row.in_set]) == 1:
         return head + f"{best.called} by the start-up drag"
-    if len(rows) == 1:
+    if len(six) == 1:
         return head + f"{best.called}, the only law fitted"
-    if _is_compliant(best) and not measured:
+    if _gives(ranking):
         return head + f"{best.called} on a belt that slows under load, or law 2: a belt tachometer would distinguish"
     return head + "law 1 or law 2: the start-up drag does not distinguish a jump from a ramp"
 
 
-def _is_compliant(row: LawResult) -> bool:
-    """Return whether one of the six was fitted on a belt that slows under load."""
-    return row.formula is None and Global.COMPLIANCE in row.fit.places
+def _gives(ranking: Ranking) -> bool:
+    """Return whether the best law was fitted on a belt that slows under load, which no counts of the belt showed."""
+    measured = all(side.motion.belt_measured for side in ranking.sides)
+    return not measured and Global.COMPLIANCE in ranking.best.fit.places
 
 
-def _of_formula(rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str) -> str:
+def _of_formula(ranking: Ranking) -> str:
     """Return the verdict where a law given as a formula is the best."""
-    best = rows[0]
-    head = f"{best.called}: {cycles} fit to {format_length(best.rms_m)} rms, {best.shown}"
-    if len(members) > 1:
-        others = " or ".join(f"{row.called} ({row.shown})" for row in members[1:])
-        head = f"{head}; or {others}: the record cannot distinguish them"
-    six = next((row for row in rows if isinstance(row.law, int)), None)
-    if six is None or six.in_set:
-        rest = [row for row in rows if not row.in_set]
-        return f"{head}; {_behind(best, rest[0])}" if rest and six is None else head
-    whole = len([row for row in rows if isinstance(row.law, int)]) == len(ALL_LAWS)
-    lead = 0.5 * ((six.score or 0.0) - (best.score or 0.0))
-    return f"{head}; {six.called}{', the best of the six,' if whole else ''} is behind by {lead:.3g} in log evidence"
-
-
-def _as_well(others: Sequence[LawResult]) -> str:
-    """Return the statement about formulas that are compatible like the six."""
-    if not others:
-        return ""
-    named = " or ".join(f"{row.called} ({row.shown})" for row in others)
-    return f"; {named} describes the record as well"
+    best, six = ranking.best, [row for row in ranking.rows if isinstance(row.law, int)]
+    head = f"{best.called}: {_cycles(ranking)} fit to {format_length(best.rms_m)} rms, {best.shown}"
+    others = [row for row in ranking.rows if row.in_set and row is not best]
+    if others:
+        named = " or ".join(f"{row.called} ({row.shown})" for row in others)
+        head = f"{head}; or {named}: the record cannot distinguish them"
+    if not six:
+        rest = next((row for row in ranking.rows if not row.in_set), None)
+        return head if rest is None else f"{head}; {_behind(best, rest)}"
+    if six[0].in_set:
+        return head
+    whole = ", the best of the six," if len(six) == len(ALL_LAWS) else ""
+    lead = 0.5 * ((six[0].score or 0.0) - (best.score or 0.0))
+    return f"{head}; {six[0].called}{whole} is behind by {lead:.3g} in log evidence"
 
 
 def _no_law(ranking: Ranking, cause: str) -> str:
@@ -172,7 +160,8 @@ def _instead(adequacy: Adequacy) -> str:
     """Return what the record shows instead of a law."""
     if adequacy.departures:
         first = adequacy.departures[0]
-        return f"law {first.law} describes it together with {first.text} ({_size(first)})"
+        size = f"{first.parameter} = {first.value:.3g} +- {first.stderr:.2g} {first.unit}"
+        return f"law {first.law} describes it together with {first.text} ({size})"
     if adequacy.of_speed:
         return "friction follows a curve of relative speed that is none of these"
     if adequacy.fluctuation is not None:
@@ -181,10 +170,6 @@ def _instead(adequacy: Adequacy) -> str:
             "of the residual repeats from cycle to cycle)"
         )
     return "a deterministic effect that none of these models has: the residual repeats from cycle to cycle"
-
-
-def _size(departure: FoundDeparture) -> str:
-    return f"{departure.parameter} = {departure.value:.3g} +- {departure.stderr:.2g} {departure.unit}"
 
 
 def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:

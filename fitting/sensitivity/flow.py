@@ -264,6 +264,42 @@ def contact_of(curve: int, own: Array, ramp: int, pieces: int, spline: Array) ->
     return Contact(curve, F, own[SHAPE], d, q, static, normal_curve(c, 0.0)[0], pieces, spline)
 
 
+def step_to_edge(
+    w: Window, mode: int, held: bool, t: float, x: float, v: float, h: float
+) -> tuple[float, float, float, bool]:
+    """Return (x, v) after a step of length h, cut where the mode ends; its length, and whether the mode ends."""
+    x1, v1 = advance(w, mode, t, x, v, h)
+    ends = margin(w, mode, held, t + h, x1, v1) < 0.0 and math.isfinite(x1 + v1)
+    if ends:
+        h = time_of_edge(w, mode, t, x, v, h)
+        x1, v1 = advance(w, mode, t, x, v, h)
+    return x1, v1, h, ends
+
+
+def window_at(
+    row: int,
+    curve: int,
+    u: Array,
+    local: Array,
+    table: Integers,
+    epoch: Array,
+    pieces: int,
+    spline: Array,
+    ramp: int,
+    extra: Extra,
+) -> tuple[Window, float, float, float]:
+    """Return the numbers of a window, its first position and velocity, and the next level; `follow_windows`."""
+    own, part = u[table[row, 5]], local[table[row, 0]]
+    c = contact_of(curve, own, ramp, pieces, spline)
+    low, high = 0, 0
+    if extra.along.size > 0:
+        low, high = extra.first[row], extra.first[row + 1]
+    acts = extra.along, extra.force, extra.belt, extra.drag, extra.turn
+    w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, *acts)
+    x, v = (part[X_STICK], part[V_STICK]) if table[row, 1] == 1 else (part[X_SLIP], part[V_SLIP])
+    return w, x, v, math.exp(part[NEXT])
+
+
 def follow_window(
     w: Window,
     stick: bool,
@@ -314,13 +350,9 @@ def follow_window(
         gap = times[i] - t
         h = gap / max(1.0, math.ceil(gap * fastest_rate(w, mode, t, v) / longest))
         h = min(h, turning_step(w, mode, t, x, v))
-        x1, v1 = advance(w, mode, t, x, v, h)
+        x1, v1, h, ends = step_to_edge(w, mode, held, t, x, v, h)
         if not math.isfinite(x1 + v1):
             return 0, -1
-        ends = margin(w, mode, held, t + h, x1, v1) < 0.0
-        if ends:
-            h = time_of_edge(w, mode, t, x, v, h)
-            x1, v1 = advance(w, mode, t, x, v, h)
         done = not ends and h >= gap
         begun = t
         t = times[i] if done else t + h
@@ -412,25 +444,17 @@ def follow_windows(
     """
     m, s = 0, 0
     for row in range(table.shape[0]):
-        own, part = u[table[row, 5]], local[table[row, 0]]
         first, n = table[row, 2], table[row, 3]
-        c = contact_of(curve, own, ramp, pieces, spline)
-        stick = table[row, 1] == 1
-        low, high = 0, 0
-        if extra.along.size > 0:
-            low, high = extra.first[row], extra.first[row + 1]
-        acts = extra.along, extra.force, extra.belt, extra.drag, extra.turn
-        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, *acts)
-        x, v = (part[X_STICK], part[V_STICK]) if stick else (part[X_SLIP], part[V_SLIP])
+        w, x, v, next_level = window_at(row, curve, u, local, table, epoch, pieces, spline, ramp, extra)
         first_point[row], first_step[row] = m, s
         m, s = follow_window(
             w,
-            stick,
+            table[row, 1] == 1,
             x,
             v,
             earliest[row],
             table[row, 4] == 1,
-            math.exp(part[NEXT]),
+            next_level,
             longest,
             time[first : first + n],
             first,

@@ -13,20 +13,13 @@ from fitting.sensitivity import rates
 from fitting.sensitivity.flow import (
     LONGEST_STEP,
     MOST_EVENTS,
-    NEXT,
-    OWN,
-    V_SLIP,
-    V_STICK,
-    X_SLIP,
-    X_STICK,
-    contact_of,
     fastest_rate,
     first_mode,
-    margin,
     mode_at_edge,
     settled,
-    time_of_edge,
+    step_to_edge,
     turning_step,
+    window_at,
 )
 from fitting.sensitivity.path import (
     FARTHEST,
@@ -38,7 +31,7 @@ from fitting.sensitivity.path import (
     Path,
     kernel_arguments,
 )
-from fitting.sensitivity.rates import CREEP, Extra, Window, advance, at_level, bound_velocity
+from fitting.sensitivity.rates import CREEP, Extra, Window, at_level, bound_velocity
 from rig_sim.flow.modes import RAMP, STICK
 from stickslip.compute.arrays import Array, Integers
 from stickslip.compute.compile import compiled
@@ -103,15 +96,10 @@ def window_values(
         h = step / rate if rate * (end - t) > step else end - t
         h = min(h, turning_step(w, mode, t, x, v))
         last = h >= end - t
-        x1, v1 = advance(w, mode, t, x, v, h)
+        x1, v1, h, ends = step_to_edge(w, mode, held, t, x, v, h)
         if not math.isfinite(x1 + v1):
             return -1
-        ends = margin(w, mode, held, t + h, x1, v1) < 0.0
-        if ends:
-            h = time_of_edge(w, mode, t, x, v, h)
-            x1, v1 = advance(w, mode, t, x, v, h)
-            last = False
-        now = end if last else t + h
+        now = end if last and not ends else t + h
         while i < times.size and times[i] <= now:
             r = (times[i] - t) / h if h > 0.0 else 1.0
             out[i] = x + r * r * (3.0 - 2.0 * r) * (x1 - x) + h * r * (1.0 - r) * ((1.0 - r) * v - r * v1)
@@ -150,24 +138,16 @@ def follow_values(
     Other arguments are those of `fitting.sensitivity.flow.follow_windows`.
     """
     for row in range(table.shape[0]):
-        own, part = u[table[row, 5]], local[table[row, 0]]
         first, n = table[row, 2], table[row, 3]
-        c = contact_of(curve, own, ramp, pieces, spline)
-        stick = table[row, 1] == 1
-        low, high = 0, 0
-        if extra.along.size > 0:
-            low, high = extra.first[row], extra.first[row + 1]
-        acts = extra.along, extra.force, extra.belt, extra.drag, extra.turn
-        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, *acts)
-        x, v = (part[X_STICK], part[V_STICK]) if stick else (part[X_SLIP], part[V_SLIP])
+        w, x, v, next_level = window_at(row, curve, u, local, table, epoch, pieces, spline, ramp, extra)
         steps = window_values(
             w,
-            stick,
+            table[row, 1] == 1,
             x,
             v,
             earliest[row],
             table[row, 4] == 1,
-            math.exp(part[NEXT]),
+            next_level,
             longest,
             time[first : first + n],
             out[first : first + n],

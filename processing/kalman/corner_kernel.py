@@ -173,7 +173,8 @@ def refine_switching_times(
             estimates[k, 0], estimates[k, 1] = middle + mean, max(spread, 0.3 * step)
             if spread > 1.2 * step or step < steps[1]:
                 break
-            previous_tried[:], previous_gain[:] = tried, gain
+            for g in range(2 * n + 1):  # an assignment of arrays, with its check of shapes, compiles for 2 s
+                previous_tried[g], previous_gain[g] = tried[g], gain[g]
             middle = tried[best]
             if 0 < best < 2 * n:
                 step /= 3

@@ -1,11 +1,13 @@
 """Which laws compete, and what is given of their parameters: how it is typed, and what is refused."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
 from fitting.competitors import ALL_LAWS, Competitors, Given
 from fitting.law import PUBLISHED, SIX, Law, read_law
+from fitting.selection.given import formula_given
 from stickslip.errors import InputError
 
 
@@ -146,6 +148,16 @@ def test_the_slope_of_a_linear_law_is_given_to_its_formula():
     found = Competitors.typed("3-5", fix=["G_slip=0.6"])
     assert [law.key for law in found.laws if found.by_kernel(law)] == [5]
     assert found.searched == tuple(SIX.values())
+
+
+@pytest.mark.parametrize(
+    ("given", "bounds"),
+    [(Given(start=0.03), (0.0, None)), (Given(high=0.3), (0.0, 0.3)), (Given(low=0.01), (0.01, None))],
+)
+def test_an_end_that_is_not_given_is_that_of_the_law(given, bounds):
+    """A first value took the bounds of a published law away."""
+    law = formula_given(PUBLISHED["stribeck"], {"v_s": given}, SimpleNamespace())
+    assert law.bounds["v_s"] == bounds
 
 
 @pytest.mark.parametrize(("name", "formula"), [("7", "Fs"), ("5", "Fs"), ("6", "Fs/(1 + gamma*s)")])

@@ -1,11 +1,16 @@
 """A fitted rig saved as a scene: it plays back as its record does, and what it predicts covers the truth."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import rig_sim
+from fitting import rank
+from fitting.rig_scene import of_ranking
+from processing.record.finding import Finding
+from processing.smoothing import smooth
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.scenes.draws import draw_changes
 from rig_sim.scenes.scene import scene
@@ -67,6 +72,30 @@ def test_the_saved_scene_plays_back_with_period_and_extremes_of_the_true_rig(fit
         lo, hi = np.quantile([getattr(one, name) for one in drawn], (0.0, 1.0))
         assert lo <= getattr(truth, name) <= hi, name
         assert hi - lo < 0.05 * abs(getattr(truth, name)), name
+
+
+@pytest.mark.parametrize("static", [1.0, 1.3])
+def test_the_scene_breaks_away_where_the_record_did(belt_rig, tmp_path, static):
+    recording = belt_rig.recording(law=5, scatter=0.0, static=static, duration=20.0)
+    run = belt_rig.written(tmp_path / "run.h5", recording)
+    answer = command.fit(run, laws="5", no_report=True, save_scene=tmp_path / "rig.toml")
+    named = "break-away" in [finding["code"] for finding in answer.data["findings"]]
+    assert named == (static > 1)
+    played = cycle(scene(tmp_path / "rig.toml"))
+    assert played.x_slip == pytest.approx(static * belt_rig.Scene().Fs_over_k, rel=2e-3)
+    assert scene(tmp_path / "rig.toml").friction.static == pytest.approx(static, rel=0.01)
+
+
+def test_break_aways_below_the_law_at_rest_move_the_law_to_them(belt_rig):
+    """The scene had the fitted Fs, and broke away beyond every break-away of the record."""
+    ranking = rank(smooth(belt_rig.recording(law=5, duration=12.0)), laws=(5,))
+    low = Finding("break-away", "lower", 0.95, 1.0, 50.0)
+    fitted, moved = (of_ranking(one) for one in (ranking, replace(ranking, findings=(low,))))
+    before, after = (dict(zip(one.keys, one.values, strict=True)) for one in (fitted, moved))
+    assert "friction.static" not in after
+    assert after["friction.Fs"] == pytest.approx(0.95 * before["friction.Fs"], rel=0.01)
+    place = moved.keys.index("friction.Fs")
+    assert moved.covariance[place, place] < fitted.covariance[place, place]
 
 
 def test_draws_say_where_stick_slip_ends(fitted):

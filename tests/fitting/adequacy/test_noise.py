@@ -19,7 +19,7 @@ def left_over(noise, seed=1, belt_speed=0.0):
     if belt_speed:
         velocity[10_000:] = belt_speed
         position[10_000:] = position[9_999] + belt_speed * np.arange(1, 10_001) / RATE
-    residual = noise.draw(position, velocity, rng)
+    residual = noise.draw(position, velocity, rng, rng.uniform(-0.5, 0.5))
     n = time.size
     windows = SimpleNamespace(table=np.array([[0, 0, 0, n, 0, 0]]), source=np.arange(n))
     fit = SimpleNamespace(windows=windows, inlier_cycles=np.array([True]), residual=residual)

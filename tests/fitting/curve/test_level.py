@@ -38,7 +38,7 @@ def test_a_rest_position_is_hidden_by_what_follows_it(one_window, contact, stick
     assert there.model == pytest.approx(path.model, abs=1e-7)
     assert np.ptp(path.model) > 0.1
 
-    beside = unseen(PLACES, path)
+    beside = unseen(PLACES, path.curve, u)
     beside[PLACES.index(Global.DATUM)] = 1.0
     columns = shared_tangents(path, PLACES)
     curved = spline_tangents(path, np.full((coefficients.size, 1), -K))[:, 0]

@@ -25,7 +25,7 @@ STIFF = {"Fs": 1.83, "Fc": 0.63, "v_s": 0.073, "Fv": 0.17, "k": 22.7, "c": 0.016
 
 def nearest_published(result):
     """Return the published law that errs least on a contact."""
-    fits = fit_formulas(Competitors.of(5), result.curve, result.fits).fits
+    fits, _, _ = fit_formulas(Competitors.of(5), result.curve, result.fits)
     return min(fits, key=lambda fit: fit.geometric_mean_rms)
 
 

@@ -11,7 +11,6 @@ from fitting.data import cycles, frame, ripple
 from fitting.departures.base import Base
 from fitting.driver.driver import fit_all
 from fitting.driver.task import law_task
-from fitting.estimation.linearised import LinearisedFit
 from fitting.law import SIX
 from fitting.model.problem import Run
 from processing.smoothing import smooth
@@ -46,6 +45,6 @@ def base_of(fitted):
     @cache
     def of(**changes):
         found = fitted(**changes)
-        return Base.of(LinearisedFit.at(found), found.path, found.problem.motions)
+        return Base.at(found, found.problem.motions)
 
     return of

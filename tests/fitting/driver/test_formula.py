@@ -70,6 +70,15 @@ def test_knots_that_other_trials_needed_are_not_in_the_way():
         assert found(s) == pytest.approx(law.curve.value(s, dict(law.fix or {}) | values), abs=4 * SPLINE_ERROR * 4.6)
 
 
+def test_a_curve_is_not_followed_along_the_many_knots_of_a_steeper_trial():
+    """A logarithm that described a Stribeck contact was refused: its motion had too many steps."""
+    law = PUBLISHED["power"]
+    curve = FormulaCurve(law, FASTEST, of(law, TRUE["power"]))
+    steep, smooth = (curve.theta_at(TRUE["power"] | {"p": p}) for p in (0.3, 1.5))
+    assert curve.spline(steep).knots.size > 150
+    assert curve.spline(smooth).knots.size < 100
+
+
 def test_derivatives_of_the_friction_are_differences():
     law = PUBLISHED["stribeck-viscous"]
     curve = FormulaCurve(law, FASTEST, of(law, TRUE["stribeck-viscous"]))

@@ -36,7 +36,7 @@ def fit_with(slopes, guess):
         solution=SimpleNamespace(blocks=blocks),
         residual=misfit,
         sigma=np.ones(1),
-        least_squares=SimpleNamespace(weights=np.ones(count)),
+        least_squares=SimpleNamespace(weights=np.ones(count), precision=np.asarray(guess)),
         problem=SimpleNamespace(level_prior=1.0),
         windows=SimpleNamespace(run=np.zeros(count, int), table=np.array([(k, 0, k, 1, 0, 0) for k in range(count)])),
     )
@@ -44,8 +44,8 @@ def fit_with(slopes, guess):
 
 def test_an_unknown_that_nothing_shows_is_boundless_and_leaves_the_others_alone():
     slopes = np.array([[1.0, 2.0], [3.0, -1.0], [0.5, 1.0], [2.0, 2.0]])
-    known = covariance(fit_with(slopes, np.zeros(2)), np.zeros(2))
-    found = covariance(fit_with(np.c_[slopes, np.zeros(4)], np.zeros(3)), np.zeros(3))
+    known = covariance(fit_with(slopes, np.zeros(2)))
+    found = covariance(fit_with(np.c_[slopes, np.zeros(4)], np.zeros(3)))
     assert np.isfinite(found).all()
     assert found[2, 2] > 1e90
     assert found[:2, :2] == pytest.approx(known, rel=1e-9)
@@ -54,7 +54,7 @@ def test_an_unknown_that_nothing_shows_is_boundless_and_leaves_the_others_alone(
 def test_a_direction_that_only_a_guess_holds_has_the_guess_s_variance():
     guess = np.array([0.0, 1e-2])
     slopes = 1e2 * np.ones((4, 2))  # only the sum is measured
-    found = covariance(fit_with(slopes, guess), guess)
+    found = covariance(fit_with(slopes, guess))
     assert found[1, 1] == pytest.approx(100.0, rel=1e-3)
     assert found[0, 0] == pytest.approx(100.0, rel=1e-3)
     assert found[0, 0] + found[1, 1] + 2 * found[0, 1] < 1e-3
@@ -66,7 +66,7 @@ def test_what_one_cycle_alone_shows_is_as_uncertain_as_that_cycle_s_residuals():
     sound, rippled = fit_with(slopes, np.zeros(2)), fit_with(slopes, np.zeros(2))
     rippled.residual = np.append(rippled.residual[:3], np.full(4, 5.0))  # correlated, and five times what was assumed
     rippled.windows.table[3, 3] = 4
-    before, after = covariance(sound, np.zeros(2)), covariance(rippled, np.zeros(2))
+    before, after = covariance(sound), covariance(rippled)
     assert after[0, 0] == pytest.approx(before[0, 0])
     assert after[1, 1] > 25 * before[1, 1]
 
@@ -80,7 +80,7 @@ def test_what_two_unknowns_show_together_is_no_narrower_than_by_the_curvature():
     own = blocks.cycle_g.copy()
     own[:4] *= 0.1  # the cycles agree better than their noise allows
     fit.solution.blocks = replace(blocks, cycle_g=own)
-    found, curvature = covariance(fit, np.zeros(2)), np.linalg.inv(blocks.H)
+    found, curvature = covariance(fit), np.linalg.inv(blocks.H)
     for angle in np.linspace(0.0, np.pi, 60):
         along = np.array([np.cos(angle), np.sin(angle)])
         assert along @ found @ along >= (1 - 1e-9) * (along @ curvature @ along)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from fitting.estimation.linearised import LinearisedFit
+from fitting.least_squares.normal_equations import Priors
+from fitting.least_squares.problem import Block, Derivatives
 from fitting.model.parameters import Global
 
 CYCLES, SAMPLES, SHARED, LOCAL, MORE = 4, 12, 3, 2, 2
@@ -18,22 +20,22 @@ def problem():
     n = CYCLES * SAMPLES
     rows = tuple(slice(SAMPLES * k, SAMPLES * (k + 1)) for k in range(CYCLES))
     root = rng.standard_normal((SHARED, SHARED))
-    found = LinearisedFit(
-        shared=rng.standard_normal((n, SHARED)),
-        local=rng.standard_normal((n, LOCAL)),
-        residual=rng.standard_normal(n),
-        rows=rows,
-        weights=rng.uniform(0.5, 2.0, CYCLES),
-        prior_precision=root @ root.T,
-        prior_gradient=rng.standard_normal(SHARED),
-        local_precision=rng.uniform(0.1, 3.0, (CYCLES, LOCAL)),
-        local_gradient=rng.standard_normal((CYCLES, LOCAL)),
+    jacobian = rng.standard_normal((n, SHARED + LOCAL))
+    residual, weights = rng.standard_normal(n), rng.uniform(0.5, 2.0, CYCLES)
+    priors = Priors(
+        root @ root.T,
+        rng.standard_normal(SHARED),
+        rng.uniform(0.1, 3.0, (CYCLES, LOCAL)),
+        rng.standard_normal((CYCLES, LOCAL)),
     )
+    halves = [Block(slice(k, k + 2), slice(SAMPLES * k, SAMPLES * (k + 2))) for k in (0, 2)]
+    derivatives = Derivatives(halves, lambda block: jacobian[block.rows])
+    found = LinearisedFit.of(derivatives, residual, rows, weights, priors)
     further = rng.standard_normal((n, MORE))
     dense = np.zeros((n, SHARED + CYCLES * LOCAL + MORE))
-    dense[:, :SHARED], dense[:, -MORE:] = found.shared, further
+    dense[:, :SHARED], dense[:, -MORE:] = jacobian[:, :SHARED], further
     for k, own in enumerate(rows):
-        dense[own, SHARED + LOCAL * k : SHARED + LOCAL * (k + 1)] = found.local[own]
+        dense[own, SHARED + LOCAL * k : SHARED + LOCAL * (k + 1)] = jacobian[own, SHARED:]
     return found, further, dense
 
 
@@ -41,11 +43,11 @@ def curvature(found, dense):
     """Return Gauss-Newton curvature and gradient of all unknowns of the dense problem, priors included."""
     weight = np.repeat(found.weights, SAMPLES)
     H, g = dense.T @ (weight[:, None] * dense), dense.T @ (weight * found.residual)
-    H[:SHARED, :SHARED] += found.prior_precision
-    g[:SHARED] += found.prior_gradient
+    H[:SHARED, :SHARED] += found.priors.precision
+    g[:SHARED] += found.priors.gradient
     own = slice(SHARED, SHARED + CYCLES * LOCAL)
-    H[own, own] += np.diag(found.local_precision.ravel())
-    g[own] += found.local_gradient.ravel()
+    H[own, own] += np.diag(found.priors.local_precision.ravel())
+    g[own] += found.priors.local_gradient.ravel()
     return H, g
 
 
@@ -54,7 +56,7 @@ def test_information_is_the_schur_complement(problem):
     H, _ = curvature(found, dense[:, :-MORE])
     each, total = found.information, found.reduced.H
     assert total == pytest.approx(np.linalg.inv(np.linalg.inv(H)[:SHARED, :SHARED]))
-    assert each.sum(axis=0) + found.prior_precision == pytest.approx(total)
+    assert each.sum(axis=0) + found.priors.precision == pytest.approx(total)
     assert found.covariance == pytest.approx(np.linalg.inv(total))
 
 
@@ -63,7 +65,7 @@ def test_a_refit_leaves_what_dense_least_squares_leave(problem):
     H, _ = curvature(found, dense[:, :-MORE])
     weight = np.repeat(found.weights, SAMPLES)
     step = -np.linalg.solve(H, dense[:, :-MORE].T @ (weight[:, None] * further))
-    assert found.refit(further) == pytest.approx(further + dense[:, :-MORE] @ step)
+    assert found.refit_columns(further) == pytest.approx(further + dense[:, :-MORE] @ step)
 
 
 def test_without_a_cycle_the_others_are_fitted_by_themselves(problem):
@@ -81,7 +83,7 @@ def test_a_refit_without_derivatives_leaves_what_there_was(problem):
     found, further, _ = problem
     broken = replace(found)
     broken.reduced._inverse = -broken.reduced._inverse
-    assert broken.refit(further) == pytest.approx(further)
+    assert broken.refit_columns(further) == pytest.approx(further)
 
 
 def test_scores_are_those_of_the_dense_problem(problem):
@@ -103,7 +105,7 @@ def test_a_fit_is_linearised_at_its_minimum(ranked):
     fit = ranked(law=5).best.fit
     found = LinearisedFit.at(fit)
     assert found.residual == pytest.approx(fit.residual, abs=1e-12)
-    gradient = found.gradients.sum(axis=0) + found.prior_gradient
+    gradient = found.gradients.sum(axis=0) + found.priors.gradient
     gradient *= np.sqrt(np.diag(found.covariance))
     at_lower, at_upper = fit.q <= fit.least_squares.lower, fit.q >= fit.least_squares.upper
     names = np.array([Global(place).name for place in fit.places])
@@ -112,6 +114,6 @@ def test_a_fit_is_linearised_at_its_minimum(ranked):
     assert gradient[at_lower].min(initial=0) >= 0
     assert gradient[at_upper].max(initial=0) <= 0
     noise = np.random.default_rng(1).standard_normal((fit.residual.size, 3))
-    left = found.refit(noise)
-    unknowns = found.shared.shape[1] + 6 * len(found.rows)
+    left = found.refit_columns(noise)
+    unknowns = found.priors.gradient.size + 6 * len(found.rows)
     assert 0 < np.sum(noise**2) - np.sum(left**2) < 3 * unknowns

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.normal_equations import SchurComplement, normal_equations
-from fitting.least_squares.problem import LeastSquaresProblem
+from fitting.least_squares.normal_equations import SchurComplement
+from fitting.least_squares.problem import Block, Derivatives, LeastSquaresProblem
 
 CYCLES, SAMPLES, SHARED, LOCAL = 7, 11, 3, 2
 ALL = np.arange(CYCLES)
@@ -37,6 +37,23 @@ def linear():
     return evaluate, rows, full, data
 
 
+def in_one_block(evaluate):
+    def wrapped(u, local, derivatives):
+        found = evaluate(u, local, derivatives)
+        if found is None:
+            return None
+        block = Block(slice(0, len(local)), slice(0, found[0].size))
+        return found[0], Derivatives((block,), lambda _: found[1])
+
+    return wrapped
+
+
+def least_squares(evaluate, rows, *rest, some=None, **named):
+    """Return a problem whose ``evaluate`` returns plain arrays."""
+    some = None if some is None else (lambda u, cycles, some=some: in_one_block(some(u, cycles)))
+    return LeastSquaresProblem(in_one_block(evaluate), rows, *rest, some=some, **named)
+
+
 def problem(evaluate, rows, **changes):
     values = {
         "evaluate": evaluate,
@@ -49,7 +66,7 @@ def problem(evaluate, rows, **changes):
         "local_prior": np.zeros((CYCLES, LOCAL)),
         "local_precision": np.full((CYCLES, LOCAL), 1e-12),
     }
-    return LeastSquaresProblem(**(values | changes))
+    return least_squares(**(values | changes))
 
 
 def test_a_linear_problem_is_solved_as_by_the_full_matrix(linear):
@@ -83,7 +100,7 @@ def test_one_last_step_ends_a_linear_search_and_leaves_no_gradient(linear):
     found = levenberg_marquardt.last_step(task, start)
     assert found.u == pytest.approx(ended.u, abs=1e-6)
     assert found.cost == pytest.approx(ended.cost, rel=1e-9)
-    exact = normal_equations(task, found.u, found.local, *evaluate(found.u, found.local, True))
+    exact = levenberg_marquardt.linearise(task, found.u, found.local).blocks
     assert found.blocks.cycle_g == pytest.approx(exact.cycle_g, abs=1e-6)
     assert found.blocks.gl == pytest.approx(exact.gl, abs=1e-6)
 
@@ -92,7 +109,7 @@ def test_the_reduced_hessian_is_the_inverse_of_the_marginal_covariance(linear):
     evaluate, rows, full, _ = linear
     u, local = np.zeros(SHARED), np.zeros((CYCLES, LOCAL))
     task = problem(evaluate, rows)
-    blocks = normal_equations(task, u, local, *evaluate(u, local, True))
+    blocks = levenberg_marquardt.linearise(task, u, local).blocks
     H = SchurComplement(blocks).H
     covariance = np.linalg.inv(full.T @ full + 1e-12 * np.eye(full.shape[1]))[:SHARED, :SHARED]
     assert np.linalg.inv(H) == pytest.approx(covariance, rel=1e-6)
@@ -117,7 +134,7 @@ def test_a_prior_pulls_with_its_precision():
     def evaluate(u, local, derivatives):
         return np.array([u[0] - 1.0 + local[0, 0]]), np.array([[1.0, 1.0]])
 
-    task = LeastSquaresProblem(
+    task = least_squares(
         evaluate,
         (slice(0, 1),),
         np.array([4.0]),
@@ -143,7 +160,7 @@ def test_steps_into_what_cannot_be_followed_are_refused():
             return None
         return np.array([u[0]]), np.array([[1.0, 0.0]])
 
-    task = LeastSquaresProblem(
+    task = least_squares(
         evaluate,
         (slice(0, 1),),
         np.ones(1),
@@ -167,7 +184,7 @@ def test_a_bent_valley_is_followed_in_few_steps():
         slope = np.array([[-2e2 * math.exp(2 * u[0]), 1e2, 0.0], [1.0, 0.0, 0.0]])
         return residual, slope
 
-    task = LeastSquaresProblem(
+    task = least_squares(
         evaluate,
         (slice(0, 2),),
         np.ones(1),
@@ -196,7 +213,7 @@ def of_one_unknown_each(residual, slopes):
 
         return evaluate_cycles
 
-    return LeastSquaresProblem(
+    return least_squares(
         evaluate,
         tuple(slice(k, k + 1) for k in range(CYCLES)),
         np.ones(CYCLES),

@@ -27,7 +27,7 @@ def test_coordinates_are_shortened_and_words_are_not():
         drawn = Figure(figsize=(3, 2))
         drawn.subplots().plot([0.0, 0.05], [0, 1 / 3])
         drawn.axes[0].set(xticks=[0, 0.025, 0.05], title="a < b")
-        text = pictures.embed(drawn, "one", "x & y")
+        text = pictures.embed(drawn, "x & y", "one")
     assert ">0.025</text>" in text
     assert ">a &lt; b</text>" in text
     assert 'aria-label="x &amp; y"' in text

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from fitting.estimation.derived import TABLE
+from fitting.law import SIX
 from fitting.report.symbols import SYMBOLS, formula, symbols
-from rig_sim.friction.law import LAWS
 
 PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "laws.md"
 
@@ -21,6 +21,6 @@ def test_the_page_holds_every_symbol_and_formula() -> None:
     text = PAGE.read_text()
     for symbol, meaning in SYMBOLS.items():
         assert f"| {symbol} | {meaning} |" in text
-    for law in set(LAWS) - {0}:
+    for law in SIX.values():
         begin = formula(law).split(" with ")[0]
         assert begin.replace("|", r"\|").replace("(Fs)", "Fs").replace("(Fs/(1 + gamma s))", "Fs/(1 + gamma s)") in text

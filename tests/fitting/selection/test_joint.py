@@ -13,9 +13,12 @@ import pytest
 from daq.runfile import joint, listing, store
 from daq.runfile.recording import Recording
 from fitting import rank
+from fitting.drawing import palette
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
+from fitting.report import page, pictures
 from processing.smoothing import smooth
+from rig_sim.friction.law import LAWS
 from stickslip.errors import DataError, InputError
 
 from .. import command
@@ -44,7 +47,7 @@ def runs_of(belt_rig):
 
 
 def test_what_runs_share_stands_once_and_the_rest_is_their_own():
-    places = parameters.active_places(6, [False, True], [False, False])
+    places = parameters.active_places(LAWS[6], [False, True], [False, False])
     table = parameters.columns(places, 2)
     own = [PER_RUN + slot for slot in (Global.V_DR, Global.DATUM, Global.FADE, Global.COMPLIANCE)]
     assert set(places) == {0, 1, 2, 3, 4, 5, 6, 7, *own}
@@ -99,7 +102,7 @@ def law_five(runs_of, asked_laws_alone):
 def test_derivatives_by_one_runs_unknowns_are_zero_in_the_others(law_five):
     fit = law_five.rows[0].fit
     cross = fit.solution.blocks.cross
-    own = list(fit.active).index(PER_RUN + Global.V_DR)
+    own = fit.places.index(PER_RUN + Global.V_DR)
     assert np.abs(cross[fit.windows.run == 1, own]).max() > 0
     assert not cross[fit.windows.run != 1, own].any()
 
@@ -243,8 +246,6 @@ def test_outputs_of_one_name_are_refused(files):
 
 
 def test_reports_of_a_batch_are_numbered(files, tmp_path):
-    from fitting.report import page
-
     assert [place.name for place in page.report_paths(files, tmp_path / "all.html")] == [
         "all.html",
         "all-2.html",
@@ -253,19 +254,23 @@ def test_reports_of_a_batch_are_numbered(files, tmp_path):
 
 
 def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five):
-    from fitting.drawing import palette
-    from fitting.report import pictures
-    from processing.statistics import from_kinematics
-
-    counted = [from_kinematics(motion) for motion in runs_of(5, 2)]
     with pictures.look():
-        drawn = [picture(law_five) for picture in (pictures.cycle, pictures.record, pictures.residuals)]
-        drawn.append(pictures.break_aways(law_five, counted))
-        texts = [pictures.embed(figure, "one", about) for figure, about in drawn]
+        shown = (pictures.cycle, pictures.record, pictures.residuals, pictures.break_aways)
+        texts = [pictures.embed(*picture(law_five), "one") for picture in shown]
     for text in texts:
         for number in (1, 2, 3):
             assert f">run {number}</text>" in text
             assert palette.run_colour(number).lower() in text
+
+
+def test_the_page_of_a_joint_fit_has_a_line_and_a_row_of_each_run(runs_of, law_five):
+    """The first screen asked for the one belt speed of the joint fit, which has one of each run."""
+    text = page.render(law_five)
+    for number, side in enumerate(law_five.runs, start=1):
+        speed = side.best.parameters["v_dr"]
+        assert f"<p>run {number}: " in text
+        assert f"belt {speed.value:.4g} m/s" in text
+        assert f"{speed.value:.{speed.decimals}f} ± " in text
 
 
 def test_a_run_named_twice_is_refused(files, tmp_path):

@@ -18,7 +18,6 @@ from fitting.estimation.derived import RUNS_OWN
 from fitting.law import SIX
 from fitting.report import page
 from processing.smoothing import smooth
-from processing.statistics import from_kinematics
 from rig_sim.motion.play import events
 from rig_sim.scenes.scene import scene
 from stickslip.console import application
@@ -271,7 +270,7 @@ def test_runs_are_fitted_together_with_a_formula(belt_rig):
 
 
 def test_the_report_draws_a_formula_in_every_picture(won):
-    text = page.render(won.ranking, [won.motion], [from_kinematics(won.motion)], 0.05)
+    text = page.render(won.ranking)
     assert "Does law mine describe the record?" in text
     assert "Parameters of law mine" in text
     # in each row of the ranking, and with every formula

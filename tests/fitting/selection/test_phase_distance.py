@@ -1,15 +1,17 @@
-"""How far a law's orbit runs from the measured one: distances to the nearest of many points."""
+"""How far a law's orbit runs from the measured one."""
+
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
-from fitting.selection.phase_distance import nearest_distances
+from fitting.selection.phase_distance import MeasuredOrbit
 
 
-def test_the_nearest_point_is_found_by_looking_no_further_than_it_lies():
-    rng = np.random.default_rng(3)
-    x, y = np.sort(rng.uniform(size=300)).round(2), rng.uniform(size=300)  # rounded: points with the same x
-    at = rng.uniform(-0.2, 1.2, (2, 100))
-    found = np.empty(100)
-    nearest_distances(x, y, *at, found)
-    expected = np.hypot(x - at[0][:, None], y - at[1][:, None]).min(axis=1)
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_an_orbit_a_tenth_smaller_is_a_tenth_of_its_radius_away_however_late(late):
+    time = np.linspace(0, 4 * np.pi, 4000)
+    motion = SimpleNamespace(position=np.sin(time), velocity=np.cos(time))
+    windows = SimpleNamespace(position=0.9 * np.sin(time - late), time=time, table=[(0, 0, 0, time.size)])
+    fit = SimpleNamespace(windows=windows, residual=np.zeros(time.size))
+    assert MeasuredOrbit.of(motion).distance(fit) == pytest.approx(0.05, rel=1e-2)  # of the diameter

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fitting import rank
+from fitting.law import SIX
 from fitting.selection.evidence import Evidence, model_confidence_set, no_larger
 from processing.smoothing import smooth
 from stickslip.errors import DataError, InputError
@@ -195,21 +196,25 @@ def test_impossible_requests_are_refused(belt_rig, flags, what):
 
 
 def evidence(laws, *errors):
-    return Evidence(laws, np.array(errors))
+    return Evidence(tuple(SIX[law] for law in laws), np.array(errors))
+
+
+def members(chosen):
+    return tuple(law.number for law in chosen.members)
 
 
 def test_a_law_within_the_scatter_joins_the_set_and_one_beyond_does_not():
     noise = 0.1 * np.random.default_rng(4).standard_normal(12)
     chosen = model_confidence_set(evidence((3, 5, 6), noise * 0, 0.01 + noise - noise.mean(), 2 + noise), 0.05)
-    assert chosen.members == (3, 5)
-    assert sorted(chosen.score, key=chosen.score.__getitem__) == [3, 5, 6]
+    assert members(chosen) == (3, 5)
+    assert sorted(chosen.score, key=chosen.score.__getitem__) == [SIX[3], SIX[5], SIX[6]]
 
 
 def test_behind_is_the_mean_difference_and_its_standard_error():
     """What stands behind the "±" was half of the 95 % t-interval: 2.2 standard errors for twelve cycles."""
     noise = 0.1 * np.random.default_rng(4).standard_normal(12)
     chosen = model_confidence_set(evidence((3, 5), noise * 0, 0.1 + noise), 0.05)
-    assert chosen.behind[5] == pytest.approx((0.1 + noise.mean(), noise.std(ddof=1) / math.sqrt(12)), rel=1e-12)
+    assert chosen.behind[SIX[5]] == pytest.approx((0.1 + noise.mean(), noise.std(ddof=1) / math.sqrt(12)), rel=1e-12)
     wider = model_confidence_set(evidence((3, 5), noise * 0, 0.1 + noise), 0.01)
     assert wider.behind == chosen.behind  # alpha decides who joins the set, not how the difference is stated
 
@@ -227,14 +232,14 @@ def test_a_nested_law_in_the_set_is_named_first():
     noise = 0.1 * np.random.default_rng(4).standard_normal(12)
     noise -= noise.mean()
     chosen = model_confidence_set(evidence((3, 4, 5), 0.01 + noise, noise * 0, 3 + noise), 0.05)
-    assert chosen.members == (3, 4)
+    assert members(chosen) == (3, 4)
 
 
 def test_a_law_that_is_not_nested_is_not_preferred():
     noise = 0.1 * np.random.default_rng(4).standard_normal(12)
     noise -= noise.mean()
     chosen = model_confidence_set(evidence((3, 5), 0.01 + noise, noise * 0), 0.05)
-    assert chosen.members == (5, 3)
+    assert members(chosen) == (5, 3)
 
 
 @pytest.mark.slow
@@ -248,15 +253,15 @@ def test_short_sticks_are_sticks(simulated, law, slope):
 
 def test_equal_freedom_and_nearly_equal_evidence_are_a_set():
     errors = np.array([np.full(9, -12.0), np.full(9, -12.0 + 0.02)])  # regular to the last bit, and next to nothing
-    assert model_confidence_set(Evidence((4, 6), errors), 0.05).members == (4, 6)
-    assert model_confidence_set(Evidence((4, 6), errors * [[1.0], [0.98]]), 0.05).members == (4,)
+    assert members(model_confidence_set(evidence((4, 6), *errors), 0.05)) == (4, 6)
+    assert members(model_confidence_set(evidence((4, 6), *(errors * [[1.0], [0.98]])), 0.05)) == (4,)
 
 
 def test_a_small_lead_excludes_no_law_that_is_not_a_limit_however_regular_it_is():
     # Of a true law 4 law 6 was alone in the set by a score of 1.04.
     errors = np.array([np.full(9, -12.0), np.full(9, -12.0 + 0.15)])  # a score of 2.7
-    assert model_confidence_set(Evidence((6, 4), errors), 0.05).members == (6, 4)
-    assert model_confidence_set(Evidence((6, 5), errors), 0.05).members == (6,)
+    assert members(model_confidence_set(evidence((6, 4), *errors), 0.05)) == (6, 4)
+    assert members(model_confidence_set(evidence((6, 5), *errors), 0.05)) == (6,)
 
 
 @pytest.mark.parametrize("changes", [{"excluded": (99,)}, {"alpha": 1e-300}, {"alpha": 1.5}])

@@ -25,7 +25,7 @@ def by_scipy(fit, held):
     problem = fit.least_squares
     free = [place for place in range(fit.q.size) if place not in held]
     cycles, p = fit.local.shape, len(free)
-    weight = np.sqrt(problem.weights)[problem.owner]
+    weight = np.sqrt(problem.weight)
     prior, local_prior = np.sqrt(problem.precision), np.sqrt(problem.local_precision)
     known = prior > 0
 
@@ -42,10 +42,10 @@ def by_scipy(fit, held):
         return np.concatenate([weight * found, *priors])
 
     def slopes(z):
-        _, tangent = problem.evaluate(*unpacked(z), True)
+        tangent = problem.evaluate(*unpacked(z), True)[1].columns()
         tangent, own = tangent * weight[:, None], np.zeros((tangent.shape[0], cycles[0], cycles[1]))
         for k in range(cycles[0]):
-            own[problem.owner == k, k] = tangent[problem.owner == k, fit.q.size :]
+            own[problem.rows[k], k] = tangent[problem.rows[k], fit.q.size :]
         rows = np.hstack([tangent[:, free], own.reshape(tangent.shape[0], -1)])
         shared = np.zeros((int(known.sum()), z.size))
         shared[:, :p] = np.diag(prior)[np.ix_(known, free)]
@@ -75,7 +75,7 @@ def test_a_profile_is_that_of_scipy(ranking):
 def test_a_profile_of_a_nearly_linear_unknown_is_the_square_of_the_distance_in_standard_errors(ranking):
     row = ranking.best
     found = resampling.profile(row.fit, ranking.motion, row.parameters, "k/m")
-    by_curvature = math.sqrt(covariances(row.fit, row.fit.precision)[1][0, 0])
+    by_curvature = math.sqrt(covariances(row.fit)[1][0, 0])
     distance = (found["value"] - row.parameters["k/m"].value) / by_curvature
     assert found["deviance"] == pytest.approx(distance**2, rel=0.05, abs=0.01)
     assert np.all(found["rms_m"] >= 0.999 * row.rms_m)
@@ -89,7 +89,7 @@ def test_the_spread_of_drawn_cycles_is_that_of_the_sandwich_covariance(belt_rig)
     fit, draws = ranking.best.fit, 100
     found = resampling.bootstrap(fit, ranking.motion, draws, 1)
     slots = {"k/m": Global.K, "v_dr": Global.V_DR, "gamma": Global.SHAPE, "x0": Global.DATUM}
-    sandwich = np.sqrt(np.diag(covariances(fit, fit.precision)[0])[[fit.active.index(slot) for slot in slots.values()]])
+    sandwich = np.sqrt(np.diag(covariances(fit)[0])[[fit.places.index(slot) for slot in slots.values()]])
     spread = np.array([found[name].std() for name in slots])
     # the scatter of a standard deviation, and what 44 cycles leave out of it
     assert spread / sandwich == pytest.approx(1.0, abs=3 / math.sqrt(2 * draws) + 1 / ranking.best.cycles)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fitting import job, rank
-from fitting.competitors import ALL_LAWS, Competitors
+from fitting.competitors import Competitors
 from fitting.curve.formula_fit import fit_formula
 from fitting.law import PUBLISHED, Law
 from fitting.selection.rivals import fit_formulas
@@ -118,6 +118,6 @@ def test_a_published_curve_that_cannot_be_fitted_has_a_row_with_the_reason(ranke
     negative = Law("logarithmic", formula, bounds={"Fs": (0.0, 100.0)})
     monkeypatch.setattr("fitting.selection.rivals.PUBLISHED", {"logarithmic": negative})
     ranking = ranked(law=5, duration=10.0)
-    found = fit_formulas(Competitors.of(ALL_LAWS), ranking.adequacy.curve, [row.fit for row in ranking.rows[:1]])
-    assert found.fits == ()
-    assert found.unfitted[0].reason
+    fits, unfitted, _ = fit_formulas(Competitors.of(5), ranking.adequacy.curve, [row.fit for row in ranking.rows[:1]])
+    assert fits == []
+    assert unfitted[0].reason
