@@ -34,6 +34,7 @@ NARROW, WIDE = 4.6, 9.4  # inches: half of the page, and all of it
 LEFT, RIGHT, BOTTOM, TITLE, ROW, KEY, LETTER = 0.62, 0.08, 0.42, 0.24, 0.17, 0.5, 0.062
 DPI = 110  # of what is drawn as an image
 MOST_VECTOR = 4000  # points of a line; a longer one is drawn as an image
+MOST_POINTS = 200_000  # points of a whole record that are drawn, or up to twice as many: more take memory alone
 # Text of a page is set by the browser, in the font of the page.
 LOOK: dict[Any, Any] = dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 9)
 LOOK |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8) | {"savefig.bbox": "standard"}
@@ -148,7 +149,9 @@ def extent(cycle: Cycle) -> slice:
 
 def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
     """Return the smoothed motion of a run or of one cycle."""
-    motion, samples = side.motion, slice(None) if cycle is None else extent(cycle)
+    motion = side.motion
+    every = slice(None, None, max(1, motion.time.size // MOST_POINTS))
+    samples = every if cycle is None else extent(cycle)
     time = motion.begin + motion.time[samples]
     return np.stack((time, MM * motion.sign * motion.position[samples], motion.sign * motion.velocity[samples]))
 
