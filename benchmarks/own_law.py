@@ -1,8 +1,8 @@
-"""Laws given as formulas: how often their intervals contain the truth, and whether the six as formulas give the six.
+"""Laws given as formulas: how often their intervals contain the truth (the six as formulas: `competition`).
 
-``python benchmarks/own_law.py [NUMBER]``: the six laws typed as formulas, on a record of each; then NUMBER contacts,
-by default 100, with a Stribeck curve, exponential and Gaussian in turn, drawn at random and read by an encoder of 50 um
-counts.  Each is fitted with its formula and no starting values.  Nothing of rig_sim makes the records.
+``python benchmarks/own_law.py [NUMBER]``: NUMBER contacts, by default 100, with a Stribeck curve, exponential and
+Gaussian in turn, drawn at random and read by an encoder of 50 um counts.  Each is fitted with its formula and no
+starting values.  Nothing of rig_sim makes the records.
 """
 
 import importlib.util
@@ -10,7 +10,6 @@ import json
 import math
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -19,7 +18,6 @@ import numpy as np
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting import rank
-from fitting.law import SIX
 from processing.smoothing import smooth
 from stickslip.units import Measured
 
@@ -111,33 +109,9 @@ def coverage(number: int) -> list[dict[str, object]]:
     return rows
 
 
-def six_as_formulas() -> list[dict[str, object]]:
-    """Fit each law and its formula to a record of that law; return how far the two are apart."""
-    rows = []
-    for law in range(1, 7):
-        typed = replace(SIX[law], name=f"law{law}")
-        ranking = rank(smooth(belt_rig.recording(law=law, duration=10.0)), laws=(law, typed))
-        own, formula = ranking.row(law), ranking.row(f"law{law}")
-        known, found = own.parameters["k/m"], formula.parameters["k/m"]
-        rows.append(
-            {
-                "law": law,
-                "k_over_m_errors": (found.value - known.value) / known.stderr,
-                "rms_ratio": formula.rms_m / own.rms_m,
-                "cpu_s": formula.cpu_s,
-            }
-        )
-        print(
-            f"law {law}: k/m {rows[-1]['k_over_m_errors']:+.4f} standard errors, rms {rows[-1]['rms_ratio'] - 1:+.1e}",
-            flush=True,
-        )
-    return rows
-
-
 def main() -> None:
-    """Run both studies, print, and write JSON."""
+    """Run the study, print, and write JSON."""
     number = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    six = six_as_formulas()
     rows = coverage(number)
     covered = {name: sum(row[name]["covered"] for row in rows) for name in PARAMETERS}
     alone = sum(row["in_set"] and row["adequacy"] == "adequate" for row in rows)
@@ -154,7 +128,6 @@ def main() -> None:
         "covered": covered,
         "ms_per_s": 1e3 * cost,
         "rows": rows,
-        "six": six,
     }
     (RESULTS / "own_law.json").write_text(json.dumps(found, indent=1))
 

@@ -94,14 +94,6 @@ class LinearisedFit:
         """Return the same with the derivatives (n, p + q) of each block changed."""
         return self.of(self.derivatives.changed(change), self.residual, self.rows, self.weights, priors)
 
-    def with_shared(self, places: Sequence[int]) -> "LinearisedFit":
-        """Return the same with some of the shared unknowns alone."""
-        p = self.priors.gradient.size
-        index, kept = list(places), [*places, *range(p, p + self.priors.local_gradient.shape[1])]
-        precision = self.priors.precision[np.ix_(index, index)]
-        own = self.priors._replace(precision=precision, gradient=self.priors.gradient[index])
-        return self.changed(lambda part: np.ascontiguousarray(part[:, kept]), own)
-
     @cached_property
     def first(self) -> Integers:
         """First residual of each cycle, and their number, shape (cycles + 1,)."""

@@ -20,6 +20,7 @@ from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import Competition, compete
 from fitting.selection.result import Ranking
 from fitting.selection.rivals import fit_formulas, name_better_limit, unfitted
+from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from stickslip.errors import DataError
 
@@ -51,17 +52,17 @@ def rank(
     try:
         competition = _compete(options, records, runs, progress)
     except law_fits.NoLawError as refused:
-        contradicted = find_contradictions([], runs, records, refit)
+        doubts = find_contradictions([], runs, records, refit)
         if refused.stick_slip:
-            return answer.without_law(refused.reason, contradicted, options, runs, records, begun)
-        raise screening.refusal(refused.reason, contradicted, runs, records) from None
+            return answer.without_law(refused.reason, doubts, options, runs, records, begun)
+        raise screening.refusal(refused.reason, doubts, runs, records) from None
     other_contact = None
     if not competition.described and len(runs) > 1:
         alone: list[Mapping[int | str, Mapping[str, Parameter]]] = []
         for record, run in zip(records, competition.runs, strict=True):
             alone.append({law: own[0] for law, own in describing([record], [run]).items()})
         other_contact = find_other_contact(alone)
-    contradicted = [[] for _ in runs]
+    contradicted: list[list[Finding]] = [[] for _ in runs]
     if other_contact is None:  # else each run is described with what was stated
         described = list(answer.describing(competition, options).values())
         contradicted = find_contradictions(described, competition.runs, records, refit)

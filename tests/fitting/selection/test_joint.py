@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from daq.runfile import joint, listing, store
+from daq.runfile.recording import Recording
 from fitting import rank
 from fitting.drawing import palette
 from fitting.model import parameters
@@ -297,3 +298,27 @@ def test_several_processes_give_the_same_ranking_to_the_last_bit(belt_rig):
 def test_fewer_than_one_process_is_refused(runs_of):
     with pytest.raises(InputError, match="jobs"):
         rank(runs_of(5, 2), jobs=0)
+
+
+@pytest.mark.slow
+def test_runs_of_two_contacts_accuse_no_rest_position_that_each_agrees_with(belt_rig):
+    # Without x0 a Stribeck curve came near both, each with a rest position of its own, and x0 was "contradicted" twice.
+    contacts = [belt_rig.Contact(Fs=1.1, gamma=9.6, belt=0.1), belt_rig.Contact(Fs=1.5, gamma=4.5, belt=0.2, seed=2)]
+    contacts = [replace(contact, c=0.02, scatter=0.03, duration=20.0) for contact in contacts]
+    runs = [belt_rig.by_encoder(contact) for contact in contacts]
+    ranking = rank(runs, laws=(5, "stribeck-viscous"), mass=0.3, x0=(1e-4, 1e-4))
+    assert {finding.code for finding in ranking.findings} == {"not-one-contact"}
+
+
+@pytest.mark.slow
+def test_levels_that_differ_between_runs_alone_determine_no_rest_position(belt_rig):
+    # The levels of two runs trade against their rest positions: x0 was 15.0 +- 0.4 mm for 0.
+    one = belt_rig.Contact(curve="stribeck", Fs=1.5, Fc=0.9, v_s=0.03, Fv=0.0, m=0.5, k=80.0, belt_start=1.0)
+    runs = []
+    for belt in (0.05, 0.1):
+        time = np.arange(0.0, 15.0, 0.004)
+        noise = np.random.default_rng(round(1e3 * belt)).normal(0.0, 1e-4, time.size)
+        runs.append(
+            Recording.from_arrays(time, belt_rig.simulate(replace(one, belt=belt, duration=15.0), time) + noise)
+        )
+    assert "x0 (1)" not in rank(runs, laws=(5, "stribeck")).row("stribeck").parameters

@@ -9,7 +9,7 @@ import pytest
 
 from fitting import rank
 from fitting.law import SIX
-from fitting.selection.evidence import Evidence, model_confidence_set
+from fitting.selection.evidence import Evidence, model_confidence_set, no_larger
 from processing.smoothing import smooth
 from stickslip.errors import DataError, InputError
 
@@ -217,6 +217,15 @@ def test_behind_is_the_mean_difference_and_its_standard_error():
     assert chosen.behind[SIX[5]] == pytest.approx((0.1 + noise.mean(), noise.std(ddof=1) / math.sqrt(12)), rel=1e-12)
     wider = model_confidence_set(evidence((3, 5), noise * 0, 0.1 + noise), 0.01)
     assert wider.behind == chosen.behind  # alpha decides who joins the set, not how the difference is stated
+
+
+@pytest.mark.parametrize(("errors_apart", "within"), [(3.0, True), (5.0, False)])
+def test_a_law_is_excluded_where_a_calibration_would_be_contradicted(errors_apart, within):
+    # At two errors a true Stribeck curve was excluded in one of nine fits: levels without scatter fit noise.
+    noise = 0.1 * np.random.default_rng(4).standard_normal(200)
+    noise -= noise.mean()
+    lag = errors_apart * noise.std(ddof=1) / math.sqrt(noise.size)
+    assert no_larger(lag + noise, np.zeros(noise.size), 1e6) is within
 
 
 def test_a_nested_law_in_the_set_is_named_first():
