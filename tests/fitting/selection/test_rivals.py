@@ -83,7 +83,7 @@ def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
             q[place] += sign * step * max(abs(q[place]), 1.0)
             sides.append(found.least_squares.evaluate(q, at.local, False)[0])
         numeric = (sides[1] - sides[0]) / (2 * step * max(abs(at.u[place]), 1.0))
-        own = found.jacobian[:, place]
+        own = found.derivatives.columns()[:, place]
         assert np.max(np.abs(numeric - own)) < 2e-3 * np.max(np.abs(own))
 
 
