@@ -157,7 +157,7 @@ class FittedRig:
             "friction.static": p.static,
         }
         u, theta, _ = self.fit.task.split(self.q(unknowns))
-        for name, value in self.curve.values(u, theta).items():
+        for name, value in self.curve.values(theta, u).items():
             force, speed = (0, 0) if law is None else law.dimensions.get(name, (0, 0))
             size = m**force if self.sized else 1.0
             scene[f"friction.{self.keys[name]}"] = value * size * length ** (force + speed)

@@ -106,9 +106,8 @@ def assess(
     if curve is not None and rejected and explain:
         departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
-    if rejected and explain and not departures:
-        linear = chosen.linearised
-        base = None if linear is None else Base.at(chosen.fit, motions, revolution, linear)
+    if rejected and explain and not departures and chosen.linearised is not None:
+        base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
         if base is not None:
             fluctuation = fluctuation_share(base, partial(_count_repeated, chosen), float(np.max(noise)))
     visible = _visible(chosen, motions)

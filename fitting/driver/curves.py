@@ -47,7 +47,7 @@ class FrictionCurve(ABC):
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,); ``u`` are the unknowns of all runs."""
 
-    def values(self, u: Array, theta: Array) -> dict[str, float]:
+    def values(self, theta: Array, u: Array) -> dict[str, float]:
         """Return the law's parameters by name, per unit mass; none of a free curve."""
         return {}
 
@@ -80,7 +80,7 @@ class LawCurve(FrictionCurve):
         p = parameters.values(u[:PER_RUN])
         return np.asarray(magnitude(self.code, s, p.F, p.shape * p.F, p.shape))
 
-    def values(self, u: Array, theta: Array) -> dict[str, float]:
+    def values(self, theta: Array, u: Array) -> dict[str, float]:
         p = parameters.values(u[:PER_RUN])
         found = {"Fs": p.F, "gamma": p.shape, "G_slip": p.shape * p.F}
         return {name: found[name] for name in self.law.curve.parameters}

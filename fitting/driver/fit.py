@@ -86,7 +86,7 @@ class Fit:
     @property
     def own_values(self) -> dict[str, float]:
         """The law's parameters by name, per unit mass."""
-        return self.task.curve.values(self.u, self.theta)
+        return self.task.curve.values(self.theta, self.u)
 
     @property
     def start(self) -> FitStart:

@@ -77,10 +77,7 @@ class FormulaCurve(FrictionCurve):
         except InputError:
             return self.at_speeds(theta, np.minimum(s, self.fastest))
 
-    def values(self, u: Array, theta: Array) -> dict[str, float]:
-        return self._values(theta)
-
-    def _values(self, theta: Array) -> dict[str, float]:
+    def values(self, theta: Array, u: Array | None = None) -> dict[str, float]:
         free = np.where(self.by_log, np.exp(np.clip(theta, -700.0, 700.0)), theta)
         return dict(self.fixed) | dict(zip(self.free, free.tolist(), strict=True))
 
@@ -96,16 +93,16 @@ class FormulaCurve(FrictionCurve):
 
     def at_speeds(self, theta: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s; InputError if not finite or negative."""
-        found = self.law.curve.value(s, self._values(theta))
+        found = self.law.curve.value(s, self.values(theta))
         if found.min() < 0:
-            at = self.law.curve.place(float(s[np.argmin(found)]), self._values(theta))
+            at = self.law.curve.place(float(s[np.argmin(found)]), self.values(theta))
             what = f"law {self.law.name}: friction is negative, {found.min():.4g} m/s^2, {at}"
             raise InputError(what, "formula", "give bounds, or a form that stays above 0")
         return found
 
     def slopes(self, theta: Array, s: Array) -> Array:
         """Return the derivatives (k, unknowns) of friction at slip speeds s (k,)."""
-        values = self._values(theta)
+        values = self.values(theta)
         found = self.law.curve.gradient(s, values, self.free)
         return np.asarray(found * np.where(self.by_log, [values[name] for name in self.free], 1.0))
 

@@ -262,7 +262,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
         own[active] = q[: len(active)]
         if theta.size:
             own[Global.LOG_F] = math.log(float(curve.friction(own, theta, q[:0], np.zeros(1))[0]))
-        return values(own), curve.values(own, theta)
+        return values(own), curve.values(theta, own)
 
     precision = problem.precision[first]
     spread = np.array(covariances(fit))[:, index][:, :, index]

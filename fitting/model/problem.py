@@ -222,7 +222,8 @@ class EstimationProblem:
 
         Constant friction fixes the datum, so that no level pulls at it.
         """
-        return 1.0 if self.law.kind.curve == "constant" else level_prior(self.motions)
+        guessed = any(motion.datum_prior is None for motion in self.motions)
+        return LOOSE_LEVELS if guessed and self.law.kind.curve != "constant" else 1.0
 
     @property
     def motions(self) -> tuple[MeasuredMotion, ...]:
@@ -250,11 +251,6 @@ def thinned_to(run: Run) -> Thinning:
     motion = run.motion
     stride = max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE_SAMPLES))
     return Thinning(stride, COARSE_SAMPLES if run.ripple is None else math.inf)
-
-
-def level_prior(motions: Sequence[MeasuredMotion]) -> float:
-    """Return `EstimationProblem.level_prior` where the datum is fitted with a curve that is not constant."""
-    return LOOSE_LEVELS if any(motion.datum_prior is None for motion in motions) else 1.0
 
 
 def datum_calibration(motion: MeasuredMotion) -> Measured:

@@ -124,10 +124,9 @@ def render(ranking: Ranking) -> str:
 
     recordings = [record.recording for record in ranking.records]
     best = ranking.best if ranking.rows else None
-    title = ", ".join(recording.source.name for recording in recordings)
     return template("report.html").render(
         mark=Markup(f'{MARK} {html.escape(VERSION)}">'),
-        title=title if ranking.runs else recordings[0].title or title,
+        title=", ".join(recording.source.name or recording.title for recording in recordings),
         ranking=ranking,
         adequacy=ranking.adequacy,
         goodness=ranking.adequacy.goodness,

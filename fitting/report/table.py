@@ -31,13 +31,13 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
 
 
 def write_curve(path: Path, ranking: Ranking, curve: MeasuredCurve) -> None:
-    """Write friction against relative speed with its band, and a column for each formula; replaces an older table."""
-    unit, formulas = ranking.adequacy.unit, ranking.rivals
-    drawn = [np.abs(curves.curve(row.fit, ranking.motion, -curve.speed)) for row in formulas]
+    """Write friction against relative speed: the measured curve, its band, the best law and each formula."""
+    unit, laws = ranking.adequacy.unit, [row for row in ranking.rows if row is ranking.best or row in ranking.rivals]
+    drawn = [np.abs(curves.curve(row.fit, ranking.motion, -curve.speed)) for row in laws]
     columns = (curve.speed, curve.friction, curve.lo, curve.hi, *drawn)
     with atomic.replacing(path, force=True) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
-        names = ("friction", "lo", "hi", *(row.label for row in formulas))
+        names = ("friction", "lo", "hi", *(row.label for row in laws))
         out.writerow(["speed (m/s)", *(f"{name} ({unit})" for name in names)])
         out.writerows(zip(*(column.tolist() for column in columns), strict=True))
 

@@ -256,9 +256,10 @@ def test_the_measured_curve_is_a_table(fitted):
     curve = application.plain(answer.data)["adequacy"]["curve"]
     with out.open() as file:
         header, *rows = csv.reader(file)
-    assert header == ["speed (m/s)", *(f"{name} ({curve['unit']})" for name in ("friction", "lo", "hi"))]
+    assert header == ["speed (m/s)", *(f"{name} ({curve['unit']})" for name in ("friction", "lo", "hi", "law 5"))]
     columns = [[float(value) for value in column] for column in zip(*rows, strict=True)]
-    assert columns == [curve[name] for name in ("speed", "friction", "lo", "hi")]
+    assert columns[:4] == [curve[name] for name in ("speed", "friction", "lo", "hi")]
+    assert all(low < law < high for low, high, law in zip(curve["lo"], curve["hi"], columns[4], strict=True))
 
 
 def test_a_foreign_file_is_not_replaced_by_the_curve(run, tmp_path):

@@ -114,7 +114,7 @@ def test_the_first_row_is_headline_badge_and_parameter_table(page, ranked):
     assert f"<h2>{best.called}</h2>" in first
     assert "Parameters of law 5" in page
     assert page.count("<h1") == 1
-    assert "<title>law5" in page or ": law 5</title>" in page
+    assert "<title>rig.h5: law 5</title>" in page
 
 
 def test_where_no_law_describes_the_record_no_set_weight_or_interval_is_shown(ranked):
