@@ -12,6 +12,6 @@ CLEARLY_ABOVE = 1.1
 # Error of a fit worth polishing, which may be noise alone: at half the excess the noise of a short record hides a true
 # law, at twice a wrong law is taken for one.
 NEAR = 1.2
-# Error after the first pass of a fit that starts again: at half true laws start again for nothing, at twice a ramp law
-# that ended in a poor minimum does not.
+# Error beyond which a law does not describe a record: it is not judged, and a formula does not take every sample.  True
+# laws end at 0.9 to 2.6 resolutions, the larger in harsh records.
 LOST = 3.0

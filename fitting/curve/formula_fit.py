@@ -68,17 +68,17 @@ def fit_formula(
     # On one contact no law is nearer to the record than the free curve.
     hopeless = seen.chi > noise_levels.LOST
     starts = starts[:1] if hopeless else starts
-    settled = best_end(task, [(start, host.noise.without_fade) for start in starts], noise)
     best = min(others, key=lambda one: one.geometric_mean_rms, default=None)
     inner = min((one.geometric_mean_rms for one in others if contained(law, one.law)), default=math.inf)
     least = math.inf if best is None else best.geometric_mean_rms
+    settled = best_end(task, [(start, host.noise.without_fade) for start in starts], noise, least)
     again: list[tuple[FitStart, PassNoise | None]] = []
-    if not hopeless and (settled is None or settled.geometric_mean_rms < noise_levels.LOST * least):
+    if not hopeless and (settled is None or WORSE * least < settled.geometric_mean_rms < noise_levels.LOST * least):
         again += [(start, None) for start in starts]
     if best is not None and (settled is None or settled.geometric_mean_rms > WORSE * inner):
         again += [(start, best.noise.without_fade) for start in _at_end_of(task, best)]
     if again and not (settled and settled.geometric_mean_rms < noise_levels.DESCRIBES * position):
-        ends = (settled, best_end(task, again, noise))
+        ends = (settled, best_end(task, again, noise, least))
         settled = min((end for end in ends if end), key=attrgetter("geometric_mean_rms"), default=None)
     found = settled
     limit = min(noise_levels.LOST * position, noise_levels.NEAR * max(least, position))

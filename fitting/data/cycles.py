@@ -18,7 +18,7 @@ and a mass that only grazes the belt (laws 1 and 2), show nothing else, and one 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,9 @@ SUSTAINED_SHARE = 0.15  # share of the record in plateaus: below it the mass onl
 # Deceleration over that of a mass that still sticks, from which it slips: while the belt drags it from rest on a ramp,
 # 0.3 of the belt's speed wide, it is slowed down by 3 times as much; in the first half of a slip by 5 times and more.
 SLIP_DECELERATION = 4.0
+# Most cycles that are fitted.  Memory and time grow with their number; with 200 the errors of calibrations are usually
+# larger than those of the fit.
+MOST_CYCLES = 200
 STILL_ACCELERATION = 0.05  # acceleration over a slip's: with less the mass sticks, or crosses the top of a sine
 
 
@@ -55,7 +58,8 @@ class Cycle:
     slip: tuple[int, int]
     # whether the mass overtakes the belt after landing: a slip that returns with more load than the belt can hold
     overtakes: bool = False
-    # "" or why the cycle is not used: "gap", "rest" (the belt stood during the slip), "excluded", "short"
+    # "" or why the cycle is not used: "gap", "rest" (the belt stood during the slip), "excluded", "short", or "surplus"
+    # (`MOST_CYCLES`)
     flag: str = ""
 
 
@@ -83,6 +87,11 @@ class CycleSegmentation:
     @property
     def used(self) -> tuple[Cycle, ...]:
         return tuple(cycle for cycle in self.cycles if not cycle.flag)
+
+    @property
+    def surplus(self) -> int:
+        """How many cycles are not used, because others are enough (`MOST_CYCLES`)."""
+        return sum(cycle.flag == "surplus" for cycle in self.cycles)
 
     @property
     def uses_start(self) -> bool:
@@ -163,7 +172,14 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     )
     first = min(sticks[0][1], n - 1) if starts_at_rest else 0
     span = float(time[-1] - time[first] - sum(time[j - 1] - time[i] for i, j in rests if i >= first))
-    return CycleSegmentation(tuple(cycles), stuck / span if span > 0 else 0.0, starts_at_rest, drag)
+    return CycleSegmentation(_spread(cycles), stuck / span if span > 0 else 0.0, starts_at_rest, drag)
+
+
+def _spread(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
+    """Return the cycles, of which `MOST_CYCLES` are used, evenly spread from the first to the last."""
+    used = [k for k, cycle in enumerate(cycles) if not cycle.flag]
+    kept = {used[k] for k in np.linspace(0, len(used) - 1, min(MOST_CYCLES, len(used))).round().astype(int)}
+    return tuple(cycle if cycle.flag or k in kept else replace(cycle, flag="surplus") for k, cycle in enumerate(cycles))
 
 
 def _sample_from(motion: MeasuredMotion, time: float) -> int:

@@ -9,9 +9,9 @@ finish       with every sample, of those within `FINISHED_NEAR_BEST` times the b
 """
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from itertools import compress
-from typing import NamedTuple
 
 import numpy as np
 
@@ -60,23 +60,32 @@ def fit_from(task: Task, start: FitStart, noise: PassNoise) -> Fit | None:
 
 
 def best_end(
-    task: Task, starts: Sequence[tuple[FitStart, PassNoise | None]], noise_m: Array | None = None
+    task: Task,
+    starts: Sequence[tuple[FitStart, PassNoise | None]],
+    noise_m: Array | None = None,
+    least: float = math.inf,
 ) -> Fit | None:
     """Settle a task from each start until one reaches the noise; return the best fit.
 
     Starts come with the noise of their fit, likeliest first; the best after its first pass is settled first, and one
-    that reaches the noise ends the search. ``noise_m`` (runs,) is the noise of a position, m, if known; else the
-    resolution.
+    that reaches the noise ends the search, as one far beyond the best does. ``noise_m`` (runs,) is the noise of a
+    position, m, if known; else the resolution. ``least`` is the least error of other tasks, m: where every first pass
+    is far beyond it, the best is returned as it is.
     """
     reached = noise_levels.DESCRIBES * (task.resolution if noise_m is None else float(np.max(noise_m)))
-    best: Fit | None = None
     tried: list[Fit] = []
     for start, noise in starts:
         first = first_pass(task, start, noise)
         tried += [] if first is None else [first]
         if first is not None and first.geometric_mean_rms < reached:
             break
-    for first in sorted(tried, key=lambda one: one.geometric_mean_rms):
+    tried.sort(key=lambda one: one.geometric_mean_rms)
+    if tried and tried[0].geometric_mean_rms > GIVEN_UP_BEYOND_BEST * least:
+        return tried[0]
+    best: Fit | None = None
+    for first in tried:
+        if best is not None and first.geometric_mean_rms > FAR_BEYOND_BEST * best.geometric_mean_rms:
+            break
         settled = settle(first, noise_m)
         if settled is not None and (best is None or settled.geometric_mean_rms < best.geometric_mean_rms):
             best = settled
@@ -190,14 +199,6 @@ def select_better(fit: Fit | None, other: Fit | None) -> Fit | None:
     return other if other.geometric_mean_rms < fit.geometric_mean_rms else fit
 
 
-class Restart(NamedTuple):
-    """A task, its fit so far, and the better fits from which it starts again."""
-
-    task: Task
-    fit: Fit | None
-    neighbours: Sequence[Fit]
-
-
 def exchange_starts(
     tasks: Sequence[Task], fits: Sequence[Fit | None], each: Map, tried: Sequence[Fit | None] = ()
 ) -> list[Fit | None]:
@@ -209,7 +210,7 @@ def exchange_starts(
     limit = FAR_BEYOND_BEST * least_error(fits)
     fresh = [fit for fit in fits if fit is not None and all(fit is not other for other in tried)]
     restarts = {
-        k: Restart(task, fit, neighbours)
+        k: (task, fit, neighbours)
         for k, (task, fit) in enumerate(zip(tasks, fits, strict=True))
         if (neighbours := list_better_neighbours(task, fit, fresh, limit))
     }
@@ -230,13 +231,12 @@ def list_better_neighbours(task: Task, fit: Fit | None, others: Sequence[Fit], l
     return list(dict.fromkeys(best))
 
 
-def start_at_neighbours(restart: Restart) -> Fit | None:
-    """Return the best fit of a task from its neighbours, each with that one's noise; None if none is better.
+def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit | None:
+    """Return the best of a task's fit and of those that start from its neighbours, each with that one's noise.
 
     From a neighbour of every sample only the last pass is made.
     """
-    task, before, neighbours = restart
-    fit = before
+    task, fit, neighbours = restart
     for neighbour in neighbours:
         if fits_worse(fit, neighbour):
             task = task if fit is None else fit.task
@@ -247,7 +247,7 @@ def start_at_neighbours(restart: Restart) -> Fit | None:
                 first = first_pass(task, start, neighbour.noise.without_fade)
                 end = None if first is None else settle_lower(first)
             fit = select_better(fit, end)
-    return None if fit is before else fit
+    return fit
 
 
 def start_beside(task: Task, donor: Fit, narrow: float = 1.0) -> FitStart:
@@ -272,23 +272,18 @@ def mark_overtaking(fits: Sequence[Fit | None], each: Map) -> list[Fit | None]:
 
     A ramp may fit such a cycle by a very low level, where its jump shows that it is spoilt.
     """
-    near = {
-        k: fit
-        for k, fit in enumerate(fits)
-        if fit is not None and fit.geometric_mean_rms < FAR_BEYOND_BEST * fit.task.resolution
-    }
-    seen = {k: find_overtaking(fit) for k, fit in near.items()}
+    limits = [0.0 if fit is None else FAR_BEYOND_BEST * fit.task.resolution for fit in fits]
+    seen = [
+        (fit.task.curve, find_overtaking(fit))
+        for fit, limit in zip(fits, limits, strict=True)
+        if fit is not None and fit.geometric_mean_rms < limit
+    ]
     marked: dict[int, Fit] = {}
     for k, fit in enumerate(fits):
-        if fit is None:
-            continue
-        curve = fit.task.curve
-        same = [
-            cycles
-            for j, cycles in seen.items()
-            if j == k or curve.is_ramp_of(near[j].task.curve) or near[j].task.curve.is_ramp_of(curve)
-        ]
-        if np.any(same):
-            marked[k] = with_overtaking(fit, np.any(same, axis=0)) or fit
+        if fit is not None:
+            own = fit.task.curve
+            same = [cycles for curve, cycles in seen if curve is own or curve.is_ramp_of(own) or own.is_ramp_of(curve)]
+            if np.any(same):
+                marked[k] = with_overtaking(fit, np.any(same, axis=0)) or fit
     settled = dict(zip(marked, each(settle, list(marked.values())), strict=True))
     return [settled.get(k) or marked.get(k) or fit for k, fit in enumerate(fits)]

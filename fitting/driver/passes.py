@@ -282,7 +282,7 @@ def _started_below_belt(at: Fit, noise: PassNoise) -> Fit:
     problem, curve = at.task.problem, at.task.curve
     fastest = at.windows.fastest_starts(at.u)
     beyond = (at.local > fastest).any(axis=1) & noise.inliers
-    if curve.ramp or not isinstance(curve, LawCurve) or curve.law.kind.curve == "constant" or not beyond.any():
+    if curve.ramp or curve.law is None or curve.law.kind.curve == "constant" or not beyond.any():
         return at
     fresh = starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u)
     below = np.minimum(np.where(beyond[:, None], fresh, at.local), fastest)

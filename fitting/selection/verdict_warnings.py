@@ -78,9 +78,12 @@ def _of_fit(run: Ranking) -> Iterator[str]:
 
 
 def _of_record(run: Ranking) -> Iterator[str]:
-    left = [cycle for cycle in run.cut.cycles if cycle.flag and cycle.flag != "excluded"]  # by the user
+    left = [cycle for cycle in run.cut.cycles if cycle.flag not in ("", "excluded", "surplus")]  # not by the user
     if left:
         yield f"cycles left out: {', '.join(f'{cycle.number} ({cycle.flag})' for cycle in left)}"
+    if more := run.cut.surplus:
+        used = len(run.cut.used)
+        yield f"{used} of {used + more} cycles are fitted, evenly spread (--from and --to select others)"
     if lost := run.records[0].lost_counts:
         yield f"counts seem to be lost at {lost} sample(s): the fit has them put back"
     stuck = [row.law for row in run.rows if row.asked and row.fit.outcome not in ("converged", "step limit")]

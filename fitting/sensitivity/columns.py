@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from fitting.model import parameters
-from fitting.model.fading import relative_change
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
@@ -115,7 +114,8 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
             forces[j] = -path.velocity
         elif slot == Global.FADE:
             epoch = path.windows.level_epoch[path.window]
-            change = relative_change(path.unknown(Global.FADE), path.time, epoch)
+            fade = path.unknown(Global.FADE)
+            change = (epoch - path.time) / ((1.0 - fade * path.time) * (1.0 - fade * epoch))  # of the level's logarithm
             forces[j] = np.where(bound, 0.0, change * friction)
         elif slot == Global.STATIC:
             forces[j] = np.where(slips | bound | (q != 0.0), 0.0, friction / path.unknown(Global.STATIC))

@@ -18,7 +18,6 @@ from stickslip.compute.compile import compiled
 KERNELS = (
     "rig_sim.friction.curve",
     "rig_sim.friction.spline",
-    "fitting.model.fading",
     "fitting.sensitivity.friction",
     "fitting.sensitivity.rates",
     "fitting.sensitivity.flow",

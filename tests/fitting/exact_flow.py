@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.model import parameters
-from fitting.model.fading import remaining
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle, Values
 from fitting.model.windows import ShootingWindows
+from fitting.sensitivity.rates import remaining
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
 from rig_sim.friction.spline import NO_TABLE

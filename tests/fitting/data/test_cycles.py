@@ -1,6 +1,7 @@
 """A record is cut where the mass leaves the belt, and the random break-away falls into no window."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -97,3 +98,15 @@ def test_a_stick_window_begins_when_an_overtaking_has_ended(law5):
     later, same_end = cycles.segment_cycles(replace(motion, velocity=velocity)).cycles[3].stick
     assert motion.time[later] == pytest.approx(motion.time[long] + motion.half_window, abs=3e-3)
     assert same_end == end
+
+
+def test_a_long_record_is_fitted_by_cycles_spread_over_it(law5, monkeypatch):
+    """A record of 30 minutes took 3.9 GB and more than 200 s."""
+    motion, whole = law5
+    monkeypatch.setattr(cycles, "MOST_CYCLES", 5)
+    cut = cycles.segment_cycles(motion)
+    numbers = [cycle.number for cycle in cut.used]
+    assert len(numbers) == 5
+    assert [numbers[0], numbers[-1]] == [whole.used[0].number, whole.used[-1].number]
+    assert max(b - a for a, b in pairwise(numbers)) - min(b - a for a, b in pairwise(numbers)) <= 1
+    assert cut.surplus == len(whole.used) - 5

@@ -25,8 +25,13 @@ def ranked_with(belt_rig):
     return of
 
 
+def contradictions(ranking):
+    """Return the findings without those that say which stored value was replaced."""
+    return [finding for finding in ranking.findings if finding.code != "replaced"]
+
+
 def codes(ranking):
-    return [finding.code for finding in ranking.findings]
+    return [finding.code for finding in contradictions(ranking)]
 
 
 def test_a_sound_calibration_contradicts_nothing(ranked_with):
@@ -44,12 +49,12 @@ def test_a_stale_belt_speed_is_named_and_the_records_own_is_used(ranked_with, st
     # 0.1 m/s in rig.toml made it "no belt stick-slip in this record"; 0.30 made Fs and gamma 29 % too large, silently.
     ranking = ranked_with(belt_speed=stale)
     assert codes(ranking) == ["belt-speed"]
-    finding = ranking.findings[0]
+    (finding,) = contradictions(ranking)
     assert finding.value == pytest.approx(0.22, rel=1e-3)
     assert finding.expected == stale.value
     assert finding.sigmas > 20
     assert finding.text in ranking.warnings
-    assert ranking.as_json()["findings"] == [vars(finding)]
+    assert vars(finding) in ranking.as_json()["findings"]
     assert ranking.best.parameters["v_dr"].value == pytest.approx(0.22, rel=1e-3)
     assert ranking.best.parameters["gamma"].value == pytest.approx(9.618, rel=0.02)
 
@@ -99,7 +104,7 @@ def test_a_rest_position_that_keeps_every_law_away_is_named_with_what_holds(rank
     ranking = ranked_at_rest(rest, 14.0)
     assert not ranking.adequacy.adequate
     assert codes(ranking) == ["x0"]
-    finding = ranking.findings[0]
+    (finding,) = contradictions(ranking)
     assert finding.value == pytest.approx(0.0, abs=1e-3)
     assert finding.expected == rest
     assert finding.text in ranking.warnings
