@@ -23,7 +23,7 @@ from fitting.departures.strongest import LEAST_SIGMAS, Candidate, rank_candidate
 from fitting.driver.fit import Fit
 from fitting.driver.passes import finish, first_pass, regressed_start, settle
 from fitting.driver.task import FitStart, Task
-from fitting.estimation.covariance import covariance, without_level_errors
+from fitting.estimation.covariance import covariances, without_level_errors
 from fitting.estimation.derived import derived_parameters
 from fitting.forces.force import Force
 from stickslip.compute.arrays import Array
@@ -61,15 +61,16 @@ class Refit:
         return self.fit.q[self.fit.q.size - self.force.width :]
 
     @cached_property
-    def covariance(self) -> Array:
-        """Covariance of the coefficients, (columns, columns)."""
+    def spreads(self) -> Array:
+        """Covariances of the coefficients by the sandwich and by the curvature, (2, columns, columns)."""
         first = self.fit.q.size - self.force.width
         own = slice(first, first + self.force.departure.columns)
-        return covariance(self.fit)[own, own]
+        return np.array(covariances(self.fit))[:, own, own]
 
     @property
     def sigmas(self) -> float:
-        log_p = log_probability(self.force.coefficients(self.size), self.covariance, len(self.fit.rows))
+        size = self.force.coefficients(self.size)
+        log_p = max(log_probability(size, spread, len(self.fit.rows)) for spread in self.spreads)
         return sigmas(log_p, len(DEPARTURES))
 
     @property
@@ -177,7 +178,7 @@ def _start(task: Task, end: Fit | None, size: Array) -> FitStart:
 def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
     """Convert a departure to the units of the rig."""
     departure, record = refit.force.departure, refit.fit.problem.motions[0]
-    size = amplitude(refit.force.coefficients(refit.size), refit.covariance)
+    size = amplitude(refit.force.coefficients(refit.size), refit.spreads)
     parameter, unit = departure.parameter, departure.unit
     if departure.with_mass is not None and record.mass is not None:
         parameter, unit = departure.with_mass
@@ -199,10 +200,8 @@ def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
     )
 
 
-def amplitude(coefficients: Array, covariance: Array) -> Measured:
-    """Return the coefficient, or the amplitude of a sine and a cosine, with its standard error."""
-    if coefficients.size == 1:
-        return Measured(float(coefficients[0]), math.sqrt(float(covariance[0, 0])))
-    size = float(np.hypot(*coefficients))
-    along = coefficients / size if size > 0 else np.full(coefficients.size, math.sqrt(0.5))
-    return Measured(size, math.sqrt(float(along @ covariance @ along)))
+def amplitude(coefficients: Array, spreads: Array) -> Measured:
+    """Return the coefficient, or the amplitude of a sine and a cosine, with the largest of its standard errors."""
+    size = float(coefficients[0]) if coefficients.size == 1 else float(np.hypot(*coefficients))
+    along = coefficients / size if size else np.full(coefficients.size, coefficients.size**-0.5)
+    return Measured(size, math.sqrt(float(np.einsum("i,sij,j->s", along, spreads, along).max())))

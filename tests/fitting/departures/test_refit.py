@@ -56,6 +56,7 @@ def test_the_size_after_the_refit_is_within_a_few_percent(fitted, name, changes,
     first = explained(fitted(scatter=0.03, **changes))[0]
     assert first.name == name
     assert first.value == pytest.approx(size, rel=0.05)
+    assert first.stderr < 0.05 * first.value
 
 
 @pytest.mark.slow

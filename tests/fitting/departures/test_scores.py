@@ -167,5 +167,5 @@ def test_an_error_of_the_reading_is_named_by_what_read_it(counted, words):
 
 
 def test_a_sine_and_a_cosine_are_one_amplitude():
-    found = amplitude(np.array([3e-4, 4e-4]), np.eye(2) * 1e-12)
+    found = amplitude(np.array([3e-4, 4e-4]), np.stack([np.eye(2) * 1e-12, np.eye(2) * 1e-13]))
     assert (found.value, found.sd) == pytest.approx((5e-4, 1e-6))
