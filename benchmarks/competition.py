@@ -26,7 +26,7 @@ from scipy.integrate import solve_ivp
 import fitting
 from daq.runfile import store
 from daq.runfile.recording import Recording
-from fitting.law import SIX
+from fitting.laws import SIX
 from stickslip.errors import DataError
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -4,7 +4,7 @@
 
     warm      CPU seconds of `fitting.rank` (user and system, all threads) on the scene `rig` at 1 kHz with 5 % scatter,
               for a record of each law, compiled and called once before: of the six laws, and of goodness of fit and
-              measured curve together (`measure` and `assess` of `fitting.adequacy.assess`)
+              measured curve together (`measure` and `assess` of `fitting.judge.adequacy`)
     first     wall and CPU seconds of the command `fit-friction` with an empty folder for machine code
     scipy     one slip window of law 5: the same residuals, priors and unknowns, from the same start to the same
               minimum, by `solve_ivp` with an event at the landing under `least_squares`, compared with this project's
@@ -36,17 +36,17 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
-from fitting.data import cycles, frame
-from fitting.driver.model import Model
-from fitting.driver.task import law_task
+from fitting import ranking
 from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.problem import LeastSquaresProblem
-from fitting.model import starts
-from fitting.model.parameters import Global, PerCycle
+from fitting.least_squares.normal_equations import LeastSquaresProblem
+from fitting.model import flow
+from fitting.model import problem as starts
+from fitting.model.predict import Model, law_task
 from fitting.model.problem import Run
+from fitting.model.unknowns import Global, PerCycle
 from fitting.model.windows import ShootingWindows
-from fitting.selection import ranking
-from fitting.sensitivity import flow
+from fitting.record import cycles
+from fitting.record import motion as frame
 from processing.record.kinematics import Kinematics
 
 RESULTS = Path(__file__).resolve().parent / "results"

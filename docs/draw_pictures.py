@@ -16,8 +16,8 @@ import daq
 import fitting
 import processing
 import rig_sim
-from fitting.drawing import curves
-from fitting.drawing.palette import COLOURS, DASHES, INK, MEASURED
+from fitting.drawing import COLOURS, DASHES, INK, MEASURED
+from fitting.judge import friction
 from stickslip.output.plot import STYLE, PngFigure, figure
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def none_of_six() -> PngFigure:
     drawn = figure(10.0, 3.6)
     left, right = drawn.subplots(1, 2)
     for row in rows:
-        force = np.abs(curves.curve(row.fit, ranking.motion, -curve.speed))
+        force = np.abs(friction.friction_at(row.fit, ranking.motion, -curve.speed))
         left.plot(curve.speed, force, color=COLOURS[row.law], ls=DASHES[row.law], lw=1, label=row.label)
     left.fill_between(curve.speed, curve.lo, curve.hi, color=INK, alpha=0.25, lw=0)
     left.plot(curve.speed, curve.friction, color=INK, lw=2, label="measured")

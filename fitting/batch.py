@@ -15,7 +15,7 @@ from fitting.job import LoadedRun
 from fitting.options import Options
 from fitting.report import page
 from fitting.report.comparison import ComparedRun
-from fitting.selection.result import Ranking
+from fitting.result import Ranking
 from stickslip import errors
 from stickslip.compute.workers import workers
 from stickslip.console import application

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from fitting.options import Options
     from fitting.request import Places
-    from fitting.selection.result import Ranking
+    from fitting.result import Ranking
+
 
 app = application.application("fit-friction", usage="Usage: fit-friction [OPTIONS] RUN.h5 [RUN.h5 ...]")
 
@@ -85,13 +86,13 @@ def fit(
 
 def _fit_each(files: "Sequence[Path]", options: "Options", outputs: OutputFlags, places: "Places") -> Answer:
     from fitting import batch
-    from fitting.report import comparison, table
+    from fitting.report import comparison, stage
 
     force, compared = outputs.force, places.comparison
     with application.progress("fitting", float(len(files)), "runs") as progress:
         rows = batch.fit(files, places.reports, options, progress, force=force)
     if outputs.csv is not None:
-        table.write(outputs.csv, [(row.file, row.document.get("ranking", ())) for row in rows])
+        stage.write(outputs.csv, [(row.file, row.document.get("ranking", ())) for row in rows])
     if compared is not None:
         comparison.write(rows, compared, options.alpha, batch.summary(rows), force=force)
     data = {"runs": [row.as_json() for row in rows], "comparison": compared}
@@ -131,18 +132,18 @@ def _fit_together(files: "Sequence[Path]", options: "Options", outputs: OutputFl
 
 
 def _write_tables(ranking: "Ranking", files: "Sequence[Path]", outputs: OutputFlags) -> None:
-    from fitting import rig_scene
-    from fitting.report import table
+    from fitting import scene
+    from fitting.report import stage
 
     if outputs.csv is not None:
         sides = zip(files, ranking.sides, strict=True)
-        table.write(outputs.csv, [(path, [row.as_json() for row in side.table]) for path, side in sides])
+        stage.write(outputs.csv, [(path, [row.as_json() for row in side.table]) for path, side in sides])
     if outputs.curve_csv is not None:
         if ranking.adequacy.curve is None:
             raise DataError("no friction curve could be measured", str(files[0]), "leave out --curve-csv")
-        table.write_curve(outputs.curve_csv, ranking, ranking.adequacy.curve)
+        stage.write_curve(outputs.curve_csv, ranking, ranking.adequacy.curve)
     if outputs.save_scene is not None:
-        rig_scene.save(outputs.save_scene, ranking, files[0])
+        scene.save(outputs.save_scene, ranking, files[0])
 
 
 def main() -> NoReturn:

@@ -11,12 +11,10 @@ import sys
 import numpy as np
 
 from fitting.least_squares import elimination
-from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
+from fitting.model.path import FrictionSpline, Path, follow, law_curve, positions
+from fitting.model.tangents import tangents
+from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.windows import ShootingWindows
-from fitting.sensitivity.path import Path, follow, law_curve
-from fitting.sensitivity.spline import FrictionSpline
-from fitting.sensitivity.tangents import tangents
-from fitting.sensitivity.values import positions
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 

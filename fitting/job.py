@@ -10,11 +10,11 @@ from daq.runfile import store as runfile
 from daq.runfile.nexus import EVERY
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig, find_replaced
-from fitting.adequacy.result import ADEQUATE
+from fitting.judge.adequacy import ADEQUATE
 from fitting.options import Options
+from fitting.ranking import rank
 from fitting.report import page, stage
-from fitting.selection.ranking import rank
-from fitting.selection.result import Ranking
+from fitting.result import Ranking
 from processing import stage as smoothed_stage
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics

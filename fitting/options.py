@@ -5,8 +5,7 @@ from dataclasses import dataclass, field, replace
 from numbers import Real
 
 from daq.runfile.rig import Rig
-from fitting.competitors import Competitors
-from fitting.law import SIX, Law
+from fitting.laws import SIX, Competitors, Law
 from stickslip.errors import InputError
 from stickslip.units import Measured
 

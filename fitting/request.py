@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.runfile import joint
-from fitting import rig_scene
-from fitting.competitors import Competitors, numbers
+from fitting import scene as rig_scene
 from fitting.flags import CalibrationFlags, LawFlags, OutputFlags, PartFlags, WorkFlags
+from fitting.laws import Competitors, numbers
 from fitting.options import Options
-from fitting.report import comparison, page, table
+from fitting.report import comparison, page, stage
 from stickslip.console import application
 from stickslip.errors import InputError
 from stickslip.output import atomic, suffix
@@ -101,7 +101,7 @@ def _refuse_outputs(runs: list[Path], outputs: OutputFlags, places: Places) -> N
     if places.comparison is not None:
         comparison.refuse_foreign_file(places.comparison, runs, force=force)
     if csv is not None:
-        table.refuse_foreign_file(csv, runs, force=force)
+        stage.refuse_foreign_file(csv, runs, force=force)
     if curve_csv is not None:
         atomic.refuse_existing(curve_csv, force, *runs, flag="--curve-csv")
     if scene is not None:

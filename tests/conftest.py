@@ -91,7 +91,7 @@ def undrawn_report() -> Iterator[None]:
 
 def compete_alone(patch: pytest.MonkeyPatch) -> None:
     """Let no published formula compete that was not named."""
-    patch.setattr("fitting.selection.rivals.PUBLISHED", {})
+    patch.setattr("fitting.judge.formulas.PUBLISHED", {})
 
 
 @pytest.fixture
@@ -103,9 +103,8 @@ def no_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
 @contextmanager
 def no_other_law() -> Iterator[None]:
     """Fit no law beside those asked for, where a test is not about which law is found: that takes most of a rank."""
-    from fitting.competitors import Competitors
-    from fitting.law import SIX
-    from fitting.selection import law_fits
+    from fitting.judge import law_fits
+    from fitting.laws import SIX, Competitors
 
     fit = law_fits._fit_laws
     with pytest.MonkeyPatch.context() as patch:
@@ -133,7 +132,7 @@ def asked_law_alone() -> Iterator[None]:
 def unmeasured_curve() -> Iterator[None]:
     """Measure no curve without a law in a module that is not about it: that takes as long as the fit of two laws."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fitting.adequacy.assess.measure_curve", lambda *_: None)
+        patch.setattr("fitting.judge.adequacy.measure_curve", lambda *_: None)
         yield
 
 

@@ -15,8 +15,8 @@ from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
 from stickslip.compute.arrays import Array, joined, rows
 
-FEWEST_CYCLES = 4  # cycles that a fit needs: `fitting.selection.evidence`
-FEW_CYCLES = 8  # cycles up to which every one must agree: `fitting.selection.screening`
+FEWEST_CYCLES = 4  # cycles that a fit needs: `fitting.judge.evidence`
+FEW_CYCLES = 8  # cycles up to which every one must agree: `fitting.judge.screening`
 # Time of the record between estimates, which take 1 % of a core.
 ESTIMATE_EVERY_S = 2.0
 MEMORY_S = 20.0  # span of motion from which the belt's speed is estimated before the first stick

@@ -1,1 +1,1 @@
-"""Nonlinear least squares with unknowns shared by all cycles and unknowns of each cycle."""
+"""Least squares for windows of a record."""

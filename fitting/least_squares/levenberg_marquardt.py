@@ -21,21 +21,19 @@ import numpy as np
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import (
     HELD_CURVATURE,
+    Derivatives,
+    LeastSquaresProblem,
     NormalEquations,
     SchurComplement,
+    UnfollowableError,
+    cost,
+    cost_by_cycle,
     eigen,
     first_rows,
     kernel,
     normal_equations,
     priors,
     sum_gradients,
-)
-from fitting.least_squares.problem import (
-    Derivatives,
-    LeastSquaresProblem,
-    UnfollowableError,
-    cost,
-    cost_by_cycle,
 )
 from stickslip.compute.arrays import Array
 

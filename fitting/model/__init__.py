@@ -1,1 +1,1 @@
-"""The estimated model: parameters, starting values, priors, and the motion they predict."""
+"""Positions of a model and their derivatives."""

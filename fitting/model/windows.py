@@ -1,20 +1,30 @@
-"""The samples of a fit: a stick window and a slip window of each cycle."""
+"""The samples of a fit: a stick window and a slip window of each cycle.
+
+Wear: the decrease of the friction level from cycle to cycle, by a straight line through the cycles' levels.
+
+A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  The change of
+a level within one cycle is a separate parameter of the fit (`fitting.model.unknowns`, fade) and is not used for wear,
+since a contact may lose its strength only where it is formed anew.
+
+Every sample of a record, seen through fewer nodes: the last pass of a fit needs tangents at these alone.
+"""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.data.cycles import Cycle
-from fitting.data.frame import MeasuredMotion
-from fitting.least_squares.problem import Block, blocks_of
-from fitting.model import parameters
-from fitting.model.parameters import PER_CYCLE, PER_RUN, PerCycle
-from stickslip.compute.arrays import Array, end_to_end
+from fitting.least_squares.normal_equations import Block, blocks_of
+from fitting.model import unknowns
+from fitting.model.unknowns import PER_CYCLE, PER_RUN, PerCycle
+from fitting.record.cycles import Cycle
+from fitting.record.motion import MeasuredMotion
+from stickslip.compute.arrays import Array, Integers, Mask, end_to_end
+from stickslip.units import Measured
 
 # Mean square of a cycle over the usual one of its run, above which it is spoilt.  Noise alone gives up to 1.2; a joint
 # that steps by 10 mm/s gives 3 to 20.  At 3 slips that were struck lightly still pulled true laws to p = 1e-8.
@@ -184,9 +194,106 @@ class ShootingWindows:
         """
         found = np.full((len(self.rows), PER_CYCLE), np.inf)
         for k, stick, first, _, _, run in self.table:
-            p = parameters.values(u[PER_RUN * run : PER_RUN * (run + 1)])
+            p = unknowns.values(u[PER_RUN * run : PER_RUN * (run + 1)])
             turn = p.omega * self.time[first]
             belt = p.v_dr + p.cosine * math.cos(turn) + p.sine * math.sin(turn)
             if not stick:
                 found[k, PerCycle.V_SLIP] = BESIDE_BELT * belt
         return found
+
+
+FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
+
+
+@dataclass(frozen=True)
+class Wear:
+    relative_rate: Measured  # fraction of the mean level lost per second, 1/s; negative where the contact runs in
+    middle: float  # s, the mean time of the levels: there the line passes through their mean
+    degrees_of_freedom: int  # of the standard error of ``relative_rate``
+
+    @property
+    def first(self) -> Measured:
+        """Level when the recording begins, over the mean level; the error is the line's."""
+        return Measured(1 + self.relative_rate.value * self.middle, self.relative_rate.sd * self.middle)
+
+    @property
+    def rate(self) -> Measured:
+        """Fraction of the first level lost per second, 1/s."""
+        first = self.first.value
+        return Measured(self.relative_rate.value / first, self.relative_rate.sd / first**2)
+
+
+def level_trend(time: Array, level: Array) -> Wear | None:
+    """Fit a line to levels (n,) at times (n,), s; None for fewer than four, or if it is negative at the start."""
+    if level.size < FEWEST_LEVELS:
+        return None
+    level = level / level.mean()
+    middle = float(time.mean())
+    t = time - middle
+    square = float(np.sum(t**2))
+    slope = float(np.sum(t * level)) / square
+    rest = level - 1 - slope * t
+    freedom = level.size - 2
+    found = Wear(Measured(-slope, float(np.sqrt(np.sum(rest**2) / freedom / square))), middle, freedom)
+    return found if found.first.value > 0 else None
+
+
+def of_cycles(windows: ShootingWindows, inlier: Mask, local: Array, run: int) -> Wear | None:
+    """Return the line through one run's inlier levels, whose logs ``local`` (cycles, 6) has."""
+    table = windows.table
+    own = (table[:, 1] == 0) & (table[:, 5] == run) & inlier[table[:, 0]]
+    return level_trend(windows.level_epoch[own], np.exp(local[table[own, 0], PerCycle.LEVEL]))
+
+
+@dataclass(frozen=True, eq=False)
+class SampleNodes:
+    """Samples n apart in each window, and its last; each sample counts to its two nodes by linear shares."""
+
+    windows: ShootingWindows  # of the nodes
+    left: Integers  # (N,) the node before each sample
+    share: Array  # (N,) the share of each sample that counts to the next node
+    count: Array  # (nodes,) samples about each
+
+    @classmethod
+    def of(cls, whole: ShootingWindows, thinned: Sequence[Thinning]) -> "SampleNodes":
+        table, picked, left, share, total = whole.table.copy(), [], [], [], 0
+        ends = np.zeros(len(whole.rows), np.int64)
+        for row, (cycle, stick, first, size, overtakes, run) in enumerate(whole.table):
+            time = whole.time[first : first + size]
+            landing = 2 * float(whole.earliest_landing[row]) - float(time[0])
+            stuck = stuck_from(time, stick, landing, overtakes=bool(overtakes))
+            own = np.unique(np.r_[thinned[run].taken(size, stuck), size - 1])
+            before = np.clip(np.searchsorted(own, np.arange(size), side="right") - 1, 0, max(own.size - 2, 0))
+            gap = time[own[np.minimum(before + 1, own.size - 1)]] - time[own[before]]
+            left.append(total + before)
+            share.append((time - time[own[before]]) / np.where(gap > 0, gap, 1.0))
+            picked.append(first + own)
+            table[row, 2:4] = total, own.size
+            total += own.size
+            ends[cycle] = total
+        index, before, part = np.concatenate(picked), np.concatenate(left), np.concatenate(share)
+        windows = replace(
+            whole,
+            table=table,
+            time=whole.time[index],
+            position=whole.position[index],
+            source=whole.source[index],
+            rows=tuple(slice(int(a), int(b)) for a, b in zip(np.r_[0, ends[:-1]], ends, strict=True)),
+            parts=(),
+        )
+        return cls(windows, before, part, _shared_out(np.ones(part.size), before, part, total))
+
+    def seen(self, model: Array, residual: Array) -> ShootingWindows:
+        """Return the nodes, measured where their residual is the mean of the residual (N,) of samples near them.
+
+        ``model`` (nodes,) are predicted positions, m.
+        """
+        total = _shared_out(residual, self.left, self.share, self.count.size)
+        mean = np.divide(total, self.count, out=np.zeros_like(total), where=self.count > 0)
+        return replace(self.windows, position=model - mean)
+
+
+def _shared_out(values: Array, left: Integers, share: Array, nodes: int) -> Array:
+    """Return the sum of values (N,) about each node, shape (nodes,)."""
+    right = np.minimum(left + 1, nodes - 1)
+    return np.asarray(np.bincount(left, (1 - share) * values, nodes) + np.bincount(right, share * values, nodes))

@@ -1,1 +1,1 @@
-"""The outputs: page, pictures, tables, the stage in the run file."""
+"""The report and the stored fit."""

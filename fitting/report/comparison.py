@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fitting.drawing.palette import INK, law_styles
-from fitting.estimation.result import Parameter
+from fitting.drawing import INK, law_styles
+from fitting.judge.parameters import Parameter
 from fitting.report import page, symbols
 from stickslip.errors import InputError, StickslipError
 from stickslip.output import atomic

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from daq.runfile import store
 from daq.runfile.recording import Recording
-from fitting.adequacy.result import Adequacy
-from fitting.drawing.palette import law_styles, run_colour
-from fitting.estimation.result import Correlations, Parameter
-from fitting.report import mathml, symbols
-from fitting.selection.result import LawResult, Ranking
-from fitting.selection.verdict import format_probability
+from fitting.drawing import law_styles, run_colour
+from fitting.judge.adequacy import Adequacy
+from fitting.judge.parameters import Correlations, Parameter
+from fitting.report import symbols
+from fitting.report import symbols as mathml
+from fitting.result import LawResult, Ranking
+from fitting.words.verdict import format_probability
 from processing.statistics import pooled
 from stickslip.errors import InputError
 from stickslip.output import atomic
@@ -25,6 +26,7 @@ from stickslip.version import VERSION
 if TYPE_CHECKING:
     from jinja2 import Template
     from markupsafe import Markup
+
 
 SUFFIX = ".report.html"
 NAMED = re.compile("sha256 of the raw record ([0-9a-f]{64})")

@@ -16,11 +16,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from fitting.data.cycles import Cycle
-from fitting.drawing import plot
-from fitting.drawing.palette import COLOURS, DASHED, INK, MEASURED, law_styles, run_colour, run_dash, run_mark
+from fitting import drawing
+from fitting.drawing import COLOURS, DASHED, INK, MEASURED, law_styles, run_colour, run_dash, run_mark
+from fitting.record.cycles import Cycle
 from fitting.report.symbols import pretty
-from fitting.selection.result import LawResult, Ranking
+from fitting.result import LawResult, Ranking
 from processing.statistics import pooled
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import format_length, shown_length
@@ -28,6 +28,7 @@ from stickslip.output.plot import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
 
 NARROW, WIDE = 4.6, 9.4  # inches: half of the page, and all of it
 # Inches: margins, a row of a legend, its key, and a letter.
@@ -275,7 +276,7 @@ def friction(ranking: Ranking) -> tuple[Figure, str]:
     styles = _styles(ranking)
     rows = [row for row in ranking.rows if row.in_set] or [ranking.best]
     shown = [(row.fit, row.label, styles[row.law]) for row in rows]
-    plot.draw(axes, shown, ranking.motion, ranking.adequacy.curve)
+    drawing.draw(axes, shown, ranking.motion, ranking.adequacy.curve)
     _legend(drawn, [axes])
     named = ", ".join(row.label for row in rows)
     return drawn, f"Friction against relative speed: measured without a law, with its band, and {named}."
@@ -286,7 +287,7 @@ def laws(ranking: Ranking) -> tuple[Figure, str]:
     drawn, cells = panels(WIDE, 3.4, 1, 2)
     styles = _styles(ranking)
     shown = [(row.fit, row.label, styles[row.law]) for row in shown_rows(ranking)]
-    plot.draw_both(cells[0], shown, ranking.motion, ranking.adequacy.curve)
+    drawing.draw_both(cells[0], shown, ranking.motion, ranking.adequacy.curve)
     _legend(drawn, cells[0])
     return drawn, "Friction against relative speed: the curves of the laws, at all speeds and at low ones."
 

@@ -2,32 +2,40 @@
 
 In a run file the raw data stay unchanged.  In the file of a joint fit (`daq.runfile.joint`) the cycles and what differs
 between the runs appear once for each: cycles_run1 ..., parameters_run1 ...; runs has the results of each.
+
+Tables for other programs, comma-separated: the ranking, a row for each run and law; the measured friction curve.
 """
 
+import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter, methodcaller
+from pathlib import Path
+from typing import Any
 
 import h5py
+import numpy as np
 
 from daq.runfile import joint, nexus, store, tree
 from daq.runfile.tree import Field, Group
-from fitting.drawing.curves import curve, speeds_of_all, unit
-from fitting.estimation.derived import RUNS_OWN
-from fitting.estimation.result import Parameter
+from fitting.judge import friction
+from fitting.judge.curve import MeasuredCurve
+from fitting.judge.friction import friction_at, speeds_of_all, unit
+from fitting.judge.parameters import RUNS_OWN, Parameter
 from fitting.report.symbols import formula
-from fitting.selection.result import LawResult, Ranking
+from fitting.result import LawResult, Ranking
 from processing import stage as smoothed_stage
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
+from stickslip.output import atomic
 
 FRICTION = "N or N/kg"  # unit of a friction: N where mass or stiffness is known
 
 
 @dataclass(frozen=True)
 class _Law:
-    """The contents of a law: its row, and the speeds of its friction curve."""
+    """The contents of a law: its row, and the speeds of its friction friction_at."""
 
     row: LawResult
     ranking: Ranking
@@ -43,7 +51,7 @@ class _Law:
 
     @property
     def friction(self) -> Array:
-        return curve(self.row.fit, self.ranking.motion, self.relative_velocity)
+        return friction_at(self.row.fit, self.ranking.motion, self.relative_velocity)
 
     def _of(self, side: Ranking, wanted: Callable[[str], bool]) -> dict[str, Parameter]:
         parameters = side.row(self.row.law).parameters
@@ -236,3 +244,50 @@ def _write(entry: h5py.Group, ranking: Ranking) -> None:
         title = row.title if row.formula is not None else f"law {row.law}: {row.name}"
         law = _Law(row, ranking, speeds)
         tree.write(entry, _law(name, title, len(ranking.runs)), law, {FRICTION: unit(ranking.motion)})
+
+
+EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
+
+
+HEAD = "file,law,name,"
+
+
+def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = False) -> None:
+    """Raise InputError where ``path`` is a folder, a run or, without ``force``, not a ranking of only these files."""
+    atomic.refuse_existing(path, force, *files, mark=HEAD, kind="ranking", flag="--csv")
+    if path.exists() and not force:
+        with path.open(newline="", encoding="utf-8", errors="surrogateescape") as file:
+            others = {Path(row["file"]).name for row in csv.DictReader(file)} - {run.name for run in files}
+        if others:
+            what = f"exists and is the ranking of another run, {min(others)}"
+            raise InputError(what, str(path), "give another name (--csv), or --force to replace it")
+
+
+def write_curve(path: Path, ranking: Ranking, curve: MeasuredCurve) -> None:
+    """Write friction against relative speed: the measured curve, its band, the best law and each formula."""
+    unit, laws = ranking.adequacy.unit, [row for row in ranking.rows if row is ranking.best or row in ranking.rivals]
+    drawn = [np.abs(friction.friction_at(row.fit, ranking.motion, -curve.speed)) for row in laws]
+    columns = (curve.speed, curve.friction, curve.lo, curve.hi, *drawn)
+    with atomic.replacing(path, force=True) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        names = ("friction", "lo", "hi", *(row.label for row in laws))
+        out.writerow(["speed (m/s)", *(f"{name} ({unit})" for name in names)])
+        out.writerows(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]]) -> None:
+    """Write the rankings of runs (file and rows of the JSON document), in place of an older table."""
+    rows = [(file, row) for file, ranking in rankings for row in ranking]
+    names = dict.fromkeys(name for _, row in rows for name in row["parameters"])
+    with (
+        atomic.replacing(path, force=True) as temporary,
+        temporary.open("w", newline="", encoding="utf-8", errors="surrogateescape") as file,  # the bytes of a path
+    ):
+        out = csv.writer(file)
+        columns = [f"{name}{part}" for name in names for part in ("", " stderr")]
+        more = [key for key in ("formula", "asked", "reason") if any(key in row for _, row in rows)]
+        out.writerow(["file", *EVIDENCE, *more, *columns])
+        for run, row in rows:
+            values = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]
+            beside = [int(row.get(key, True)) if key == "asked" else row.get(key, "") for key in more]
+            out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *beside, *values])

@@ -4,17 +4,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting.adequacy.result import Adequacy
+from fitting.judge.adequacy import Adequacy
 from fitting.report import page
 from fitting.report.symbols import MOTION, formula
-from fitting.selection.result import Ranking
-from fitting.selection.verdict import format_probability
+from fitting.result import Ranking
+from fitting.words.verdict import format_probability
 from processing.statistics import pooled
 from stickslip.console import application
 from stickslip.output.lengths import format_length
 
 if TYPE_CHECKING:
     from rich.table import Table
+
 
 INTERVAL = 3  # column of the table of parameters that may be broken over two lines
 

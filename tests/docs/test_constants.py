@@ -23,7 +23,7 @@ def test_no_number_that_decides_is_in_seconds_hertz_or_metres(constants_page):
     """A hole in a record was long from 30 ms on, whatever the contact."""
     units = re.compile(r"(s|ms|Hz|m|mm|um|m/s|rad/s)\b[:;,.]")
     found = [(row.module, row.name) for row in constants_page.all_constants() if units.match(row.comment)]
-    assert found == [("fitting/sensitivity/path.py", "FARTHEST")]  # where a search that diverges is stopped
+    assert found == [("fitting/model/path.py", "FARTHEST")]  # where a search that diverges is stopped
 
 
 def test_the_page_has_every_number_with_its_comment(constants_page):

@@ -43,12 +43,12 @@ def ranked():
 @pytest.fixture(scope="session")
 def motion_of(belt_rig):
     """Give a function that smooths a synthetic run and brings it into the fit's frame."""
-    from fitting.data import frame
+    from fitting.record import motion
 
     @cache
     def of(**changes):
         recording = belt_rig.recording(**changes)
-        return frame.from_kinematics(smooth(recording), recording.rig, None)
+        return motion.from_kinematics(smooth(recording), recording.rig, None)
 
     return of
 

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.model import parameters
-from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle, Values
+from fitting.model import unknowns
+from fitting.model.flow import remaining
+from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle, Values
 from fitting.model.windows import ShootingWindows
-from fitting.sensitivity.rates import remaining
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
 from rig_sim.friction.spline import NO_TABLE
@@ -68,11 +68,11 @@ def evaluator(
 ) -> Callable[[Array, Array, bool], tuple[Array, Array] | None]:
     """Return ``evaluate(u, local, derivatives)`` for one law; u holds the active unknowns only.
 
-    ``full`` and ``scale`` hold the unknowns of all runs end to end (`fitting.model.parameters`), ``active`` their
+    ``full`` and ``scale`` hold the unknowns of all runs end to end (`fitting.model.unknowns`), ``active`` their
     places.
     """
     runs = full.size // PER_RUN
-    columns = parameters.columns(active, runs)
+    columns = unknowns.columns(active, runs)
     steps = DerivativeSteps(columns, STEP * scale[active], STEP * local_scale)
     arrays = WindowArrays(windows.table, windows.level_epoch, windows.earliest_landing, windows.time)
     n = windows.time.size

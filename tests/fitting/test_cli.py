@@ -15,10 +15,10 @@ import pytest
 from daq.runfile import listing, store
 from daq.runfile.rig import Rig
 from fitting import cli, job
-from fitting.competitors import Competitors, numbers
+from fitting.laws import Competitors, numbers
 from fitting.options import Options
 from fitting.report import stage as fit_stage
-from fitting.report import table
+from fitting.report import stage as table
 from processing import stage
 from processing.smoothing import smooth
 from stickslip.console import application

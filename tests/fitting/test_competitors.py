@@ -5,9 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from fitting.competitors import ALL_LAWS, Competitors, Given
-from fitting.law import PUBLISHED, SIX, Law, read_law
-from fitting.selection.given import formula_given
+from fitting.judge.calibrations import formula_given
+from fitting.laws import ALL_LAWS, PUBLISHED, SIX, Competitors, Given, Law, read_law
 from stickslip.errors import InputError
 
 

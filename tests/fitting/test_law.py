@@ -2,7 +2,7 @@
 
 import pytest
 
-from fitting.law import PUBLISHED, Law
+from fitting.laws import PUBLISHED, Law
 from stickslip.errors import InputError
 
 

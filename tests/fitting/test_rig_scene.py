@@ -8,7 +8,7 @@ import pytest
 
 import rig_sim
 from fitting import rank
-from fitting.rig_scene import of_ranking
+from fitting.scene import of_ranking
 from processing.record.finding import Finding
 from processing.smoothing import smooth
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle

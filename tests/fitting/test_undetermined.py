@@ -2,8 +2,7 @@
 
 import pytest
 
-from fitting.law import PUBLISHED, Law
-from fitting.undetermined import natural_size, undetermined
+from fitting.laws import PUBLISHED, Law, natural_size, undetermined
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from daq.live.finished import RunSamples
 from daq.live.sticks import Spread, find_usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
-from fitting.selection import evidence, screening
+from fitting.judge import evidence, screening
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics
 from stickslip.units import Measured

@@ -9,8 +9,8 @@ import pytest
 
 import daq
 from fitting import job, rank
-from fitting.adequacy.result import NOT_OF_SPEED
-from fitting.selection import answer
+from fitting.judge.adequacy import NOT_OF_SPEED
+from fitting.words import answer
 from processing.record.finding import Finding
 from processing.smoothing import smooth
 

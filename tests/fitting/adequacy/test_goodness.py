@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from fitting import job, rank
-from fitting.adequacy import visible
-from fitting.adequacy.goodness import REJECTED, GoodnessOfFit, RunSlips, probability, tail
-from fitting.adequacy.result import Adequacy
-from fitting.adequacy.statistics import SlipBins, cycle_squares
-from fitting.selection import verdict_warnings
+from fitting.judge import goodness
+from fitting.judge.adequacy import Adequacy
+from fitting.judge.goodness import REJECTED, GoodnessOfFit, RunSlips, SlipBins, cycle_squares, probability, tail
+from fitting.words import warnings
 from processing.smoothing import smooth
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")
@@ -62,13 +61,13 @@ def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
         noise = rng.standard_normal((slips * samples, 90))
         null = bins.statistics(noise[:, :60], cycle_squares(noise[:, :60], cycles))
         run = RunSlips(None, 1.0, bins, 0.0, None, null, np.ones(slips, bool), ())
-        size = visible.half_seen(run, *binned(wave))
+        size = goodness.half_seen(run, *binned(wave))
         for residual in (noise[:, 60:] + size * wave[:, None]).T[:, :, None]:
             seen = bins.statistics(residual, cycle_squares(residual, cycles))
             rejected.append(probability(replace(run, seen=seen)) < REJECTED)
     assert 0.2 < np.mean(rejected) < 0.8
     noise = rng.standard_normal(wave.size)
-    assert visible.half_seen(run, *binned(noise)) == np.inf
+    assert goodness.half_seen(run, *binned(noise)) == np.inf
 
 
 def test_a_probability_is_that_of_the_null_distribution():
@@ -94,7 +93,7 @@ def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():
     assert adequacy.said == "not judged"
     assert job.exit_code({"adequacy": document, "set": [5]}) == 0
     assert job.exit_code({"adequacy": document, "set": [5, 6]}) == 5
-    assert len(verdict_warnings.not_judged(adequacy)) == 1
+    assert len(warnings.not_judged(adequacy)) == 1
 
 
 @pytest.mark.usefixtures("no_rivals")

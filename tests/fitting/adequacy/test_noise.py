@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.adequacy.noise import PositionNoise, estimate_noise, reading_pitch
+from fitting.judge.goodness import PositionNoise, estimate_noise, reading_pitch
 
 RATE = 1000.0
 

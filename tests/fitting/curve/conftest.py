@@ -7,11 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.curve.measure import measure_curve
-from fitting.data import cycles, frame
-from fitting.driver.driver import fit_laws
-from fitting.law import SIX
+from fitting.judge.curve import measure_curve
+from fitting.laws import SIX
 from fitting.model.problem import Run
+from fitting.record import cycles
+from fitting.record import motion as frame
+from fitting.search.exchange import fit_laws
 from processing.smoothing import smooth
 
 from ... import rig as belt_rig

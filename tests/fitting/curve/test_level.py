@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from fitting.curve.level import moved_to, unseen
-from fitting.model.parameters import PER_RUN, Global
-from fitting.sensitivity.columns import shared_tangents, spline_tangents
-from fitting.sensitivity.path import follow, spline_curve, with_coefficients
-from fitting.sensitivity.spline import FrictionSpline
+from fitting.judge.curve import moved_to, unseen
+from fitting.model.path import FrictionSpline, follow, spline_curve, with_coefficients
+from fitting.model.tangents import shared_tangents, spline_tangents
+from fitting.model.unknowns import PER_RUN, Global
 from stickslip.units import Measured
 
 K, F, V = 35.184, 4.598, 0.22

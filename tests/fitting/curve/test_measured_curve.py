@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.competitors import Competitors
-from fitting.curve.measure import furthest_exit, in_newtons
-from fitting.curve.spline_fit import fit_spline
-from fitting.estimation.derived import derived_parameters
-from fitting.model.parameters import Global
-from fitting.selection.rivals import fit_formulas
+from fitting.judge.curve import fit_spline, furthest_exit, in_newtons
+from fitting.judge.formulas import fit_formulas
+from fitting.judge.parameters import derived_parameters
+from fitting.laws import Competitors
+from fitting.model.unknowns import Global
 
 STRIBECK = {"curve": "stribeck", "Fc": 0.5, "v_s": 0.08, "Fv": 0.1}
 CONTACTS = {

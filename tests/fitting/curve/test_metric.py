@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fitting.curve.metric import followed
-from fitting.driver.start_search import Target, find_starts
-from fitting.law import PUBLISHED
+from fitting.judge.curve import followed
+from fitting.laws import PUBLISHED
+from fitting.search.formula import Target, find_starts
 
 SPEEDS = np.linspace(0.0, 0.5, 200)
 TRUE = {

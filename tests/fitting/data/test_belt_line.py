@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.data import belt_line
-from fitting.drawing.curves import points
-from fitting.model.parameters import Global
+from fitting.judge.friction import points
+from fitting.model.unknowns import Global
+from fitting.record import motion as belt_line
 from stickslip.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")

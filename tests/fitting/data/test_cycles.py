@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import pytest
 
-from fitting.data import cycles
-from fitting.data.cycles import BEFORE_BREAK_AWAY
+from fitting.record import cycles
+from fitting.record.cycles import BEFORE_BREAK_AWAY
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 import processing
 from daq.runfile.rig import Rig
-from fitting.data import frame
+from fitting.record import motion
 
 RATES, DURATION = (11.0, 12.0, 16.0, 25.0, 100.0), 40.0
 
@@ -37,5 +37,5 @@ def test_a_slip_lasts_from_break_away_to_landing(followed, belt_rig, tmp_path, r
     time, position, lasts = followed(belt)
     own = np.searchsorted(time, times(rate))
     record = belt_rig.imported(tmp_path / "track.csv", time[own], position[own], decimals=9)
-    found = frame.from_kinematics(processing.smooth(record), Rig(), None).samples_per_slip
+    found = motion.from_kinematics(processing.smooth(record), Rig(), None).samples_per_slip
     assert found == pytest.approx(lasts * rate, rel=0.2)

@@ -8,8 +8,9 @@ import pytest
 
 import daq
 from fitting import rank
-from fitting.data import cycles, frame, ripple
-from fitting.selection import law_fits
+from fitting.judge import law_fits
+from fitting.record import cycles, ripple
+from fitting.record import motion as frame
 from processing.smoothing import smooth
 
 from .. import scales

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fitting.data.slip_duration import harmonic_share, slip_duration
+from fitting.record.motion import harmonic_share, slip_duration
 
 from ...rig import follow
 from .. import scales

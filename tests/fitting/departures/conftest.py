@@ -7,12 +7,13 @@ import pytest
 
 from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
-from fitting.data import cycles, frame, ripple
-from fitting.departures.base import Base
-from fitting.driver.driver import fit_all
-from fitting.driver.task import law_task
-from fitting.law import SIX
+from fitting.judge.departures import Base
+from fitting.laws import SIX
+from fitting.model.predict import law_task
 from fitting.model.problem import Run
+from fitting.record import cycles, ripple
+from fitting.record import motion as frame
+from fitting.search.exchange import fit_all
 from processing.smoothing import smooth
 
 

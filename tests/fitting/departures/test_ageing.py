@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.departures.ageing import find_other_break_away
-from fitting.estimation.result import BreakAway
+from fitting.judge.fluctuation import find_other_break_away
+from fitting.judge.parameters import BreakAway
 from processing.smoothing import smooth
 from stickslip.units import Measured
 

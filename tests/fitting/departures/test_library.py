@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.departures import library
-from fitting.forces.departure import spaced
+from fitting.judge import library
+from fitting.model.forces import spaced
 
 ROOT = Path(library.__file__).parents[2]
 

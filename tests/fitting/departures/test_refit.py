@@ -5,11 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from fitting.departures import explain
-from fitting.departures.base import Base
-from fitting.departures.explain import explain_misfit, fit_with
-from fitting.departures.strongest import find_candidates
-from fitting.law import SIX
+from fitting.judge import departures
+from fitting.judge.departures import Base, explain_misfit, find_candidates, fit_with
+from fitting.laws import SIX
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -23,7 +21,7 @@ def explained(fit, chi=40.0, describes=lambda refit: True, **laws):
     curve = SimpleNamespace(chi=chi, linear=None, spline_fit=None, confidence=0.95)
     with pytest.MonkeyPatch.context() as patch:
         at = Base.at
-        patch.setattr(explain.Base, "at", lambda fit, *args: None if fit is None else at(fit, *args))
+        patch.setattr(departures.Base, "at", lambda fit, *args: None if fit is None else at(fit, *args))
         return explain_misfit([fit, *laws.values()], curve, fit.problem.motions, NOISE, None, describes)
 
 
@@ -94,7 +92,7 @@ def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeyp
     fits = [SimpleNamespace(law=SIX[law]) for law in (5, 3)]
     left = {SIX[5]: 1.005 * NOISE, SIX[3]: 0.97 * NOISE}
     monkeypatch.setattr(
-        explain, "_fit_with", lambda _, fit, noise, tested: SimpleNamespace(law=fit.law, usual_rms=left[fit.law])
+        departures, "_fit_with", lambda _, fit, noise, tested: SimpleNamespace(law=fit.law, usual_rms=left[fit.law])
     )
     assert fit_with(None, fits, NOISE).law == SIX[3]
     left[SIX[3]] = 1.2 * NOISE
@@ -111,5 +109,5 @@ def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
 
 def test_a_departure_that_no_law_describes_the_record_with_is_not_named(fitted, monkeypatch):
     # A wheel, a second mass or "friction that remembers" was named with the size of one linear step.
-    monkeypatch.setattr(explain, "_fit_with", lambda *_, **__: None)
+    monkeypatch.setattr(departures, "_fit_with", lambda *_, **__: None)
     assert explained(fitted(scatter=0.03, k3=HARD)) == ()

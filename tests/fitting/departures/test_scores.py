@@ -11,14 +11,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.departures import strongest
-from fitting.departures.explain import amplitude
-from fitting.departures.library import DEPARTURES
-from fitting.departures.scores import Score, score, sigmas
-from fitting.departures.strongest import best_scale, find_candidates, gains, rank_candidates
-from fitting.forces.fitted_motion import FittedMotion
-from fitting.model.parameters import Global
-from fitting.sensitivity.path import follow
+from fitting.judge import departures
+from fitting.judge.departures import (
+    Score,
+    amplitude,
+    best_scale,
+    find_candidates,
+    gains,
+    rank_candidates,
+    score,
+    sigmas,
+)
+from fitting.judge.library import DEPARTURES
+from fitting.model.forces import FittedMotion
+from fitting.model.path import follow
+from fitting.model.unknowns import Global
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -64,7 +71,7 @@ def test_a_contact_of_the_fitted_law_shows_no_departure(base_of):
 def test_a_force_by_the_velocity_that_would_push_is_not_shown(base_of, monkeypatch, size, shown):
     """A guide of -0.31 N was the strongest departure of a LuGre contact."""
     tested = Score(np.array([size]), np.array([[1e-6]]), gain=1e6, log_p=-200.0)
-    monkeypatch.setattr(strongest, "score", lambda base, columns: tested)
+    monkeypatch.setattr(departures, "score", lambda base, columns: tested)
     names = {candidate.departure.name for candidate in find_candidates(base_of(scatter=0.03), 0.0)}
     assert "spring-nonlinear" in names
     assert ("guide-friction" in names) == ("drag-quadratic" in names) == shown

@@ -4,7 +4,7 @@ from functools import cache
 
 import pytest
 
-from fitting.selection.law_fits import cut_run
+from fitting.judge.law_fits import cut_run
 
 
 @pytest.fixture(scope="session")

@@ -5,20 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.data import frame
-from fitting.departures.library import DEPARTURES
-from fitting.driver import driver
-from fitting.driver.driver import best_end, exchange_starts, fit_all, fit_from, fit_laws, start_beside
-from fitting.driver.model import Model
-from fitting.driver.passes import finish, first_pass, regressed_start, restarted_windows, settle
-from fitting.driver.task import curve_knots, free_curve_task, law_task, regressed_curve
-from fitting.forces.force import Force
-from fitting.law import SIX
-from fitting.model.parameters import PER_CYCLE, Global
-from fitting.model.problem import EstimationProblem
-from fitting.model.starts import cycle_starts
-from fitting.selection.law_fits import cut_run
-from fitting.sensitivity.flow import LONGEST_STEP
+from fitting.judge.law_fits import cut_run
+from fitting.judge.library import DEPARTURES
+from fitting.laws import SIX
+from fitting.model.flow import LONGEST_STEP
+from fitting.model.forces import Force
+from fitting.model.predict import Model, curve_knots, free_curve_task, law_task, regressed_curve
+from fitting.model.problem import EstimationProblem, cycle_starts
+from fitting.model.unknowns import PER_CYCLE, Global
+from fitting.record import motion as frame
+from fitting.search import exchange
+from fitting.search.exchange import best_end, exchange_starts, fit_all, fit_from, fit_laws, start_beside
+from fitting.search.passes import finish, first_pass, regressed_start, restarted_windows, settle
 from processing.smoothing import smooth
 
 LIBRARY = {departure.name: departure for departure in DEPARTURES}
@@ -230,5 +228,5 @@ def test_a_law_of_few_samples_a_slip_ends_where_its_own_regression_leads(belt_ri
 
 def test_a_settled_fit_that_errs_more_than_its_first_pass_is_not_kept(settled, monkeypatch):
     """Law 4 at 136 um settled at 361 um, and law 6, which started from there, missed its break-away level."""
-    monkeypatch.setattr(driver, "settle", lambda fit: astray(fit, 1.1))
-    assert driver.settle_lower(settled) is settled
+    monkeypatch.setattr(exchange, "settle", lambda fit: astray(fit, 1.1))
+    assert exchange.settle_lower(settled) is settled

@@ -6,15 +6,16 @@ import pytest
 import rig_sim
 from daq.runfile.rig import Rig
 from fitting import noise_levels, rank
-from fitting.data import cycles, frame
-from fitting.driver.driver import fit_laws
-from fitting.driver.noise import without_outliers
-from fitting.driver.passes import first_pass, regressed_start
-from fitting.driver.task import law_task
-from fitting.law import SIX
-from fitting.model.parameters import Global, PerCycle
+from fitting.judge import law_fits
+from fitting.laws import SIX
+from fitting.model.predict import law_task
 from fitting.model.problem import Run
-from fitting.selection import law_fits
+from fitting.model.unknowns import Global, PerCycle
+from fitting.record import cycles
+from fitting.record import motion as frame
+from fitting.search.exchange import fit_laws
+from fitting.search.fit import without_outliers
+from fitting.search.passes import first_pass, regressed_start
 from processing.smoothing import smooth
 from rig_sim.motion.play import ScenePlayer
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from fitting.driver.formula import SPLINE_ERROR, FormulaCurve
-from fitting.driver.start_search import SCANNED, StartSearch, Target, find_starts
-from fitting.law import PUBLISHED, Law
+from fitting.laws import PUBLISHED, Law
+from fitting.search.formula import SCANNED, SPLINE_ERROR, FormulaCurve, StartSearch, Target, find_starts
 from stickslip.errors import InputError
 
 FASTEST = 0.7

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from fitting.driver.nodes import SampleNodes
-from fitting.law import SIX
+from fitting.laws import SIX
 from fitting.model.problem import EstimationProblem
-from fitting.model.windows import Thinning
+from fitting.model.windows import SampleNodes, Thinning
 
 
 @pytest.mark.parametrize("stride", [1, 7])

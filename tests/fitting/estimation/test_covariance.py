@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from daq.runfile.rig import Rig
-from fitting.data import cycles, frame
-from fitting.driver.driver import fit_laws
-from fitting.estimation.covariance import covariance, without_level_errors
-from fitting.estimation.derived import correlations, derived_parameters
-from fitting.law import SIX
+from fitting.judge.parameters import correlations, covariance, derived_parameters, without_level_errors
+from fitting.laws import SIX
 from fitting.least_squares.normal_equations import NormalEquations
 from fitting.model.problem import Run
+from fitting.record import cycles
+from fitting.record import motion as frame
+from fitting.search.exchange import fit_laws
 from processing.smoothing import smooth
 from stickslip.units import Measured
 

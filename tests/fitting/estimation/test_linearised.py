@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.estimation.linearised import LinearisedFit
-from fitting.least_squares.normal_equations import Priors
-from fitting.least_squares.problem import Block, Derivatives
-from fitting.model.parameters import Global
+from fitting.judge.linearised import LinearisedFit
+from fitting.least_squares.normal_equations import Block, Derivatives, Priors
+from fitting.model.unknowns import Global
 
 CYCLES, SAMPLES, SHARED, LOCAL, MORE = 4, 12, 3, 2, 2
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.normal_equations import SchurComplement
-from fitting.least_squares.problem import Block, Derivatives, LeastSquaresProblem
+from fitting.least_squares.normal_equations import Block, Derivatives, LeastSquaresProblem, SchurComplement
 
 CYCLES, SAMPLES, SHARED, LOCAL = 7, 11, 3, 2
 ALL = np.arange(CYCLES)

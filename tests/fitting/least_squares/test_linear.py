@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fitting.least_squares.linear import least_squares
+from fitting.least_squares.elimination import least_squares
 
 
 def test_it_agrees_with_lapack():

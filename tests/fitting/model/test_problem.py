@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fitting.data import cycles
-from fitting.law import SIX
+from fitting.laws import SIX
 from fitting.model.problem import EstimationProblem, Run
+from fitting.record import cycles
 
 
 def test_overtaking_is_added_to_the_cycles_that_are_fitted_and_to_no_others(motion_of):

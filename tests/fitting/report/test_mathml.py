@@ -1,11 +1,11 @@
-"""A formula typeset says what was typed: read back from the page it is the same curve."""
+"""A formula typeset_formula says what was typed: read back from the page it is the same curve."""
 
 from xml.etree import ElementTree
 
 import pytest
 
-from fitting.law import PUBLISHED
-from fitting.report.mathml import identifier, typeset
+from fitting.laws import PUBLISHED
+from fitting.report.symbols import identifier, typeset_formula
 from rig_sim.friction.formula import Formula
 
 MARKS = {"\N{MINUS SIGN}": "-", "\N{INVISIBLE TIMES}": "*", "\N{MIDDLE DOT}": "*", "\N{FUNCTION APPLICATION}": ""}
@@ -42,7 +42,7 @@ def read(element):
     ],
 )
 def test_what_is_shown_is_the_formula(text):
-    shown = Formula.parse(read(ElementTree.fromstring(typeset(text).replace("&#x2062;", "\u2062"))))
+    shown = Formula.parse(read(ElementTree.fromstring(typeset_formula(text).replace("&#x2062;", "\u2062"))))
     formula = Formula.parse(text)
     # names are shown with subscripts: Fs is F with an index
     values = {name: 0.3 + 0.17 * k for k, name in enumerate(formula.parameters)}

@@ -7,8 +7,8 @@ import pytest
 
 from daq.runfile import store
 from daq.runfile.run_data import OF_FILE
-from fitting.adequacy.result import NONE_OF_SIX
-from fitting.estimation.result import Parameter
+from fitting.judge.adequacy import NONE_OF_SIX
+from fitting.judge.parameters import Parameter
 from fitting.report import page as report
 from stickslip.errors import InputError
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from fitting.estimation.derived import TABLE
-from fitting.law import SIX
+from fitting.judge.parameters import TABLE
+from fitting.laws import SIX
 from fitting.report.symbols import SYMBOLS, formula, symbols
 
 PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "laws.md"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.data import frame
-from fitting.selection import law_fits
+from fitting.judge import law_fits
+from fitting.record import motion as frame
 from processing.smoothing import smooth
 
 
@@ -75,7 +75,7 @@ def test_printed_decimals_do_not_change_the_set(track, law, noise):
 
 
 def test_constant_friction_is_judged_by_noise_where_noise_hides_the_step(track):
-    from fitting.selection.evidence import constant_friction_limit
+    from fitting.judge.evidence import constant_friction_limit
 
     limits = []
     for decimals in (4, 6):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.data import frame
-from fitting.selection import law_fits
+from fitting.judge import law_fits
+from fitting.record import motion as frame
 from processing.smoothing import smooth
 from stickslip.errors import DataError
 

@@ -13,10 +13,9 @@ import pytest
 from daq.runfile import joint, listing, store
 from daq.runfile.recording import Recording
 from fitting import rank
-from fitting.drawing import palette
-from fitting.model import parameters
-from fitting.model.parameters import PER_RUN, Global
-from fitting.report import page, pictures
+from fitting.model import unknowns
+from fitting.model.unknowns import PER_RUN, Global
+from fitting.report import drawing, page, pictures
 from processing.smoothing import smooth
 from rig_sim.friction.law import LAWS
 from stickslip.errors import DataError, InputError
@@ -47,14 +46,14 @@ def runs_of(belt_rig):
 
 
 def test_what_runs_share_stands_once_and_the_rest_is_their_own():
-    places = parameters.active_places(LAWS[6], [False, True], [False, False])
-    table = parameters.columns(places, 2)
+    places = unknowns.active_places(LAWS[6], [False, True], [False, False])
+    table = unknowns.columns(places, 2)
     own = [PER_RUN + slot for slot in (Global.V_DR, Global.DATUM, Global.FADE, Global.COMPLIANCE)]
     assert set(places) == {0, 1, 2, 3, 4, 5, 6, 7, *own}
     assert (table[:, places.index(Global.K)] == Global.K).all()
     assert table[:, places.index(Global.V_DR)].tolist() == [Global.V_DR, -1]
     assert table[:, places.index(PER_RUN + Global.COMPLIANCE)].tolist() == [-1, Global.COMPLIANCE]
-    spread = parameters.copy_shared(np.arange(2.0 * PER_RUN)).reshape(2, PER_RUN)
+    spread = unknowns.copy_shared(np.arange(2.0 * PER_RUN)).reshape(2, PER_RUN)
     assert spread[1, [Global.K, Global.D]].tolist() == [Global.K, Global.D]
     assert spread[1, Global.V_DR] == PER_RUN + Global.V_DR
 
@@ -260,7 +259,7 @@ def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five
     for text in texts:
         for number in (1, 2, 3):
             assert f">run {number}</text>" in text
-            assert palette.run_colour(number).lower() in text
+            assert drawing.run_colour(number).lower() in text
 
 
 def test_the_page_of_a_joint_fit_has_a_line_and_a_row_of_each_run(runs_of, law_five):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.selection.lost_frames import missing_share
+from fitting.judge.screening import missing_share
 
 RATE, CYCLES, SIZE = 400.0, 16, 500
 NOISE = 1e-3  # m; a frame at 0.3 m/s moves by 0.75 mm

@@ -14,8 +14,8 @@ import fitting
 from daq.runfile import listing
 from daq.runfile.rig import Rig
 from fitting import job, rank
-from fitting.estimation.derived import RUNS_OWN
-from fitting.law import SIX
+from fitting.judge.parameters import RUNS_OWN
+from fitting.laws import SIX
 from fitting.report import page
 from processing.smoothing import smooth
 from rig_sim.motion.play import events

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.law import SIX
-from fitting.selection.evidence import Evidence, model_confidence_set, no_larger
+from fitting.judge.evidence import Evidence, model_confidence_set, no_larger
+from fitting.laws import SIX
 from processing.smoothing import smooth
 from stickslip.errors import DataError, InputError
 

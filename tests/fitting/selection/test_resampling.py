@@ -8,9 +8,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from fitting import rank
-from fitting.estimation.covariance import covariances
-from fitting.model.parameters import Global
-from fitting.selection import resampling
+from fitting.judge import resampling
+from fitting.judge.parameters import covariances
+from fitting.model.unknowns import Global
 from processing.smoothing import smooth
 from stickslip.errors import InputError
 

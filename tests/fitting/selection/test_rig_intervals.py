@@ -2,9 +2,9 @@
 
 import pytest
 
-from fitting.estimation.result import Parameter
-from fitting.selection.result import LawResult
-from fitting.selection.rig_intervals import law_dependent, over_compatible_laws
+from fitting.judge.parameters import Parameter
+from fitting.result import LawResult
+from fitting.words.answer import law_dependent, over_compatible_laws
 
 
 def row(law, v_dr, error, *, in_set=True, **others):

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from fitting import job, rank
-from fitting.competitors import Competitors
-from fitting.curve.formula_fit import fit_formula
-from fitting.law import PUBLISHED, Law
-from fitting.selection.rivals import fit_formulas
+from fitting.judge.formulas import fit_formula, fit_formulas
+from fitting.laws import PUBLISHED, Competitors, Law
 from processing.smoothing import smooth
 from stickslip.errors import InputError
 from stickslip.units import Measured
@@ -116,7 +114,7 @@ def test_a_published_curve_that_cannot_be_fitted_has_a_row_with_the_reason(ranke
     # A record was refused with "law logarithmic is no friction curve", which nobody had asked for; and a power curve
     # that no motion could follow kept the true logarithmic one from being fitted.
     negative = Law("logarithmic", formula, bounds={"Fs": (0.0, 100.0)})
-    monkeypatch.setattr("fitting.selection.rivals.PUBLISHED", {"logarithmic": negative})
+    monkeypatch.setattr("fitting.judge.formulas.PUBLISHED", {"logarithmic": negative})
     ranking = ranked(law=5, duration=10.0)
     fits, unfitted, _ = fit_formulas(Competitors.of(5), ranking.adequacy.curve, [row.fit for row in ranking.rows[:1]])
     assert fits == []

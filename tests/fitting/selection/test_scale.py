@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.data import frame
+from fitting.record import motion as frame
 from processing.smoothing import smooth
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")

@@ -16,8 +16,8 @@ from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting import cli, rank
-from fitting.driver import driver
-from fitting.selection import screening
+from fitting.judge import screening
+from fitting.search import exchange
 from processing.smoothing import smooth
 from stickslip.console import application
 from stickslip.errors import DataError
@@ -122,7 +122,7 @@ def test_mass_that_moves_back_is_not_said_never_to(smoothed):
 @pytest.mark.parametrize("name", ["smooth_noise", "two_sines", "sine"])
 def test_what_no_law_comes_near_is_refused_before_six_laws_are_fitted(smoothed, name, monkeypatch):
     # Fitting six laws to noise took 20 to 40 CPU s, only to refuse it.
-    monkeypatch.setattr(driver, "fit_laws", None)
+    monkeypatch.setattr(exchange, "fit_laws", None)
     with pytest.raises(DataError, match=r"no belt stick-slip in this record: (no law comes near it|a sine)"):
         rank(smoothed(name, 12))
 

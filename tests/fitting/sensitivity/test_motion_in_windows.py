@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.model.parameters import PER_CYCLE
+from fitting.model.path import law_curve, positions
+from fitting.model.unknowns import PER_CYCLE
 from fitting.model.windows import ShootingWindows
-from fitting.sensitivity.path import law_curve
-from fitting.sensitivity.values import positions
 
 K, F, V = 35.184, 4.598, 0.22
 OMEGA = K**0.5

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
-from fitting.sensitivity import path
-from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
-from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
-from fitting.sensitivity.path import Curve, follow, spline_curve, with_coefficients
-from fitting.sensitivity.rates import CREEP, Drag
-from fitting.sensitivity.spline import FrictionSpline
-from fitting.sensitivity.tangents import tangents
+from fitting.model import path
+from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP, Drag
+from fitting.model.path import Curve, FrictionSpline, follow, spline_curve, with_coefficients
+from fitting.model.tangents import local_tangents, shared_tangents, spline_tangents, tangents
+from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
 
 from ..exact_flow import evaluator
 

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
-from fitting.sensitivity.columns import local_tangents, shared_tangents
-from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
-from fitting.sensitivity.path import Curve, follow
-from fitting.sensitivity.rates import CREEP
+from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP
+from fitting.model.path import Curve, follow
+from fitting.model.tangents import local_tangents, shared_tangents
+from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
 
 from ..exact_flow import evaluator

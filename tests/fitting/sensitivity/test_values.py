@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.model.parameters import PER_RUN, Global, PerCycle
-from fitting.sensitivity.flow import SEARCH_STEP
-from fitting.sensitivity.path import Curve, follow
-from fitting.sensitivity.rates import Drag
-from fitting.sensitivity.values import positions
+from fitting.model.flow import SEARCH_STEP, Drag
+from fitting.model.path import Curve, follow, positions
+from fitting.model.unknowns import PER_RUN, Global, PerCycle
 
 K, F, V, SHAPE, DAMPING = 35.184, 4.598, 0.22, 9.6, 0.03
 CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2

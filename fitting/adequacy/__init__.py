@@ -1,1 +1,0 @@
-"""Whether a law describes a record at all: goodness of fit against the noise of the record."""

@@ -1,1 +1,0 @@
-"""The measured friction curve: a spline fitted to the trajectories, its band."""

@@ -1,1 +1,0 @@
-"""A run in the form the fit uses: frame, belt, cycles, ripple."""

@@ -1,1 +1,0 @@
-"""Friction curves as pictures: of each law, of the measured points and the measured curve."""

@@ -1,1 +1,0 @@
-"""Estimating a law's parameters from a run, with their covariance."""

@@ -1,1 +1,0 @@
-"""Departures as forces, and the fitted motion that they read."""

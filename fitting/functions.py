@@ -1,0 +1,373 @@
+"""``fitting.rank``: of a run, a file, a smoothed motion, two arrays, or several runs of one contact; `rank_each`."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import daq
+from daq.runfile import schema
+from daq.runfile.recording import Recording
+from daq.runfile.rig import Rig
+from fitting import batch, job
+from fitting.job import LoadedRun
+from fitting.judge.parameters import in_columns
+from fitting.laws import ALL_LAWS, Bound, Competitors, Law
+from fitting.options import Options
+from fitting.result import Ranking
+from processing.record.kinematics import Kinematics
+from stickslip import units
+from stickslip.errors import InputError, StickslipError
+from stickslip.output import suffix
+from stickslip.units import Measured, Stated
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from numpy.typing import ArrayLike
+
+
+Run = Recording | Kinematics | str | os.PathLike[str]
+RUNS = (Recording, Kinematics, str, os.PathLike)
+
+
+@dataclass(frozen=True, eq=False)
+class RankedRun:
+    """One run of `fitting.rank_each`.
+
+    Attributes
+    ----------
+    file : Path
+        The run's file; of a run in memory its name.
+    ranking : Ranking or None
+        None where the run could not be fitted.
+    error : StickslipError or None
+        Why it could not: what was wrong, where, and what to do.
+    """
+
+    file: Path
+    ranking: Ranking | None
+    error: StickslipError | None
+
+
+class RankedRuns(list[RankedRun]):
+    """Runs that were each fitted by themselves, in their order: a list of `RankedRun`."""
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the runs as a pandas table, one row a run.
+
+        Columns: ``file``, ``verdict``, ``adequacy``, ``law`` and ``name`` of the best law, ``rms_m``, ``error``, and of
+        each parameter of that law its value under its name, and "NAME stderr", "NAME lo" and "NAME hi": missing where
+        the law has no such parameter, the interval is withheld, or the run could not be fitted.  ``attrs["units"]`` has
+        the unit of each parameter.
+        """
+        import pandas as pd
+
+        names = ("file", "verdict", "adequacy", "law", "name", "rms_m", "error")
+        table: list[dict[str, Any]] = []
+        units: dict[str, str] = {}
+        for run in self:
+            row: dict[str, Any] = dict.fromkeys(names) | {"file": str(run.file)}
+            if run.error is not None:
+                row["error"] = str(run.error)
+            if run.ranking is not None:
+                row |= {"verdict": run.ranking.verdict, "adequacy": run.ranking.adequacy.verdict}
+                if run.ranking.rows:
+                    best = run.ranking.best
+                    row |= {"law": best.law, "name": best.name, "rms_m": best.rms_m} | in_columns(best.parameters)
+                    units |= {name: item.unit for name, item in best.parameters.items()}
+            table.append(row)
+        frame = pd.DataFrame(table)
+        frame.attrs["units"] = units
+        return frame
+
+
+def rank(
+    run_or_time: "Run | Sequence[Run] | ArrayLike",
+    position: "ArrayLike | None" = None,
+    laws: int | str | Law | Sequence[int | str | Law] | Competitors = ALL_LAWS,
+    *,
+    mass: Stated | None = None,
+    stiffness: Stated | None = None,
+    x0: Stated | None = None,
+    damping: Stated | None = None,
+    belt_speed: Stated | None = None,
+    rig: Rig | Sequence[Rig] | None = None,
+    fix: Mapping[str, float | str] | None = None,
+    bounds: Mapping[str, Bound] | None = None,
+    start: Mapping[str, float | str] | None = None,
+    begin: float | str | None = None,
+    end: float | str | None = None,
+    excluded: int | Sequence[int] = (),
+    alpha: float = 0.05,
+    jobs: int = 1,
+    progress: Callable[[float], None] | None = None,
+    scheduler: str | None = None,
+) -> Ranking:
+    """Fit friction laws to a record, or to several records of one contact together, and rank them.
+
+    A quantity is a number in SI, ``(value, sd)``, or text with a unit: ``"500 g +- 1 g"``.  What is given here goes
+    before the calibration of the run.  The numbers are those that `fit-friction` prints; no file is written.
+
+    Parameters
+    ----------
+    run_or_time : Recording, Kinematics, path, sequence of them, or array_like of shape (n,)
+        A run; a smoothed motion (`processing.smooth`); a run file or a table that `daq.load` reads; or times, s, of
+        the ``position``.  Several runs are fitted as one contact: k/m, Fs/m, the curve, the ramp and the damping are
+        one for all; belt speed, rest position, wear and the belt's compliance are each run's own.
+    position : array_like of shape (n,), optional
+        Positions, m, beside times.
+    laws : int, str, Law, or sequence of them
+        Which laws compete: of the six by number or range (``"1-6"``), published ones by name (``"stribeck"``), and
+        laws of one's own (`fitting.Law`).
+    mass, stiffness, damping : quantity, optional
+        Moving mass, kg, or stiffness of the spring, N/m: one of the two; viscous damping, N s/m.
+    x0 : quantity, optional
+        Reading at the spring's rest, m.
+    belt_speed : quantity or "channel", optional
+        Speed of the belt, m/s, signed.  By default belt counts are used if the run contains them; "channel" requires
+        them.
+    rig : Rig or sequence of Rig, optional
+        The whole calibration instead of the run's: one for all, or one for each run.
+    fix, bounds, start : mapping, optional
+        Values of parameters that are known, bounds as (low, high), and first values, by the names that the results
+        give them and in their units, or as text with a unit: ``{"gamma": 9.6}``, of one law
+        ``{"mine.v_s": "50 mm/s"}``.
+    begin, end : time, optional
+        Of a run file the part to fit: from, and up to, s or text with a unit.
+    excluded : int or sequence of int
+        Numbers of cycles to leave out (1 is the first break-away); of a run that is fitted alone.
+    alpha : float
+        1 - confidence of the intervals and of the set rule.
+    jobs : int
+        Processes to fit in: up to three are of use, one for each curve.  The result is the same to the last bit.
+    progress : callable, optional
+        Called with the number of laws done.
+    scheduler : str, optional
+        Address of a dask scheduler, ``tcp://host:8786``, whose workers fit instead of processes on this machine.
+
+    Returns
+    -------
+    Ranking
+
+    Raises
+    ------
+    InputError
+        For what is no run, unknown laws, parameters that no law has or values that they cannot have, a formula
+        without the slip speed, a record in counts, a belt speed of zero, belt counts asked for that are not
+        there, alpha outside (0, 1), fewer than one job, a scheduler that cannot be used, or a speed or cycles to
+        exclude beside several runs.
+    DataError
+        When a record shows no stick-slip, when a slip has fewer than eight samples, when there are fewer than four
+        complete cycles, when some of the runs stick and others do not, or when frames were lost or doubled among even
+        times.
+
+    Notes
+    -----
+    A belt that slows under load looks like a ramp.  With the belt's own counts its compliance is measured and part of
+    the flow; without, a ramp narrow enough to be such a belt brings its jump law into the set.
+
+    A belt whose speed ripples at one frequency is seen in the sticks, and its ripple is also fitted.
+
+    Not modelled: a ripple of several frequencies, friction that remembers, a mass or spring that changes between runs.
+
+    Examples
+    --------
+    >>> import daq, fitting
+    >>> run = daq.load("data_samples/law5.h5")
+    >>> ranking = fitting.rank(run, laws=(5, 6), mass="300 g +- 1 g")
+    >>> ranking.laws_in_set
+    (5,)
+    >>> fitting.rank(run.time, run.position, laws=5, fix={"gamma": 9.6}).best.parameters["gamma"]
+    Parameter(value=9.6, stderr=0.0, lo=9.6, hi=9.6, unit='s/m', trusted=True, fixed=True)
+    """
+    if isinstance(position, Rig) or (isinstance(position, list | tuple) and _are(position, Rig)):
+        rig, position = position, None
+    options = _read_options(
+        laws,
+        fix,
+        bounds,
+        start,
+        mass=mass,
+        stiffness=stiffness,
+        x0=x0,
+        damping=damping,
+        belt_speed=belt_speed,
+        begin=begin,
+        end=end,
+        excluded=excluded,
+        alpha=alpha,
+        jobs=jobs,
+        scheduler=scheduler,
+    )
+    given = _runs(run_or_time, position)
+    runs = [_loaded(run, own, options) for run, own in zip(given, _rigs(rig, len(given)), strict=True)]
+    return job.fit_runs(runs, options, progress)
+
+
+def rank_each(
+    runs: "Iterable[Run]",
+    laws: int | str | Law | Sequence[int | str | Law] | Competitors = ALL_LAWS,
+    *,
+    rig: Rig | Sequence[Rig] | None = None,
+    jobs: int = 1,
+    progress: Callable[[float], None] | None = None,
+    scheduler: str | None = None,
+    **options: Any,
+) -> RankedRuns:
+    """Fit every run by itself, and rank its laws: what `fit-friction --each` does, without writing a file.
+
+    A run that cannot be fitted stops no other: its error stands in its place.
+
+    Parameters
+    ----------
+    runs : iterable of paths, Recording or Kinematics
+        As of `fitting.rank`, such as ``Path("monday").glob("*.h5")``.
+    laws : int, str, Law, or sequence of them
+        Which laws compete, as of `fitting.rank`.
+    rig : Rig or sequence of Rig, optional
+        The whole calibration instead of the runs' own: one for all, or one for each run.
+    jobs : int
+        Processes to fit in, each one run at a time.
+    progress : callable, optional
+        Called with the number of runs done.
+    scheduler : str, optional
+        Address of a dask scheduler, ``tcp://host:8786``, whose workers fit instead of processes on this machine.
+    **options
+        Further keywords of `fitting.rank`, the same for every run: ``mass``, ``stiffness``, ``x0``, ``damping``,
+        ``belt_speed``, ``fix``, ``bounds``, ``start``, ``begin``, ``end``, ``excluded`` and ``alpha``.
+
+    Returns
+    -------
+    RankedRuns
+        A list of `RankedRun` in the order of the runs; ``to_dataframe()`` has one row a run.
+
+    Raises
+    ------
+    InputError
+        For what `fitting.rank` refuses whatever the run, no run, what is not a run, fewer than one job, or a scheduler
+        that cannot be used.
+    DeviceError
+        All processes, or the scheduler, were lost before the first run was finished.
+
+    Examples
+    --------
+    >>> import fitting
+    >>> ranked = fitting.rank_each(["data_samples/law5.h5", "none.h5"], laws=(5, 6))
+    >>> ranked[0].ranking.laws_in_set
+    (5,)
+    >>> print(ranked[1].error)
+    none.h5: no such file; check the path
+    >>> ranked.to_dataframe()[["law", "gamma", "error"]].round(3)
+       law  gamma                                  error
+    0  5.0  9.613                                   None
+    1  NaN    NaN  none.h5: no such file; check the path
+    """
+    call = "fitting.rank_each"
+    if isinstance(runs, RUNS):
+        raise InputError("one run", call, "give a list of runs, as in fitting.rank_each([run]), or call fitting.rank")
+    given, read = list(runs), _read_options(laws, **options, jobs=jobs, scheduler=scheduler)
+    if not given or not _are(given, RUNS):
+        raise InputError("no run" if not given else "not all are runs", call, "give files, recordings or motions")
+    rigs = _rigs(rig, len(given))
+    files = [Path(run) if isinstance(run, str | os.PathLike) else _recording(run).source for run in given]
+
+    loads = [partial(_loaded, run, own, read) for run, own in zip(given, rigs, strict=True)]
+    ranked = RankedRuns()
+    for file, outcome in zip(files, batch.fit_each(files, loads, read), strict=True):
+        if isinstance(outcome, StickslipError):
+            ranked.append(RankedRun(file, None, outcome))
+        else:
+            ranked.append(RankedRun(file, outcome[0], None))
+        if progress is not None:
+            progress(float(len(ranked)))
+    return ranked
+
+
+def _read_options(
+    laws: int | str | Law | Sequence[int | str | Law] | Competitors,
+    fix: Mapping[str, float | str] | None = None,
+    bounds: Mapping[str, Bound] | None = None,
+    start: Mapping[str, float | str] | None = None,
+    **values: Any,
+) -> Options:
+    """Return the options of keywords of `rank`."""
+    competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
+    return Options(competitors, **{name: READ.get(name, _as_given)(value, name) for name, value in values.items()})
+
+
+def _as_given(value: Any, _: str) -> Any:
+    return value
+
+
+def _read_time(value: float | str | None, name: str) -> float | None:
+    return units.exact_in_si(value, "time", name)
+
+
+def _read_speed(value: Stated | None, name: str) -> Measured | str | None:
+    return "channel" if value == "channel" else units.read_stated(value, name)
+
+
+def _read_cycles(value: int | Sequence[int], _: str) -> tuple[int, ...]:
+    return (value,) if isinstance(value, int) else tuple(value)
+
+
+READ: dict[str, Callable[[Any, str], Any]] = {
+    **dict.fromkeys(("mass", "stiffness", "x0", "damping"), units.read_stated),
+    **dict.fromkeys(("begin", "end"), _read_time),
+    "belt_speed": _read_speed,
+    "excluded": _read_cycles,
+}
+
+
+def _rigs(rig: Rig | Sequence[Rig] | None, count: int) -> Sequence[Rig | None]:
+    """Return the calibration of each run; None for the run's own."""
+    rigs = [rig] * count if rig is None or isinstance(rig, Rig) else list(rig)
+    if len(rigs) != count:
+        raise InputError(f"{len(rigs)} rigs for {count} runs", "rig", "give one for all, or one for each run")
+    return rigs
+
+
+def _runs(run_or_time: Any, position: Any) -> list[Run]:
+    call = "fitting.rank"
+    if isinstance(run_or_time, RUNS):
+        if position is not None:
+            raise InputError("a position beside a run, which has its own", call, "give the run alone")
+        return [run_or_time]
+    if position is not None:
+        return [Recording.from_arrays(run_or_time, position)]
+    if isinstance(run_or_time, Ranking):
+        raise InputError("a ranking, which is fitted already", call, "give a run: fitting.rank(daq.load(path))")
+    if isinstance(run_or_time, list | tuple) and _are(run_or_time, RUNS):
+        if not run_or_time:
+            raise InputError("no run", call, "give at least one")
+        return list(run_or_time)
+    do = "give a run, a file, a smoothed motion, or two arrays: fitting.rank(time, position)"
+    raise InputError(f"a {type(run_or_time).__name__} and no position", call, do)
+
+
+def _are(values: Sequence[Any], kind: Any) -> bool:
+    return all(isinstance(one, kind) for one in values)
+
+
+def _loaded(run: Run, rig: Rig | None, options: Options) -> LoadedRun:
+    """Return a run with its calibration; a run file as the command reads it, smoothed where it has that stage."""
+    if isinstance(run, str | os.PathLike) and Path(run).suffix.lower() in suffix.RUN.suffixes:
+        return job.load_run(Path(run), options, rig)
+    if options.begin is not None or options.end is not None:
+        do = "name the file, as in fitting.rank('run.h5', begin=5), or cut the arrays"
+        raise InputError("begin or end of what is no run file", "fitting.rank", do)
+    motion = run if isinstance(run, Kinematics) else None
+    if isinstance(run, str | os.PathLike):
+        run = daq.load(run)
+    recording = _recording(run)
+    if not recording.digest:  # by which a report knows its runs
+        recording = replace(recording, digest=schema.compute_digest(recording))
+        motion = None if motion is None else replace(motion, recording=recording)
+    ends = float(recording.time[0]), float(recording.time[-1])
+    return LoadedRun(recording, motion, options.calibrate(recording.rig if rig is None else rig), "", ends)
+
+
+def _recording(run: Recording | Kinematics) -> Recording:
+    return run if isinstance(run, Recording) else run.recording

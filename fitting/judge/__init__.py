@@ -1,0 +1,1 @@
+"""Which laws describe the record."""

@@ -1,0 +1,318 @@
+"""The assessment of a record: whether a law describes it, and what else is known if none does.
+
+Whether a law describes a record; the friction curve without a law; and what else acts where none does.
+
+`measure` judges the nearest of the six and measures the curve; `assess` concludes, once all laws have competed.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from fitting import noise_levels
+from fitting.judge.curve import BandExit, MeasuredCurve, furthest_exit, in_newtons, measure_curve
+from fitting.judge.departures import Base, FittedDeparture, Refit, explain_misfit
+from fitting.judge.fluctuation import fluctuation_share
+from fitting.judge.goodness import (
+    GoodnessOfFit,
+    RunSlips,
+    cycle_squares,
+    goodness_of_fit,
+    judge,
+    left_out,
+    smallest_visible,
+)
+from fitting.judge.linearised import LinearisedFit, Repeat
+from fitting.laws import ALL_LAWS, Law
+from fitting.least_squares.normal_equations import Block
+from fitting.model.path import Path
+from fitting.model.windows import ShootingWindows
+from fitting.record.motion import MeasuredMotion
+from fitting.search.fit import Fit
+from stickslip.compute.arrays import Array, Mask
+
+ADEQUATE = "adequate"
+NONE_OF_SIX = "none of the six"
+NOT_OF_SPEED = "not a function of relative speed"
+NONE_FITTED = "none of the laws fitted"
+NOT_JUDGED = "not judged"
+
+
+@dataclass(frozen=True, eq=False)
+class Adequacy:
+    # `ADEQUATE`; `NONE_OF_SIX`: no law, but a curve without a law may; `NOT_OF_SPEED`: not even that; `NONE_FITTED`
+    # where not all six laws were fitted; None where nothing could be judged (`fitting.judge.goodness`)
+    verdict: str | None
+    noise_m: float  # standard deviation of one position, m
+    goodness: GoodnessOfFit | None = None  # of the law that was judged; None where no law could be fitted at all
+    # departure of friction, % of Fs, that half of all repetitions of this record would show
+    # (`fitting.judge.goodness`)
+    smallest_visible: float | None = None
+    # friction against relative speed without a law, in newtons where mass or stiffness is known
+    curve: MeasuredCurve | None = None
+    # of the curve, where it was judged: no law is adequate, or it leaves far more than the noise
+    curve_goodness: GoodnessOfFit | None = None
+    # where each law leaves the curve's band the furthest
+    outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)
+    unit: str = "N/kg"  # of the curve's friction
+    departures: tuple[FittedDeparture, ...] = ()  # those with which a law describes the record, strongest first
+    # standard deviation of random friction within slips, over Fs, where that is what no law describes
+    fluctuation: float | None = None
+
+    @property
+    def said(self) -> str:
+        """The verdict in words, or `NOT_JUDGED`."""
+        return self.verdict or NOT_JUDGED
+
+    @property
+    def adequate(self) -> bool:
+        return self.verdict == ADEQUATE
+
+    @property
+    def rejected(self) -> bool:
+        """Whether no law describes the record; neither this nor `adequate` holds where nothing could be judged."""
+        return self.verdict is not None and not self.adequate
+
+    @property
+    def of_speed(self) -> bool:
+        return self.curve is not None and (self.curve_goodness is None or not self.curve_goodness.rejected)
+
+    def as_json(self) -> dict[str, Any]:
+        found = self.goodness
+        return {
+            "verdict": self.verdict,
+            "noise_m": self.noise_m,
+            "misfit": found and found.misfit,
+            "lag1": found and found.lag1,
+            "repeat": found and found.repeat,
+            "p_value": found and found.p_value,
+            "smallest_visible": self.smallest_visible,
+            "departures": [departure.as_json() for departure in self.departures],
+            "curve": None if self.curve is None else curve_as_json(self.curve, self.unit),
+        }
+
+
+def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
+    """Return the document's form of a measured curve."""
+    k_over_m = curve.k_over_m.as_json()
+    del k_over_m["unit"]
+    return {
+        "speed": curve.speed.tolist(),
+        "friction": curve.friction.tolist(),
+        "lo": curve.lo.tolist(),
+        "hi": curve.hi.tolist(),
+        "unit": unit,
+        "k_over_m": k_over_m,
+        "chi": curve.chi,
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    fit: Fit
+    faults: Mask | None  # (cycles,) those that a fault of the record spoilt; None where derivatives cannot be followed
+    slips: tuple[RunSlips, ...]
+    together: GoodnessOfFit
+    each: tuple[GoodnessOfFit, ...]
+
+    @property
+    def noise(self) -> Array:
+        """Standard deviation of one position of each run, m, (runs,)."""
+        return np.array([own.noise_m for own in self.slips])
+
+    @property
+    def linearised(self) -> LinearisedFit | None:
+        return None if self.faults is None else LinearisedFit.at(self.fit)
+
+    @property
+    def usual(self) -> LinearisedFit | None:
+        """The fit without these cycles."""
+        linear = self.linearised
+        return None if linear is None or self.faults is None else linear.without(self.faults)
+
+
+def measure(
+    fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float = 0.05
+) -> tuple[Judged, MeasuredCurve | None]:
+    """Judge the nearest of the six, and measure the friction curve, per unit mass, with a band of 1 - alpha."""
+    judged = _judged(min(fits, key=lambda fit: fit.geometric_mean_rms), motions)
+    return judged, measure_curve(sorted(fits, key=lambda fit: fit.law != judged.fit.law), judged.noise, alpha)
+
+
+def assess(
+    ranked: Sequence[Fit],
+    chosen: Judged,
+    curve: MeasuredCurve | None,
+    noise: Array,
+    nearest: Sequence[Fit],
+    motions: Sequence[MeasuredMotion],
+    laws: int,
+    revolution: float | None = None,
+    *,
+    explain: bool = True,
+) -> list[Adequacy]:
+    """Return whether the law of the first row describes the runs, and what else acts where it does not.
+
+    ranked: All laws, in the order of the rows.
+    chosen: The first of them.
+    curve: Friction without a law.
+    noise: (runs,) Standard deviation of one position of each run, m.
+    nearest: The fits to try departures with, best first.
+    motions: Of each run.
+    laws: How many of the six were asked for.
+    revolution: Travel per revolution of the encoder, m; scanned where it is not known.
+    explain: Whether to look for what else acts; else it is known why no law describes the runs.
+    Returns: Of all runs together and, where there are several, of each: goodness of fit and the smallest visible
+        departure alone.
+    """
+    rejected = chosen.together.rejected
+    curve_goodness = None
+    if curve is not None and (rejected or curve.chi > noise_levels.CLEARLY_ABOVE):
+        curve_goodness = _judge_curve(curve, motions)
+    of_speed = curve is not None and (curve_goodness is None or not curve_goodness.rejected)
+    outcome: str | None
+    if not rejected:
+        outcome = ADEQUATE if chosen.together.judged else None
+    elif laws < len(ALL_LAWS):
+        outcome = NONE_FITTED
+    else:
+        outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
+    departures: tuple[FittedDeparture, ...] = ()
+    if curve is not None and rejected and explain:
+        departures = _departures(nearest, curve, motions, noise, revolution)
+    fluctuation = None
+    if rejected and explain and not departures and chosen.linearised is not None:
+        base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
+        if base is not None:
+            fluctuation = fluctuation_share(base, partial(_count_repeated, chosen), float(np.max(noise)))
+    visible = _visible(chosen, motions)
+    together = Adequacy(
+        outcome,
+        chosen.together.noise_m,
+        chosen.together,
+        min((size for size in visible if size is not None), default=None),
+        departures=departures,
+        fluctuation=fluctuation,
+    )
+    if curve is not None:
+        mass = known_mass(motions[0], curve)
+        together = replace(
+            together,
+            curve=_reported(curve, mass, trusted=of_speed),
+            curve_goodness=curve_goodness,
+            outside_band={fit.law.key: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
+            unit="N/kg" if mass is None else "N",
+        )
+    if len(motions) == 1:
+        return [together]
+    return [
+        together,
+        *(
+            Adequacy(outcome if own.rejected else ADEQUATE if own.judged else None, own.noise_m, own, size)
+            for own, size in zip(chosen.each, visible, strict=True)
+        ),
+    ]
+
+
+def describing(
+    fits: Sequence[Fit],
+    motions: Sequence[MeasuredMotion],
+    noise: float,
+    known: Mapping[Law, Judged] | None = None,
+) -> dict[Law, Judged]:
+    """Return the goodness of fit of the laws that may describe the runs, and of the nearest one.
+
+    Those that err `noise_levels.LOST` times the ``noise`` (m) do not.
+    """
+    nearest = min(fits, key=lambda fit: fit.geometric_mean_rms)
+    return {
+        fit.law: (known or {}).get(fit.law) or _judged(fit, motions)
+        for fit in fits
+        if fit is nearest or fit.geometric_mean_rms < noise_levels.LOST * noise
+    }
+
+
+def _count_repeated(chosen: Judged, residuals: Array) -> Array:
+    """Return the share of residuals (N, B) that repeats from slip to slip, the mean over the runs' slips, (B,)."""
+    judged, squares = [own for own in chosen.slips if own.bins.judged], cycle_squares(residuals, chosen.fit.rows)
+    repeated = [own.bins.statistics(residuals, squares[own.counted]).repeat for own in judged]
+    return np.asarray(np.average(repeated, axis=0, weights=[own.bins.slips for own in judged]))
+
+
+def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
+    usual = chosen.usual
+    return (None,) * len(motions) if usual is None else smallest_visible(chosen.fit, usual, chosen.slips)
+
+
+def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
+    """Return whether one of the laws leaves no more than noise, as far as that can be judged."""
+    return any(not _judged(fit, motions).together.rejected for fit in fits)
+
+
+def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
+    """Return the mass that converts the curve to newtons, kg; None where neither mass nor stiffness is known."""
+    if motion.mass is not None:
+        return motion.mass.value
+    return motion.stiffness.value / curve.k_over_m.value if motion.stiffness is not None else None
+
+
+def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> MeasuredCurve:
+    """Return the curve in newtons where the mass is known; k/m without its interval where it is not trusted."""
+    curve = replace(curve, k_over_m=replace(curve.k_over_m, trusted=trusted))
+    return curve if mass is None else in_newtons(curve, mass)
+
+
+def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:
+    linearised = LinearisedFit.at(fit)
+    if linearised is None:
+        # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
+        faults, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
+        slips = judge(fit.residual, partial(_unchanged, fit.windows.blocks), fit, motions, nowhere)
+    else:
+        faults, slips = _judged_without_faults(linearised, fit.path_in, fit, fit.windows, motions)
+    return Judged(fit, faults, slips, *goodness_of_fit(slips))
+
+
+def _unchanged(blocks: Sequence[Block], residuals: Repeat) -> Iterator[tuple[Block, Array]]:
+    return zip(blocks, residuals(blocks), strict=True)
+
+
+def _judged_without_faults(
+    linear: LinearisedFit,
+    path_in: Callable[[Block], Path | None],
+    fit: Fit,
+    windows: ShootingWindows,
+    motions: Sequence[MeasuredMotion],
+) -> tuple[Mask, tuple[RunSlips, ...]]:
+    """Return the cycles (cycles,) that a fault of the record spoilt, and the slips of the fit without them."""
+    spoilt = windows.spoilt(linear.residual)
+    landings = np.array([cycle.landing for cycle in fit.cycles])
+    faults = left_out(path_in, linear, landings, spoilt, windows.run)
+    usual = linear.without(faults)
+    return faults, judge(usual.residual, usual.refit, fit, motions, faults, windows)
+
+
+def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
+    fit = curve.spline_fit
+    _, slips = _judged_without_faults(curve.linear, fit.path_in, fit, fit.windows, motions)
+    return goodness_of_fit(slips)[0]
+
+
+def _departures(
+    fits: Sequence[Fit],
+    curve: MeasuredCurve,
+    motions: Sequence[MeasuredMotion],
+    noise: Array,
+    revolution: float | None,
+) -> tuple[FittedDeparture, ...]:
+    """Return the departures with which a law describes the runs; ``fits``, best first."""
+
+    def describes(refit: Refit) -> bool:
+        base = refit.base
+        _, slips = _judged_without_faults(base.linear, refit.fit.path_in, refit.fit, base.path.windows, motions)
+        return not goodness_of_fit(slips)[0].rejected
+
+    return explain_misfit(fits, curve, motions, float(np.max(noise)), revolution, describes)

@@ -1,0 +1,525 @@
+"""Results of a measurement of the friction curve.
+
+Whether a record determines the level of its friction curve, and the level that is assumed where it does not.
+
+The motion determines K datum + friction.  Without a calibrated datum only effects proportional to friction separate the
+two: levels that scatter between cycles or wear, a ramp's creep, a belt that slows under load.  Without any of these,
+moving curve and datum together leaves the motion unchanged to the last digit; a search then ended anywhere in that
+valley, even at negative friction, and the curve was 50 to 100 % off, in a band of 2 to 50 %.
+
+So the level is then assumed, not fitted: the spring is taken as relaxed where a record begins at rest below the middle
+of the motion, otherwise at the lowest position, so that friction is nowhere negative.  The band and the parameters of
+forms include the uncertainty of the rest position (`REST_SD`).
+
+A free spline as the friction curve, fitted to the measured positions of every window by the driver.
+
+Unknown are the law's shared parameters but its own level and shape, the coordinates of the curve's coefficients, and
+each cycle's own six.  The search starts where a law ended and at the regression of the smoothed slips.
+
+The measured curve in the metric of the record: what a formula is compared with.
+
+Minimised is (c(formula) - c)' I (c(formula) - c), c the coefficients of the measured curve and I the information on
+them with everything else fitted again.  What the record does not show does not count.
+
+The covariance of the measured curve and its simultaneous band.
+
+A band that holds the whole curve is wider than the interval of one point: its factor is the quantile of the largest
+deviation over all speeds, in standard deviations, found from normal draws.  As for the laws' parameters, both the
+noise alone and the scatter of the cycles' gradients (sandwich) give a covariance, and the larger deviation counts at
+each speed: with few cycles the sandwich comes out too small, with residuals that are not white the other.
+
+`measure_curve`: friction against relative speed, without a law, from the fits of the laws to a record.
+"""
+
+import math
+import time as clock
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fitting import noise_levels
+from fitting.distributions import normal_quantile, student_quantile
+from fitting.judge.linearised import LinearisedFit
+from fitting.judge.parameters import STATED_ERROR, Parameter
+from fitting.least_squares import elimination
+from fitting.least_squares.normal_equations import eigen
+from fitting.model.path import Curve, FrictionSpline
+from fitting.model.predict import KNOT_POWER, FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
+from fitting.model.problem import EstimationProblem, Run
+from fitting.model.unknowns import PER_RUN, Global, PerCycle
+from fitting.search.exchange import best_end
+from fitting.search.fit import Fit
+from fitting.search.formula import Target
+from fitting.search.passes import finish, regressed_start
+from stickslip.compute.arrays import Array
+from stickslip.compute.compile import compiled
+from stickslip.units import Measured
+
+
+@dataclass(frozen=True)
+class BandExit:
+    """The largest exit from the band, in half-widths (below 1 it stays inside), and its speed.
+
+    Where the curve's level is hardly known, both curves are taken less their means over the speeds.
+    """
+
+    half_widths: float
+    speed: float
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredCurve:
+    """Friction per unit mass against relative speed, measured without a law, with a simultaneous band."""
+
+    # (k,) relative speed, m/s, where the record shows the curve: from a few percent of the largest slip speed on
+    speed: Array = field(repr=False)
+    # (k,) m/s^2; mean level of the record, and the band that holds the whole curve at the stated confidence
+    friction: Array = field(repr=False)
+    lo: Array = field(repr=False)
+    hi: Array = field(repr=False)
+    # (k,) m/s^2; half the width of the same band for the curve less its mean over the speeds
+    shape_half: Array = field(repr=False)
+    k_over_m: Parameter  # 1/s^2
+    # weighted rms residual over the noise: well above 1, friction is no function of relative speed on a constant spring
+    chi: float
+    ramp: float  # Half-width of the ramp that slip begins beyond, m/s; 0 for a jump
+    spline_fit: Fit = field(repr=False)
+    # about the solution; the coordinates of the curve's coefficients are the last unknowns
+    linear: LinearisedFit = field(repr=False)
+    noise: Array = field(repr=False)  # (runs,) standard deviation of a position, m
+    confidence: float
+    cpu_s: float
+
+    @property
+    def level_assumed(self) -> bool:
+        """Whether the record constrains only differences of friction (`fitting.judge.curve`)."""
+        return self.spline_fit.held_rest is not None
+
+    @property
+    def level_known(self) -> bool:
+        """Whether the error of the level is less than half of it."""
+        return bool(np.median(self.hi - self.lo) < 2 * STATED_ERROR * np.median(self.friction))
+
+
+# Standard deviation of an assumed rest position, over the record's travel.  Friction that falls by a fifth stretches
+# the spring to 2.5 travels, where the start-up is not recorded.  Only the band and the intervals depend on it.
+REST_SD = 3.0
+# Variance over what noise gives them: how much the levels must scatter to separate datum and friction.  At 4 their
+# noise makes the level's standard error a seventh too small.  Encoder records with 3 % scatter have 1e2 and more.
+SCATTER_SHOWN = 4.0
+NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
+
+
+def rest_prior(run: Run, sd: float = REST_SD) -> Measured:
+    """Return the prior of the spring's rest position, m; without a calibration ``sd`` travels wide."""
+    motion = run.motion
+    if motion.datum_prior is not None:
+        return motion.datum_prior
+    lowest, highest = float(motion.position.min()), float(motion.position.max())
+    first = float(motion.position[0])
+    released = run.cut.starts_at_rest and first < 0.5 * (lowest + highest)
+    return Measured(first if released else lowest, sd * motion.travel)
+
+
+def assumed_rest(fit: Fit) -> Measured | None:
+    """Return the rest position to assume where the levels do not scatter (`law_scatters`).
+
+    None where a calibration determines the level: of a rest position, or of the sticking speed where the load changes
+    it.
+    """
+    yields = fit.law.ramp or Global.COMPLIANCE in fit.places
+    for motion in fit.problem.motions:
+        if motion.datum_prior is not None or (yields and (motion.belt_measured or motion.belt_prior is not None)):
+            return None
+    return rest_prior(fit.problem.runs[0])
+
+
+def law_scatters(fit: Fit, noise: Array) -> bool:
+    """Return whether the levels of the usual cycles scatter by more than noise and misfit explain.
+
+    They must move the spring, stretched by friction at the belt's speed, by more than ``noise`` (runs,), m: rounding to
+    counts, which is not white, makes levels scatter by a fifth of that.  Levels are compared within a run: the mean of
+    each trades against the run's own rest position.
+    """
+    usual, run = fit.inlier_cycles, fit.windows.run[fit.inlier_cycles]
+    if usual.sum() < np.unique(run).size + 1:
+        return False
+    stretch = float(fit.task.friction(fit.q, np.array([fit.values.v_dr]))[0]) / fit.values.K
+    inverse = np.empty_like(fit.solution.blocks.Hl)
+    compiled(elimination.invert, (elimination.__name__,))(fit.solution.blocks.Hl, inverse)
+    by_noise = float(np.mean(inverse[usual, PerCycle.LEVEL, PerCycle.LEVEL]))
+    level = fit.solution.local[usual, PerCycle.LEVEL]
+    own = [level[run == number] - np.mean(level[run == number]) for number in np.unique(run)]
+    seen = float(np.sum(np.concatenate(own) ** 2)) / (level.size - len(own))
+    return bool(seen > SCATTER_SHOWN * by_noise and seen * stretch**2 > float(np.max(noise)) ** 2)
+
+
+def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tuple[Array, Array]:
+    """Return unknowns (13 runs,) and a curve (n,) that give the same motion with another rest position.
+
+    Other runs' rest positions move equally. On a ramp the slope of friction in stick and the speed where slip begins
+    stay.
+    """
+    rise = u[Global.K] * (u[Global.DATUM] - rest.value)
+    moved = u.copy()
+    moved[Global.DATUM :: PER_RUN] += rest.value - u[Global.DATUM]
+    moved[Global.V_DR :: PER_RUN] -= u[Global.COMPLIANCE] * (rest.value - u[Global.DATUM])
+    if ramp:
+        wider = u[Global.D] * max(rise / coefficients[0], NARROWEST_MOVED - 1)
+        moved[Global.D :: PER_RUN] += wider
+        moved[Global.V_DR :: PER_RUN] += wider
+    return moved, coefficients + rise
+
+
+def unseen(places: Sequence[int], curve: Curve, u: Array) -> Array:
+    """Return the moves of the unknowns at ``places`` (p,) that hide a move of the first run's rest position."""
+    if curve.spline is None:
+        raise ValueError("this is a law's curve: its level is not free")
+    K, D, compliance = (float(u[slot]) for slot in (Global.K, Global.D, Global.COMPLIANCE))
+    wider = -K * D / float(curve.spline.coefficients[0]) if curve.ramp else 0.0
+    moves = {Global.DATUM: 1.0, Global.D: wider, Global.V_DR: wider - compliance}
+    found = np.array([moves.get(Global(place % PER_RUN), 0.0) for place in places])
+    found[list(places).index(Global.DATUM)] = 0.0
+    return found
+
+
+def linearised(fit: Fit) -> LinearisedFit:
+    """Return the problem made linear at the solution; the curve's coordinates are the last unknowns.
+
+    An assumed rest position stays as uncertain as assumed.
+    """
+    linear, curve, rest = LinearisedFit.at(fit), fit.curve_on_path, fit.held_rest
+    if linear is None or curve is None:
+        raise RuntimeError("a fitted curve has a path")
+    if rest is None:
+        return linear
+    place, beside = fit.places.index(Global.DATUM), unseen(fit.places, curve, fit.u)
+    precision = linear.priors.precision.copy()
+    precision[place, place] = 1 / rest.sd**2
+
+    def move(part: Array) -> Array:
+        part = part.copy()
+        part[:, place] = -np.einsum("ij,j->i", part[:, : beside.size], beside)
+        return part
+
+    return linear.changed(move, linear.priors._replace(precision=precision))
+
+
+def chi(fit: Fit, noise: Array) -> float:
+    """Return the weighted rms residual over the noise (runs,), m."""
+    task = fit.least_squares
+    w = task.weight
+    own = noise[fit.windows.run].repeat(np.diff(task.first))
+    return math.sqrt(float(np.sum(w * fit.residual**2) / np.sum(w * own**2)))
+
+
+def fit_spline(fit: Fit, noise: Array) -> Fit | None:
+    """Fit a spline on the contact (jump or ramp) of its best law; None where its motion cannot be followed."""
+    rest = assumed_rest(fit)
+    if rest is None:
+        return _fit_spline(fit, noise, None)
+    # the residuals of a wrong law can make its levels scatter: the curve decides
+    scatter = law_scatters(fit, noise)
+    found = _fit_spline(fit, noise, None if scatter else rest)
+    if found is None or law_scatters(found, noise) == scatter:
+        return found
+    return _fit_spline(fit, noise, rest if scatter else None)
+
+
+def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> Fit | None:
+    """Fit a spline with an assumed rest position, or with a free one."""
+    beside = _beside_law(fit, rest)
+    if beside is None:
+        return None
+    task, law_end = beside
+    starts = [(law_end, fit.noise.without_fade), *((start, None) for start in _regressed(task))]
+    settled = best_end(task, starts, noise)
+    found = None if settled is None else finish(settled, noise) or settled
+    return found if found is not None and found.can_be_followed else None
+
+
+def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None:
+    """Return the task of the free curve on a law's contact, and the law's fit as a start.
+
+    None where the law's ramp is as wide as the slips are fast.
+    """
+    ramp = fit.law.ramp
+    problem, local = _problem(fit, rest), fit.local.copy()
+    knots = curve_knots(problem.runs, float(fit.u[Global.D]) if ramp else 0.0)
+    if knots[-1] <= 0:
+        return None
+    spline = FrictionSpline.over(knots)
+    s = np.linspace(0.0, knots[-1], 20 * knots.size)
+    friction = fit.task.friction(fit.q, s)
+    u, coefficients = fit.u, np.einsum("ik,k->i", spline.projection(s), friction)
+    if rest is not None:
+        u, coefficients = moved_to(u, coefficients, rest, ramp=ramp)
+        local[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 0.0
+    task = free_curve_task(problem, knots, u, coefficients)
+    index = list(task.places)
+    return task, FitStart(np.concatenate([u[index], task.curve.start]), _started_below(fit, local))
+
+
+def _regressed(task: Task) -> list[FitStart]:
+    """Return the start from the smoothed slips; none where their regression is absurd."""
+    problem, curve = task.problem, free_curve(task)
+    d = float(problem.start[Global.D]) if curve.ramp else 0.0
+    found = regressed_curve(problem.runs, problem.start, curve.spline.knots, d)
+    if found is None:
+        return []
+    own, start = regressed_start(task), problem.start.copy()
+    start[Global.K :: PER_RUN] = found[0]
+    beside = start[list(task.places)]
+    return [own._replace(q=curve.basis.unknowns(beside, found[1]))]
+
+
+def _started_below(fit: Fit, local: Array) -> Array:
+    """Return the cycles' own unknowns; a start beyond the belt's speed is replaced by the smoothed motion's."""
+    if fit.law.ramp:
+        return local
+    smoothed = fit.windows.starting_values(fit.problem.motions)
+    beyond = local[:, PerCycle.V_SLIP] > fit.windows.fastest_starts(fit.u)[:, PerCycle.V_SLIP]
+    local[beyond, : PerCycle.LEVEL] = smoothed[beyond, : PerCycle.LEVEL]
+    return local
+
+
+def _problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
+    """Return the law's problem with the prior of the rest positions."""
+    problem = fit.problem
+    prior, precision = problem.prior.copy(), problem.precision.copy()
+    lower, upper, start = problem.lower.copy(), problem.upper.copy(), problem.start.copy()
+    for number, run in enumerate(problem.runs):
+        place, known = PER_RUN * number + Global.DATUM, rest_prior(run)
+        prior[place], precision[place] = known.value, 1 / known.sd**2 if known.sd > 0 else precision[place]
+        if number == 0 and rest is not None:
+            lower[place] = upper[place] = start[place] = rest.value
+    return replace(problem, prior=prior, precision=precision, lower=lower, upper=upper, start=start)
+
+
+GRID_SPEEDS = 300  # speeds at which a formula is projected on the spline, as dense as the knots
+LOW_COEFFICIENTS = 2  # coefficients, which act below a twentieth of the largest slip speed
+LEAST_INFORMATION = 1e-12  # information over the largest: less is rounding
+
+
+class MeasuredTarget(NamedTuple):
+    """Target of a formula, in the directions of the curve's coefficients that the record constrains, without a prior.
+
+    The distances have unit variance; ``level_sd`` (m/s^2) is that of a constant by which the whole curve may be off.
+    """
+
+    alone: Target
+    level_sd: float
+
+    @property
+    def near(self) -> Target:
+        """The target with the uncertainty of the level."""
+        return self.alone.off_by_a_constant(self.level_sd)
+
+
+def friction_target(fit: Fit) -> MeasuredTarget:
+    """Return the measured curve as a target with equal weight on `GRID_SPEEDS`, for curves far from it."""
+    speeds = _speeds(fit)
+    friction = fit.spline(speeds)
+    return MeasuredTarget(Target.of(speeds, friction, float(np.median(friction))), _level_sd(fit))
+
+
+def measured_target(curve: MeasuredCurve) -> MeasuredTarget:
+    """Return the measured curve as a target, in the metric of the record.
+
+    Where the residuals exceed the noise, the metric uses them. The lowest coefficients are fitted again with each
+    formula, since their effect is not linear.
+    """
+    fit, linear = curve.spline_fit, curve.linear
+    basis, total = free_curve(fit.task).basis, linear.reduced.H
+    places, n = len(fit.places), basis.precision.size
+    turn = np.eye(places + n)
+    turn[places:] = basis.inverse_slopes  # from coordinates to coefficients
+    prior = np.zeros((places + n, places + n))
+    prior[places:, places:] = np.diag(basis.precision)
+    total, prior, data = (np.einsum("ki,kl,lj->ij", turn, one, turn) for one in (total, prior, total - prior))
+    gradient = linear.gradients.sum(axis=0)
+    gradient[:places] += linear.priors.gradient[:places]
+    gradient = np.einsum("ki,k->i", turn, gradient)
+    if fit.held_rest is not None:  # taken as known here: how far it may be off is `MeasuredTarget.level_sd`
+        known = fit.places.index(Global.DATUM)
+        data[known], data[:, known], prior[known, known], gradient[known] = 0.0, 0.0, 1.0, 0.0
+    first = places + LOW_COEFFICIENTS
+    others = data[:first, :first] + prior[:first, :first]
+    cross = data[first:, :first]
+    follow = followed(others, cross)
+    own = data[first:, first:] - np.einsum("ik,kj->ij", cross, follow)
+    size, axes = eigen(0.5 * (own + own.T))
+    # shown is what the record knows better than the prior
+    held = np.einsum("ik,ij,jk->k", axes, prior[first:, first:], axes)
+    shown = size > np.maximum(held, LEAST_INFORMATION * size.max())
+    deviation = np.sqrt(size[shown])
+    root = np.zeros((deviation.size, n))
+    root[:, LOW_COEFFICIENTS:] = deviation[:, None] * axes[:, shown].T
+    # where the record alone would have the curve: not pulled by its prior, and at the very minimum
+    pull = gradient[first:] - np.einsum("ki,k->i", follow, gradient[:first])
+    aim = np.einsum("ki,i->k", root, fit.spline.coefficients)
+    aim -= np.einsum("ik,i->k", axes[:, shown], pull) / deviation
+    excess = max(curve.chi, 1.0)
+    speeds = _speeds(fit)
+    root = np.einsum("mn,nk->mk", root, fit.spline.projection(speeds))
+    friction = float(np.median(fit.spline.coefficients))
+    return MeasuredTarget(Target(speeds, root / excess, aim / excess, friction), _level_sd(fit))
+
+
+def _speeds(fit: Fit) -> Array:
+    return np.asarray(float(fit.spline.knots[-1]) * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER)
+
+
+def _level_sd(fit: Fit) -> float:
+    return 0.0 if fit.held_rest is None else fit.values.K * fit.held_rest.sd
+
+
+def followed(curvature: Array, cross: Array) -> Array:
+    """Return by how much some unknowns (p,) follow others (n,): inv(curvature) cross', shape (p, n).
+
+    By a solution: an inverse left the weakest direction, 1e-8 of the strongest, to rounding, and forms that differed
+    from the curve along it cost nothing. An unknown without curvature does not move.
+    """
+    found = np.zeros(cross.T.shape)
+    seen = np.diag(curvature) > 0
+    scale = 1 / np.sqrt(np.diag(curvature)[seen])
+    scaled = curvature[np.ix_(seen, seen)] * scale[:, None] * scale
+    found[seen] = scale[:, None] * np.linalg.solve(scaled, scale[:, None] * cross.T[seen])
+    return found
+
+
+SPEEDS = 200  # speeds of the curve: the band is smooth between them
+SEEN_FROM, SEEN_TO = 0.03, 0.985  # of the fastest slip: below, few samples; beyond, few cycles
+DRAWS = 400  # the quantile of 95 % is then known to 2 %
+SEED = 20_240  # the draws are the same for every record
+
+
+def covariances(linear: LinearisedFit) -> tuple[Array, Array]:
+    """Return the covariance (p, p) of the shared unknowns by the noise, and by the scatter between cycles."""
+    noise = linear.covariance
+    own = linear.gradients
+    cycles = own.shape[0]
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + linear.priors.precision
+    return noise, np.einsum("ik,kl,lj->ij", noise, meat, noise, optimize=False)
+
+
+def seen_speeds(fit: Fit) -> Array:
+    """Return the slip speeds beyond the ramp (k,), m/s, of the band."""
+    fastest = fit.spline.knots[-1]
+    return np.linspace(SEEN_FROM * fastest, SEEN_TO * fastest, SPEEDS)
+
+
+def curve_columns(fit: Fit, s: Array) -> Array:
+    """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns and the ramp's half-width."""
+    found = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), free_curve(fit.task).basis.slopes))
+    if Global.D in fit.places and fit.problem.ramp:
+        h = 1e-4 * fit.spline.knots[-1]
+        found[:, fit.places.index(Global.D)] = -(fit.spline(s + h) - fit.spline(s - h)) / (2 * h)
+    return found
+
+
+def half_widths(columns: Array, both: tuple[Array, Array], confidence: float, widening: float) -> Array:
+    """Return the half-width of the band (k,), m/s^2.
+
+    ``columns`` (k, p) are the curve's derivatives by the unknowns; ``confidence`` is that of the whole curve, and
+    ``widening`` a factor for few cycles.
+    """
+    rng = np.random.default_rng(SEED)
+    deviation, quantile = np.zeros(columns.shape[0]), 0.0
+    for covariance in both:
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        size, axes = eigen(covariance / scale[:, None] / scale)
+        root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
+        along = np.einsum("kp,pq->kq", columns, root)
+        own = np.sqrt(np.sum(along**2, axis=1))
+        draws = rng.standard_normal((size.size, DRAWS))
+        most = np.max(np.abs(np.einsum("kq,qn->kn", along, draws)) / np.maximum(own, 1e-300)[:, None], axis=0)
+        quantile = max(quantile, float(np.quantile(most, confidence)))
+        deviation = np.maximum(deviation, own)
+    return np.asarray(widening * quantile * deviation)
+
+
+# Error over that of the nearest jump law: a ramp law contains its jump law and is always a little nearer, by 1 % at
+# most where there is no ramp.
+RAMP_NEARER = 0.97
+
+
+def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> MeasuredCurve | None:
+    """Measure the friction curve of a record, or of several runs of one contact; None where no motion can be followed.
+
+    ``fits``, best first, give windows, calibrations and starts; ``noise`` (runs,) is in m. Of jump and ramp, the ramp
+    goes first where a ramp law comes near the noise and no jump law does; the other is tried where the first does not
+    reach the noise and the laws prefer it, or where the search stalled. Without a datum the curve is determined but for
+    a constant, unless the levels scatter (`fitting.judge.curve`). Not modelled: friction that depends on anything but
+    relative speed and its level in each cycle.
+    """
+    begun = clock.process_time()
+    ordered, prefers_ramp = _contacts(fits, noise)
+    best: tuple[Fit, float] | None = None
+    for fit in ordered:
+        found = fit_spline(fit, noise)
+        left = math.inf if found is None else chi(found, noise)
+        if found is not None and (best is None or left < best[1]):
+            best = found, left
+        if best is not None and (
+            best[1] < noise_levels.DESCRIBES or not (prefers_ramp or best[0].outcome == "no progress")
+        ):
+            break
+    return None if best is None else _measured(*best, noise, alpha, begun)
+
+
+def _contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
+    """Return the best fit of each contact, first that to try first, and whether the laws prefer a ramp."""
+    by_error = sorted(fits, key=lambda fit: fit.geometric_mean_rms)
+    nearest = [next((fit for fit in by_error if fit.law.ramp == ramp), None) for ramp in (False, True)]
+    jump, ramp = nearest
+    if jump is None or ramp is None:
+        return [fit for fit in nearest if fit is not None], False
+    prefers_ramp = ramp.geometric_mean_rms < RAMP_NEARER * jump.geometric_mean_rms
+    near = ramp.geometric_mean_rms < noise_levels.NEAR * float(np.max(noise))
+    return [ramp, jump] if prefers_ramp and near else [jump, ramp], prefers_ramp
+
+
+def _measured(fit: Fit, left: float, noise: Array, alpha: float, begun: float) -> MeasuredCurve:
+    linear = linearised(fit)
+    both = covariances(linear)
+    speeds = seen_speeds(fit)
+    cycles = len(fit.rows)
+    quantile = student_quantile(1 - alpha / 2, max(cycles - 1, 1))
+    columns, widening = curve_columns(fit, speeds), quantile / normal_quantile(1 - alpha / 2)
+    half = half_widths(columns, both, 1 - alpha, widening)
+    friction = fit.spline(speeds)
+    ramp = float(fit.u[Global.D]) if fit.problem.ramp else 0.0
+    K, error = float(fit.u[Global.K]), float(np.sqrt(max(covariance[0, 0] for covariance in both)))
+    return MeasuredCurve(
+        speed=speeds + ramp,
+        friction=friction,
+        lo=np.maximum(friction - half, 0.0),  # friction opposes the motion
+        hi=friction + half,
+        shape_half=half_widths(columns - columns.mean(axis=0), both, 1 - alpha, widening),
+        k_over_m=Parameter(K, error, K - quantile * error, K + quantile * error, "s^-2"),
+        chi=left,
+        ramp=ramp,
+        spline_fit=fit,
+        linear=linear,
+        noise=noise,
+        confidence=1 - alpha,
+        cpu_s=clock.process_time() - begun,
+    )
+
+
+def furthest_exit(curve: MeasuredCurve, friction: Array) -> BandExit:
+    """Return where a friction (k,) at the curve's speeds leaves the measured band the furthest."""
+    off, half = friction - curve.friction, curve.hi - curve.friction
+    if not curve.level_known:
+        off, half = off - off.mean(), curve.shape_half
+    away = np.abs(off) / half
+    place = int(np.argmax(away))
+    return BandExit(float(away[place]), float(curve.speed[place]))
+
+
+def in_newtons(curve: MeasuredCurve, mass: float) -> MeasuredCurve:
+    """Return the curve as a force (N) on a mass (kg); k/m stays."""
+    return replace(curve, **{name: mass * getattr(curve, name) for name in ("friction", "lo", "hi", "shape_half")})

@@ -1,0 +1,70 @@
+"""Friction against relative velocity: each law's fitted curve, and measured points.
+
+A measured point is the force balance F = m a + c v + k (x - b) at a smoothed sample, over its cycle's level so that the
+cycles lie on one curve.  In newtons where mass or stiffness is known, else per kilogram.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.model.unknowns import PerCycle
+from fitting.record.motion import MeasuredMotion
+from fitting.search.fit import Fit
+from stickslip.compute.arrays import Array
+
+
+def mass(motion: MeasuredMotion, fit: Fit) -> float:
+    """Return the mass that converts accelerations to newtons, kg; 1 where neither mass nor stiffness is known."""
+    if motion.mass is not None:
+        return motion.mass.value
+    return motion.stiffness.value / fit.values.K if motion.stiffness is not None else 1.0
+
+
+def unit(motion: MeasuredMotion) -> str:
+    return "N" if motion.mass is not None or motion.stiffness is not None else "N/kg"
+
+
+def speeds(motion: MeasuredMotion, number: int = 401) -> Array:
+    """Return relative velocities (m/s, in the record's sign) over the range of the motion, including 0."""
+    w = motion.velocity - motion.belt_speed
+    low, high = float(w.min()), max(float(w.max()), 0.1 * motion.belt_speed)
+    # densest around 0, where the laws differ
+    half = np.linspace(0, 1, number // 2 + 1) ** 2
+    return np.sort(motion.sign * np.r_[low * half[1:], high * half])
+
+
+def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
+    """Return `speeds` over the ranges of all runs."""
+    widest: dict[float, Array] = {}
+    for motion in motions:
+        spanned = speeds(motion)
+        if motion.sign not in widest or np.ptp(spanned) > np.ptp(widest[motion.sign]):
+            widest[motion.sign] = spanned
+    return np.unique(np.concatenate(list(widest.values())))
+
+
+def friction_at(fit: Fit, motion: MeasuredMotion, w: Array) -> Array:
+    """Return a law's friction at relative velocities w (n,), m/s in the record's sign; in `unit`."""
+    return fit.force(w, mass(motion, fit))
+
+
+def points(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return relative velocity (m/s), friction (in `unit`) and whether it is a stick, of slip and stick samples.
+
+    Samples within half a smoothing window of a landing are left out: smoothing rounds the corner there.
+    """
+    p = fit.values
+    w_parts, f_parts, stick_parts = [], [], []
+    for k, cycle in enumerate(fit.cycles):
+        level = math.exp(float(fit.local[k, PerCycle.LEVEL]))
+        near = int(np.searchsorted(motion.time, cycle.landing - motion.half_window))
+        for first, end, stick in ((*cycle.stick, True), (cycle.slip[0], near, False)):
+            x, v, a = (part[first:end] for part in (motion.position, motion.velocity, motion.acceleration))
+            friction = (a + p.damping * v + p.K * (x - p.datum)) / level
+            w_parts.append(v - p.v_dr + p.compliance / p.K * friction)  # the belt slows under the friction it carries
+            f_parts.append(mass(motion, fit) * friction)
+            stick_parts.append(np.full(x.size, stick))
+    return motion.sign * np.concatenate(w_parts), motion.sign * np.concatenate(f_parts), np.concatenate(stick_parts)

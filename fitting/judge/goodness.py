@@ -1,0 +1,659 @@
+"""The noise of measured positions, from the residual: rounding to a pitch, white noise, jitter of sample times.
+
+The noise of a position is not the printed decimal.  A counter rounds; a camera adds white noise; sample times that
+jitter move a position by velocity times the error of the time.  All three are estimated from fourth differences of the
+residual, in which a smooth misfit cancels.
+
+Not modelled: noise that changes slowly against the sample interval, as after a low-pass filter.
+
+Statistics of residuals that noise alone leaves small: what repeats from slip to slip, and what is smooth in a slip.
+
+Each slip, from its window's start to the landing, is cut into bins of its phase, and the residuals are averaged in
+them.  A law that is wrong leaves residuals that are smooth over a bin, and mostly the same in every slip.  A slip that
+a velocity step has spoilt must not count for more than the others.
+
+Goodness of fit in absolute terms: whether noise alone could have produced the residuals of a law.
+
+Null distribution: the fitted motion is measured repeatedly with the record's noise (`fitting.judge.goodness`), all
+unknowns are fitted again, linearly, and the statistics of the slips (`fitting.judge.goodness`) are taken of what
+is left.  The other two statistics are of whole cycles, sticks included: the largest mean square over the usual one, and
+the rms of all.  Rounding makes patterns that repeat from cycle to cycle; the repetitions have them too.  A statistic
+that is the same in all repetitions distinguishes nothing and is not judged.  The draws are seeded: the same record
+gives the same number.
+
+Cycles that fit badly because the mass got a velocity step there, as from the belt's joint.
+
+A cycle with a far larger residual than its run's median is not evidence against a law where one velocity step explains
+the excess.  In a slip the step changes the velocity at one time; in a stick, and after the landing, friction stops the
+mass again within milliseconds, and a step of the position remains.
+
+The smallest departure of friction that would be detected in half of all repetitions of a record.
+
+What is not detected is not absent: a camera track passes under laws that an encoder would reject.  The departure is a
+wave in the slip speed, with one or two periods over all speeds and constant amplitude, or in the position, with two or
+four periods over the travel and in proportion to the friction.  The linear refit removes what the law's own parameters
+absorb.  Half of all repetitions are rejected where what repeats, or what is smooth, with the wave's mean squares in it
+reaches its limit (`fitting.judge.goodness`).  The median over the waves is a typical size.
+Departures that a law nearly absorbs (half a period over all speeds, say) must be several times larger, and a wave that
+it cannot follow at all is detected at half of the size.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import numpy as np
+
+from fitting.distributions import gamma_tail, gamma_upper_quantile
+from fitting.judge.linearised import LinearisedFit, Repeat
+from fitting.least_squares.normal_equations import MOST_AT_ONCE, Block, UnfollowableError
+from fitting.model.path import Path
+from fitting.model.tangents import local_tangents, tangents
+from fitting.model.unknowns import PER_RUN, Global
+from fitting.model.windows import SPOILT, ShootingWindows
+from fitting.record.motion import MeasuredMotion
+from fitting.search.fit import Fit
+from stickslip.compute.arrays import Array, Integers, Mask
+
+# Order of differences, and their weights (1, 4, 6, 4, 1) squared and summed.
+DIFFERENCE_ORDER, SQUARED_WEIGHTS = 4, 70.0
+ROUNDED_TWICE = 0.1  # pitches: counts printed with a few decimals are that near whole multiples of the pitch
+# Distance from the belt's speed, over it, within which a reading is left out where counts are rounded.  At half a count
+# a sample in the sticks the errors alternate, which the differences take for 1.4 times the noise; at whole counts for
+# none.
+STEADY_SPEED = 0.1
+FASTEST_PATTERN = 0.8  # pitches a sample: slower readings repeat patterns, whose differences are not white
+# Variance over that of rounding: less white noise beside it is not distinguished from it.  True encoders give up to 0.3
+# by chance, because fast rounding is not quite white; noise as large as the rounding gives 1.
+LEAST_WHITE_NOISE = 0.5
+JITTER_SHOWN = 4.0  # variance of the jitter, in its standard errors, that is shown
+FEWEST_DIFFERENCES = 50  # differences from which noise is estimated
+ROUNDING = 1e-9  # distance over the range of the readings: nearer ones are the same
+
+
+@dataclass(frozen=True)
+class PositionNoise:
+    pitch: float  # m, step to which readings are rounded; 0 for none
+    white: float  # m, standard deviation of white noise before the rounding
+    jitter: float  # s, standard deviation of a sample time
+
+    def variance(self, velocity: Array) -> Array:
+        """Return the variance (n,) at velocities (n,), m^2."""
+        return np.asarray(self.pitch**2 / 12 + self.white**2 + (self.jitter * velocity) ** 2)
+
+    def sd(self, velocity: Array) -> float:
+        """Return the standard deviation of a position, m rms over the velocities."""
+        return math.sqrt(float(np.mean(self.variance(velocity))))
+
+    @property
+    def rounded_alone(self) -> bool:
+        return self.white == self.jitter == 0
+
+    def draw(self, position: Array, velocity: Array, rng: np.random.Generator, shift: float) -> Array:
+        """Draw position minus reading (n,), m, on a grid moved by ``shift`` pitches: repeated motion rounds alike."""
+        spread = np.sqrt(self.white**2 + (self.jitter * velocity) ** 2)
+        error = 0.0 if self.rounded_alone else spread * rng.standard_normal(position.size)
+        if self.pitch == 0:
+            return np.asarray(-error + np.zeros(position.size))
+        moved = position + self.pitch * shift
+        return np.asarray(moved - (np.floor((moved + error) / self.pitch) + 0.5) * self.pitch)
+
+
+def estimate_noise(
+    windows: ShootingWindows, residual: Array, inliers: Mask, motion: MeasuredMotion, run: int = 0
+) -> PositionNoise:
+    """Estimate the noise of a run from the residual (N,), m, of its inlier cycles; windows are those of all runs."""
+    pitch = reading_pitch(motion.measured)
+    rounding = pitch**2 / 12
+    interval = float(np.median(np.diff(motion.time)))
+    slowest = FASTEST_PATTERN * pitch / interval if motion.resolution < pitch else 0.0
+    squares, speeds = [], []
+    for k, _, first, count, _, own in windows.table:
+        if own == run and inliers[k] and count > DIFFERENCE_ORDER:
+            part = slice(first, first + count)
+            speed = motion.velocity[windows.source[part]][DIFFERENCE_ORDER // 2 : -DIFFERENCE_ORDER // 2]
+            fast = np.abs(speed) >= slowest
+            if slowest > 0:
+                fast &= np.abs(speed - motion.belt_speed) > STEADY_SPEED * abs(motion.belt_speed)
+            squares.append((np.diff(residual[part], DIFFERENCE_ORDER) ** 2 / SQUARED_WEIGHTS)[fast])
+            speeds.append(speed[fast] ** 2)
+    square, v2 = (np.concatenate(parts) if parts else np.empty(0) for parts in (squares, speeds))
+    if square.size < FEWEST_DIFFERENCES:
+        return PositionNoise(pitch, math.sqrt(max(motion.resolution**2 - rounding, 0.0)), 0.0)
+    middle = v2 - v2.mean()
+    slope = float(np.sum(middle * square) / max(np.sum(middle**2), 1e-300))
+    white2 = max(float(square.mean()) - max(slope, 0.0) * float(v2.mean()) - rounding, 0.0)
+    if white2 < LEAST_WHITE_NOISE * rounding:
+        white2 = 0.0
+    excess = square - rounding - white2
+    scale = max(float(np.sum(v2**2)), 1e-300)
+    jitter2 = float(np.sum(excess * v2)) / scale
+    error = math.sqrt(float(np.sum(((excess - jitter2 * v2) * v2) ** 2))) / scale
+    return PositionNoise(pitch, math.sqrt(white2), math.sqrt(jitter2) if jitter2 > JITTER_SHOWN * error else 0.0)
+
+
+def reading_pitch(reading: Array) -> float:
+    """Return the pitch to which readings (n,) are rounded, m, even one finer than the printed step; 0 without one."""
+    values = np.unique(reading)
+    gaps = np.diff(values)
+    apart = gaps[gaps > ROUNDING * (values[-1] - values[0])]
+    if apart.size < FEWEST_DIFFERENCES:
+        return 0.0
+    place = values - values.mean()
+    for least in (float(apart.min()), float(np.quantile(apart, 0.2))):  # a few stray readings spoil the smallest gap
+        pitch = float(np.median(apart[apart <= 1.5 * least]))
+        number = np.concatenate([[0.0], np.cumsum(np.rint(gaps / pitch))])
+        number -= number.mean()
+        pitch = float(np.sum(number * place) / np.sum(number**2))
+        if float(np.median(np.abs(place - pitch * number))) < ROUNDED_TWICE * pitch:
+            return pitch
+    return 0.0
+
+
+MOST_BINS = 60  # bins of a slip, with 8 to 20 samples each at 1 kHz
+# Samples in a bin of the usual slip, at the least.  Chosen: the mean of one sample is that sample, so a bin of 1.5
+# hides what is smooth in a slip; with 6, a slip of 12 samples has two bins, in which what repeats from slip to slip
+# cancels.
+SAMPLES_IN_BIN = 3
+FEWEST_SLIPS = 2  # at least: what repeats needs two
+
+
+class Statistics(NamedTuple):
+    """Statistics of B sets of residuals of a run's judged cycles, each (B,); 0 without slips to judge but for `rms`."""
+
+    # share of the binned residuals' variance that repeats from slip to slip, without bias: 0 for noise, 1 for residuals
+    # that are the same in every slip
+    repeat: Array
+    # variance of the binned residuals over that of independent residuals of the same rms; median over the slips. 1 for
+    # white noise, up to the number of samples in a bin.
+    smooth: Array
+    worst: Array  # largest mean square of a cycle, over the median
+    rms: Array  # of all cycles, equally weighted, m
+
+
+def cycle_squares(residuals: Array, rows: Sequence[slice]) -> Array:
+    """Return the mean square of residuals (N, B) in each cycle, m^2, shape (cycles, B)."""
+    first = np.array([own.start - rows[0].start for own in rows])
+    count = np.array([own.stop - own.start for own in rows])
+    return np.asarray(np.add.reduceat(residuals**2, first, axis=0) / count[:, np.newaxis])
+
+
+@dataclass(frozen=True, eq=False)
+class SlipBins:
+    """Bins of the slips of a run: rows of residuals, and where each bin begins among them."""
+
+    rows: Integers  # (n,) the residuals in a bin, slip by slip
+    starts: Integers  # (occupied bins,) first of ``rows`` in each bin that is not empty
+    slip: Integers  # (occupied bins,) slip and bin of its phase
+    phase: Integers
+    count: Array  # (occupied bins,) residuals in it
+    slips: int
+    # into how many the phase of a slip is cut: `SAMPLES_IN_BIN` of the usual slip's samples in each, at most
+    # `MOST_BINS`
+    bins: int
+
+    @property
+    def judged(self) -> bool:
+        return self.slips >= FEWEST_SLIPS
+
+    @classmethod
+    def cut(cls, windows: ShootingWindows, landings: Array, inliers: Mask, run: int = 0) -> "SlipBins":
+        rows, phases = [], []
+        for k, stick, first, count, _, own in windows.table:
+            if stick or own != run or not inliers[k]:
+                continue
+            time = windows.time[first : first + count]
+            phase = (time - time[0]) / (landings[k] - time[0])
+            before = phase < 1.0
+            rows.append(first + np.flatnonzero(before))
+            phases.append(phase[before])
+        slips = len(rows)
+        if not slips:
+            empty = np.empty(0, np.int64)
+            return cls(empty, empty, empty, empty, np.empty(0), 0, 1)
+        usual = float(np.median([phase.size for phase in phases]))
+        bins = int(min(max(usual // SAMPLES_IN_BIN, 1), MOST_BINS))
+        cell = [slip * bins + np.floor(bins * phase).astype(np.int64) for slip, phase in enumerate(phases)]
+        occupied, starts, count = np.unique(np.concatenate(cell), return_index=True, return_counts=True)
+        return cls(np.concatenate(rows), starts, occupied // bins, occupied % bins, count.astype(float), slips, bins)
+
+    def sums(self, values: Array, block: Block | None = None) -> Array:
+        """Return the sum of values (N, B) in each bin, shape (occupied bins, B); of a block, those of its bins."""
+        if block is None:
+            return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
+        first, last = np.searchsorted(self.rows, (block.rows.start, block.rows.stop))
+        starts = self.starts[np.searchsorted(self.starts, first) : np.searchsorted(self.starts, last)]
+        if not starts.size:
+            return np.zeros((0, values.shape[1]))
+        return np.asarray(np.add.reduceat(values[self.rows[first:last] - block.rows.start], starts - first, axis=0))
+
+    def per_slip(self, binned: Array) -> Array:
+        """Return the sum over the bins (occupied bins, B) of each slip, shape (slips, B)."""
+        return np.asarray(np.add.reduceat(binned, self._edges, axis=0))
+
+    def per_phase(self, binned: Array) -> Array:
+        """Return the sum over the bins (occupied bins, B) of each phase, shape (phases met, B)."""
+        order, edges = self._by_phase
+        return np.asarray(np.add.reduceat(binned[order], edges, axis=0))
+
+    @cached_property
+    def _edges(self) -> Integers:
+        """First occupied bin of each slip."""
+        return np.searchsorted(self.slip, np.arange(self.slips))
+
+    @cached_property
+    def _by_phase(self) -> tuple[Integers, Integers]:
+        """Occupied bins in order of phase, and the first of each phase."""
+        order = np.argsort(self.phase, kind="stable")
+        return order, np.unique(self.phase[order], return_index=True)[1]
+
+    @cached_property
+    def residuals_and_bins(self) -> tuple[Array, Array]:
+        """Residuals and occupied bins of each slip, shapes (slips, 1)."""
+        return self.per_slip(self.count[:, None]), self.per_slip(np.ones((self.slip.size, 1)))
+
+    def lag1(self, residual: Array) -> float:
+        """Return the autocorrelation of neighbouring residuals (N,) of the slips."""
+        products = np.r_[0.0, residual[1:] * residual[:-1]]
+        return float(np.sum(products[self.rows])) / max(float(np.sum(residual[self.rows] ** 2)), 1e-300)
+
+    def statistics(self, residuals: Array, squares: Array) -> Statistics:
+        """Return the statistics of residuals (N, B), m, with the mean squares (cycles, B) of their judged cycles."""
+        return self.combine(self.sums(residuals), self.sums(residuals**2), squares)
+
+    def combine(self, sums: Array, squared: Array, squares: Array) -> Statistics:
+        """Return the same from the sums of residuals and of their squares in each bin."""
+        rms = np.asarray(np.sqrt(np.sum(squares, axis=0) / max(squares.shape[0], 1)))
+        if not self.judged:
+            nothing = np.zeros(rms.size)
+            return Statistics(nothing, nothing, nothing, rms)
+        number, occupied = self.residuals_and_bins
+        square = np.maximum(self.per_slip(squared) / number, 1e-300)
+        binned = self.per_slip(sums**2 / self.count[:, None]) / occupied
+        usual = np.median(square, axis=0)
+        weight = np.sqrt(np.minimum(usual / square, 1.0))  # a spoilt slip is scaled down to the usual one
+        mean = sums / self.count[:, None] * weight[self.slip]
+        each, together = np.sum(mean**2, axis=0), self.per_phase(mean)
+        return Statistics(
+            repeat=(np.sum(together**2, axis=0) - each) / np.maximum((self.slips - 1) * each, 1e-300),
+            smooth=np.median(binned / square, axis=0),
+            worst=np.max(squares, axis=0) / np.maximum(np.median(squares, axis=0), 1e-300),
+            rms=rms,
+        )
+
+
+REPETITIONS = 60  # the spread of a statistic is then known to 9 %
+SEED = 13  # seed of the repetitions: the same for every record
+# Probability below which noise is not what made the residuals.  The tails are those of a gamma distribution with the
+# moments of 60 repetitions of a linearised refit, so small probabilities are rough; 1e-6 is five standard deviations.
+REJECTED = 1e-6
+TESTS = 4  # what repeats, what is smooth, the worst cycle, and the size of all
+# Noise of all judged cycles together over that of the repetitions, at the most: a noise that is not quite that
+# of the model is no misfit.  True laws leave 0.97 to 1.04.
+NOISE_KNOWN = 1.2
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit:
+    noise_m: float  # standard deviation of one position, from the record, m
+    misfit: float  # rms of the residuals of the judged cycles over ``noise_m``
+    lag1: float  # as in `fitting.judge.goodness.SlipStatistics`; 0 where no slip can be judged
+    repeat: float
+    # probability of statistics at least as large by noise alone; None where nothing could be judged: fewer than
+    # `FEWEST_SLIPS` slips, or no statistic that differs between repetitions
+    p_value: float | None
+    # numbers of the cycles that are not judged (`fitting.judge.goodness`); of several runs together none
+    left_out: tuple[int, ...] = ()
+
+    @property
+    def judged(self) -> bool:
+        return self.p_value is not None
+
+    @property
+    def adequate(self) -> bool:
+        return self.p_value is not None and self.p_value >= REJECTED
+
+    @property
+    def rejected(self) -> bool:
+        return self.p_value is not None and self.p_value < REJECTED
+
+
+@dataclass(frozen=True, eq=False)
+class RunSlips:
+    """Noise and slips of a run, and their statistics in the record and in the repetitions."""
+
+    noise: PositionNoise
+    noise_m: float  # standard deviation of one position, m
+    bins: SlipBins
+    lag1: float  # autocorrelation of neighbouring residuals of the record
+    seen: Statistics  # of the record
+    null: Statistics  # of the repetitions
+    counted: Mask  # (cycles,) which cycles of all runs these are
+    left_out: tuple[int, ...]  # numbers of the run's cycles that are not judged
+
+
+class Repetitions:
+    """Draws of a run's noise, repeated block by block of its samples: the same each time."""
+
+    def __init__(self, noise: PositionNoise, rng: np.random.Generator, samples: int) -> None:
+        self.noise, self.begin = noise, rng.bit_generator.state
+        for first in range(0, 0 if noise.rounded_alone else samples, MOST_AT_ONCE):
+            rng.standard_normal(min(MOST_AT_ONCE, samples - first))
+        self.shift = float(rng.uniform(-0.5, 0.5)) if noise.pitch else 0.0
+
+    def restart(self) -> np.random.Generator:
+        rng = np.random.default_rng()
+        rng.bit_generator.state = self.begin
+        return rng
+
+
+def draw_noise(
+    repeated: Sequence[Sequence[Repetitions]],
+    position: Array,
+    velocity: Array,
+    owner: Integers,
+    blocks: Sequence[Block],
+) -> Iterator[Array]:
+    """Yield repetitions (n, B) of the noise in each block, m, from those ``repeated`` of each run."""
+    rngs = [[one.restart() for one in runs] for runs in repeated]
+    for block in blocks:
+        run, x, v = owner[block.rows], position[block.rows], velocity[block.rows]
+        drawn = np.empty((run.size, len(repeated)))
+        for j, runs in enumerate(repeated):
+            for k, (one, rng) in enumerate(zip(runs, rngs[j], strict=True)):
+                own = run == k
+                drawn[own, j] = one.noise.draw(x[own], v[own], rng, one.shift)
+        yield drawn
+
+
+def judge(
+    residual: Array,
+    refit: Callable[[Repeat], Iterable[tuple[Block, Array]]],
+    fit: Fit,
+    motions: Sequence[MeasuredMotion],
+    left_out: Mask,
+    windows: ShootingWindows | None = None,
+) -> tuple[RunSlips, ...]:
+    """Return the statistics of each run's slips with their null distribution.
+
+    ``residual`` (N,), m, is that of a fit without the cycles ``left_out``, as ``refit`` is: a slip that the belt's
+    joint has struck pulls at the parameters it shares with the others, which then have smooth residuals under the true
+    law (p = 1e-15 with 6 slips). ``windows`` replace the fit's where the residuals are of others.
+    """
+    windows = fit.windows if windows is None else windows
+    owner = np.repeat(windows.table[:, 5], windows.table[:, 3])
+    position = windows.position + residual
+    velocity = np.empty_like(position)
+    noises = []
+    for run, motion in enumerate(motions):
+        own = owner == run
+        velocity[own] = motion.velocity[windows.source[own]]
+        noises.append(estimate_noise(windows, residual, fit.inlier_cycles, motion, run))
+    landings = np.array([cycle.landing for cycle in fit.cycles])
+    judged = [~left_out & (windows.run == run) for run in range(len(motions))]
+    bins = [SlipBins.cut(windows, landings, own, run) for run, own in enumerate(judged)]
+    rng, samples = np.random.default_rng(SEED), np.bincount(owner, minlength=len(motions)).tolist()
+    repeated = [
+        [Repetitions(noise, rng, n) for noise, n in zip(noises, samples, strict=True)] for _ in range(REPETITIONS)
+    ]
+    parts = []
+    for block, left in refit(partial(draw_noise, repeated, position, velocity, owner)):
+        squares = cycle_squares(left, windows.rows[block.cycles])
+        parts.append((squares, *(part for cut in bins for part in (cut.sums(left, block), cut.sums(left**2, block)))))
+    null_squares, *null_sums = (np.concatenate(part) for part in zip(*parts, strict=True))
+    squares = cycle_squares(residual[:, None], windows.rows)
+    return tuple(
+        RunSlips(
+            noise=noise,
+            noise_m=noise.sd(velocity[owner == run]),
+            bins=cut,
+            lag1=cut.lag1(residual),
+            seen=cut.statistics(residual[:, None], squares[judged[run]]),
+            null=cut.combine(null_sums[2 * run], null_sums[2 * run + 1], null_squares[judged[run]]),
+            counted=judged[run],
+            left_out=tuple(fit.cycles[k].number for k in np.flatnonzero(left_out & (windows.run == run))),
+        )
+        for run, (noise, cut) in enumerate(zip(noises, bins, strict=True))
+    )
+
+
+def goodness_of_fit(slips: Sequence[RunSlips]) -> tuple[GoodnessOfFit, tuple[GoodnessOfFit, ...]]:
+    each = [
+        GoodnessOfFit(
+            noise_m=own.noise_m,
+            misfit=float(own.seen.rms[0]) / own.noise_m if own.noise_m > 0 else math.inf,
+            lag1=own.lag1,
+            repeat=float(own.seen.repeat[0]),
+            p_value=probability(own),
+            left_out=own.left_out,
+        )
+        for own in slips
+    ]
+    if len(each) == 1:
+        return each[0], tuple(each)
+    share = np.array([own.bins.slips for own in slips], float)
+    share /= max(share.sum(), 1.0)
+    together = GoodnessOfFit(
+        noise_m=math.sqrt(float(np.sum(share * [one.noise_m**2 for one in each]))),
+        misfit=math.sqrt(float(np.sum(share * [one.misfit**2 for one in each]))),
+        lag1=float(np.sum(share * [one.lag1 for one in each])),
+        repeat=float(np.sum(share * [one.repeat for one in each])),
+        p_value=_corrected([one.p_value for one in each], len(each)),
+    )
+    return together, tuple(each)
+
+
+def probability(slips: RunSlips) -> float | None:
+    if not slips.bins.judged:
+        return None
+    begin, null = least(slips.bins), slips.null
+    repeat, smooth, worst, rms = (float(seen[0]) for seen in slips.seen)
+    found = (
+        tail(repeat - begin, null.repeat - begin),
+        tail(smooth, null.smooth),
+        tail(worst, null.worst) if worst > SPOILT else None,
+        tail(rms / NOISE_KNOWN, null.rms),
+    )
+    return _corrected(found, TESTS)
+
+
+def _corrected(found: Sequence[float | None], tests: int) -> float | None:
+    """Return the least probability, corrected for the number of tests; None without one."""
+    judged = [p for p in found if p is not None]
+    return min(1.0, tests * min(judged)) if judged else None
+
+
+def least(bins: SlipBins) -> float:
+    """Return the least possible `repeat`, where its gamma distribution begins."""
+    return -1 / max(bins.slips - 1, 1)
+
+
+def tail(value: float, null: Array) -> float | None:
+    """Return the p-value under a gamma distribution with the moments of ``null``; None where the repetitions agree."""
+    mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
+    # The mean of equal numbers differs from them by rounding, and so would their spread from 0.
+    return gamma_tail(value, mean, spread) if mean > 0 and spread > ROUNDING * mean else None
+
+
+TIMES_TRIED = 40  # steps tried, one a time, in a slip and in a stick; at 20 the best explains 0.8 of some steps
+# Share of a cycle's mean square beyond the usual one that a step explains.  Steps of 5 to 20 mm/s explain 0.97 to 1.0
+# of it in a slip; a landing after which the mass overtakes the belt unseen 0.77.
+LEAST_EXPLAINED = 0.9
+# Other cycles of a run that may fit badly by chance: a touch of a hand, an overtaking that was not seen.
+MOST_ODD, MOST_ODD_SHARE = 1, 0.1
+
+
+def left_out(
+    path_in: Callable[[Block], Path | None], linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers
+) -> Mask:
+    """Return which spoilt cycles (cycles,) to leave out: those struck, and others where they are few.
+
+    ``path_in`` returns the path of a cycle, ``run`` is each cycle's run, ``landings`` are in s.
+    """
+    if not spoilt.any():
+        return spoilt
+    struck = _struck(path_in, linear, landings, spoilt, run)
+    odd = spoilt & ~struck
+    for one in np.unique(run[odd]):
+        own = odd & (run == one)
+        if own.sum() > max(MOST_ODD, MOST_ODD_SHARE * np.sum(run == one)):
+            odd &= ~own
+    return np.asarray(struck | odd)
+
+
+def _struck(
+    path_in: Callable[[Block], Path | None], linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers
+) -> Mask:
+    """Return the spoilt cycles whose excess residual one velocity step explains nearly in full."""
+    square = cycle_squares(linear.residual[:, np.newaxis], linear.rows)[:, 0]
+    found = np.zeros_like(spoilt)
+    for k in np.flatnonzero(spoilt).tolist():
+        rows = linear.rows[k]
+        path = path_in(Block(slice(k, k + 1), rows))
+        if path is None:
+            continue
+        at = k if len(path.windows.rows) == spoilt.size else 0
+        usual = float(np.median(square[run == run[k]]))
+        left = square[k] - _best_gain(linear, k, path, at, float(landings[k])) / (rows.stop - rows.start)
+        found[k] = left < SPOILT * usual or left - usual < (1 - LEAST_EXPLAINED) * (square[k] - usual)
+    return found
+
+
+def _best_gain(linear: LinearisedFit, k: int, path: Path, at: int, landing: float) -> float:
+    """Return by how much the best step lowers a cycle's sum of squares with its own unknowns free."""
+    rows = path.windows.rows[at]
+    columns = np.hstack([tangents(path, _impulses(path, landing, at)), _position_steps(path, landing, at)])[rows]
+    local, residual, q = (
+        local_tangents(path)[rows],
+        linear.residual[linear.rows[k]],
+        linear.priors.local_gradient.shape[1],
+    )
+    prior = np.diag(np.sqrt(linear.priors.local_precision[k] / max(linear.weights[k], 1e-300)))
+    scale = np.sqrt(np.maximum(np.sum(local**2, axis=0) + np.diag(prior) ** 2, 1e-300))
+    own = np.linalg.qr(np.vstack([local, prior]) / scale)[0]
+    both = np.vstack([np.column_stack([residual, columns]), np.zeros((q, 1 + columns.shape[1]))])
+    both -= own @ (own.T @ both)
+    square = np.sum(both[:, 1:] ** 2, axis=0)
+    seen = square > 1e-9 * np.sum(columns**2, axis=0)
+    return float(np.max((both[:, 1:].T @ both[:, 0]) ** 2 / np.where(seen, square, np.inf), initial=0.0))
+
+
+def _impulses(path: Path, landing: float, cycle: int) -> Array:
+    """Return accelerations (M, TIMES_TRIED) that change the velocity by about 1 m/s in one step of a cycle's slip."""
+    found = np.zeros((path.time.size, TIMES_TRIED))
+    table = path.windows.table
+    for row in np.flatnonzero((table[:, 1] == 0) & (table[:, 0] == cycle)):
+        first = path.steps[path.first_step[row] : path.first_step[row + 1], 0]
+        length = path.time[first + 2] - path.time[first]
+        slips = (path.time[first] < landing) & (length > 0)
+        first, length = first[slips], length[slips]
+        if first.size:
+            chosen = np.round(np.linspace(0, first.size - 1, TIMES_TRIED)).astype(np.int64)
+            # a step's middle counts four times as much as its ends, which belong to its neighbours too
+            found[first[chosen] + 1, np.arange(TIMES_TRIED)] = 1.5 / length[chosen]
+    return found
+
+
+def _position_steps(path: Path, landing: float, cycle: int) -> Array:
+    """Return steps of the position (N, 2 TIMES_TRIED) in a cycle's stick and after its landing."""
+    windows = path.windows
+    found = np.zeros((windows.time.size, 2 * TIMES_TRIED))
+    for _, stick, first, count, _, _ in windows.table[windows.table[:, 0] == cycle]:
+        own = slice(first, first + count)
+        begin = windows.time[first] if stick else landing
+        times = np.linspace(begin, windows.time[first + count - 1], TIMES_TRIED + 1)[:-1]
+        place = slice(0, TIMES_TRIED) if stick else slice(TIMES_TRIED, 2 * TIMES_TRIED)
+        found[own, place] = windows.time[own, np.newaxis] >= times
+    return found
+
+
+PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameters make up for nearly all
+PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spring makes up for most
+
+
+def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
+    """Return for each run the wave amplitude that half of its repetitions detect, % of Fs; median over the waves.
+
+    None where no slip is judged, the motion cannot be followed, or even an amplitude of Fs would not be detected.
+    """
+    waves = departure_waves(fit, linearised.derivatives.blocks)
+    if waves is None:
+        return (None,) * len(slips)
+    parts = [
+        [part for run in slips for part in (run.bins.sums(left, block), run.bins.sums(left**2, block))]
+        for block, left in linearised.refit(waves)
+    ]
+    sums = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    return tuple(_percent(run, sums[2 * k], sums[2 * k + 1]) for k, run in enumerate(slips))
+
+
+def _percent(run: RunSlips, sums: Array, squares: Array) -> float | None:
+    """Return the median amplitude, %, of waves with these sums in each bin; None where half would not be detected."""
+    if not run.bins.judged:
+        return None
+    typical = 100 * float(np.median([half_seen(run, *wave) for wave in zip(sums.T, squares.T, strict=True)]))
+    return typical if typical < 100 else None
+
+
+def half_seen(run: RunSlips, wave: Array, square: Array) -> float:
+    """Return the amplitude of a wave, of Fs, that rejects half of a run's repetitions; inf without one.
+
+    ``wave`` and ``square`` (occupied bins,) are sums of the wave and of its square in each bin.
+    """
+    bins, begin = run.bins, least(run.bins)
+    sums, squares = wave[:, None], square[:, None]
+    number, occupied = bins.residuals_and_bins
+    mean, noise = sums / bins.count[:, None], run.noise_m**2 * float(np.sum(1 / bins.count))
+    repeated = float(np.sum(bins.per_phase(mean) ** 2)) / (bins.slips - 1) / noise
+    smooth = float(np.median(bins.per_slip(sums**2 / bins.count[:, None]) / occupied)) / run.noise_m**2
+    found = (
+        _amplitude(run.null.repeat - begin, repeated, float(np.sum(mean**2)) / noise),
+        _amplitude(run.null.smooth, smooth, float(np.median(bins.per_slip(squares) / number)) / run.noise_m**2),
+    )
+    return min(found)
+
+
+def _amplitude(null: Array, excess: float, more: float) -> float:
+    """Return the amplitude a at which a ratio, (mean of ``null`` + a^2 excess)/(1 + a^2 more), reaches its limit."""
+    mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
+    limit = gamma_upper_quantile(REJECTED / TESTS, mean, spread)
+    gain = excess - limit * more
+    return math.sqrt((limit - mean) / gain) if gain > 0 else math.inf
+
+
+def departure_waves(fit: Fit, blocks: Sequence[Block]) -> Repeat | None:
+    """Return the response of the positions to waves as large as the friction, (n, waves) of each block, m."""
+    fastest, low, high = 0.0, math.inf, -math.inf
+    for block in blocks:
+        path = fit.path_in(block)
+        if path is None:
+            return None
+        fastest = max(fastest, float(np.max(path.slip_speed, where=path.slips, initial=0.0)))
+        low, high = min(low, float(path.position.min())), max(high, float(path.position.max()))
+    return partial(_respond, fit, fastest, high - low) if fastest > 0 else None
+
+
+def _respond(fit: Fit, fastest: float, travel: float, blocks: Sequence[Block]) -> Iterator[Array]:
+    for block in blocks:
+        path = fit.path_in(block)
+        if path is None:
+            raise UnfollowableError
+        yield tangents(path, _waves(path, fit.u, fastest, travel))
+
+
+def _waves(path: Path, u: Array, fastest: float, travel: float) -> Array:
+    """Return the acceleration (M, waves) by each wave."""
+    F = np.exp(u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
+    level = np.where(path.slips, path.side * path.level * F, 0.0)
+    friction = np.where(path.slips, path.friction, 0.0)
+    turn = 2 * math.pi * path.slip_speed / fastest
+    place = 2 * math.pi * path.position / travel
+    waves = [
+        size * shape(number * argument)
+        for size, argument, numbers in ((level, turn, PERIODS), (friction, place, PERIODS_OF_TRAVEL))
+        for number in numbers
+        for shape in (np.sin, np.cos)
+    ]
+    return np.stack(waves, axis=1)

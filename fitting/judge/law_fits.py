@@ -1,0 +1,234 @@
+"""Which laws are fitted to a record divided into cycles, with the belt's ripple if it has one."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from fitting.judge import evidence, screening
+from fitting.judge.adequacy import describes
+from fitting.judge.evidence import FEWEST_CYCLES
+from fitting.judge.parameters import without_level_errors
+from fitting.laws import SIX, Law
+from fitting.model.problem import Run
+from fitting.options import Options
+from fitting.record import cycles, ripple
+from fitting.record.motion import MeasuredMotion
+from fitting.search import exchange
+from fitting.search.fit import Fit
+from processing.record.kinematics import Kinematics
+from stickslip.errors import DataError, InputError
+
+# Error in the start-up drag over what a rippling belt leaves: a steady belt that leaves more was none.  On belts
+# with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.
+STEADY_DRAG_ERROR = 1.3
+CONSTANT = (SIX[1], SIX[2])  # laws of constant friction, which alone make a mass graze the belt
+MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each costs another fit of all laws
+
+
+class NoLawError(Exception):
+    """No law fits the record; `rank` catches it, and returns it as a result where that is stick-slip."""
+
+    def __init__(self, reason: str, *, stick_slip: bool) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.stick_slip = stick_slip
+
+
+def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
+    """Divide a record into cycles, with the belt's ripple removed where the mass sticks often."""
+    cut = cycles.segment_cycles(motion, excluded)
+    beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
+    if beyond and cut.cycles:
+        what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
+        raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
+    if len(excluded) == len(cut.cycles) >= FEWEST_CYCLES:
+        what = f"all {len(cut.cycles)} cycles are left out; a verdict needs {FEWEST_CYCLES}"
+        raise InputError(what, "--exclude-cycles", "leave out fewer")
+    run = Run(motion, cut)
+    return _with_ripple(run) if cut.sustained else run
+
+
+def _with_ripple(run: Run) -> Run:
+    """Return a run with the ripple that its sticks show, cut as on a steady belt; else the run."""
+    found = ripple.find_ripple(run.motion, run.cut)
+    return run if found is None else _rippled(run, found)
+
+
+def _rippled(run: Run, found: ripple.Ripple) -> Run:
+    """Return a run with a ripple, cut as on a steady belt."""
+    return replace(run, cut=cycles.segment_cycles(found.removed(run.motion), _excluded(run)), ripple=found)
+
+
+def _excluded(run: Run) -> frozenset[int]:
+    return frozenset(cycle.number for cycle in run.cut.cycles if cycle.flag == "excluded")
+
+
+def fit_runs(
+    options: Options,
+    runs: Sequence[Run],
+    records: Sequence[Kinematics],
+    progress: Callable[[float], None] | None = None,
+) -> tuple[list[Fit], list[Run], bool, str]:
+    """Fit those of the six that may describe the records.
+
+    Also returns their runs, whether the mass sticks often, and the reason to refuse the records unless another law fits
+    them. A record that rough fits of the six do not come near is refused, unless a custom law was requested that may;
+    one that their fits do not come near is not refused yet.
+    """
+    laws = options.competitors.searched
+    sustained = _check(laws, runs, records)
+    seen = sustained  # as the record itself shows, before any law is fitted
+    doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
+    if not options.competitors.formulas or doubt == screening.SINE_ALONE:
+        refuse(doubt, records)
+    fit_to = partial(_fit_laws, jobs=options.jobs, progress=progress, scheduler=options.scheduler)
+    if sustained:
+        fits = fit_to(laws, runs)
+        if len(runs) == 1 and runs[0].ripple is not None and fits and not is_described(fits, runs):
+            fits, runs = _fit_other_ripples(laws, runs[0], fits, fit_to)
+    else:
+        fits, runs, sustained = _fit_grazing(laws, runs, fit_to)
+    fits = [fit for fit in fits if fit.law in laws]
+    if not sustained and not fits:
+        raise DataError(
+            "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
+            records[0].recording.where,
+            "add --laws 1,2",
+        )
+    # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
+    doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
+    if not fits or doubt == screening.SINE_ALONE:
+        refuse(doubt, records)
+    if not doubt:
+        screening.refuse_missing_frames(fits, records)
+    if not seen and not any(record.sticks for record in records) and not is_described(fits, runs):
+        refuse(screening.NOT_DESCRIBED, records)
+    if not sustained and not any(run.cut.uses_start for run in runs):
+        refuse(screening.SINE_ALONE, records)
+    return fits, list(runs), sustained, doubt
+
+
+def _fit_laws(
+    laws: Sequence[Law], runs: Sequence[Run], among: Sequence[Law] = tuple(SIX.values()), **how: Any
+) -> list[Fit]:
+    """Fit laws by the driver; without the errors of the levels as information."""
+    return [without_level_errors(one) for one in exchange.fit_laws(laws, runs, among, **how)]
+
+
+def _fit_other_ripples(
+    laws: Sequence[Law], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
+) -> tuple[list[Fit], Sequence[Run]]:
+    """Fit the laws with the other possible ripples of the sticks, until one is described; return the best fits."""
+    best = fits, run
+    least = min(fit.geometric_mean_rms for fit in fits)
+    for trial in _other_ripples(run):
+        fits = fit_to(laws, [trial])
+        error = min((fit.geometric_mean_rms for fit in fits), default=math.inf)
+        if error < least:
+            best, least = (fits, trial), error
+            if is_described(fits, [trial]):
+                break
+    return best[0], [best[1]]
+
+
+def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+    """Return whether the best law fits to within the noise."""
+    return describes([min(fits, key=lambda fit: fit.geometric_mean_rms)], [run.motion for run in runs])
+
+
+def _other_ripples(run: Run) -> list[Run]:
+    """Return a run with each ripple nearly as likely as the likeliest."""
+    likely = ripple.find_ripples(run.motion, cycles.segment_cycles(run.motion, _excluded(run)))
+    return [_rippled(run, other) for other in likely[1 : 1 + MOST_OTHERS]]
+
+
+def _fit_grazing(
+    laws: Sequence[Law], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
+) -> tuple[list[Fit], Sequence[Run], bool]:
+    """Fit the laws to a mass that grazes the belt; also return the runs and whether it sticks often.
+
+    Such a mass shows little of the belt, and apparent short sticks may be the tops of a sine. So a ripple comes first
+    only where the start-up drag shows one. Laws with sticks are tried where constant friction misses the record.
+    """
+    tried = [(fit_to(CONSTANT, steady, CONSTANT), steady)]
+    rippled = [_with_ripple(run) for run in steady]
+    if any(run.ripple is not None for run in rippled):
+        tried.append((fit_to(CONSTANT, rippled, CONSTANT), rippled))
+        still, swinging = (evidence.drag_error(*one) for one in tried)
+        if still > STEADY_DRAG_ERROR * swinging:
+            tried.reverse()
+    for fits, runs in tried:
+        if not _more_than_constant(fits, runs):
+            return fits, runs, False
+    choices = [runs for _, runs in tried]
+    if len(tried) > 1 and len(steady) == 1:
+        choices += [[other] for other in _other_ripples(steady[0])]
+    found = []
+    for choice in choices:
+        fits = fit_to(laws, choice)
+        if fits and is_described(fits, choice):
+            return fits, choice, True
+        found.append((min((fit.geometric_mean_rms for fit in fits), default=math.inf), fits, choice))
+    _, fits, runs = min(found, key=lambda one: one[0])
+    return fits, runs, True
+
+
+def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+    """Return whether laws 1 and 2 miss a motion without sustained sticks by more than noise."""
+    if not fits or evidence.rules_out_constant_friction(fits, runs):
+        return True
+    # A record that may be a sine is refused elsewhere, and of several runs the drags of all decide.
+    alone = len(runs) == 1 and runs[0].cut.uses_start
+    return alone and not describes(fits, [run.motion for run in runs])
+
+
+def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
+    """Return whether the mass sticks in the long run; DataError unless there are enough cycles of one kind."""
+    kinds = [run.cut.sustained for run in runs]
+    sustained = all(kinds)
+    for run, record in zip(runs, records, strict=True):
+        refuse(screening.reject_by_cycles(run.motion, run.cut), [record])
+    sources = [record.recording.where for record in records]
+    if any(kinds) and not sustained:
+        grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
+        raise DataError(
+            "no sustained stick here, but in other runs there is", grazing, "fit runs of one contact, or this run alone"
+        )
+    count = sum(len(run.cut.used) for run in runs)
+    if count < FEWEST_CYCLES:
+        if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
+            refuse(screening.swings_alone(count), records)
+        if count:  # a longer record of another motion would be none either
+            refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
+        left = sum(len(run.cut.cycles) for run in runs) - count
+        out = f", {left} more left out" if left else ""
+        raise DataError(
+            f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {FEWEST_CYCLES}",
+            ", ".join(sources),
+            _remedy(runs, sustained=sustained),
+        )
+    for run, record in zip(runs, records, strict=True):
+        if run.cut.shows_belt:
+            screening.refuse_impossible_rest(run.motion, record)
+    return sustained
+
+
+def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
+    """Return advice to obtain more cycles."""
+    if any(map(_excluded, runs)):
+        return "leave out fewer (--exclude-cycles)"
+    if not sustained and all(run.cut.starts_at_rest and screening.dies_away(run.motion.velocity) for run in runs):
+        return (
+            "the oscillation dies away after the belt starts, so a longer record has no more: record several starts of "
+            "the belt and fit these runs together, or reduce the damping"
+        )
+    return "record longer"
+
+
+def refuse(why: str, records: Sequence[Kinematics]) -> None:
+    """Raise NoLawError unless ``why``, the reason that the laws cannot be ranked, is empty."""
+    if why:
+        stick_slip = why != screening.SINE_ALONE and all(screening.is_stick_slip(record) for record in records)
+        raise NoLawError(why, stick_slip=stick_slip)

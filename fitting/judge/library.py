@@ -1,0 +1,276 @@
+"""The departures that are tried: ten rows of a table, each with the functions that it names.
+
+Signs and sizes, with v the velocity of the mass over ground, z the stretch of the spring, b the travel of the belt:
+
+- ``spring-nonlinear``: the spring's force is -k z - k3 z^3, with k3 in N/m^3, positive for a hard spring.  A spring
+  that pulls as it pushes has no quadratic term.  Source: A. H. Nayfeh, D. T. Mook, Nonlinear Oscillations, 1979, ch. 4.
+- ``drag-quadratic``: -q v |v|, with q in N s^2/m^2.  At one belt speed v_b the velocity is v_b - s, with s the slip
+  speed, so a free friction curve takes it up: only runs at several belt speeds, or a law whose curve is of another
+  form, show it.  Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1987, par. 45.
+- ``guide-friction``: -Fg sign(v), with Fg in N: Coulomb friction of the mass in its own guide.  At one belt speed only
+  the jump at v = 0, where the mass turns, distinguishes it from friction of the belt.  A guide that holds the mass at
+  rest while the spring pulls less than Fg is not modelled.  Source: B. Armstrong-Helouvry, P. Dupont, C. Canudas de
+  Wit, Automatica 30 (1994) 1083.
+- ``eccentricity``: the reading errs by e sin(2 pi x/L + phase), with e in m, once per revolution L of an eccentric
+  encoder wheel.  L is the record's calibration (counts per revolution times metres per count) where it has one, else
+  scanned.  A camera or a laser has no wheel: there it is the lens or the scale.
+- ``belt-drift``: v_b (1 + a (t - t_mid)), with a in 1/s, relative to the speed in the middle of the record.  Each run
+  of a joint fit has the same a; also in ``stiffness-drift``.
+- ``belt-ripple``: v_b + r sin(2 pi f t + phase), with r in m/s.  Where the sticks show one strong ripple it is fitted
+  with the laws (`fitting.record.ripple`); this is a second one, or one too weak for that.  Its frequency is looked for
+  in the residual of the sticks, where the mass moves as the belt does.
+- ``stiffness-drift``: k (1 + a (t - t_mid)), with a in 1/s, as by the spring's temperature.
+- ``second-mode``: a second mass on the first, on a spring of its own: m2 (x + z)'' = -k2 z - c2 z', with z its way on
+  the first mass.  m2/m is given; the angular frequency sqrt(k2/m2) is scanned.  It rings from one cycle into the next,
+  so it is followed through the whole record, driven by the record's own acceleration.  The two columns, stretch and
+  velocity of its spring, take up what another damping shifts in phase.  Source: J. P. Den Hartog, Mechanical
+  Vibrations, 1956, ch. 3 (vibration absorber).
+- ``friction-by-belt-position``: F (1 + a sin(2 pi (b - x)/L + phase)), with a relative and L the length of the belt.
+  Friction that changes from one slip to the next only is a scatter of its level.
+- ``friction-by-mass-position``: F (1 + a sin(2 pi x/L + phase)).  Wavelengths beyond the travel look like another
+  spring.  Source: worn tracks, as in E. Rabinowicz, Friction and Wear of Materials, 1995, ch. 4.
+"""
+
+import cmath
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from fitting.model import forces
+from fitting.model.forces import Departure, FittedMotion, Forcing, by_velocity, harmonic, spaced, speed_of_wave
+from fitting.record.motion import MeasuredMotion
+from fitting.record.ripple import FEWEST_LONG_STICKS, SLOWEST_OF_FEW, strongest_frequencies
+from stickslip.compute.arrays import Array
+from stickslip.compute.compile import compiled
+
+SMALLEST_REVOLUTION = 0.04  # revolution over the travel: a smaller wheel would turn 25 times in a slip
+MOST_PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
+MODE_DAMPING = 0.01  # damping of a second mass over the critical one
+# Frequency over the main spring's: slower is a second spring, faster moves with the mass.
+SLOWEST_MODE, FASTEST_MODE = 1.5, 15.0
+FREQUENCY_STEP = 0.012  # relative step between frequencies: about half the width of the resonance
+HELD_SLIPS = 8e-3  # time for which the acceleration is held, in slips; at the fastest mode a tenth of its period
+# Length over the way between mass and belt in a cycle: a shorter belt turns more than once in a cycle.
+SHORTEST_BELT = 0.7
+LONGEST_BELT = 0.7  # length over the way in the whole record: on a longer one a place that does not come back is wear
+SHORTEST_WAVELENGTH = 0.08  # wavelength over the travel: what repeats more often in a slip averages out
+
+
+def cube_of_stretch(trajectory: FittedMotion, _: float) -> Forcing:
+    return Forcing(acceleration=-(trajectory.stretch[:, np.newaxis] ** 3))
+
+
+def quadratic_drag(velocity: Array, _: float) -> Array:
+    return -velocity * np.abs(velocity)
+
+
+def dry_friction(velocity: Array, turn: float) -> Array:
+    return np.asarray(-np.tanh(velocity / turn))
+
+
+def error_of_wheel(trajectory: FittedMotion, revolution: float) -> Forcing:
+    angle = speed_of_wave(revolution) * trajectory.position[trajectory.samples]
+    return Forcing(reading=harmonic(angle))
+
+
+def revolutions(trajectory: FittedMotion) -> Array:
+    """Return the calibrated length of one revolution, m, or those up to the travel."""
+    if trajectory.revolution is not None:
+        return np.array([trajectory.revolution])
+    return spaced(SMALLEST_REVOLUTION * trajectory.travel, trajectory.travel, trajectory.travel)
+
+
+def drift_of_belt(trajectory: FittedMotion, _: float) -> Forcing:
+    change = trajectory.belt_speed * trajectory.elapsed
+    return Forcing(belt_speed=change[:, np.newaxis])
+
+
+def ripple_of_belt(trajectory: FittedMotion, hertz: float) -> Forcing:
+    return Forcing(belt_speed=harmonic(2 * math.pi * hertz * trajectory.time))
+
+
+def ripple_frequencies(trajectory: FittedMotion) -> Array:
+    """Return the strongest frequencies of the residuals in stick, Hz, each with its neighbours as bounds."""
+    window, time = trajectory.window[trajectory.samples], trajectory.time[trajectory.samples]
+    times, residuals = [], []
+    for stick in np.flatnonzero(trajectory.sticks):
+        part = window == stick
+        times.append(time[part])
+        residuals.append(trajectory.residual[part] - trajectory.residual[part].mean())
+    if len(times) < FEWEST_LONG_STICKS:
+        return np.empty(0)
+    slip_s = trajectory.slip_s
+    peaks, apart = strongest_frequencies(
+        np.concatenate(times), np.concatenate(residuals), slip_s, SLOWEST_OF_FEW / slip_s, MOST_PEAKS
+    )
+    neighbours = np.unique(np.add.outer(peaks, apart * np.arange(-1, 2)).ravel())
+    return np.asarray(neighbours[neighbours > 0])
+
+
+def drift_of_stiffness(trajectory: FittedMotion, _: float) -> Forcing:
+    change = -trajectory.K * trajectory.stretch * trajectory.elapsed
+    return Forcing(acceleration=change[:, np.newaxis])
+
+
+def pull_of_second_mass(trajectory: FittedMotion, omega: float) -> Forcing:
+    """Return the pull of a mass of 1 (times the first), in phase and a quarter turn later, m/s^2."""
+    out = np.empty((trajectory.time.size, 2))
+    for run, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
+        time, drive = held_acceleration(record)
+        pull = follow_second_mass(drive, time[1] - time[0], omega)
+        place = (trajectory.time[run] - time[0]) / (time[1] - time[0])
+        before = np.minimum(place.astype(np.int64), time.size - 2)
+        share = (place - before)[:, np.newaxis]
+        out[run] = (1 - share) * pull[before] + share * pull[before + 1]
+    return Forcing(acceleration=out)
+
+
+@lru_cache(maxsize=8)  # one a run: every frequency uses the same drive
+def held_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
+    """Return times and mean accelerations, m/s^2, of steps of about `HELD_SLIPS` slips; shapes (n,)."""
+    interval = float(np.median(np.diff(record.time)))
+    held = max(1, int(HELD_SLIPS * record.slip_s / interval))
+    count = int((record.time[-1] - record.time[0]) / (held * interval))
+    fine = record.time[0] + interval * np.arange(count * held)
+    mean = np.interp(fine, record.time, record.acceleration).reshape(count, held).mean(axis=1)
+    return record.time[0] + held * interval * np.arange(count), mean
+
+
+def follow_second_mass(acceleration: Array, step: float, omega: float) -> Array:
+    """Return stretch omega^2 and velocity omega (n, 2) of an oscillator on a moving base, m/s^2.
+
+    ``acceleration`` (n,) of the base is constant for ``step`` s; in the complex plane the oscillator is one pole.
+    """
+    rate = omega * complex(-MODE_DAMPING, math.sqrt(1 - MODE_DAMPING**2))
+    turn = cmath.exp(rate * step)
+    state = np.empty(acceleration.size, np.complex128)
+    compiled(forces.follow_pole, (forces.__name__,))(-acceleration, turn, (turn - 1) / rate, state)
+    return np.asarray(omega * np.c_[state.imag, state.real])
+
+
+def mode_frequencies(trajectory: FittedMotion) -> Array:
+    """Return angular frequencies that the samples resolve, rad/s."""
+    interval = max(float(np.median(np.diff(record.time))) for record in trajectory.records)
+    main = math.sqrt(trajectory.K)
+    fastest = min(FASTEST_MODE * main, 0.5 * math.pi / interval)
+    return np.asarray(np.exp(np.arange(math.log(SLOWEST_MODE * main), math.log(fastest), FREQUENCY_STEP)))
+
+
+def friction_along_belt(trajectory: FittedMotion, length: float) -> Forcing:
+    phase = speed_of_wave(length) * (trajectory.belt_position - trajectory.position)
+    return Forcing(acceleration=harmonic(phase, trajectory.friction))
+
+
+def belt_lengths(trajectory: FittedMotion) -> Array:
+    way = trajectory.belt_way
+    return spaced(SHORTEST_BELT * way / trajectory.cycles, LONGEST_BELT * way, way)
+
+
+def friction_along_travel(trajectory: FittedMotion, wavelength: float) -> Forcing:
+    phase = speed_of_wave(wavelength) * trajectory.position
+    return Forcing(acceleration=harmonic(phase, trajectory.friction))
+
+
+def wavelengths(trajectory: FittedMotion) -> Array:
+    return spaced(SHORTEST_WAVELENGTH * trajectory.travel, trajectory.travel, trajectory.travel)
+
+
+DEPARTURES = (
+    Departure(
+        name="spring-nonlinear",
+        text="a spring whose stiffness changes with its stretch",
+        parameter="k3/m",
+        unit="m^-2 s^-2",
+        with_mass=("k3", "N/m^3"),
+        forcing=cube_of_stretch,
+    ),
+    Departure(
+        name="drag-quadratic",
+        text="drag that grows with the square of the velocity",
+        parameter="q/m",
+        unit="m^-1",
+        with_mass=("q", "N s^2/m^2"),
+        forcing=by_velocity(quadratic_drag),
+        drag=quadratic_drag,
+    ),
+    Departure(
+        name="guide-friction",
+        text="dry friction of the mass in its guide",
+        parameter="Fg/m",
+        unit="m s^-2",
+        with_mass=("Fg", "N"),
+        forcing=by_velocity(dry_friction),
+        drag=dry_friction,
+    ),
+    Departure(
+        name="eccentricity",
+        text="an eccentric encoder wheel",
+        text_of_positions="lens distortion or an uneven scale",
+        parameter="e",
+        unit="m",
+        columns=2,
+        scale="revolution",
+        scale_unit="m",
+        scales=revolutions,
+        forcing=error_of_wheel,
+    ),
+    Departure(
+        name="belt-drift",
+        text="a belt whose speed drifts",
+        parameter="(dv_dr/dt)/v_dr",
+        unit="s^-1",
+        forcing=drift_of_belt,
+    ),
+    Departure(
+        name="belt-ripple",
+        text="a belt whose speed ripples at another frequency",
+        parameter="r",
+        unit="m/s",
+        columns=2,
+        scale="frequency",
+        scale_unit="Hz",
+        scales=ripple_frequencies,
+        forcing=ripple_of_belt,
+    ),
+    Departure(
+        name="stiffness-drift",
+        text="a spring whose stiffness drifts",
+        parameter="(dk/dt)/k",
+        unit="s^-1",
+        forcing=drift_of_stiffness,
+    ),
+    Departure(
+        name="second-mode",
+        text="a second mass on a spring of its own",
+        parameter="m2/m",
+        unit="",
+        columns=2,
+        scale="angular frequency",
+        scale_unit="rad/s",
+        scales=mode_frequencies,
+        forcing=pull_of_second_mass,
+    ),
+    Departure(
+        name="friction-by-belt-position",
+        text="friction that changes along the belt",
+        parameter="a",
+        unit="",
+        columns=2,
+        scale="belt length",
+        scale_unit="m",
+        scales=belt_lengths,
+        forcing=friction_along_belt,
+    ),
+    Departure(
+        name="friction-by-mass-position",
+        text="friction that changes along the travel of the mass",
+        parameter="a",
+        unit="",
+        columns=2,
+        scale="wavelength",
+        scale_unit="m",
+        scales=wavelengths,
+        forcing=friction_along_travel,
+    ),
+)

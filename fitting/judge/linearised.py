@@ -1,0 +1,220 @@
+"""A fit's estimation problem made linear about its solution.
+
+The response of the residuals to other noise, the data's constraint on an unknown that was not fitted, and the pull of
+single cycles all follow from the derivatives at the solution, without another search.
+
+The cost is 1/2 sum_c w_c |r_c|^2 and the priors' quadratic forms, as in `fitting.least_squares.levenberg_marquardt`;
+the unknowns of each cycle are eliminated by the same `SchurComplement`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from fitting.least_squares import elimination
+from fitting.least_squares.normal_equations import (
+    Block,
+    Derivatives,
+    NormalEquations,
+    Priors,
+    SchurComplement,
+    UnfollowableError,
+    first_of,
+    first_rows,
+    kernel,
+    normal_equations,
+    priors,
+)
+from fitting.search.fit import Fit
+from stickslip.compute.arrays import Array, Integers, Mask
+
+# Residuals (n, B) of each block, m, the same when called again.
+Repeat = Callable[[Sequence[Block]], Iterable[Array]]
+WEIGHT_LEFT = 1e-6  # share of its weight left to a cycle that does not count: its own unknowns stay determined
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Gradient and curvature of the cost in d more unknowns, those of the fit eliminated.
+
+    At a minimum, the estimate of one unknown is -total / total information, and its gain half of total^2 / total
+    information; omitting a cycle removes its score and information.
+    """
+
+    score: Array  # (cycles, d) each cycle's gradient
+    information: Array  # (cycles, d, d) each cycle's curvature
+    prior_score: Array  # (d,) the same of the priors of the shared unknowns
+    prior_information: Array
+    # (d,) curvature of each unknown alone, before elimination: how much of it is left says how far it is
+    # distinguishable
+    raw: Array
+
+    @property
+    def total(self) -> Array:
+        return np.asarray(self.score.sum(axis=0) + self.prior_score)
+
+    @property
+    def total_information(self) -> Array:
+        return np.asarray(self.information.sum(axis=0) + self.prior_information)
+
+
+def cut(columns: Array, blocks: Sequence[Block]) -> Iterator[Array]:
+    """Yield the rows of columns (N, n) in each block."""
+    return (columns[block.rows] for block in blocks)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedFit:
+    """Derivatives, residuals and priors of an estimation problem at its solution."""
+
+    derivatives: Derivatives  # of the positions by the shared unknowns, and by those of their cycle
+    residual: Array  # (N,) model minus measurement, m
+    rows: tuple[slice, ...]  # the residuals of each cycle, one after another without a gap
+    weights: Array  # (cycles,) 1/variance of each cycle's residuals, 1/m^2
+    priors: Priors
+    blocks: NormalEquations
+
+    @classmethod
+    def of(
+        cls, derivatives: Derivatives, residual: Array, rows: tuple[slice, ...], weights: Array, priors: Priors
+    ) -> "LinearisedFit":
+        blocks = normal_equations(first_of(rows), weights, residual, derivatives, priors)
+        return cls(derivatives, residual, rows, weights, priors, blocks)
+
+    @classmethod
+    def at(cls, fit: Fit) -> "LinearisedFit | None":
+        """Linearise a fit; None where the motion cannot be followed there."""
+        task = fit.least_squares
+        known = fit.windows.rows, task.weights, priors(task, fit.q, fit.local)
+        try:
+            return cls.of(fit.derivatives, fit.residual, *known)
+        except UnfollowableError:
+            return None
+
+    def changed(self, change: Callable[[Array], Array], priors: Priors) -> "LinearisedFit":
+        """Return the same with the derivatives (n, p + q) of each block changed."""
+        return self.of(self.derivatives.changed(change), self.residual, self.rows, self.weights, priors)
+
+    @cached_property
+    def first(self) -> Integers:
+        """First residual of each cycle, and their number, shape (cycles + 1,)."""
+        return first_of(self.rows)
+
+    def _gradients(self, columns: Iterable[Array]) -> tuple[Array, Array]:
+        """Return w J'C of columns in each cycle, by the shared (cycles, p, n) and the own unknowns (cycles, q, n).
+
+        ``columns`` are those (n rows of a block, n) of each block.
+        """
+        parts = []
+        for (block, part), own in zip(self.derivatives, columns, strict=True):
+            parts.append(self._product(part, own, block))
+        both, p = np.concatenate(parts), self.priors.gradient.size
+        return np.ascontiguousarray(both[:, :p]), np.ascontiguousarray(both[:, p:])
+
+    def _product(self, left: Array, right: Array, block: Block) -> Array:
+        """Return w L'R of each cycle of a block, shape (cycles, m, n), for L (rows, m) and R (rows, n)."""
+        out = np.zeros((block.cycles.stop - block.cycles.start, left.shape[1], right.shape[1]))
+        kernel(elimination.sum_cross)(left, np.ascontiguousarray(right), first_rows(self.first, block), out)
+        out *= self.weights[block.cycles, None, None]
+        return out
+
+    @cached_property
+    def reduced(self) -> SchurComplement:
+        """The same with the cycles' own unknowns eliminated: ``H`` is the information on the shared ones."""
+        return SchurComplement(self.blocks)
+
+    @cached_property
+    def information(self) -> Array:
+        """Each cycle's information on the shared unknowns, its own eliminated, (cycles, p, p)."""
+        return self.reduced.by_cycle(self.blocks.cycle_curvature)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (p, p) of the shared unknowns for white noise."""
+        return self.reduced.covariance
+
+    @cached_property
+    def _pull(self) -> Array:
+        """The step (cycles, q) by the gradients of the cycles' own unknowns alone."""
+        return self.reduced.local_step(self.blocks.gl)
+
+    @cached_property
+    def gradients(self) -> Array:
+        """Each cycle's gradient in the shared unknowns, its own eliminated, shape (cycles, p)."""
+        return self.reduced.reduced_gradients(self.blocks.cycle_g, self._pull)
+
+    def refit(self, residuals: Repeat) -> Iterator[tuple[Block, Array]]:
+        """Yield what a linear fit leaves of B records with the fit's true unknowns, such as noise, block by block.
+
+        Unchanged where the step would raise the cost: at a jump of the motion the derivatives fail.
+        """
+        shared, own = self._gradients(residuals(self.derivatives.blocks))
+        step, local = self.reduced.newton_step(shared.sum(axis=0), own)
+        lower = self._change(shared.sum(axis=0), own, step, local) <= 0
+        steps = self._steps(step, local)
+        for (block, part), drawn in zip(self.derivatives, residuals(self.derivatives.blocks), strict=True):
+            yield block, np.where(lower, self._moved(block, part, drawn, steps), drawn)
+
+    def refit_columns(self, residuals: Array) -> Array:
+        """Return what a linear fit leaves of residuals (N, B), as `refit`."""
+        return np.concatenate([left for _, left in self.refit(partial(cut, residuals))])
+
+    def _change(self, g: Array, gl: Array, step: Array, local: Array) -> Array:
+        """Return the changes (B,) of the weighted sums of squares with gradients g (p, B) and gl (cycles, q, B)."""
+        at, own = self.blocks, self.blocks.Hl - self.priors.local_precision[:, :, None] * np.eye(gl.shape[1])
+        slope = 2 * np.einsum("pb,pb->b", g, step) + 2 * np.einsum("cqb,cqb->b", gl, local)
+        bend = np.einsum("pb,pr,rb->b", step, at.H - self.priors.precision, step)
+        bend += 2 * np.einsum("pb,cpq,cqb->b", step, at.cross, local, optimize=True)
+        return np.asarray(slope + bend + np.einsum("cqb,cqr,crb->b", local, own, local, optimize=True))
+
+    def without(self, spoilt: Mask) -> "LinearisedFit":
+        """Return the fit after a Gauss-Newton step without some cycles (cycles,), or as it was if that is worse."""
+        weights = np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights)
+        others = self.of(self.derivatives, self.residual, self.rows, weights, self.priors)
+        step, own = others.reduced.newton_step(others.blocks.g, others.blocks.gl)
+        steps, residual = self._steps(step[:, None], own[:, :, None]), self.residual[:, None]
+        moved = [self._moved(block, part, residual[block.rows], steps) for block, part in self.derivatives]
+        found = replace(others, residual=np.concatenate(moved)[:, 0], blocks=others.blocks.moved(step, own))
+        return found if found.cost <= others.cost else self
+
+    def _steps(self, step: Array, own: Array) -> Array:
+        """Return the steps (cycles, p + q, B) of all unknowns from those of the shared (p, B) and (cycles, q, B)."""
+        return np.concatenate([np.broadcast_to(step, (len(self.rows), *step.shape)), own], axis=1)
+
+    def _moved(self, block: Block, part: Array, residuals: Array, steps: Array) -> Array:
+        """Return residuals (n, B) of a block after steps (cycles, p + q, B)."""
+        out = np.array(residuals, order="C")
+        kernel(elimination.add_along)(part, first_rows(self.first, block), steps[block.cycles], out)
+        return out
+
+    @property
+    def cost(self) -> float:
+        """Cost of the residuals alone, without the priors."""
+        squares = np.add.reduceat(self.residual**2, self.first[:-1])
+        return 0.5 * float(np.einsum("c,c...->...", self.weights, squares))
+
+    def scores(self, columns: Array) -> Scores:
+        """Return gradient and curvature in further unknowns with position derivatives ``columns`` (N, d)."""
+        columns = np.ascontiguousarray(columns)
+        to_shared, to_local = self._gradients(cut(columns, self.derivatives.blocks))
+        parts = [(block, columns[block.rows]) for block in self.derivatives.blocks]
+        raw = np.concatenate([self._product(part, part, block) for block, part in parts])
+        pull = self.reduced.local_step(to_local)
+        beside = self.reduced.reduced_gradients(to_shared, pull)
+        own = raw - np.einsum("cqd,cqe->cde", to_local, pull)
+        residual = self.residual[:, None]
+        gradient = np.concatenate([self._product(part, residual[block.rows], block) for block, part in parts])[:, :, 0]
+        gradient -= np.einsum("cqd,cq->cd", to_local, self._pull)
+        follow = np.einsum("ij,jd->id", self.covariance, beside.sum(axis=0))
+        back = np.einsum("id,cie->cde", follow, beside)
+        own += np.einsum("id,cij,je->cde", follow, self.information, follow, optimize=True)
+        own -= back + np.swapaxes(back, 1, 2)
+        return Scores(
+            score=gradient - np.einsum("id,ci->cd", follow, self.gradients),
+            information=own,
+            prior_score=-np.einsum("id,i->d", follow, self.priors.gradient),
+            prior_information=np.einsum("id,ij,je->de", follow, self.priors.precision, follow),
+            raw=np.einsum("cdd->d", raw),
+        )

@@ -1,0 +1,483 @@
+"""Frames lost or doubled among even times, where noise hides single ones: what they leave in the residuals of a fit.
+
+Each lost frame moves all positions behind it by the way v dt of one frame.  The residuals of a window then are noise
+and a random walk, whose variance grows by p (v dt)^2 a sample when a share p of the frames is missing.  The residuals
+are cut into pieces, each less a cubic and what it has in common with the same piece of the other cycles: that takes
+away what a wrong law, a ripple or wear leaves.  The squares of what a piece holds of the modes of a random walk are
+regressed on the variances that noise and the walk give to each mode.
+Noise may be correlated over three samples, as after a filter in the tracker: its autocovariances are unknowns, too.
+What rounding leaves of a slow motion is correlated for longer: where it makes up the noise, nothing is looked for.
+
+`processing.defects.frames` counts the frames where single ones are clear of the noise.
+
+Why a record is not belt stick-slip: it has no cycle, no law fits a few of its cycles roughly, or none all of them.
+
+Rough fits decide; what the motion shows explains a refusal.  One fact decides alone, since only fits to such records
+are costly: a spring accelerates the mass between its sticks.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from daq.runfile.rest_position import explain_impossible
+from fitting.judge.evidence import constant_friction_limit
+from fitting.laws import SIX, Law
+from fitting.least_squares.elimination import least_squares
+from fitting.model.predict import law_task
+from fitting.model.problem import Run
+from fitting.record.cycles import Cycle, CycleSegmentation
+from fitting.record.motion import REST_SPEED, SLIP_SPEED, MeasuredMotion
+from fitting.search.fit import Fit
+from fitting.search.passes import first_pass, regressed_start
+from processing.record.finding import Finding
+from processing.record.kinematics import Kinematics
+from processing.record.noise import DITHERED
+from stickslip.compute.arrays import Array, Integers
+from stickslip.errors import DataError, InputError
+from stickslip.units import Measured
+
+# Samples of a piece: the shortest that shows the share to `SHARE_ERROR` is taken, or the last.  In 16 a law's misfit
+# leaves nothing, in 256 (0.64 s at 400 frames a second) constant friction shows the share under 1 mm of noise.
+PIECE_SAMPLES = (16, 32, 64, 128, 192, 256)
+TREND_DEGREE = 3  # degree of the polynomial taken off each piece
+NOISE_LAGS = 3  # samples over which noise may be correlated
+# Standard error of the share without lost frames.  With twice as much, 5 % would be five errors away, which is no sure
+# finding; half as much wants longer pieces, and none is long enough for constant friction under 1 mm of noise.
+SHARE_ERROR = 0.005
+# Share of lost frames in standard errors: where losses are possible, and sure.  Of 40 sound tracks (0.2 to 1 mm of
+# noise, also of other laws than the six) none exceeds 2.1, of 24 that miss 5 % of their frames none has less than 10.
+# Between the two limits longer pieces decide.
+POSSIBLE_ERRORS, SURE_ERRORS = 3.0, 6.0
+LEAST_SHARE_LOST = 0.01  # share of lost frames: less moves parameters by less than 1 %
+ERRORS_BETWEEN_CYCLES = 2.5  # share in standard errors by the scatter between cycles, which the walk makes large
+FEWEST_PIECES, FEWEST_CYCLES = 8, 4
+REWEIGHTINGS = 4  # fits, each with the weights of the last
+
+
+@dataclass(frozen=True, eq=False)
+class PieceModes:
+    """Modes of a random walk in a piece of n samples, without its cubic."""
+
+    vectors: Array
+    noise: Array  # variance that noise of unit autocovariance at each lag gives to each mode
+    walk: Array  # the same of a random walk of unit steps
+
+
+@lru_cache(maxsize=len(PIECE_SAMPLES))
+def piece_modes(n: int) -> PieceModes:
+    smooth = np.linalg.qr(np.vander(np.linspace(-1, 1, n), TREND_DEGREE + 1))[0]
+    left = np.eye(n) - smooth @ smooth.T
+    steps = left @ np.tril(np.ones((n, n)))
+    size, vectors = np.linalg.eigh(steps @ steps.T)
+    size, vectors = size[TREND_DEGREE + 1 :], vectors[:, TREND_DEGREE + 1 :]  # the smallest belong to the cubic
+    lags = [np.eye(n, k=lag) + (lag > 0) * np.eye(n, k=-lag) for lag in range(NOISE_LAGS + 1)]
+    return PieceModes(vectors, np.array([np.sum(vectors * (lag @ vectors), axis=0) for lag in lags]), size)
+
+
+def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None:
+    """Return the share of lost (or doubled) frames of a run, 0 to 1, by the best law; None where none is seen.
+
+    A board's recording and uneven times are not tested: their times show what is missing.
+    """
+    motion = fit.problem.motions[run]
+    if record.recording.raw is not None or not record.even_times or motion.resolution < DITHERED * motion.step:
+        return None
+    own = fit.for_run(run)
+    interval = float(np.median(np.diff(record.time)))
+    for n in PIECE_SAMPLES:
+        squares, speeds, cycle = _pieces(own, n, interval)
+        if len(cycle) < FEWEST_PIECES or np.unique(cycle).size < FEWEST_CYCLES:
+            return None
+        found = _regressed(squares, speeds, cycle, piece_modes(n), SHARE_ERROR if n < PIECE_SAMPLES[-1] else math.inf)
+        if found is not None:
+            share, null = found
+            if share.value > max(LEAST_SHARE_LOST, SURE_ERRORS * null, ERRORS_BETWEEN_CYCLES * share.sd):
+                return share
+            if share.value < POSSIBLE_ERRORS * null:
+                return None
+    return None
+
+
+def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
+    """Return squared modes (k, m), m^2, mean square step (k,), m^2, and cycle (k,) of every piece.
+
+    Pieces are at the same places in every window, and the mean of their modes over the cycles is subtracted: lost
+    frames do not repeat, the misfit of a wrong law does.
+    """
+    modes, steps, cycles, places = [], [], [], []
+    windows = fit.windows
+    model, vectors = fit.residual + windows.position, piece_modes(n).vectors
+    for cycle, stick, first, size, *_ in windows.table:
+        if not fit.inlier_cycles[cycle]:
+            continue
+        for number in range(size // n):
+            piece = slice(first + number * n, first + (number + 1) * n)
+            time = windows.time[piece]
+            if time[-1] - time[0] > (n - 0.5) * interval:  # samples are left out of it
+                continue
+            modes.append(np.einsum("ij,i->j", vectors, fit.residual[piece]))
+            steps.append(float(np.mean(np.gradient(model[piece]) ** 2)))
+            cycles.append(int(cycle))
+            places.append(2 * number + int(stick))
+    place = np.array(places, np.int64)
+    squares = np.array(modes).reshape(place.size, vectors.shape[1])
+    kept = np.zeros(place.size, np.bool_)
+    for one in np.unique(place):
+        own = place == one
+        count = int(own.sum())
+        if count >= FEWEST_CYCLES:
+            squares[own] = (squares[own] - squares[own].mean(axis=0)) ** 2 * (count / (count - 1))
+            kept |= own
+    return squares[kept], np.array(steps)[kept], np.array(cycles, np.int64)[kept]
+
+
+def _regressed(
+    squares: Array, steps: Array, cycle: Integers, modes: PieceModes, certain: float
+) -> tuple[Measured, float] | None:
+    """Return the share with its standard error by cycles, and that of a record without lost frames.
+
+    None where the latter is larger than ``certain``.
+    """
+    noise = np.broadcast_to(modes.noise[:, None, :], (NOISE_LAGS + 1, *squares.shape))
+    columns = np.concatenate((noise, (steps[:, None] * modes.walk)[None]))
+    level = float(np.mean(squares[:, : squares.shape[1] // 2]))  # of the modes that the walk hardly has
+    scale = np.append(np.full(NOISE_LAGS + 1, level), 1.0)
+    variance = np.full(squares.shape, level)
+    null = 0.0
+    for round_ in range(REWEIGHTINGS):
+        weight = variance**-2
+        curvature = np.einsum("akm,bkm,km->ab", columns, columns, weight) * np.outer(scale, scale)
+        inverse = np.linalg.inv(curvature) * np.outer(scale, scale)
+        if round_ == 0:
+            null = float(np.sqrt(2 * inverse[-1, -1]))
+            if null > certain:
+                return None
+        found = inverse @ np.einsum("akm,km->a", columns, weight * squares)
+        expected = np.einsum("a,akm->km", found, columns)
+        variance = np.maximum(expected, 0.1 * level)
+    pull = np.einsum("akm,km->ka", columns, weight * (squares - expected)) @ inverse[-1]
+    by_cycle = np.array([pull[cycle == one].sum() for one in np.unique(cycle)])
+    spread = float(np.sqrt(np.sum(by_cycle**2) * by_cycle.size / (by_cycle.size - 1)))
+    return Measured(float(found[-1]), spread), null
+
+
+# Difference over the usual stick's speed: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1.
+ONE_SPEED = 0.2
+FEWEST_STICKS = 2  # sticks to distinguish one speed from several
+# Samples in the usual slip.  Chosen: with 4, wrong laws are named alone and corners are found at the wrong places; from
+# 16 on nothing is gained.
+FEWEST_SAMPLES = 8
+# Samples in the usual slip with which a record that no law describes is refused for what it shows alone.  Of 230
+# contacts that stick one is refused so, with 9 samples, two of them in a stick: half as many would not tell why, and
+# twice as many would ask for a higher rate where another motion was recorded.
+ENOUGH_SAMPLES = 20
+BEYOND_NOISE = 20.0  # way in standard deviations of a position: a mass that moves by less does not move
+FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
+SINE_DISTANCE = 0.05  # distance from a sine over its amplitude: closer, a motion is one
+# Least change of velocity in the middle half of a slip, over the slip speed.  Spring and mass alone make 0.3 to 0.5, 39
+# runs of all laws and disturbances 0.45 to 1.5, a triangular wave 0.000; half and twice the bound refuse the same.
+EVEN_SLIP = 0.1
+DIES_AWAY = 0.7  # speed in the last third over that at first, of a motion that dies away
+WORST_ERROR = 0.02  # error over a slip's length: a best law that usually errs by more describes something else
+LEAST_FRICTION = 1e-3  # friction over the spring's pull in a slip: with less, nothing holds the mass
+# Rough fits before the six laws: eight cycles cost 0.02 to 0.2 CPU s a law.  The first law tried leaves
+# at most 0.004 of a slip on five sample runs and a rippled one; noise, drives and hands left 0.04 to 0.4 by the best
+# law, a triangular wave 0.007.  Half the bound would still pass those runs; at twice more noise reaches the full fits.
+SCREENED_ERROR = 0.03
+SCREENED_CYCLES = 8  # cycles of the record, evenly spread
+SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
+WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
+NONE_NEAR = "no law comes near it"
+NOT_DESCRIBED = "no law describes it"  # though one comes near
+SINE_ALONE = "a sine without a start-up; constant friction is possible"
+AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
+# Share of the record in sticks.  At half of it none of 240 records of other motion is taken for stick-slip either; at
+# twice, records of 132 and of 38 sticks of one speed (0.19, and 0.21 of paper on paper) are none.
+LEAST_SHARE = 0.15
+# Median way back in a slip, over the median way of a stick: in the long run both are equal.  Records of paper on paper
+# have 0.83 and 1.01, steps 0.04.
+RETURNS = (0.5, 2.0)
+
+
+def refusal(
+    why: str, contradicted: Sequence[Sequence[Finding]], runs: Sequence[Run], records: Sequence[Kinematics]
+) -> DataError:
+    """Return the error of a record whose laws cannot be ranked.
+
+    ``contradicted`` are each run's calibrations without which a law fits.
+    """
+    where = ", ".join(record.recording.where for record in records)
+    findings = [finding for own in contradicted for finding in own]
+    if findings:
+        error = DataError(findings[0].text, where, "check its value and its sign, or leave it out")
+        error.add_result({"findings": [vars(finding) for finding in findings]}, [])
+        return error
+    return DataError(*_no_stick_slip(why, runs, records, where))
+
+
+def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics], where: str) -> tuple[str, str, str]:
+    """Return what a rejected record is, where, and what to do."""
+    if why == SINE_ALONE:
+        do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
+        return f"no belt stick-slip in this record: {why}", where, do
+    if why in (NONE_NEAR, NOT_DESCRIBED):
+        share = 100 * records[0].plateau_fraction
+        why += f", and it sticks for {share:.2g} % of the time" if records[0].sticks else ", and it shows no stick"
+        samples, slip_s = min(_slip(run.motion, record) for run, record in zip(runs, records, strict=True))
+        if samples < ENOUGH_SAMPLES:
+            why += f", at {round(samples)} samples a slip"
+            rate = f"{_rounded_up(ENOUGH_SAMPLES / slip_s):g} Hz or more, {ENOUGH_SAMPLES} samples a slip"
+            do = f"look at it with 'process inspect'; if it sticks and slips, record at {rate}"
+            return f"no belt stick-slip in this record: {why}", where, do
+    return f"no belt stick-slip in this record: {why}", where, AGAIN
+
+
+def refuse_wrong_times(record: Kinematics) -> None:
+    """Raise DataError for a record with frames lost or doubled among even times, since their places are unknown."""
+    for finding in record.findings:
+        if finding.code in WRONG_TIMES:
+            raise _wrong_times(f"{100 * finding.value:.2g}", WRONG_TIMES[finding.code], record)
+
+
+def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
+    """Raise DataError for a record with fewer than `FEWEST_SAMPLES` in the usual slip; it holds the finding."""
+    samples_per_slip, slip_s = _slip(motion, record)
+    samples = round(samples_per_slip)
+    if samples >= FEWEST_SAMPLES:
+        return
+    what = f"{samples} samples a slip; a verdict needs {FEWEST_SAMPLES}"
+    lasts = f"{slip_s:.3g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
+    # one sample more than needed: how many a slip has is known to a sample (`fitting.record.motion`)
+    do = f"record at {_rounded_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts about {lasts}"
+    error = DataError(what, record.recording.where, do)
+    found = Finding("samples-per-slip", f"{what}: {do}", float(samples), float(FEWEST_SAMPLES))
+    error.add_result({"findings": [vars(found)]}, [])
+    raise error
+
+
+def _slip(motion: MeasuredMotion, record: Kinematics) -> tuple[float, float]:
+    """Return the samples in the usual slip of a record, and its duration, s."""
+    return motion.samples_per_slip, motion.samples_per_slip * float(np.median(np.diff(record.time)))
+
+
+def _rounded_up(rate: float) -> float:
+    """Return a rate rounded up to two digits, Hz."""
+    step = 10.0 ** (math.floor(math.log10(rate)) - 1)
+    return step * math.ceil(rate / step)
+
+
+def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
+    """Raise InputError for a spring at rest beyond the end of the travel to which the belt runs.
+
+    Only for stick-slip: otherwise the belt's direction does not matter.
+    """
+    if motion.datum_prior is None:
+        return
+    rest = replace(motion.datum_prior, value=motion.sign * motion.datum_prior.value)
+    low, high = sorted((motion.sign * float(motion.position.min()), motion.sign * float(motion.position.max())))
+    wrong = explain_impossible(rest, low, high, motion.sign)
+    if wrong:
+        do = 'check its sign: x0 is the reading at the spring\'s rest, --x0 "60 mm +- 1 mm"'
+        raise InputError(wrong, record.recording.where, do)
+
+
+def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
+    """Raise DataError for a record whose residuals by the best law show lost or doubled frames.
+
+    Only finished fits have the residuals of every sample that this requires.
+    """
+    best = min((fit for fit in fits if fit.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
+    for run, record in enumerate(records):
+        share = None if best is None else missing_share(best, record, run)
+        if share is not None:
+            raise _wrong_times(f"{100 * share.value:.2g} +- {100 * share.sd:.1g}", "lost or doubled", record)
+
+
+def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
+    return DataError(
+        f"about {percent} % of the frames are {kind} although the times are even: the times are wrong, and every "
+        "parameter with them",
+        record.recording.where,
+        "import the track with the camera's own time stamps ('daq import --time NAME'), or record again and keep them",
+        python="load the track with the camera's own time stamps: daq.load(path, time='NAME')",
+    )
+
+
+def is_stick_slip(record: Kinematics) -> bool:
+    """Return whether a record sticks and slips in turn on a belt, whatever its friction.
+
+    Its sticks fill a good part of it at one speed, and the slips lead back as far, at a changing speed, as under a
+    spring.
+    """
+    sticks = record.sticks
+    if len(sticks) < FEW or record.plateau_fraction < LEAST_SHARE:
+        return False
+    x, v = record.steady_position, record.velocity
+    speed = np.array([np.median(v[stick.first : stick.last + 1]) for stick in sticks])
+    if float(np.quantile(np.abs(speed / np.median(speed) - 1), 0.8)) > ONE_SPEED:
+        return False
+    slips = [(one.last, other.first) for one, other in pairwise(sticks)]
+    advance = float(np.median([x[stick.last] - x[stick.first] for stick in sticks]))
+    ratio = float(np.median([x[i] - x[j] for i, j in slips])) / advance
+    middles = [v[i + (j - i) // 4 : j - (j - i) // 4 + 1] for i, j in slips]
+    changes = [np.ptp(part) / max(abs(float(np.mean(part))), 1e-9) for part in middles]
+    return RETURNS[0] < ratio < RETURNS[1] and float(np.median(changes)) > EVEN_SLIP
+
+
+def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
+    """Return why a record has no cycles that a law could be fitted to, or ""."""
+    # Cycles at rest half the time are left out of the fit, but show as well as any other what drives the mass.
+    seen = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
+    if not seen:
+        flags = ", ".join(dict.fromkeys(cycle.flag for cycle in cut.cycles))
+        return f"every cycle is left out ({flags})" if flags else _of_motion(motion)
+    begin = np.searchsorted(motion.time, [cycle.break_away for cycle in seen])
+    end = np.minimum(np.searchsorted(motion.time, [cycle.landing for cycle in seen]), motion.time.size - 1)
+    turned = _reversal(motion, begin, end)
+    if turned is not None:
+        return (
+            f"the belt reverses at about {turned:.4g} s; fit the two parts separately, with --to {turned:.4g} and with "
+            f"--from {turned:.4g}"
+        )
+    if float(np.median(_speed_changes(motion, begin, end))) < EVEN_SLIP:
+        return "between its sticks the mass moves at a constant speed, and a spring would accelerate it"
+    rested = len(seen) - len(cut.used)
+    return f"the mass stands still in {rested} of {len(seen)} supposed slips" if 2 * rested >= len(seen) else ""
+
+
+def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained: bool) -> str:
+    """Return why no law can describe the runs, from rough fits of a few cycles, or "" once one law fits.
+
+    Real stick-slip passes with the first law: windows and levels are free enough for any of the six to reach
+    `SCREENED_ERROR`. Other records are rejected within a second. Unless ``sustained``, constant friction is tried too.
+    """
+    if not sustained and all(_is_sine_alone(run) for run in runs):
+        return SINE_ALONE
+    few = [replace(run, cut=replace(run.cut, cycles=_spread_out(run.cut.used))) for run in runs]
+    longest = max(_slip_length(run.motion, run.cut) for run in few)
+    for law in map(SIX.__getitem__, SCREENING_ORDER):
+        if law in laws or (law.kind.curve == "constant" and not sustained):
+            task = law_task(law, few)
+            fit = first_pass(task, regressed_start(task))
+            if fit is not None and fit.misfit < SCREENED_ERROR * longest:
+                return ""
+    return _sine_or(NONE_NEAR, runs, sustained=sustained)
+
+
+def _spread_out(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
+    """Return at most `SCREENED_CYCLES` of the cycles, evenly spread over the record."""
+    places = np.unique(np.linspace(0, len(cycles) - 1, SCREENED_CYCLES).round().astype(int))
+    return tuple(cycles[place] for place in places)
+
+
+def _sine_or(what: str, runs: Sequence[Run], *, sustained: bool) -> str:
+    """Return ``what``, or that the motion is a sine without a start-up, which looks the same at any friction."""
+    alone = not sustained and all(_is_sine(run.motion) and not run.cut.starts_at_rest for run in runs)
+    return SINE_ALONE if what and alone else what
+
+
+def swings_alone(swings: int) -> str:
+    """Return the description of a few swings without start-up or stick."""
+    return f"{swings} whole swing{'' if swings == 1 else 's'} in it, and no stick"
+
+
+def comes_near(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+    """Return whether one of some laws comes near the runs."""
+    longest = max(_slip_length(run.motion, run.cut) for run in runs)
+    return any(fit.misfit < WORST_ERROR * longest for fit in fits)
+
+
+def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
+    """Return why no fit describes the runs, or ""."""
+    return _sine_or(_misfit(fits, runs, sustained=sustained), runs, sustained=sustained)
+
+
+def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
+    longest = max(_slip_length(run.motion, run.cut) for run in runs)
+    near = [fit for fit in fits if fit.misfit < WORST_ERROR * longest]
+    if not near:
+        return NONE_NEAR
+    best = min(near, key=lambda fit: fit.geometric_mean_rms)
+    if best.law.ramp and best.values.d > best.values.v_dr:
+        return f"law {best.law.name} fits best, with a ramp wider than the belt speed"
+    if sustained and best.values.F < LEAST_FRICTION * best.values.K * longest:
+        return (
+            f"law {best.law.name} fits best, with friction below {LEAST_FRICTION:g} of the spring's force over a slip"
+        )
+    return ""
+
+
+def _of_motion(motion: MeasuredMotion) -> str:
+    """Return why a record without a whole cycle shows no stick-slip."""
+    v = motion.velocity
+    if motion.travel < BEYOND_NOISE * motion.resolution or motion.travel == 0:
+        return "nothing moves beyond the noise" if motion.travel else "nothing moves"
+    if v.min() >= SLIP_SPEED * motion.belt_speed:
+        return f"the mass moves on at {motion.sign * np.median(v):.3g} m/s and never slips"
+    if _is_sine(motion):
+        return SINE_ALONE
+    if v.max() < SLIP_SPEED * motion.belt_speed:
+        return f"the mass never moves with the belt, nominal speed {motion.sign * motion.belt_speed:.3g} m/s"
+    return "no slip between two sticks"
+
+
+def _reversal(motion: MeasuredMotion, begin: Integers, end: Integers) -> float | None:
+    """Return the time of the run, s, at which the belt reverses, or None.
+
+    Sticks on a reversed belt look like slips, all of the belt's constant speed.
+    """
+    middle = [motion.velocity[i + (j - i) // 4 : j - (j - i) // 4 + 1] for i, j in zip(begin, end, strict=True)]
+    speed = np.array([float(np.median(v)) for v in middle]) / motion.belt_speed
+    even = (np.abs(speed + 1) < ONE_SPEED) & (_speed_changes(motion, begin, end) < EVEN_SLIP)
+    first = int(np.argmax(even))
+    last = even.size - int(np.argmax(even[::-1]))
+    if np.count_nonzero(even) < FEWEST_STICKS or even.all() or not even[first:last].all():
+        return None
+    if first > 0 and last < even.size:
+        return None
+    turned = first if first > 0 else last + int(np.argmax(np.abs(speed[last:]) > REST_SPEED))
+    return motion.begin + float(motion.time[begin[turned]])
+
+
+def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Array:
+    """Return the change of velocity in the middle half of each slip, over the mean slip speed there (slips,)."""
+    quarter = (end - begin) // 4
+    middles = [motion.velocity[i : j + 1] for i, j in zip(begin + quarter, end - quarter, strict=True)]
+    return np.array([np.ptp(v) / max(abs(float(np.mean(v)) - motion.belt_speed), 1e-9) for v in middles])
+
+
+def _is_sine(motion: MeasuredMotion) -> bool:
+    """Return whether the position is a sine, to a twentieth of its amplitude."""
+    return _sine_residual(motion) < SINE_DISTANCE * float(np.std(motion.position))
+
+
+def _is_sine_alone(run: Run) -> bool:
+    return not run.cut.starts_at_rest and _sine_residual(run.motion) < constant_friction_limit(run.motion)
+
+
+def _sine_residual(motion: MeasuredMotion) -> float:
+    """Return the rms residual of the best sine of two periods or more, m; inf with fewer."""
+    x = motion.position - 0.5 * (motion.position.max() + motion.position.min())
+    up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
+    if up.size < 3:
+        return math.inf
+    crossings = motion.time[up] - x[up] * np.diff(motion.time)[up] / (x[up + 1] - x[up])
+    turns = 2 * np.pi * (up.size - 1) / (crossings[-1] - crossings[0]) * motion.time
+    shapes = np.stack([np.sin(turns), np.cos(turns), np.ones(turns.size)], axis=1)
+    _, residual = least_squares(shapes, x)
+    return float(np.std(residual))
+
+
+def dies_away(velocity: Array) -> bool:
+    first, _, last = (float(np.max(np.abs(part))) for part in np.array_split(velocity, 3))
+    return last < DIES_AWAY * first
+
+
+def _slip_length(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
+    """Return the median distance covered in a slip window, m."""
+    return float(np.median([np.ptp(motion.position[slice(*cycle.slip)]) for cycle in cut.used]))

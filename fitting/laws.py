@@ -1,0 +1,703 @@
+"""`Law`: a friction curve with its contact: one of the six, a published one, or a custom one.
+
+``s`` is the slip speed, m/s; every other name of the formula is a parameter, per unit mass as Fs/m is.
+
+Parameters that a formula has only together, as those of ``a*b*s`` or ``Fs - (a + b)*s``.
+
+A direction in the parameters along which the curve does not change at any speed exists where the derivatives by them,
+each over its size, are linearly dependent.  It must exist at several sets of values, of the sizes that the units of the
+parameters allow: a fall of no height leaves its speed undetermined, but the formula does not.
+
+Which laws compete for a record, and what is given of their parameters: fixed values, bounds and first values.
+
+A parameter is named as the results name it, in the unit that they give it there.  ``LAW.NAME`` is that of one law, as
+``5.gamma`` or ``mine.v_s``; a name alone is that of every law that has it.
+
+==================  ==================================  ============================================================
+name                of                                  remarks
+==================  ==================================  ============================================================
+k/m, v_dr, x0, c/m  every law                           v_dr of a single run
+Fs/m                laws 1 to 6
+gamma               laws 5 and 6
+G_slip/m            laws 3 and 4                        the law is then fitted as its formula
+d                   laws 2, 4, 6, formulas on a ramp
+static              laws 2, 4, 6
+those of a formula  that law                            ``NAME/m`` too where its unit has a force
+k, c, Fs, G_slip    as k/m, c/m, Fs/m, G_slip/m         in newtons where the mass is known, else per unit mass
+==================  ==================================  ============================================================
+
+What follows from other parameters (Fs/k, wear, droop, x0 + Fs/k) cannot be given.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from numbers import Integral, Real
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rig_sim.friction.formula import SPEED, Formula
+from rig_sim.friction.law import LAWS, NESTED
+from rig_sim.friction.law import Law as Kind
+from stickslip import units
+from stickslip.compute.arrays import Array
+from stickslip.errors import InputError, check_known, nearest
+
+NAME = re.compile(r"[A-Za-z][\w-]*")
+CONSTANT, LINEAR, HYPERBOLIC = "Fs", "Fs - G_slip*s", "Fs/(1 + gamma*s)"  # curves of the six
+FORMULAS = {"constant": CONSTANT, "linear": LINEAR, "hyperbolic": HYPERBOLIC}
+OF_SIX = [(str(kind.number), FORMULAS[kind.curve], bool(kind.ramp)) for kind in LAWS.values()]
+SPEED_WORDS = re.compile(r"[svuwx]|[vu]_?(rel|r|slip)|speed|vel\w*|slip\w*|[sx]_?dot", re.IGNORECASE)  # meant as s
+# Part of a derivative beside those by other parameters, over the whole, or singular value over the largest: below,
+# derivatives are dependent; above 1e-6 they are not.
+DEPENDENT_BELOW = 1e-8
+UNIT_DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
+Bound = tuple[float | None, float | None]
+
+
+def check_values(given: Any, kind: str) -> Mapping[str, Any]:
+    """Return a caller's parameter values, numbers or text with a unit (bounds may be infinite), or raise InputError."""
+    example = "{'gamma': (0, 20)}, with None for no bound" if kind == "bounds" else "{'gamma': 9.6}"
+    do = f"give a dictionary, as in {kind}={example}"
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+        raise InputError(f"is {given!r:.40}", kind, do)
+    for name, value in given.items():
+        pair = kind == "bounds" and isinstance(value, tuple | list) and len(value) == 2
+        parts = [part for part in value if part is not None] if pair else [value]
+        if pair != (kind == "bounds") or not all(isinstance(part, Real) or _has_unit(part) for part in parts):
+            raise InputError(f"of {name} is {value!r:.40}", kind, do)
+        if not all(isinstance(part, str) or _is_number(part, finite=not pair) for part in parts):
+            raise InputError(f"{name} is {value!r:.40}", kind, "give a finite number, or text with a unit")
+    return given
+
+
+def _has_unit(value: Any) -> bool:
+    return isinstance(value, str) and bool(units.typed_unit(value))
+
+
+def _is_number(value: Any, *, finite: bool) -> bool:
+    try:
+        return math.isfinite(value) or not (finite or math.isnan(value))
+    except OverflowError:
+        return False
+
+
+def in_unit(value: Any, unit: str, name: str, where: str) -> Any:
+    """Return a parameter's value or bounds as numbers in its unit."""
+    if isinstance(value, tuple | list):
+        return tuple(in_unit(end, unit, name, where) for end in value)
+    return units.in_unit(value, unit, name, where) if isinstance(value, str) else value
+
+
+@dataclass(frozen=True)
+class Law:
+    """A friction curve as a formula of the slip speed.
+
+    Parameters
+    ----------
+    name : str
+        A letter, then letters, digits, ``_`` and ``-``.
+    formula : str
+        As `rig_sim.friction.formula` reads it.
+    ramp : bool
+        Whether slip begins beyond a ramp, as under laws 2, 4 and 6; else friction jumps.
+    start : mapping of str to float or str, optional
+        First values of parameters, as text with a unit (``"30 mm/s"``) or in SI; those left out are found.
+    bounds : mapping of str to (low, high), optional
+        None for no bound.
+    fix : mapping of str to float, optional
+        Parameters that are known and not fitted.
+
+    Raises
+    ------
+    InputError
+        For a name or a formula that cannot be read, the place marked by a caret; for values that are not finite, not
+        within their bounds, or of no parameter.
+
+    Examples
+    --------
+    >>> import fitting
+    >>> law = fitting.Law("mine", "Fc + (Fs - Fc)*exp(-(s/v_s)**2)", bounds={"v_s": (0, None)}, fix={"Fc": 1.5})
+    >>> law.free, law.unit("v_s")
+    (('Fs', 'v_s'), 'm/s')
+    """
+
+    name: str
+    formula: str
+    ramp: bool = field(default=False, kw_only=True)
+    start: Mapping[str, float] | None = field(default=None, kw_only=True, hash=False)
+    bounds: Mapping[str, Bound] | None = field(default=None, kw_only=True, hash=False)
+    fix: Mapping[str, float] | None = field(default=None, kw_only=True, hash=False)
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and isinstance(self.formula, str)):
+            what = f"name and formula are {self.name!r:.40} and {self.formula!r:.40}"
+            raise InputError(what, "law", 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")')
+        if not NAME.fullmatch(self.name) and (self.name, self.formula, self.ramp) not in OF_SIX:
+            raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
+        known = self.curve.parameters
+        if not known:
+            raise InputError(f"law {self.name} has no parameter", "formula", "name at least the friction level")
+        for kind in ("start", "bounds", "fix"):
+            values = check_values(getattr(self, kind), kind)
+            for name in values:
+                if name not in known:
+                    what = f"{name} is no parameter of law {self.name}"
+                    raise InputError(what, kind, nearest(name, list(known)))
+            if values:
+                numbers = {name: in_unit(value, self.unit(name), name, kind) for name, value in values.items()}
+                object.__setattr__(self, kind, numbers)
+        for name, (low, high) in (self.bounds or {}).items():
+            if low is not None and high is not None and not low < high:
+                raise InputError(f"bounds of {name} are {low:g} and {high:g}", "bounds", "give the lower one first")
+        for kind in ("start", "fix"):
+            for name, value in (getattr(self, kind) or {}).items():
+                low, high = self.limits(name)
+                if not (math.isfinite(value) and low <= value <= high):
+                    what = f"{name} is {value:g}, not within {low:g} and {high:g}"
+                    raise InputError(what, kind, f"give one that law {self.name} allows")
+
+    @cached_property
+    def curve(self) -> Formula:
+        return Formula.parse(self.formula)
+
+    @property
+    def number(self) -> int | None:
+        """That of one of the six."""
+        return int(self.name) if self.name.isdecimal() else None
+
+    @property
+    def key(self) -> int | str:
+        """The law in results: its number, or its name."""
+        return self.number or self.name
+
+    @property
+    def words(self) -> str:
+        """Its name in words."""
+        return LAWS[self.number].name if self.number else self.name.replace("-", " ")
+
+    @property
+    def has_kernel(self) -> bool:
+        """Whether a kernel of its own follows it; other curves are followed through a spline."""
+        return self.number is not None and self == SIX[self.number]
+
+    @property
+    def kind(self) -> Kind:
+        """The law of the six that it is, or by which a formula on this contact is regressed."""
+        return LAWS[self.number or (6 if self.ramp else 5)]
+
+    def is_ramp_of(self, other: "Law") -> bool:
+        """Return whether this is the other law with a ramp."""
+        same = self.formula == other.formula and bool(self.number) == bool(other.number)
+        return same and self.ramp and not other.ramp
+
+    def contains(self, other: "Law") -> bool:
+        """Return whether the other law is a limit of this one; a formula has those of either contact."""
+        if self.number:
+            return other.number in NESTED[self.number]
+        return self.name in ABOUT and other.formula in ABOUT[self.name].limits
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The fitted parameters, in order of first appearance."""
+        return tuple(name for name in self.curve.parameters if name not in (self.fix or {}))
+
+    @cached_property
+    def dimensions(self) -> dict[str, tuple[int, int]]:
+        """Powers of friction and of speed in each parameter, by Euler's theorem on homogeneous functions.
+
+        Friction f has an independent unit, so that sum a_j p_j df/dp_j = f; the unit of speed is arbitrary, so that sum
+        b_j p_j df/dp_j + s df/ds = 0.  Empty without whole powers a, b: a number of the formula then has a unit.
+        """
+        import numpy as np
+
+        rng = np.random.default_rng(len(self.formula))
+        names = self.curve.parameters
+        rows, level, fall = [], [], []
+        for _ in range(UNIT_DRAWS):
+            values = {name: float(rng.uniform(0.5, 2.0)) for name in names}
+            s = rng.uniform(0.1, 2.0, 4 * len(names))
+            try:
+                rows.append(self.curve.gradient(s, values) * np.array(list(values.values())))
+                level.append(self.curve.value(s, values))
+                fall.append(-s * self.curve.slope(s, values))
+            except InputError:
+                return {}
+        table = np.concatenate(rows)
+        target = np.stack((np.concatenate(level), np.concatenate(fall)), axis=1)
+        # Of parameters that enter only together the first has the unit: halves of it for two would round either way.
+        kept: list[int] = []
+        for k, column in enumerate(table.T):
+            others = table[:, kept]
+            left = column - others @ np.linalg.lstsq(others, column, rcond=None)[0] if kept else column
+            kept += [k] if np.linalg.norm(left) > DEPENDENT_BELOW * np.linalg.norm(column) else []
+        whole = np.zeros((len(names), 2))
+        whole[kept] = np.rint(np.linalg.lstsq(table[:, kept], target, rcond=None)[0])
+        if not np.allclose(table @ whole, target, rtol=0.0, atol=1e-6 * float(np.abs(target).max())):
+            return {}
+        return {name: (int(a), int(b)) for name, (a, b) in zip(names, whole, strict=True)}
+
+    def unit(self, name: str, *, newtons: bool = False) -> str:
+        """Return the unit of a parameter, per unit mass or with friction in newtons; empty if unknown."""
+        force, speed = self.dimensions.get(name, (0, 0))
+        if newtons and force == 1:
+            return {0: "N", -1: "N s/m"}.get(speed) or f"N (m/s)^{speed}"
+        words = {(0, 1): "m/s", (0, -1): "s/m"}
+        powers = sorted((("m", force + speed), ("s", -2 * force - speed)), key=lambda part: -part[1])
+        composed = " ".join(f"{base}^{power}" if power != 1 else base for base, power in powers if power)
+        return words.get((force, speed), composed)
+
+    def limits(self, name: str) -> tuple[float, float]:
+        low, high = (self.bounds or {}).get(name, (None, None))
+        return -math.inf if low is None else low, math.inf if high is None else high
+
+    def refuse_without_speed(self) -> None:
+        """Raise InputError for a curve without the slip speed, unless it is one level: its name may be misspelt."""
+        names = self.curve.parameters
+        meant = next((name for name in names if SPEED_WORDS.fullmatch(name)), None)
+        if any(step.name == SPEED for step in self.curve.steps) or (meant is None and len(names) == 1):
+            return
+        hint = "write s for it; law 1 is constant friction" if meant is None else f"did you mean {SPEED} for {meant}?"
+        raise InputError(f"law {self.name} does not depend on the slip speed {SPEED}", "formula", hint)
+
+    def behind_ramp(self) -> "Law":
+        """Return the law behind a ramp."""
+        return replace(self, ramp=True)
+
+    def given(
+        self,
+        fix: Mapping[str, float] | None = None,
+        bounds: Mapping[str, Bound] | None = None,
+        start: Mapping[str, float] | None = None,
+    ) -> "Law":
+        """Return the law with more parameters fixed, bounded or started; these take precedence."""
+        fixed = {**(self.fix or {}), **(fix or {})}
+        first = {**(self.start or {}), **(start or {})}
+        return replace(
+            self,
+            fix=fixed or None,
+            bounds={**(self.bounds or {}), **(bounds or {})} or None,
+            start={name: value for name, value in first.items() if name not in fixed} or None,
+        )
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.formula}"
+
+
+SIX = {
+    int(name): Law(name, formula, ramp=ramp, bounds=dict.fromkeys(Formula.parse(formula).parameters, (0.0, None)))
+    for name, formula, ramp in OF_SIX
+}
+STRIBECK, GAUSSIAN = "Fc + (Fs - Fc)*exp(-s/v_s)", "Fc + (Fs - Fc)*exp(-(s/v_s)**2)"
+TUSTIN = "A. Tustin, J. IEE 94 (1947) 143"
+ARMSTRONG = "B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994) 1083"
+DIETERICH = "J. Dieterich, J. Geophys. Res. 84 (1979) 2161"  # steady state
+RABINOWICZ = "E. Rabinowicz, Proc. Phys. Soc. 71 (1958) 668"
+
+
+class About(NamedTuple):
+    """A published curve in a sentence, its source, its formula, and the curves that are its limits."""
+
+    title: str
+    source: str
+    formula: str
+    limits: tuple[str, ...]
+
+
+# An exponential fall, a logarithm and a power include the straight line; a Gaussian fall without a viscous term does
+# not.
+ABOUT = {
+    "stribeck": About("a Stribeck curve", TUSTIN, STRIBECK, (CONSTANT, LINEAR)),
+    "stribeck-viscous": About(
+        "a Stribeck curve with a viscous term", TUSTIN, f"{STRIBECK} + Fv*s", (CONSTANT, LINEAR, STRIBECK)
+    ),
+    "stribeck-gaussian": About("a Gaussian Stribeck curve", ARMSTRONG, GAUSSIAN, (CONSTANT,)),
+    "stribeck-gaussian-viscous": About(
+        "a Gaussian Stribeck curve with a viscous term", ARMSTRONG, f"{GAUSSIAN} + Fv*s", (CONSTANT, LINEAR, GAUSSIAN)
+    ),
+    "logarithmic": About("a logarithmic curve", DIETERICH, "Fs - b*log(1 + s/v_0)", (CONSTANT, LINEAR)),
+    "power": About("a power curve", RABINOWICZ, "Fs - b*(s/v_1)**p", (CONSTANT, LINEAR)),
+}
+POSITIVE, UNIT_SPEED = ("Fs", "Fc", "v_s", "v_0", "p"), "v_1"
+PUBLISHED = {
+    name: Law(
+        name,
+        about.formula,
+        bounds={own: (0.0, None) for own in Formula.parse(about.formula).parameters if own in POSITIVE},
+        fix={UNIT_SPEED: 1.0} if UNIT_SPEED in about.formula else None,
+    )
+    for name, about in ABOUT.items()
+}
+
+
+def read_law(spec: str, where: str = "--law") -> Law:
+    """Return the law of ``NAME``, published, or ``NAME: FORMULA``; unknown or invalid ones raise InputError."""
+    name, colon, formula = (part.strip() for part in spec.partition(":"))
+    if not colon:
+        if name in PUBLISHED:
+            return PUBLISHED[name]
+        if re.fullmatch(r"[\d\s,-]+", name):
+            raise InputError(f"{name!r} is a number of a law, not a name", where, f"did you mean --laws {name}?")
+        do = f'{nearest(name, list(PUBLISHED))}; a law of your own is "NAME: FORMULA", such as "mine: Fs/(1 + s/v)"'
+        raise InputError(f"{name!r} is no published law", where, do)
+    if name in PUBLISHED and formula != PUBLISHED[name].formula:
+        what = f"{name} is the name of a published law, {PUBLISHED[name].formula}"
+        raise InputError(what, where, "give a law of your own another name")
+    return PUBLISHED.get(name) or Law(name, formula)
+
+
+DRAWS = 4  # sets of values: at half of them a chance dependence would pass, at twice nothing changes
+SIZES_DRAWN = (0.5, 2.0)  # least and largest size drawn, over the natural one
+LEAST_PART = 0.1  # part of a direction over its largest: less is rounding
+
+
+class Undetermined(NamedTuple):
+    """Parameters that the formula has only together, and how many of them may have any value."""
+
+    names: tuple[str, ...]
+    free: int
+
+    def __str__(self) -> str:
+        *others, last = self.names
+        return f"{', '.join(others)} and {last} enter only together" if others else f"{last} does not change friction"
+
+
+def natural_size(law: Law, name: str, friction: float, speed: float) -> float:
+    """Return the size of a parameter by its unit, for curves of that friction (m/s^2) and speed (m/s); else 1.
+
+    Positive also for negative friction, as of a measured curve without a known level.
+    """
+    force, power = law.dimensions.get(name, (0, 0))
+    return float(abs(friction) ** force * speed**power)
+
+
+def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermined, ...]:
+    """Return the parameters that a formula has only together, for friction (m/s^2) and slip speeds like these."""
+    rng = np.random.default_rng(len(law.formula))
+    speeds = fastest * np.linspace(0.0, 1.0, 12 * len(law.free) + 1)
+    sizes = np.array([natural_size(law, name, friction, fastest) for name in law.free])
+    draws = []
+    for _ in range(DRAWS):
+        drawn = sizes * rng.uniform(*SIZES_DRAWN, sizes.size)
+        values = dict(zip(law.free, drawn.tolist(), strict=True)) | dict(law.fix or {})
+        try:
+            draws.append(_groups(law.curve.gradient(speeds, values, law.free) * drawn))
+        except InputError:
+            continue
+    everywhere = set.intersection(*(set(groups) for groups in draws)) if draws else set()
+    return tuple(
+        Undetermined(tuple(law.free[i] for i in group), min(groups[group] for groups in draws))
+        for group in sorted(everywhere)
+    )
+
+
+def _groups(columns: Array) -> dict[tuple[int, ...], int]:
+    """Return groups of dependent columns (n, k), each with the number of directions along which they cancel."""
+    size = np.linalg.norm(columns, axis=0)
+    seen = size > DEPENDENT_BELOW * float(size.max(initial=0.0))
+    groups: dict[tuple[int, ...], int] = {(i,): 1 for i in np.flatnonzero(~seen).tolist()}
+    index = np.flatnonzero(seen)
+    if not index.size:
+        return groups
+    _, singular, axes = np.linalg.svd(columns[:, index] / size[index], full_matrices=False)
+    null = axes[singular < DEPENDENT_BELOW * float(singular.max())]
+    beside = np.einsum("ri,rj->ij", null, null)
+    left = [i for i in range(index.size) if beside[i, i] > LEAST_PART**2]
+    while left:
+        group: list[int] = []
+        more = left[:1]
+        while more:
+            group += more
+            more = [i for i in left if i not in group and np.any(np.abs(beside[i, group]) > LEAST_PART**2)]
+        left = [i for i in left if i not in group]
+        groups[tuple(index[sorted(group)].tolist())] = round(float(np.trace(beside[np.ix_(group, group)])))
+    return groups
+
+
+ALL_LAWS = tuple(SIX)  # numbers of the six laws
+# Least value of each parameter of rig and contact, and whether it may be that.
+LEAST_VALUES: dict[str, tuple[float, bool]] = {
+    "k": (0.0, False),
+    "Fs": (0.0, False),
+    "gamma": (0.0, True),
+    "G_slip": (0.0, True),
+    "d": (0.0, False),
+    "static": (1.0, True),
+    "c": (0.0, True),
+}
+OF_EVERY_LAW = {"k/m": "s^-2", "k": "N/m", "c/m": "s^-1", "c": "N s/m", "v_dr": "m/s", "x0": "m"}
+OF_A_RAMP = {"d": "m/s", "static": ""}  # the second of the six alone
+NO_LIMIT = (-math.inf, True)
+PER_MASS = "/m"
+LAST_CYCLE = 100_000  # largest number of a cycle: no record holds as many
+BY_FORMULA = {"G_slip/m", "G_slip"}  # parameters of the six that are no unknowns of their kernels
+
+
+class Given(NamedTuple):
+    """Bounds of a parameter, equal where it is fixed, and its first value, if any."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    start: float | None = None
+
+    @property
+    def fixed(self) -> bool:
+        return self.low == self.high
+
+
+@dataclass(frozen=True, eq=False)
+class Competitors:
+    """The laws that compete; repeated laws, unknown parameters and impossible values raise InputError."""
+
+    laws: tuple[Law, ...] = tuple(SIX.values())
+    fix: Mapping[str, float] = field(default_factory=dict)  # by the names of parameters
+    bounds: Mapping[str, Bound] = field(default_factory=dict)
+    start: Mapping[str, float] = field(default_factory=dict)
+    in_newtons: tuple[str, ...] = field(default=(), init=False)  # names given with a unit that needs the mass
+
+    def __post_init__(self) -> None:
+        if not self.laws:
+            raise InputError("no law to fit", "--laws", "choose 1 to 6, such as 1-6 or 3,5")
+        names = [law.name for law in self.laws]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise InputError(f"two laws have the name {twice[0]}", "--law", "give each law a name of its own")
+        newtons: set[str] = set()
+        for flag, kind in (("--fix", "fix"), ("--bound", "bounds"), ("--start", "start")):
+            object.__setattr__(self, kind, self._in_numbers(getattr(self, kind), flag, newtons))
+        object.__setattr__(self, "in_newtons", tuple(sorted(newtons)))
+        for name, (low, high) in self.bounds.items():
+            if low is not None and high is not None and not low < high:
+                raise InputError(f"bounds of {name} are {low:g} and {high:g}", "--bound", "give the lower one first")
+            if name in self.fix:
+                raise InputError(f"{name} is fixed and has bounds", "--bound", "give one of the two")
+        for law in self.laws:
+            if not law.number:
+                law.refuse_without_speed()
+            self.of_law(law)
+
+    @classmethod
+    def of(
+        cls,
+        laws: "int | str | Law | Sequence[int | str | Law]" = ALL_LAWS,
+        fix: Mapping[str, float | str] | None = None,
+        bounds: Mapping[str, Bound] | None = None,
+        start: Mapping[str, float | str] | None = None,
+    ) -> "Competitors":
+        """Return the competitors that Python code names: numbers, published names, custom laws."""
+        found: list[Law] = []
+        several = isinstance(laws, Iterable) and not isinstance(laws, str)
+        for one in laws if several else [laws]:  # type: ignore[union-attr]
+            if not isinstance(one, Integral | str | Law):
+                do = "give numbers, names or fitting.Law: laws=(1, 5), laws='1-6,stribeck'"
+                raise InputError(f"{one!r:.40} is not a law", "laws", do)
+            found += [one] if isinstance(one, Law) else _read(str(one), "--laws")
+        given = [check_values(values, kind) for values, kind in ((fix, "fix"), (bounds, "bounds"), (start, "start"))]
+        return cls(_each_once(found), *given)
+
+    @classmethod
+    def typed(
+        cls,
+        laws: str,
+        law: Iterable[str] = (),
+        ramp: Iterable[str] = (),
+        fix: Iterable[str] = (),
+        bound: Iterable[str] = (),
+        start: Iterable[str] = (),
+    ) -> "Competitors":
+        """Return the competitors that flags name."""
+        named = _each_once([*_read(laws, "--laws"), *map(read_law, law)])
+        behind = list(ramp)
+        for name in behind:
+            check_known(name, [one.name for one in named if not one.number], "law", "--ramp")
+        return cls(
+            tuple(one.behind_ramp() if one.name in behind else one for one in named),
+            dict(_pairs(fix, "--fix")),  # type: ignore[arg-type]
+            {name: _interval(value, name) for name, value in _pairs(bound, "--bound")},  # type: ignore[misc]
+            dict(_pairs(start, "--start")),  # type: ignore[arg-type]
+        )
+
+    @property
+    def six(self) -> tuple[Law, ...]:
+        """Those of the six."""
+        return tuple(law for law in self.laws if law.number)
+
+    @property
+    def formulas(self) -> tuple[Law, ...]:
+        return tuple(law for law in self.laws if not law.number)
+
+    def asks(self, law: Law) -> bool:
+        """Return whether a law was named."""
+        return any(own.name == law.name for own in self.laws)
+
+    def by_kernel(self, law: Law) -> bool:
+        """Return whether a law's own kernel follows it with what is given of its parameters."""
+        return law.has_kernel and not BY_FORMULA & self.of_law(law).keys()
+
+    @property
+    def searched(self) -> tuple[Law, ...]:
+        """The laws of the six that are fitted: all six where a formula competes, since it starts from them."""
+        return self.laws if all(map(self.by_kernel, self.laws)) else tuple(SIX.values())
+
+    def of_law(self, law: Law) -> dict[str, Given]:
+        """Return the conditions on a law's parameters, named without the law; impossible values raise InputError."""
+        given_of: dict[str, Given] = {}
+        for kind, given in (("bounds", self.bounds), ("start", self.start), ("fix", self.fix)):
+            for name, value in given.items():
+                own_name = _named(name, law)
+                if own_name is not None:
+                    given_of[own_name] = _with(given_of.get(own_name, Given()), kind, value)
+        own_names = () if law.number else law.curve.parameters
+        for name, one in given_of.items():
+            plain = "" if name in own_names else name.removesuffix(PER_MASS)
+            _check(name, one, *LEAST_VALUES.get(plain, NO_LIMIT))
+        return given_of
+
+    def _in_numbers(self, given: Mapping[str, Any], flag: str, newtons: set[str]) -> dict[str, Any]:
+        """Return values as numbers in the unit of the results; adds names whose unit has newtons to ``newtons``."""
+        found: dict[str, Any] = {}
+        for name, value in given.items():
+            having = [law for law in self.laws if _named(name, law)]
+            if not having:
+                raise self._unknown(name, flag)
+            ends = value if isinstance(value, tuple | list) else (value,)
+            if not any(isinstance(end, str) for end in ends):
+                found[name] = value
+                continue
+            typed = any(isinstance(end, str) and units.typed_unit(end) for end in ends)
+            readings = {_read_value(name, value, law, flag, typed=typed) for law in having}
+            if len(readings) > 1:
+                what = f"{name} has another unit in each law"
+                raise InputError(what, flag, f"name the law: {self.laws[-1].name}.{name}")
+            own, number = readings.pop()
+            if own in found or (own != name and own in given):
+                raise InputError(f"{own} is given twice", flag, "leave one out")
+            found[own] = number
+            if typed and any(f"{_named(own, law)}{PER_MASS}" in units_of(law) for law in self.laws):
+                newtons.add(own)
+        return found
+
+    def _unknown(self, name: str, flag: str) -> InputError:
+        prefix, dot, _ = name.partition(".")
+        known = [law.name for law in self.laws]
+        if dot and prefix not in known:
+            return InputError(f"{name}: there is no law {prefix}", flag, nearest(prefix, known))
+        choices = dict.fromkeys(own for law in self.laws if not dot or law.name == prefix for own in units_of(law))
+        return InputError(f"no law that is fitted has a parameter {name}", flag, nearest(name, list(choices)))
+
+
+def units_of(law: Law) -> dict[str, str]:
+    """Return the unit in the results of each parameter that can be given."""
+    own = {name: law.unit(name, newtons=True) for name in law.curve.parameters}
+    per_mass = {f"{name}{PER_MASS}": law.unit(name) for name in own if law.dimensions.get(name, (0, 0))[0]}
+    ramp = {name: unit for name, unit in OF_A_RAMP.items() if law.ramp and (law.number or name == "d")}
+    return {**OF_EVERY_LAW, **ramp, **per_mass, **own}
+
+
+def _named(name: str, law: Law) -> str | None:
+    """Return a parameter's name without the law's; None where the law has no such parameter."""
+    prefix, dot, bare = name.partition(".")
+    if dot and prefix != law.name:
+        return None
+    bare = bare if dot else name
+    return bare if bare in units_of(law) else None
+
+
+def _read_value(name: str, value: Any, law: Law, flag: str, *, typed: bool) -> tuple[str, Any]:
+    """Return the name, per unit mass if the value's unit is, and the value as a number."""
+    own, known = str(_named(name, law)), units_of(law)
+    if typed and f"{own}{PER_MASS}" in known:
+        with suppress(InputError):
+            return f"{name}{PER_MASS}", in_unit(value, known[f"{own}{PER_MASS}"], name, flag)
+    return name, in_unit(value, known[own], name, flag)
+
+
+def _with(given: Given, kind: str, value: float | Bound) -> Given:
+    """Return the conditions with one more; a fixed value replaces all."""
+    if kind == "bounds":
+        low, high = value  # type: ignore[misc]
+        return given._replace(
+            low=NO_LIMIT[0] if low is None else float(low), high=math.inf if high is None else float(high)
+        )
+    number = float(value)  # type: ignore[arg-type]
+    return Given(number, number, number) if kind == "fix" else given._replace(start=number)
+
+
+def _check(name: str, given: Given, least: float, itself: bool) -> None:
+    """Raise InputError for values below ``least``, or equal to it unless ``itself``."""
+    for value in (given.high, given.start):
+        if value is not None and (math.isnan(value) or value < least or (value == least and not itself)):
+            do = f"it must be {'at least' if itself else 'above'} {least:g}"
+            raise InputError(f"{name} is {value:g}", "--fix" if given.fixed else "--bound", do)
+    if given.start is not None and not given.low <= given.start <= given.high:
+        what = f"{name} is {given.start:g}, not within {given.low:g} and {given.high:g}"
+        raise InputError(what, "--start", "give a first value within the bounds")
+
+
+def _each_once(laws: Iterable[Law]) -> tuple[Law, ...]:
+    """Return the laws without repetitions, the six first."""
+    return tuple(sorted(dict.fromkeys(laws), key=lambda law: law.number is None))
+
+
+def _read(text: str, where: str) -> list[Law]:
+    """Return the laws of a list such as ``1-3,stribeck``, or of one ``NAME: FORMULA``."""
+    if ":" in text:
+        return [read_law(text, where)]
+    found: list[Law] = []
+    for part in filter(None, (piece.strip() for piece in text.split(","))):
+        if part[0].isalpha():
+            found.append(read_law(part, where))
+            continue
+        listed = numbers(part, where)
+        unknown = [number for number in listed if number not in SIX]
+        if unknown:
+            raise InputError(f"unknown law {unknown[0]}", where, "choose 1 to 6, such as 1-6 or 3,5")
+        found += [SIX[number] for number in listed]
+    return found
+
+
+def numbers(text: str, flag: str) -> list[int]:
+    """Return the whole numbers of a list such as ``1-3,6``; other text raises InputError."""
+    listed: list[int] = []
+    for part in filter(None, (piece.strip() for piece in text.split(","))):
+        first, dash, last = part.partition("-")
+        try:
+            low = int(first)
+            high = int(last) if dash else low
+        except ValueError:
+            raise InputError(f"{part!r} is not a number or range", flag, "write for example 1-3,6") from None
+        if not 1 <= low <= high <= LAST_CYCLE:
+            raise InputError(f"{part!r} is not an increasing range from 1", flag, "write for example 1-3,6")
+        listed.extend(range(low, high + 1))
+    return listed
+
+
+def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
+    """Yield name and value of each NAME=VALUE."""
+    seen: set[str] = set()
+    for text in typed:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not name or not value:
+            what = "LO:HI" if flag == "--bound" else "VALUE"
+            do = f"write for example gamma={'0:20' if flag == '--bound' else '9.6'}"
+            raise InputError(f"{text!r} is not NAME={what}", flag, do)
+        if name in seen:
+            raise InputError(f"{name} is given twice", flag, "leave one out")
+        seen.add(name)
+        yield name, value
+
+
+def _interval(text: str, name: str) -> tuple[str | None, str | None]:
+    """Return the bounds of LO:HI; either may be missing, and a unit after HI alone is that of both."""
+    low, colon, high = (part.strip() for part in text.partition(":"))
+    if not colon or not (low or high):
+        raise InputError(f"bounds of {name} are {text!r}", "--bound", "write LO:HI, LO: or :HI")
+    if low and units.typed_unit(high) and not units.typed_unit(low):
+        low = f"{low} {units.typed_unit(high)}"
+    return low or None, high or None

@@ -1,0 +1,176 @@
+"""Coordinates of the curve's coefficients in which their prior is independent: second differences and the two ends.
+
+The prior says that a second difference of neighbouring coefficients is of the order of half the friction; it decides
+only where the data do not.  In these coordinates Levenberg-Marquardt needs no other form of a prior.
+
+The data determine K datum + friction only.  So the coordinates are those of a curve that follows the datum: a datum's
+remaining effect is then a small number, not the difference of two large ones, and an unknown datum keeps its whole
+interval.
+
+The friction of a fit: one of the six laws, or a curve followed through a spline.
+
+A curve has ``size`` parameters theta, with bounds and priors; ``beside`` are the shared unknowns fitted with it.  It
+gives the friction along a path and the derivatives of the positions.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fitting.laws import Law, Undetermined
+from fitting.model import unknowns
+from fitting.model.path import Curve, FrictionSpline, Path, law_curve, spline_curve
+from fitting.model.tangents import shared_tangents, spline_tangents
+from fitting.model.unknowns import PER_RUN
+from rig_sim.friction.curve import magnitude
+from stickslip.compute.arrays import Array
+
+# Standard deviation of a second difference, over the middle coefficient.  Twice or half of it moves curves of the rig
+# scene by less than a tenth of their band.
+BEND_SD = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class CurveCoordinates:
+    """The map from n - 2 second differences and two end coefficients, each over its size, to coefficients."""
+
+    matrix: Array  # (n, n) coefficients (m/s^2) by coordinates
+    inverse: Array  # (n, n) coordinates by coefficients
+    precision: Array  # (n,) of the coordinates' priors: 1, and 0 for the ends
+    offset: Array  # (p,) how the whole curve moves with each of the unknowns beside it, and where these are at offset 0
+    start: Array
+
+    @classmethod
+    def around(cls, coefficients: Array, offset: Array, start: Array) -> "CurveCoordinates":
+        """Scale the coordinates by the middle of these coefficients (n,)."""
+        n, size = coefficients.size, abs(float(np.median(coefficients)))
+        if not size > 0:
+            raise ValueError(f"middle coefficient is {size}; friction must not vanish")
+        sd = BEND_SD * size
+        inverse = np.zeros((n, n))
+        inverse[: n - 2] = np.diff(np.eye(n), 2, axis=0) / sd
+        inverse[n - 2, 0] = inverse[n - 1, n - 1] = 1 / size
+        # C_j = C_0 + j g + sum_{i < j} (j - 1 - i) delta_i, with g from the last coefficient
+        steps = np.array([[max(j - 1 - i, 0) for i in range(n - 2)] for j in range(n)], float)
+        along = np.arange(n) / (n - 1)
+        matrix = np.zeros((n, n))
+        matrix[:, : n - 2] = sd * (steps - along[:, None] * steps[-1])
+        matrix[:, n - 2], matrix[:, n - 1] = size * (1 - along), size * along
+        return cls(matrix, inverse, np.concatenate((np.ones(n - 2), np.zeros(2))), offset, start)
+
+    @property
+    def slopes(self) -> Array:
+        """Derivatives (n, p + n) of the coefficients by the unknowns: those outside the curve, then its coordinates."""
+        return np.hstack([np.broadcast_to(self.offset, (self.precision.size, self.offset.size)), self.matrix])
+
+    @property
+    def inverse_slopes(self) -> Array:
+        """Derivatives (n, p + n) of the coordinates by the unknowns outside the curve and by its coefficients."""
+        whole = self.inverse.sum(axis=1)
+        return np.hstack([-whole[:, None] * self.offset, self.inverse])
+
+    def coefficients(self, unknowns: Array) -> Array:
+        p = self.offset.size
+        moved = float(np.sum(self.offset * (unknowns[:p] - self.start)))
+        return np.asarray(np.einsum("ij,j->i", self.matrix, unknowns[p:]) + moved)
+
+    def unknowns(self, beside: Array, coefficients: Array) -> Array:
+        """Return all unknowns (p + n,) from those outside the curve (p,) and its coefficients (n,)."""
+        moved = float(np.sum(self.offset * (beside - self.start)))
+        return np.concatenate((beside, np.einsum("ij,j->i", self.inverse, coefficients - moved)))
+
+
+class FrictionCurve(ABC):
+    law: Law | None = None  # none of a free curve
+    free: tuple[str, ...] = ()  # the names of theta
+    together: tuple[Undetermined, ...] = ()  # parameters that a formula has only together
+    kind = ""  # "constant", "linear", "hyperbolic" of the six that their own kernels follow
+    ramp: bool  # whether slip begins beyond a ramp of half-width d, a shared unknown
+    size: int  # how many numbers theta it has
+    # (size,) of theta: where a fit starts, means and 1/sd^2 of the priors (0 where nothing is known), bounds
+    start: Array
+    prior: Array
+    precision: Array
+    lower: Array
+    upper: Array
+
+    @abstractmethod
+    def on_path(self, theta: Array, beside: Array) -> Curve | None:
+        """Return the curve of a path; None where theta gives no friction."""
+
+    @abstractmethod
+    def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
+        """Return the position derivatives (N, p + size) by the shared unknowns at ``places`` (p,), then by theta."""
+
+    @abstractmethod
+    def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
+        """Return friction per unit mass (m/s^2) at slip speeds s (k,); ``u`` are the unknowns of all runs."""
+
+    def values(self, theta: Array, u: Array) -> dict[str, float]:
+        """Return the law's parameters by name, per unit mass; none of a free curve."""
+        return {}
+
+    def is_ramp_of(self, other: "FrictionCurve") -> bool:
+        """Return whether this is the other curve with a ramp, and so contains it."""
+        return self.law is not None and other.law is not None and self.law.is_ramp_of(other.law)
+
+    def contains(self, other: "FrictionCurve") -> bool:
+        """Return whether the other curve is a limit of this one."""
+        return self.law is not None and other.law is not None and self.law.contains(other.law)
+
+
+class LawCurve(FrictionCurve):
+    """One of the six laws: its parameters are the shared unknowns LOG_F and SHAPE; theta is empty."""
+
+    law: Law
+    size = 0
+
+    def __init__(self, law: Law) -> None:
+        self.law, self.ramp, self.kind, self.code = law, law.ramp, law.kind.curve, law.kind.curve_code
+        self.start = self.prior = self.precision = self.lower = self.upper = np.empty(0)
+
+    def on_path(self, theta: Array, beside: Array) -> Curve:
+        return law_curve(self.code, self.ramp)
+
+    def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
+        return shared_tangents(path, places)
+
+    def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
+        p = unknowns.values(u[:PER_RUN])
+        return np.asarray(magnitude(self.code, s, p.F, p.shape * p.F, p.shape))
+
+    def values(self, theta: Array, u: Array) -> dict[str, float]:
+        p = unknowns.values(u[:PER_RUN])
+        found = {"Fs": p.F, "gamma": p.shape, "G_slip": p.shape * p.F}
+        return {name: found[name] for name in self.law.curve.parameters}
+
+
+class FreeCurve(FrictionCurve):
+    """A free spline of ``knots`` (n + 1,), m/s, and ``coefficients`` (n + 3,), m/s^2; theta are `CurveCoordinates`.
+
+    The whole curve moves by ``offset`` (p,) with the unknowns ``beside`` (p,).
+    """
+
+    def __init__(self, knots: Array, *, ramp: bool, coefficients: Array, offset: Array, beside: Array) -> None:
+        self.spline, self.ramp, self.size = FrictionSpline.over(knots), ramp, coefficients.size
+        self.basis = CurveCoordinates.around(coefficients, offset, beside)
+        self.prior, self.precision = np.zeros(self.size), self.basis.precision
+        self.lower, self.upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        self.start = self.basis.unknowns(beside, coefficients)[beside.size :]
+
+    def on_path(self, theta: Array, beside: Array) -> Curve | None:
+        return spline_curve(self.spline.with_coefficients(self.coefficients(theta, beside)[0]), self.ramp)
+
+    def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
+        found = spline_tangents(path, self.coefficients(theta, path.u[list(places)])[1])
+        found[:, : len(places)] += shared_tangents(path, places)
+        return found
+
+    def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
+        return self.spline.with_coefficients(self.coefficients(theta, beside)[0])(s)
+
+    def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:
+        """Return the spline's coefficients (n,), m/s^2, and their derivatives (n, beside + size)."""
+        return self.basis.coefficients(np.concatenate([beside, theta])), self.basis.slopes

@@ -1,0 +1,270 @@
+"""Kernel: an oscillator on a moving base, followed as one pole in the complex plane.
+
+The fitted motion as departures read it: at the stage points of every window, in the fit's frame.
+
+A departure: from a fitted motion to its effect, to first order in its parameters.
+
+A departure as a force of a fit: its coefficients, and its scale if scanned, are unknowns.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.model import unknowns
+from fitting.model.flow import Drag
+from fitting.model.path import NO_DRAG, Path
+from fitting.model.unknowns import PER_RUN
+from fitting.record.motion import MeasuredMotion
+from fitting.record.ripple import Ripple
+from stickslip.compute.arrays import Array, Integers, Mask
+
+
+def follow_pole(drive: Array, turn: complex, gain: complex, state: NDArray[np.complex128]) -> None:
+    """Fill ``state`` (n,) from 0: each is ``turn`` times the one before plus ``gain`` times the drive (n,) then."""
+    now = 0j
+    for k in range(drive.size):
+        state[k] = now
+        now = turn * now + gain * drive[k]
+
+
+@dataclass(frozen=True, eq=False)
+class FittedMotion:
+    """A fitted motion; M stage points, N samples."""
+
+    time: Array  # (M,) s, m, m/s
+    position: Array
+    velocity: Array
+    # (M,) of the belt by the unknowns of the fit, without what a departure adds, m/s and m; the position's origin is
+    # arbitrary
+    belt_speed: Array
+    belt_position: Array
+    friction: Array  # (M,) force of the belt on the mass per unit mass, positive where it pulls towards +x, m/s^2
+    stretch: Array  # (M,) of the spring, m
+    elapsed: Array  # (M,) since the middle of the run, s
+    window: Integers  # (M,)
+    sticks: Mask  # (windows,) whether a window is one of stick
+    run: Integers
+    samples: Integers  # (N,) stage point of each sample
+    residual: Array  # (N,) model minus measurement, m
+    K: float  # k/m, 1/s^2
+    cycles: int
+    records: tuple[MeasuredMotion, ...]  # of each run
+    revolution: float | None = None  # travel per revolution of the encoder, m, where the calibration has it
+
+    @classmethod
+    def from_path(
+        cls, path: Path, records: Sequence[MeasuredMotion], residual: Array, revolution: float | None = None
+    ) -> "FittedMotion":
+        """Read a path along the windows of ``records``, with ``residual`` (N,) at its samples."""
+        runs = [unknowns.values(of_run) for of_run in path.u.reshape(-1, PER_RUN)]
+        belt, speed, middle = np.empty((3, path.time.size))
+        for number, (p, record) in enumerate(zip(runs, records, strict=True)):
+            of_run = path.run == number
+            time = path.time[of_run]
+            position, velocity, _ = Ripple(p.cosine, p.sine, p.omega).belt_motion(time)
+            belt[of_run], speed[of_run] = p.v_dr * time + position, p.v_dr + velocity
+            middle[of_run] = 0.5 * (record.time[0] + record.time[-1])
+        return cls(
+            time=path.time,
+            position=path.position,
+            velocity=path.velocity,
+            belt_speed=speed,
+            belt_position=belt,
+            friction=path.friction,
+            stretch=path.position - np.array([p.datum for p in runs])[path.run],
+            elapsed=path.time - middle,
+            window=path.window,
+            sticks=path.windows.table[:, 1] == 1,
+            run=path.run,
+            samples=path.reached,
+            residual=residual,
+            K=runs[0].K,
+            cycles=len(path.windows.rows),
+            records=tuple(records),
+            revolution=revolution,
+        )
+
+    @property
+    def travel(self) -> float:
+        return max(record.travel for record in self.records)
+
+    @property
+    def slip_s(self) -> float:
+        """Approximate duration of a slip of the slowest run, s."""
+        return max(record.slip_s for record in self.records)
+
+    @property
+    def samples_per_slip(self) -> float:
+        """Largest of the runs."""
+        return max(record.time.size / record.span * record.slip_s for record in self.records)
+
+    @cached_property
+    def rows_of_runs(self) -> tuple[Mask, ...]:
+        """The stage points of each run."""
+        return tuple(self.run == number for number in range(len(self.records)))
+
+    @property
+    def belt_way(self) -> float:
+        """Travel of the belt in the longest run, m."""
+        return max(float(np.ptp(self.belt_position[run])) for run in self.rows_of_runs)
+
+
+# Velocity, over the largest, within which a drag may jump at rest.  Without the drag in the motion a sample's change of
+# velocity is 1 %, so a narrower turn is none that a step sees; ten times as wide, the kink by which a guide is
+# recognised is lost.
+TURN_IN_COLUMN = 0.005
+# The same where the motion is followed with the drag, in steps as short as the turn.  At 0.005 the friction of a strong
+# guide comes out 0.6 % too large.
+TURN_IN_MOTION = 0.0005
+# A drag's table: up to how far, of the largest velocity; how close its rows are about rest; how many they are.  They
+# are a fifteenth of `TURN_IN_MOTION` apart there, and 0.03 at that velocity, where a square errs by 2e-4; half as many
+# rows err by four times as much.
+TABLE_REACH, TABLE_CONTRAST, TABLE_ROWS = 1.5, 8.0, 801
+
+
+class Forcing(NamedTuple):
+    """The effect of a departure with parameters of 1; k columns, one a parameter, or None."""
+
+    # (M, k) force on the mass per unit mass at the stage points of the trajectory, m/s^2 per unit of the parameter
+    acceleration: Array | None = None
+    belt_speed: Array | None = None  # (M, k) change of the belt's speed there, m/s per unit of the parameter
+    # (N, k) change of the position that is read at the samples, m per unit of the parameter
+    reading: Array | None = None
+
+
+@dataclass(frozen=True)
+class Departure:
+    """One assumption and how it may break."""
+
+    name: str
+    text: str  # what it says of the rig, to stand in a sentence after the best law's name
+    # symbol and unit of its size: of the coefficient where there is one column, of the amplitude where there are two, a
+    # sine and a cosine
+    parameter: str
+    unit: str
+    # ``forcing(trajectory, scale)``; ``scale`` is NaN for a departure that has none
+    forcing: Callable[[FittedMotion, float], Forcing]
+    columns: int = 1  # 1 or 2
+    scale: str = ""  # what else it depends on, such as a frequency: scanned
+    scale_unit: str = ""
+    # ``scales(trajectory)``: the values to scan, rising, at most half a resolution apart
+    scales: Callable[[FittedMotion], Array] | None = None
+    # (str, str) symbol and unit of the size times the mass, where the mass is known
+    with_mass: tuple[str, str] | None = None
+    # the same of a record that no encoder counted, where it then is another thing; else empty
+    text_of_positions: str = ""
+    # ``drag(velocity, turn)``: a force by the mass's own velocity alone, (n,) in m/s^2 per unit of the parameter, of a
+    # departure that is nothing else (`by_velocity`).  Where it jumps at rest, it may do so within ``turn``, m/s. It is
+    # followed together with the motion, any other force along the path before.
+    drag: Callable[[Array, float], Array] | None = None
+
+    def says(self, *, counted: bool) -> str:
+        """Return its statement about the rig, by whether an encoder counted."""
+        return self.text if counted or not self.text_of_positions else self.text_of_positions
+
+    def drag_table(self, fastest: float) -> Drag:
+        """Return the drag of a unit by velocity, up to about ``fastest``, m/s; empty without one."""
+        if self.drag is None:
+            return NO_DRAG
+        velocity = (
+            fastest
+            * TABLE_REACH
+            * np.sinh(TABLE_CONTRAST * np.linspace(-1.0, 1.0, TABLE_ROWS))
+            / math.sinh(TABLE_CONTRAST)
+        )
+        turn = TURN_IN_MOTION * fastest
+        return Drag(velocity, self.drag(velocity, turn), turn)
+
+
+def by_velocity(drag: Callable[[Array, float], Array]) -> Callable[[FittedMotion, float], Forcing]:
+    """Return the forcing of a force by the mass's velocity alone."""
+
+    def forcing(trajectory: FittedMotion, _: float) -> Forcing:
+        turn = TURN_IN_COLUMN * float(np.max(np.abs(trajectory.velocity)))
+        return Forcing(acceleration=drag(trajectory.velocity, turn)[:, np.newaxis])
+
+    return forcing
+
+
+def harmonic(phase: Array, factor: Array | float = 1.0) -> Array:
+    """Return sine and cosine of ``phase`` (n,) as columns (n, 2), times ``factor``."""
+    return np.asarray(np.c_[factor * np.sin(phase), factor * np.cos(phase)])
+
+
+def spaced(smallest: float, largest: float, length: float) -> Array:
+    """Return wavelengths (or periods), descending, a quarter of the resolution of ``length`` apart."""
+    if not 0 < smallest < largest or length <= 0:
+        return np.empty(0)
+    turns = np.arange(1 / largest, 1 / smallest, 0.25 / length)
+    return np.asarray(1 / turns[turns > 0])
+
+
+def speed_of_wave(length: float) -> float:
+    return 2 * math.pi / length
+
+
+# Relative step of the derivative by a scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path.
+SCALE_STEP = 1e-4
+SCALE_RANGE = 0.15  # relative range of a scale: how far a scale may move from where the scan found it
+
+
+@dataclass(frozen=True, eq=False)
+class Force:
+    """A force in addition to the law."""
+
+    departure: Departure
+    scale: float = math.nan  # its first scale (a frequency, a wavelength); NaN for a departure without one
+
+    def __post_init__(self) -> None:
+        if self.departure.scales is not None and not self.scanned:
+            raise ValueError(f"{self.departure.name} depends on {self.departure.scale}: scan it first")
+
+    @property
+    def scanned(self) -> bool:
+        return math.isfinite(self.scale)
+
+    @property
+    def width(self) -> int:
+        """Number of unknowns: coefficients, then the relative change of the scale."""
+        return self.departure.columns + self.scanned
+
+    @property
+    def lower(self) -> Array:
+        """Lower bounds (width,): a drag dissipates energy; another force may have either sign."""
+        least = 0.0 if self.departure.drag is not None else -np.inf
+        return np.array([least] * self.departure.columns + [-SCALE_RANGE] * self.scanned)
+
+    @property
+    def upper(self) -> Array:
+        """Upper bounds (width,)."""
+        return np.array([np.inf] * self.departure.columns + [SCALE_RANGE] * self.scanned)
+
+    def coefficients(self, size: Array) -> Array:
+        return size[: self.departure.columns]
+
+    def scale_of(self, size: Array) -> float:
+        return self.scale * (1 + float(size[-1])) if self.scanned else self.scale
+
+    def forcing(self, motion: FittedMotion, size: Array) -> Forcing:
+        """Return the effect of a unit of each coefficient along a motion."""
+        return self.departure.forcing(motion, self.scale_of(size))
+
+    def derivatives(self, motion: FittedMotion, size: Array) -> list[Forcing]:
+        """Return the effect of a unit of each unknown: coefficients, then the scale's relative change."""
+        scale = self.scale_of(size)
+        forcing = self.departure.forcing(motion, scale)
+        if not self.scanned:
+            return [forcing]
+        beside = self.departure.forcing(motion, scale * (1 + SCALE_STEP))
+        along = self.coefficients(size) / (self.scale / scale * SCALE_STEP)
+        parts = [
+            None if near is None or far is None else np.einsum("nk,k->n", far - near, along)[:, np.newaxis]
+            for near, far in zip(forcing, beside, strict=True)
+        ]
+        return [forcing, Forcing(*parts)]

@@ -1,0 +1,321 @@
+"""Tasks: what is fitted to which runs; those of the six laws and of a free curve.
+
+Positions that a task predicts in windows, and their derivatives: what a least-squares problem evaluates.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fitting.laws import Law
+from fitting.least_squares.elimination import least_squares
+from fitting.least_squares.normal_equations import Block, Derivatives, Evaluate
+from fitting.model import problem as starts
+from fitting.model import unknowns
+from fitting.model.curves import FreeCurve, FrictionCurve, LawCurve
+from fitting.model.forces import FittedMotion, Force, Forcing
+from fitting.model.path import Curve, FrictionSpline, Path, follow, positions
+from fitting.model.problem import EstimationProblem, Run
+from fitting.model.tangents import local_tangents, tangents
+from fitting.model.unknowns import PER_RUN, Global
+from fitting.model.windows import ShootingWindows
+from stickslip.compute.arrays import Array, Integers
+
+PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where friction falls; 22 pieces widen the band
+FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot lies
+# Weight of a second difference of a regressed curve's coefficients, over that of a typical slip sample times the root
+# of their number: at half the curve follows the smoothing's noise at low speed, at twice it begins to lose its bend.
+SMOOTHNESS = 0.03
+LOW_SPEED = 0.06  # speed over the last knot's: regressed slips show little below
+OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a curve of its own has no use for
+
+
+class FitStart(NamedTuple):
+    """A start: the task's unknowns (p + n + m,) and each cycle's own (cycles, 6)."""
+
+    q: Array
+    local: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A fit to be done; the unknowns q are the shared ones at ``places``, the curve's theta, the forces' sizes."""
+
+    problem: EstimationProblem  # the runs, with the priors, bounds and start of the shared unknowns
+    curve: FrictionCurve
+    places: tuple[int, ...]  # which shared unknowns are free (`fitting.model.unknowns`)
+    forces: tuple[Force, ...] = ()  # what acts besides
+
+    @property
+    def widths(self) -> tuple[int, int, int]:
+        """Numbers of shared, curve and force unknowns."""
+        return len(self.places), self.curve.size, sum(force.width for force in self.forces)
+
+    def split(self, q: Array) -> tuple[Array, Array, Array]:
+        """Return the unknowns of all runs (13 runs,), the curve's theta and the forces' sizes."""
+        p, n, _ = self.widths
+        u = self.problem.start.copy()
+        u[list(self.places)] = q[:p]
+        return unknowns.copy_shared(u), q[p : p + n], q[p + n :]
+
+    def without(self, *slots: Global) -> "Task":
+        """Return the same with shared unknowns fixed at the regression."""
+        return replace(self, places=tuple(place for place in self.places if place % PER_RUN not in slots))
+
+    @property
+    def resolution(self) -> float:
+        """The coarsest resolution of the runs, m."""
+        return max(motion.resolution for motion in self.problem.motions)
+
+    @property
+    def with_static(self) -> "Task":
+        """The same with a separate break-away level, where it is a ramp that can have one."""
+        free = Global.STATIC in self.problem.active and Global.STATIC not in self.places
+        return replace(self, places=tuple(sorted((*self.places, int(Global.STATIC))))) if free else self
+
+    def friction(self, q: Array, s: Array) -> Array:
+        u, theta, _ = self.split(q)
+        return self.curve.friction(u, theta, q[: len(self.places)], s)
+
+
+def law_task(law: Law, runs: Sequence[Run], forces: Sequence[Force] = ()) -> Task:
+    """Return the task of one of the six laws; a ramp breaks away at the level of slip."""
+    problem = EstimationProblem.build(law, runs)
+    return Task(problem, LawCurve(law), problem.active, tuple(forces)).without(Global.STATIC)
+
+
+def free_curve(task: Task) -> FreeCurve:
+    """Return the free curve of a task; TypeError for that of a law."""
+    if not isinstance(task.curve, FreeCurve):
+        raise TypeError("not the task of a free curve")
+    return task.curve
+
+
+def curve_knots(runs: Sequence[Run], d: float) -> Array:
+    """Return the knots of a free curve, m/s: from 0 to the fastest slip beyond a ramp of half-width d."""
+    fastest = 0.0
+    for run in runs:
+        for cycle in run.cut.used:
+            speed = run.motion.belt_speed - run.motion.velocity[slice(*cycle.slip)]
+            if speed.size:
+                fastest = max(fastest, float(np.quantile(speed, FASTEST)))
+    return np.asarray((fastest - d) * np.linspace(0.0, 1.0, PIECES + 1) ** KNOT_POWER)
+
+
+def regress(
+    runs: Sequence[Run], rest: float, columns: Callable[[Array], Array], held: Array | None = None
+) -> tuple[Array, float]:
+    """Regress the smoothed slips, acceleration = -K (x - rest) + columns(s) c; return K with c, and the squares left.
+
+    ``columns`` maps slip speeds (k,) to (k, n); ``held`` (r, n) are rows of c with prior 0.
+    """
+    samples = [starts.slip_samples(run.motion, run.cut) for run in runs]
+    x, s, a = (np.concatenate([getattr(own, name) for own in samples]) for name in ("x", "s", "a"))
+    matrix, target = np.c_[rest - x, columns(s)], a
+    if held is not None:
+        weight = math.sqrt(float(np.mean(matrix[:, 1:] ** 2)) * a.size)
+        rows = np.c_[np.zeros(held.shape[0]), weight * held]
+        matrix, target = np.r_[matrix, rows], np.r_[a, np.zeros(held.shape[0])]
+    found, left = least_squares(matrix, target)
+    return found, float(np.sum(left**2))
+
+
+def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coefficients: Array) -> Task:
+    """Return the task of a free curve on the contact of a problem, in coordinates about u (13 runs,).
+
+    Moving the curve and the rest position together does not change the motion.
+    """
+    places = tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW)
+    beside = u[list(places)]
+    datums = np.array([place % PER_RUN == Global.DATUM for place in places])
+    offset = np.where(datums, -u[Global.K] / len(problem.runs), 0.0)
+    curve = FreeCurve(knots, ramp=problem.ramp, coefficients=coefficients, offset=offset, beside=beside)
+    start = problem.start.copy()
+    start[Global.K :: PER_RUN] = u[Global.K]
+    return Task(replace(problem, start=start), curve, places)
+
+
+def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -> tuple[float, Array] | None:
+    """Return K and the coefficients of a free curve by regression of the smoothed slips; None if absurd.
+
+    At low speed, where slips show little, the curve begins with the load at the break-aways: with more friction the
+    mass sticks in every window, with far less it slips too early.
+    """
+    spline = FrictionSpline.over(knots)
+    held = SMOOTHNESS * np.diff(np.eye(spline.coefficients.size), 2, axis=0)
+    found, _ = regress(runs, start[Global.DATUM], lambda s: spline.basis(np.clip(s - d, 0, knots[-1])), held)
+    K, coefficients = float(found[0]), found[1:].copy()
+    if not (K > 0 and np.median(coefficients) > 0):
+        return None
+    if d == 0.0:
+        loads = [
+            K * (starts.break_away_position(run.motion, run.cut) - own[Global.DATUM])
+            + own[Global.DAMPING] * own[Global.V_DR]
+            for run, own in zip(runs, start.reshape(-1, PER_RUN), strict=True)
+        ]
+        low = max(3, int(np.sum(knots < LOW_SPEED * knots[-1])) + 1)
+        coefficients[:low] = np.linspace(float(np.median(loads)), coefficients[low], low, endpoint=False)
+    return K, coefficients
+
+
+class Model:
+    """A task's predictions in windows.
+
+    A force by the mass's velocity acts along the motion itself, others along an earlier path, `near`, which `settle`
+    updates.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        windows: ShootingWindows,
+        longest_step: float,
+        near: Path | None = None,
+        count: Array | None = None,
+    ) -> None:
+        self.task, self.windows, self.longest_step, self.near = task, windows, longest_step, near
+        self._size = None if count is None else np.sqrt(count)
+        fastest = max(float(np.max(np.abs(motion.velocity))) for motion in task.problem.motions)
+        self._tables = [force.departure.drag_table(fastest) for force in task.forces]
+        self._last: tuple[Array, Array, Array | None] | None = None
+        self._along: tuple[Path, FittedMotion] | None = None
+
+    @property
+    def along(self) -> bool:
+        """Whether a force acts along an earlier path."""
+        return any(force.departure.drag is None for force in self.task.forces)
+
+    def settle(self, q: Array, local: Array, times: int) -> None:
+        """Evaluate forces along the path of these unknowns, repeated ``times`` as they change the path."""
+        for _ in range(times if self.along else 0):
+            found = self.path(q, local)
+            if found is None:
+                return
+            self.near, self._last = found, None
+
+    def path(self, q: Array, local: Array) -> Path | None:
+        """Return the motion with all that tangents need; None where it cannot be followed."""
+        u, theta, sizes = self.task.split(q)
+        curve = self._curve(q, theta)
+        if curve is None:
+            return None
+        acting, _ = self._acting(sizes)
+        return follow(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
+
+    def residual(self, q: Array, local: Array) -> Array | None:
+        if self._last is not None and np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1]):
+            return self._last[2]
+        u, theta, sizes = self.task.split(q)
+        curve, found = self._curve(q, theta), None
+        if curve is not None:
+            acting, reading = self._acting(sizes)
+            found = positions(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
+            found = None if found is None else found + reading - self.windows.position
+        self._last = q.copy(), local.copy(), found
+        return found
+
+    def evaluate(self, q: Array, local: Array, derivatives: bool) -> tuple[Array, Derivatives | None] | None:
+        """As `fitting.least_squares.normal_equations.Evaluate`; rows are weighted by the root of their count."""
+        residual = self.residual(q, local)
+        if residual is None:
+            return None
+        found = self.all_derivatives(q, local) if derivatives else None
+        return residual if self._size is None else residual * self._size, found
+
+    def some(self, q: Array, cycles: Integers) -> Evaluate:
+        """Return an evaluation of the own unknowns of these cycles alone, with q fixed."""
+        part = Model(self.task, self.windows.some(cycles), self.longest_step)
+        if self._size is not None:
+            part._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
+
+        def evaluate(_: Array, local: Array, derivatives: bool) -> tuple[Array, Derivatives | None] | None:
+            residual = part.residual(q, local)
+            if residual is None:
+                return None
+            found = part.derivatives(q, local, local_tangents) if derivatives else None
+            return residual if part._size is None else residual * part._size, found
+
+        return evaluate
+
+    def path_in(self, block: Block, q: Array, local: Array) -> Path | None:
+        """Return the motion in a block of cycles; of all cycles where a force acts along an earlier path."""
+        if self.along or block.rows == slice(0, self.windows.time.size):
+            return self.path(q, local)
+        cycles = np.arange(block.cycles.start, block.cycles.stop)
+        return Model(self.task, self.windows.some(cycles), self.longest_step).path(q, local[block.cycles])
+
+    def all_derivatives(self, q: Array, local: Array) -> Derivatives:
+        return self.derivatives(q, local, partial(self._columns, q=q))
+
+    def derivatives(self, q: Array, local: Array, columns: Callable[[Path], Array]) -> Derivatives:
+        """Return the derivatives of the positions, ``columns`` (n, k) of the path of each block."""
+
+        def derive(block: Block) -> Array | None:
+            path = self.path_in(block, q, local)
+            part = None if path is None else columns(path)
+            return part if part is None or self._size is None else part * self._size[block.rows, None]
+
+        whole = Block(slice(0, len(self.windows.rows)), slice(0, self.windows.time.size))
+        return Derivatives((whole,) if self.along else self.windows.blocks, derive)
+
+    def _columns(self, path: Path, q: Array) -> Array:
+        _, theta, sizes = self.task.split(q)
+        parts = [self.task.curve.columns(path, theta, self.task.places)]
+        for forcing in self._forcings(path, sizes):
+            width = next(part.shape[1] for part in forcing if part is not None)
+            if forcing.acceleration is None and forcing.belt_speed is None and forcing.reading is not None:
+                parts.append(forcing.reading)
+                continue
+            acts = np.zeros((path.time.size, width)) if forcing.acceleration is None else forcing.acceleration
+            parts.append(tangents(path, acts, belt_speed=forcing.belt_speed, position=forcing.reading))
+        return np.asarray(np.hstack([*parts, local_tangents(path)]))
+
+    def _curve(self, q: Array, theta: Array) -> Curve | None:
+        return self.task.curve.on_path(theta, q[: len(self.task.places)])
+
+    def _motion(self, path: Path) -> FittedMotion:
+        return FittedMotion.from_path(path, self.task.problem.motions, path.residual)
+
+    def _motion_along(self) -> FittedMotion | None:
+        """Return the motion along which forces act; None without forces, or before the first path."""
+        if self.near is None or not self.along:
+            return None
+        if self._along is None or self._along[0] is not self.near:
+            self._along = self.near, self._motion(self.near)
+        return self._along[1]
+
+    def _forcings(self, path: Path, sizes: Array) -> list[Forcing]:
+        """Return the effect of a unit of each force unknown along a path."""
+        if not self.task.forces:
+            return []
+        motion = self._motion(path)
+        return [one for force, own in self._sizes(sizes) for one in force.derivatives(motion, own)]
+
+    def _sizes(self, sizes: Array) -> list[tuple[Force, Array]]:
+        ends = np.cumsum([force.width for force in self.task.forces]).tolist()
+        return [(force, sizes[end - force.width : end]) for force, end in zip(self.task.forces, ends, strict=True)]
+
+    def _acting(self, sizes: Array) -> tuple[dict[str, Any], Array | float]:
+        """Return the forces' contribution to a path, as arguments of `follow`, and to the reading, m."""
+        more: dict[str, Any] = {}
+        reading: Array | float = 0.0
+        motion = self._motion_along()
+        for (force, own), table in zip(self._sizes(sizes), self._tables, strict=True):
+            if force.departure.drag is not None:
+                more["drag"] = table._replace(acceleration=float(own[0]) * table.acceleration)
+                continue
+            if motion is None:
+                continue
+            more["along"] = self.near
+            forcing, coefficients = force.forcing(motion, own), force.coefficients(own)
+            for name in ("acceleration", "belt_speed"):
+                part = getattr(forcing, name)
+                if part is not None:
+                    more[name] = more.get(name, 0.0) + np.einsum("mk,k->m", part, coefficients)
+            if forcing.reading is not None:
+                reading = reading + np.einsum("nk,k->n", forcing.reading, coefficients)
+        return more, reading

@@ -1,0 +1,146 @@
+"""`rank`: fits the laws to smoothed records and ranks them; returns the best, or the set of compatible ones.
+
+Evidence and set rule: `fitting.judge.evidence`.
+"""
+
+import logging
+import time as clock
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from daq.runfile.rig import Rig
+from fitting.judge import law_fits, screening
+from fitting.judge.adequacy import assess, measure
+from fitting.judge.calibrations import LawParameters, find_contradictions, find_other_contact, known_rest, with_given
+from fitting.judge.formulas import fit_formulas, name_better_limit
+from fitting.judge.judgement import Competition, compete
+from fitting.judge.parameters import Parameter
+from fitting.model.problem import Run
+from fitting.options import Options
+from fitting.record import motion as frame
+from fitting.result import Ranking
+from fitting.search.fit import Unfitted
+from fitting.words import answer
+from processing.record.kinematics import Kinematics
+from stickslip.errors import DataError
+
+logger = logging.getLogger(__name__)
+
+
+def rank(
+    records: Sequence[Kinematics],
+    rigs: Sequence[Rig],
+    options: Options,
+    progress: Callable[[float], None] | None = None,
+) -> Ranking:
+    """Fit the laws to a record, or to several of one contact together, and rank them; errors as of `fitting.rank`."""
+    begun = clock.process_time()
+    if len(records) > 1:
+        options.check_joint()
+    runs = _cut(records, rigs, options)
+
+    def describing(records: Sequence[Kinematics], runs: Sequence[Run]) -> Mapping[int | str, LawParameters]:
+        """Return the laws that describe other runs, best first, with their parameters of each run."""
+        try:
+            return answer.describing(_compete(options, records, runs), options)
+        except (law_fits.NoLawError, DataError):
+            return {}
+
+    def refit(free: Sequence[Run]) -> Sequence[LawParameters]:
+        return list(describing(records, free).values())
+
+    try:
+        competition = _compete(options, records, runs, progress)
+    except law_fits.NoLawError as refused:
+        contradicted = find_contradictions([], runs, records, refit)
+        if refused.stick_slip:
+            return answer.without_law(refused.reason, contradicted, options, runs, records, begun)
+        raise screening.refusal(refused.reason, contradicted, runs, records) from None
+    other_contact = None
+    if not competition.described and len(runs) > 1:
+        alone: list[Mapping[int | str, Mapping[str, Parameter]]] = []
+        for record, run in zip(records, competition.runs, strict=True):
+            alone.append({law: own[0] for law, own in describing([record], [run]).items()})
+        other_contact = find_other_contact(alone)
+    contradicted = [[] for _ in runs]
+    if other_contact is None:  # else each run is described with what was stated
+        described = list(answer.describing(competition, options).values())
+        contradicted = find_contradictions(described, competition.runs, records, refit)
+    adequacies = assess(
+        competition.fits,
+        competition.judged[competition.best.law],
+        competition.curve,
+        competition.noise,
+        [fit for fit in competition.fits if fit.law.has_kernel] or competition.six,
+        [run.motion for run in competition.runs],
+        len(options.competitors.six),
+        _revolution(records),
+        explain=other_contact is None and not any(contradicted),
+    )
+    for fit in competition.fits:
+        member = "in the set" if fit.law in competition.members else "not in the set"
+        logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law.name, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
+    logger.info("goodness of fit: %s", adequacies[0].said)
+    return answer.build_ranking(competition, options, records, adequacies, contradicted, other_contact, begun)
+
+
+def _cut(records: Sequence[Kinematics], rigs: Sequence[Rig], options: Options) -> list[Run]:
+    """Return each record in the fit's frame, divided into cycles."""
+    for record in records:
+        screening.refuse_wrong_times(record)
+    runs = []
+    for record, rig in zip(records, rigs, strict=True):
+        motion = frame.from_kinematics(record, known_rest(rig, options.competitors), options.belt_speed)
+        screening.refuse_few_samples(motion, record)
+        runs.append(law_fits.cut_run(motion, frozenset(options.excluded)))
+        found = runs[-1].cut
+        logger.info("%s: %d cycles, %d to fit", record.recording.name, len(found.cycles), len(found.used))
+    return with_given(runs, options.competitors)
+
+
+def _compete(
+    options: Options,
+    records: Sequence[Kinematics],
+    runs: Sequence[Run],
+    progress: Callable[[float], None] | None = None,
+) -> Competition:
+    """Fit all laws to the runs, and let them compete.
+
+    Raises NoLawError: no law comes near the record.
+    """
+    competitors = options.competitors
+    six, runs, sustained, doubt = law_fits.fit_runs(options, runs, records, progress)
+    nearest, curve = measure(six, [run.motion for run in runs], options.alpha)
+    formulas, missing, warnings = fit_formulas(competitors, curve, six)
+    direct = [fit for fit in six if fit.law in competitors.laws and competitors.by_kernel(fit.law)]
+    lost = {fit.law: name_better_limit(fit, six) for fit in direct}
+    fits = [*(fit for fit in direct if not lost[fit.law]), *formulas]
+    if doubt and not screening.comes_near(formulas, runs):
+        law_fits.refuse(doubt, records)
+    if sustained:
+        followed = {*lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}
+        lost |= {law: "its motion cannot be followed" for law in competitors.laws if law not in followed}
+    missing = [*(Unfitted(law, why) for law, why in lost.items() if why), *missing]
+    if not any(competitors.asks(fit.law) for fit in fits):
+        reasons = "; ".join(f"law {law.key}: {reason}" for law, reason, asked in missing if asked)
+        where = ", ".join(record.recording.where for record in records)
+        raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")
+    return replace(
+        compete(fits, nearest.noise, nearest, runs, options.alpha, sustained=sustained),
+        runs=tuple(runs),
+        sustained=sustained,
+        curve=curve,
+        noise=nearest.noise,
+        six=tuple(six),
+        unfitted=tuple(missing),
+        warnings=tuple(warnings),
+    )
+
+
+def _revolution(records: Sequence[Kinematics]) -> float | None:
+    """Return the encoder's travel per revolution, m, if the same in all runs, else None."""
+    found = set()
+    for record in records:
+        pitch, counts = record.recording.rig.metres_per_count, record.recording.rig.counts_per_revolution
+        found.add(None if pitch is None or counts is None else abs(pitch.value) * counts)
+    return found.pop() if len(found) == 1 else None

@@ -1,0 +1,1 @@
+"""The record in the frame of the fit, cut into cycles."""

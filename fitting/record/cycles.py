@@ -1,0 +1,261 @@
+r"""Cuts a record into cycles: window A from break-away to mid-stick, window B from there to the next break-away.
+
+::
+
+    v  ____                ________________            belt speed
+           \              /        |       \
+            \            /         |        \
+             \__________/          |         \___
+          |<------- A ------------>|<-- B -->|  |<-- A of the next cycle
+
+The break-away is random and falls into no window: window B ends a tenth of a slip before it and window A starts once
+the mass has left the belt by a twentieth of its speed.  A *cycle* is a break-away with the B before it and the A after
+it; both share one kinetic level, because the level is drawn anew at each landing.
+
+The velocity alone decides, also where the smoother has fitted corners (`Kinematics.corners`): methods without corners,
+and a mass that only grazes the belt (laws 1 and 2), show nothing else, and one rule serves all.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fitting.record.motion import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, MeasuredMotion
+from stickslip.compute.arrays import Array, Mask, runs
+
+# Times below are in slips (`MeasuredMotion.slip_s`).
+# At half the smoothed corner is still random in camera tracks; twice loses the end of short sticks.
+BEFORE_BREAK_AWAY = 0.1
+LEFT_BELT_BY = 0.05  # speed below the belt's, over it, at which a slip's window begins
+OVERTAKES_BY = 0.02  # speed above the plateau, over the belt's, at which the mass overtakes it
+LONGEST_TURN = 1.0  # time at rest: for longer, a mass stands on a belt that stands; a sliding mass only turns there
+# Rounding of times over the usual interval: 1e-6 after a week at 10 kHz; a tenth is the jitter of a board.
+ROUNDING = 1e-3
+FEWEST_AT_REST = 8  # samples of a line that shows rest
+REST_SPEED_ERRORS = 4.0  # slope of that line, in standard errors, that is still rest
+WIDEST_SLACK = 0.25  # error of that slope, over the belt's speed, from which it shows nothing
+SCATTER_AT_REST = 2.0  # scatter about that line over the noise: more is motion
+SUSTAINED_SHARE = 0.15  # share of the record in plateaus: below it the mass only grazes the belt
+# Deceleration over that of a mass that still sticks, from which it slips: while the belt drags it from rest on a ramp,
+# 0.3 of the belt's speed wide, it is slowed down by 3 times as much; in the first half of a slip by 5 times and more.
+SLIP_DECELERATION = 4.0
+# Most cycles that are fitted.  Memory and time grow with their number; with 200 the errors of calibrations are usually
+# larger than those of the fit.
+MOST_CYCLES = 200
+STILL_ACCELERATION = 0.05  # acceleration over a slip's: with less the mass sticks, or crosses the top of a sine
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One break-away and what surrounds it; sample ranges are half open, and empty where a window is missing."""
+
+    number: int  # 1, 2, 3 ... in order of time.
+    break_away: float  # Break-away and return to the belt, s, as the smoothed motion shows them
+    landing: float
+    stick: tuple[int, int]  # (first, end) samples of window B (before the break-away) and window A (after it)
+    slip: tuple[int, int]
+    # whether the mass overtakes the belt after landing: a slip that returns with more load than the belt can hold
+    overtakes: bool = False
+    # "" or why the cycle is not used: "gap", "rest" (the belt stood during the slip), "excluded", "short", or "surplus"
+    # (`MOST_CYCLES`)
+    flag: str = ""
+
+
+@dataclass(frozen=True)
+class CycleSegmentation:
+    """A record divided into cycles."""
+
+    cycles: tuple[Cycle, ...]  # in order of time, used or not
+    plateau_fraction: float  # share of the record spent in stick, the drag of the start-up and rests left out
+    starts_at_rest: bool  # whether the record begins before the belt does
+    # (first, end) samples of the start-up drag, from shortly after the first landing to a tenth of a slip before the
+    # first break-away; empty when the record does not begin at rest
+    drag: tuple[int, int]
+
+    @property
+    def sustained(self) -> bool:
+        """Whether the sticks continue over the whole record."""
+        return self.plateau_fraction >= SUSTAINED_SHARE
+
+    @property
+    def shows_belt(self) -> bool:
+        """Whether the mass moves with the belt at any time: in sticks, or in the drag of the start-up."""
+        return self.sustained or (self.uses_start and self.drag != (0, 0))
+
+    @property
+    def used(self) -> tuple[Cycle, ...]:
+        return tuple(cycle for cycle in self.cycles if not cycle.flag)
+
+    @property
+    def surplus(self) -> int:
+        """How many cycles are not used, because others are enough (`MOST_CYCLES`)."""
+        return sum(cycle.flag == "surplus" for cycle in self.cycles)
+
+    @property
+    def uses_start(self) -> bool:
+        """Whether the record begins at rest and its first cycle, which includes the drag, is used."""
+        return self.starts_at_rest and bool(self.cycles) and not self.cycles[0].flag
+
+
+def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset()) -> CycleSegmentation:
+    """Divide a record into cycles, none where the mass never falls below half the belt's speed.
+
+    Cycles ``excluded`` by number stay in the list, flagged.
+    """
+    time, v, a = motion.time, motion.velocity, motion.acceleration
+    n = time.size
+    shortest = max(3, round(SHORTEST_PHASE * motion.slip_s / float(np.median(np.diff(time)))))
+    slow = [(i, j) for i, j in runs(v < SLIP_SPEED * motion.belt_speed) if j - i >= shortest]
+    if not slow:
+        return CycleSegmentation((), 0.0, False, (0, 0))
+    at_rest = np.abs(v) < REST_SPEED * motion.belt_speed
+    starts_at_rest = slow[0][0] == 0 and (bool(at_rest[: min(shortest, n)].all()) or _rests(motion, slow[0][1]))
+    rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > LONGEST_TURN * motion.slip_s]
+    slipping = np.zeros(n, np.bool_)
+    for stretch in slow:
+        slipping[slice(*stretch)] = True
+    for stretch in rests:
+        slipping[slice(*stretch)] = False
+    strongest = float(np.percentile(np.abs(a[slipping]), 95)) if slipping.any() else 0.0
+    still = STILL_ACCELERATION * strongest
+
+    begins, ends = zip(*slow, strict=True)
+    onsets, landings = _onsets(a, begins, still), _landings(a, ends, still)
+    if starts_at_rest and len(slow) > 1:
+        onsets[1:2] = _onsets(a, begins[1:2], still + _creep(motion, landings[0], begins[1], still))
+    resting = _overlap(onsets, landings, rests)
+    sticks = list(zip(landings, [*onsets[1:], n], strict=True))
+    middles = [(i + j) // 2 for i, j in sticks]
+
+    cycles: list[Cycle] = []
+    drag = (0, 0)
+    for k, (begin, end) in enumerate(slow):
+        if k == 0 and begin == 0:
+            continue  # the start-up, or a slip whose beginning was not recorded
+        onset = onsets[k]
+        last = _sample_from(motion, time[onset] - BEFORE_BREAK_AWAY * motion.slip_s)
+        if k == 0:
+            first = _calm(motion, onset, still)
+        elif k == 1 and starts_at_rest:
+            settle = max(SHORTEST_PHASE * motion.slip_s, motion.half_window)
+            first = _sample_from(motion, time[min(landings[0], n - 1)] + settle)
+        else:
+            first = _sticking(motion, middles[k - 1], last)
+        stick = (first, last) if last - first >= shortest else (onset, onset)
+        if motion.broken[stick[0] + 1 : stick[1]].any():
+            stick = (onset, onset)
+        if k == 1 and starts_at_rest and stick[1] > stick[0]:
+            drag = stick
+        left = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_BELT_BY * motion.belt_speed))
+        slip = (left, min(middles[k], n))
+        if end >= n or landings[k] >= n:
+            continue  # the record ends inside this slip
+        flag = ""
+        if motion.broken[slip[0] + 1 : slip[1]].any():
+            flag = "gap"
+        elif resting[k]:
+            flag = "rest"
+        elif slip[1] - slip[0] < 2 * shortest:
+            flag = "short"
+        number = len(cycles) + 1
+        if number in excluded:
+            flag = "excluded"
+        overtakes = _overtakes(motion, landings[k], sticks[k][1])
+        cycles.append(Cycle(number, float(time[onset]), float(time[landings[k]]), stick, slip, overtakes, flag))
+
+    stuck = sum(
+        float(time[min(j, n - 1)] - time[min(i, n - 1)])
+        for k, (i, j) in enumerate(sticks)
+        if not (k == 0 and starts_at_rest)
+    )
+    first = min(sticks[0][1], n - 1) if starts_at_rest else 0
+    span = float(time[-1] - time[first] - sum(time[j - 1] - time[i] for i, j in rests if i >= first))
+    return CycleSegmentation(_spread(cycles), stuck / span if span > 0 else 0.0, starts_at_rest, drag)
+
+
+def _spread(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
+    """Return the cycles, of which `MOST_CYCLES` are used, evenly spread from the first to the last."""
+    used = [k for k, cycle in enumerate(cycles) if not cycle.flag]
+    kept = {used[k] for k in np.linspace(0, len(used) - 1, min(MOST_CYCLES, len(used))).round().astype(int)}
+    return tuple(cycle if cycle.flag or k in kept else replace(cycle, flag="surplus") for k, cycle in enumerate(cycles))
+
+
+def _sample_from(motion: MeasuredMotion, time: float) -> int:
+    """Return the first sample at or after a time (s), less `ROUNDING`."""
+    return int(np.searchsorted(motion.time, time - ROUNDING * motion.span / motion.time.size))
+
+
+def _rests(motion: MeasuredMotion, end: int) -> bool:
+    """Return whether a line through the first positions is flat to within its error, and that small against the belt.
+
+    ``end``, in samples, ends the first slow stretch.
+    """
+    last = min(_sample_from(motion, motion.time[0] + 0.5 * LONGEST_TURN * motion.slip_s), end)
+    if last < FEWEST_AT_REST:
+        return False
+    t, x = motion.time[:last] - motion.time[:last].mean(), motion.measured[:last]
+    spread = float(np.sum(t**2))
+    slope = float(np.sum(t * (x - x.mean()))) / spread
+    slack = max(REST_SPEED * motion.belt_speed, REST_SPEED_ERRORS * motion.resolution / math.sqrt(spread))
+    flat = abs(slope) < slack < WIDEST_SLACK * motion.belt_speed
+    return flat and float(np.std(x)) < SCATTER_AT_REST * motion.resolution
+
+
+def _calm(motion: MeasuredMotion, onset: int, still: float) -> int:
+    """Return the first sample of the initial plateau, without a start-up too short to be a slip."""
+    restless = np.flatnonzero(np.abs(motion.acceleration[:onset]) > still)
+    if not restless.size:
+        return 0
+    return _sample_from(motion, motion.time[restless[-1]] + motion.half_window)
+
+
+def _sticking(motion: MeasuredMotion, middle: int, last: int) -> int:
+    """Return the first stick sample from ``middle`` on: a long overtaking may last past the middle."""
+    v = motion.velocity[middle:last]
+    if v.size < 4:
+        return middle
+    fast = np.flatnonzero(v - np.median(v[v.size // 2 :]) > OVERTAKES_BY * motion.belt_speed)
+    if not fast.size:
+        return middle
+    return _sample_from(motion, motion.time[middle + fast[-1]] + motion.half_window)
+
+
+def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
+    """Return whether the velocity peaks above the plateau after the landing by more than smoothing explains."""
+    early = _sample_from(motion, motion.time[landing] + 2 * motion.half_window)
+    settled = motion.velocity[(early + end) // 2 : end]
+    if settled.size < 3 or early >= end:
+        return False
+    peak = float(motion.velocity[early : (early + end) // 2].max(initial=-np.inf))
+    return peak - float(np.median(settled)) > OVERTAKES_BY * motion.belt_speed
+
+
+def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> float:
+    """Return the deceleration of the mass while the belt drags it from rest to ``begin``, m/s^2.
+
+    On a wide ramp it increases with the load from the first. 0 below ``still``, or where it is that of a slip.
+    """
+    first = _sample_from(motion, motion.time[landing] + max(SHORTEST_PHASE * motion.slip_s, motion.half_window))
+    part = motion.acceleration[first : (first + begin) // 2]
+    slowing = -float(np.median(part)) if part.size else 0.0
+    return slowing if still < slowing < SLIP_DECELERATION * still else 0.0
+
+
+def _onsets(a: Array, begins: Sequence[int], still: float) -> list[int]:
+    """Return the last samples before ``begins`` without deceleration, or 0."""
+    steady = np.concatenate(([0], np.flatnonzero(a > -still)))
+    return [int(i) for i in steady[np.searchsorted(steady, begins, side="right") - 1]]
+
+
+def _landings(a: Array, ends: Sequence[int], still: float) -> list[int]:
+    """Return the first samples from ``ends`` on without acceleration, or the record's length."""
+    steady = np.append(np.flatnonzero(a < still), a.size)
+    return [int(i) for i in steady[np.searchsorted(steady, ends)]]
+
+
+def _overlap(begins: Sequence[int], ends: Sequence[int], rests: Sequence[tuple[int, int]]) -> Mask:
+    """Return whether each stretch shares samples with a rest; rests are in order."""
+    first, last = np.array(rests, np.int64).reshape(-1, 2).T
+    return np.asarray(np.searchsorted(first, ends) > np.searchsorted(last, begins, side="right"))

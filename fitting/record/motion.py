@@ -1,0 +1,455 @@
+"""Belt speed without load, compliance and remaining variation of the belt, estimated from belt counts.
+
+A belt that slows in proportion to its load loses ``compliance`` metres a second per metre of spring extension.  In
+stick the load is the spring force, so the belt's measured velocity against the mass's position is a straight line of
+slope -compliance, whatever the friction law: this calibration does not depend on the fit, which uses it as a prior.  In
+the flow it is droop = compliance Fs/k (`rig_sim.flow.flow.Flow`).
+
+Samples within half a smoothing window of a stick's ends are left out, where slip is blurred into it.  The error of the
+line is the larger of two: for residuals that are correlated within a smoothing window, and for residuals that are
+correlated within a stick (ripple, a joint).
+
+How long a slip lasts, from break-away to landing, as the readings show it: also of so few that no smoothing does.
+
+Seen from a frame that moves at half the belt's speed, a stick rises and a slip falls.  From the top to the foot of a
+fall the mass is slower than half the belt's speed; the slip is longer than that by what a harmonic motion of the same
+height takes between that speed and the belt's.  Turns, not velocities, are looked for, so that one sample in a stick
+and four in a slip are enough, and the noise of finely sampled readings makes no turn.
+
+The measured motion as the fit sees it: metres, seconds from the record's first sample, a belt that runs towards +x.
+
+The time of fading levels and of a belt that ripples is counted from there: when the record began does not matter.
+A record of a backward belt is mirrored (x -> -x, v -> -v) on the way in; the physics is odd, so the same fit serves
+both and only the signs of datum and belt speed are turned back in the result.  Samples that the smoothing left out as
+faults of the sensor are not in it: what stands there is an estimate, and no data.  Steps of the position that the
+smoothing found (lost counts, a datum that moved) are taken out, whether or not the run's position was repaired.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.runfile.rig import Rig
+from fitting.least_squares.elimination import least_squares
+from processing.record.kinematics import Kinematics
+from processing.record.noise import smallest_step
+from processing.record.setting import is_possible_speed
+from stickslip.compute.arrays import HOLE, Array, runs
+from stickslip.errors import DataError, InputError
+from stickslip.units import Measured
+
+COMPLIANCE_SHOWN = 3.0  # standard errors of the slope: a belt with a smaller one is taken as stiff
+LEAST_VARIATION = 2e-3  # residual variation, over the belt's speed, that gives a warning
+VARIATION_SHOWN = 2.0  # residual variation over what counting alone shows: less is none
+
+
+@dataclass(frozen=True)
+class BeltLine:
+    """The belt's velocity against the mass's position in stick, with the record's signs."""
+
+    speed: Measured  # m/s, signed, at ``middle``: errors of speed and slope are then independent
+    slope: Measured  # d(velocity)/d(position), 1/s; -compliance
+    middle: float  # m, the mean position of the samples
+    speed_variation: float  # m/s, root mean square of what the line leaves, less the noise of counting
+
+    @property
+    def slows_under_load(self) -> bool:
+        return -self.slope.value > COMPLIANCE_SHOWN * self.slope.sd
+
+    @property
+    def is_unsteady(self) -> bool:
+        return self.speed_variation > LEAST_VARIATION * abs(self.speed.value)
+
+    def speed_without_load(self, rest: Measured) -> Measured:
+        """Return the belt's speed where the spring is relaxed (``rest``, m), with its error."""
+        reach = rest.value - self.middle
+        value = self.speed.value + self.slope.value * reach
+        return Measured(value, math.hypot(self.speed.sd, math.hypot(self.slope.sd * reach, self.slope.value * rest.sd)))
+
+
+def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
+    """Fit the belt's line; None where the belt was not counted or no stick is long enough.
+
+    Not modelled: a belt whose compliance is not proportional to the load, or lags it.
+    """
+    velocity, errors = kinematics.belt_velocity, kinematics.belt_velocity_errors
+    if velocity is None or errors is None:
+        return None
+    half = kinematics.window // 2
+    parts = [np.arange(stick.first + half, stick.last + 1 - half) for stick in kinematics.sticks]
+    parts = [part for part in parts if part.size > kinematics.window]
+    if not parts:
+        return None
+    index = np.concatenate(parts)
+    x, v = kinematics.steady_position[index], velocity[index]
+    middle = float(x.mean())
+    columns = np.c_[np.ones_like(x), x - middle]
+    line, rest = least_squares(columns, v)
+    spread = np.maximum(_alike_in_windows(columns, rest, kinematics.window), _alike_in_sticks(columns, rest, parts))
+    noise = float(np.sqrt(np.mean(errors[index] ** 2)))
+    seen = float(np.sqrt(np.mean(rest**2)))
+    variation = math.sqrt(max(seen**2 - noise**2, 0.0)) if seen > VARIATION_SHOWN * noise else 0.0
+    pitch = kinematics.recording.rig.belt_metres_per_count
+    scale = 0.0 if pitch is None else abs(pitch.sd / pitch.value)
+    speed = Measured(float(line[0]), math.hypot(float(spread[0]), scale * float(line[0])))
+    return BeltLine(speed, Measured(float(line[1]), float(spread[1])), middle, variation)
+
+
+def _alike_in_windows(columns: Array, rest: Array, window: int) -> Array:
+    """Return a line's standard errors for residuals correlated over ``window`` samples; orthogonal columns."""
+    square = float(np.sum(rest**2)) / max(rest.size / window - 2, 1)
+    return np.asarray(np.sqrt(square / np.sum(columns**2, axis=0)))
+
+
+def _alike_in_sticks(columns: Array, rest: Array, parts: list[NDArray[np.int64]]) -> Array:
+    """Return a line's standard errors for residuals correlated within a stick; orthogonal columns."""
+    ends = np.cumsum([part.size for part in parts])[:-1]
+    pushes = np.array([np.sum(part, axis=0) for part in np.split(columns * rest[:, None], ends)])
+    few = len(parts) / max(len(parts) - 1, 1)
+    return np.asarray(np.sqrt(few * np.sum(pushes**2, axis=0)) / np.sum(columns**2, axis=0))
+
+
+# Size of a turn, in standard deviations of the difference of two readings: a smaller one is none.  With half of it the
+# noise of 1,000 samples in a stick makes turns; with twice, readings of four samples a slip, whose motion itself counts
+# as noise, lose theirs.
+TURN_ABOVE_NOISE = 6.0
+ITERATIONS = 30  # towards the fixed point in `harmonic_share`: two gain a digit
+
+
+def slip_duration(time: Array, position: Array, noise: float) -> float:
+    """Return the usual duration of a slip, s; the whole record's without one.
+
+    In 39 contacts of all kinds that stick, with 4 to 14 samples a slip, it is 0.87 to 1.13 times the true duration; in
+    11 that merely graze the belt it is 0.78 to 0.97 of a natural period. The belt runs towards +x; ``noise`` is in m.
+    """
+    least = TURN_ABOVE_NOISE * math.sqrt(2) * noise
+    rises = _way(position, least, 1)
+    if not rises:
+        return float(time[-1] - time[0])
+    belt = float(np.median([_middle_speed(time[i : j + 1], position[i : j + 1]) for i, j in rises]))
+    falls = _way(position - 0.5 * belt * time, least, -1)
+    if not falls:
+        return float(time[-1] - time[0])
+    slow = _middle_mean(np.array([time[j] - time[i] for i, j in falls]))
+    height = float(np.median([np.ptp(position[i : j + 1]) for i, j in falls]))
+    if height == 0:
+        return float(time[-1] - time[0])
+    share = harmonic_share(belt * slow / height)
+    return slow * (math.pi + 2 * math.asin(share)) / (math.pi + 2 * math.asin(0.5 * share))
+
+
+def harmonic_share(ratio: float) -> float:
+    """Return the belt's speed over the highest speed of a harmonic motion, at most 1.
+
+    ``ratio`` is the belt's travel, while the motion is slower than half the belt, over the motion's height.
+    """
+    share = 0.0
+    for _ in range(ITERATIONS):
+        share = min(1.0, 2 * ratio / (math.pi + 2 * math.asin(0.5 * share)))
+    return share
+
+
+def _way(y: Array, least: float, way: int) -> list[tuple[int, int]]:
+    """Return first and last sample of each rise (``way`` 1) or fall (-1) between turns deeper than ``least``."""
+    turns = _turns(way * y, least)
+    return [(i, j) for (i, top), (j, _) in pairwise(turns) if not top]
+
+
+def _turns(y: Array, least: float) -> list[tuple[int, bool]]:
+    """Return the samples where y turns by more than ``least``, each with whether it is a top."""
+    rises = np.sign(np.diff(y))
+    places = np.flatnonzero(np.r_[True, rises[1:] != rises[:-1], True]).tolist()  # tops, feet and ends of equal values
+    turns: list[tuple[int, bool]] = []
+    top = foot = places[0]
+    for place in places:
+        value = y[place]
+        top = place if value > y[top] else top
+        foot = place if value < y[foot] else foot
+        rising = not turns or not turns[-1][1]
+        falling = not turns or turns[-1][1]
+        if rising and y[top] - value > least:
+            turns.append((top, True))
+            foot = place
+        elif falling and value - y[foot] > least:
+            turns.append((foot, False))
+            top = place
+    return turns
+
+
+def _middle_speed(time: Array, position: Array) -> float:
+    """Return the mean speed over the middle half of a rise's height, m/s: the belt's in stick."""
+    height = np.maximum.accumulate(position)
+    ends = []
+    for part in (0.25, 0.75):
+        level = position[0] + part * (position[-1] - position[0])
+        after = max(int(np.searchsorted(height, level)), 1)
+        low, high = height[after - 1], height[after]
+        ends.append(time[after - 1] + (time[after] - time[after - 1]) * (level - low) / (high - low))
+    return float(0.5 * (position[-1] - position[0]) / (ends[1] - ends[0]))
+
+
+def _middle_mean(values: Array) -> float:
+    """Return the mean of the middle half, which resolves finer than the median of whole samples."""
+    quarter = values.size // 4
+    return float(np.mean(np.sort(values)[quarter : values.size - quarter]))
+
+
+SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
+REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest
+FEWEST_STICKS = 4  # whose median is the belt's speed; of fewer one misplaced stick moves it
+# Length of the shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a hole as long may hide one.  At half noise
+# beside a corner is a stick, twice is half a stick at the end of stick-slip.
+SHORTEST_PHASE = 0.06
+GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a gap
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredMotion:
+    """The measurement in the fit's frame; n is the number of samples that are not faults."""
+
+    # (n,) s since `begin`; measured position (counted, m); smoothed position, velocity and acceleration (m, m/s, m/s^2)
+    time: Array
+    measured: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    # (n,) true at a sample that does not follow the one before it: a gap, a new segment, or a hole left by faults that
+    # is as long as the smoothing does not cross
+    broken: NDArray[np.bool_]
+    belt_speed: float  # m/s, > 0: a first value; the fit finds its own
+    # m/s, in the record's own sign: what the caller or the calibration states, whether used or not
+    stated_speed: Measured | None
+    # what the calibration knows: belt speed (m/s), spring's rest position in this record (m), damping c (N s/m)
+    belt_prior: Measured | None
+    datum_prior: Measured | None
+    damping_prior: Measured | None
+    mass: Measured | None  # kg, N/m
+    stiffness: Measured | None
+    sign: float  # -1.0 where the record was mirrored, else 1.0
+    # standard deviation of one measured position, m: of a counter its rounding, else the noise that the record shows
+    resolution: float
+    step: float  # smallest change of a measured position, m: one count, or the last printed decimal
+    velocity_error: float  # standard error of the smoothed velocity, m/s; median over the record
+    half_window: float  # half of the smoothing window, s: how far a corner is blurred
+    slip_s: float  # about how long a slip lasts, s, a power of two (`rounded_slip`): the unit of all times in the fit
+    samples_per_slip: float  # of the usual slip, from break-away to landing (`fitting.record.motion`)
+    length_error: float = 0.0  # relative standard error of every length: that of the metres per count
+    # belt speed lost per metre of spring stretch, 1/s, where the belt's own counts show that it slows under load
+    compliance: Measured | None = None
+    belt_measured: bool = False  # whether the belt's own counts are used: then a ramp cannot be a belt that slows
+    # m/s rms: variation of the measured belt speed that load does not explain; 0 where it is not significant
+    speed_variation: float = 0.0
+    counted: bool = False  # whether an encoder counted the positions; else a camera or another sensor measured them
+    rest_stated_as: str = "datum"  # what a stated rest position was stated as: "x0" or "datum"
+    begin: float = 0.0  # s; time of the record's first sample, as the record tells time
+
+    @property
+    def span(self) -> float:
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def per_mass(self) -> bool:
+        """Whether mass and stiffness are unknown, so that accelerations give no forces and c gives no c/m."""
+        return self.mass is None and self.stiffness is None
+
+    @property
+    def travel(self) -> float:
+        return float(np.ptp(self.position))
+
+
+def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | float | str | None) -> MeasuredMotion:
+    """Bring a smoothed record into the fit's frame.
+
+    A stated ``belt_speed`` (m/s, signed) precedes the belt's counts, which "channel" requires; without both,
+    calibration and sticks give it. Raises InputError for a record in counts, a belt at rest or missing belt counts, and
+    DataError where nothing moves.
+    """
+    recording = kinematics.recording
+    source = recording.where
+    if recording.unit != "m":
+        raise InputError(
+            "positions are in counts: this rig has no metres per count",
+            source,
+            f"add metres_per_count to a rig.toml, then: daq replay {recording.source.name} --rig rig.toml -o NEW.h5",
+            python="give metres_per_count: daq.Recording.from_arrays(time, counts, metres_per_count='7.67 um')",
+        )
+    typed = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else belt_speed
+    if isinstance(typed, Measured) and typed.value == 0:
+        raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
+    resolution, step = _resolution(kinematics)
+    kept = _kept(kinematics)
+    begin = float(kinematics.time[0])
+    time, position, velocity = (
+        kinematics.time[kept] - begin,
+        kinematics.steady_position[kept],
+        kinematics.velocity[kept],
+    )
+    if np.ptp(position) < 20 * resolution:
+        raise DataError(
+            "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
+        )
+    channel = _channel(kinematics, typed)
+    stated = typed if isinstance(typed, Measured) else rig.belt_speed
+    seen = speed_in_sticks(kinematics)
+    believed = stated if stated is not None and is_possible_speed(stated, seen) else None
+    speed = _belt_speed(kinematics, believed, seen, given=isinstance(typed, Measured))
+    sign = math.copysign(1.0, speed)
+    usual = float(np.median(np.diff(kinematics.time)))
+    rest = _rest_position(rig, recording.rig)
+    slip = usual_slip(time, sign * position, sign * velocity < SLIP_SPEED * abs(speed))
+    # What smoothing leaves out as faults is in them: few samples a slip look like spikes.
+    readings = recording.position - kinematics.offset
+    prior = believed
+    if channel is not None:
+        middle = 0.5 * float(position.max() + position.min())
+        unknown = Measured(middle, 0.5 * float(np.ptp(position)))
+        prior = channel.speed_without_load(unknown if rest is None else rest)
+        prior = replace(prior, sd=math.hypot(prior.sd, _length_error(recording.rig) * prior.value))
+    return MeasuredMotion(
+        time=time,
+        measured=sign * (kinematics.measured - (0.0 if kinematics.repaired else kinematics.offset))[kept],
+        position=sign * position,
+        velocity=sign * velocity,
+        acceleration=sign * kinematics.acceleration[kept],
+        broken=_broken(kinematics, usual, slip),
+        belt_speed=abs(speed),
+        stated_speed=stated,
+        belt_prior=None if prior is None else Measured(abs(prior.value), prior.sd),
+        datum_prior=None if rest is None else Measured(sign * rest.value, rest.sd),
+        rest_stated_as="datum" if rig.x0 is None else "x0",
+        damping_prior=rig.damping,
+        mass=rig.mass,
+        stiffness=rig.stiffness,
+        sign=sign,
+        resolution=resolution,
+        step=step,
+        velocity_error=float(np.median(kinematics.velocity_errors[kept])),
+        half_window=kinematics.window * usual / 2,
+        slip_s=rounded_slip(slip),
+        samples_per_slip=slip_duration(kinematics.time, sign * readings, kinematics.noise) / usual,
+        length_error=_length_error(recording.rig),
+        compliance=Measured(-channel.slope.value, channel.slope.sd)
+        if channel is not None and channel.slows_under_load
+        else None,
+        belt_measured=channel is not None,
+        speed_variation=0.0 if channel is None or not channel.is_unsteady else channel.speed_variation,
+        counted=recording.count is not None,
+        begin=begin,
+    )
+
+
+def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
+    """Return the usual duration of a slip, s: half of the travel in slips is in slips at least as long."""
+    parts = runs(slips)
+    last = time.size - 1
+    if not parts:
+        parts = [(0, time.size)]
+    lengths = np.array([time[min(j, last)] - time[i] for i, j in parts])
+    ways = np.array([np.ptp(position[i:j]) for i, j in parts])
+    order = np.argsort(lengths)
+    travelled = np.cumsum(ways[order])
+    return float(lengths[order][np.searchsorted(travelled, 0.5 * travelled[-1])])
+
+
+def rounded_slip(usual: float) -> float:
+    """Return a power of two, 0.55 to 1.1 times the usual duration of a slip, s.
+
+    A power of two scales times without rounding: a record in slow motion gives the same answer. Slips of the six laws
+    last 1.05 to 1.3 half periods of the mass on its spring; rounded after pi/4, they give the same number.
+    """
+    return math.ldexp(1.0, round(math.log2(usual * math.pi / 4)))
+
+
+def _kept(kinematics: Kinematics) -> NDArray[np.bool_]:
+    """Return the samples that are data: neither faults of the sensor nor within a step of the position."""
+    kept = ~kinematics.missing
+    for step in kinematics.losses:
+        kept[step.first : step.last] = False
+    return kept
+
+
+def _broken(kinematics: Kinematics, usual: float, slip: float) -> NDArray[np.bool_]:
+    """Return which kept samples do not follow the one before; ``usual`` interval and ``slip`` duration, s."""
+    time, kept = kinematics.time, _kept(kinematics)
+    new = (np.diff(time) > GAP_INTERVALS * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
+    piece = np.r_[0, np.cumsum(new)][kept]
+    broken = np.ones(piece.size, np.bool_)
+    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[kept]) > max(HOLE * usual, SHORTEST_PHASE * slip))
+    return broken
+
+
+def _channel(kinematics: Kinematics, belt_speed: Measured | str | None) -> BeltLine | None:
+    """Return the belt's line from its counts, or None where they are not used or too few."""
+    if isinstance(belt_speed, str) and belt_speed != "channel":
+        raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give channel, or a speed in m/s")
+    if belt_speed == "channel" and kinematics.belt_velocity is None:
+        raise InputError(
+            "the run has no belt counts",
+            f"{kinematics.recording.where}, --belt-speed",
+            "record with an encoder on the belt ([belt] channel = true on the simulated rig), or give a speed in m/s",
+        )
+    if belt_speed is not None and belt_speed != "channel":
+        return None
+    return fit_belt_line(kinematics)
+
+
+def _length_error(rig: Rig) -> float:
+    count = rig.metres_per_count
+    return 0.0 if count is None else abs(count.sd / count.value)
+
+
+def _resolution(kinematics: Kinematics) -> tuple[float, float]:
+    """Return the standard deviation of a position and the smallest step between two, m.
+
+    A counter's is its rounding; other sensors' noise is estimated from the record, not from the printed decimals.
+    """
+    recording = kinematics.recording
+    count = recording.rig.metres_per_count
+    if recording.count is not None and count is not None:
+        return abs(count.value) / math.sqrt(12), abs(count.value)
+    position = recording.position[~kinematics.missing]
+    least = 1e-9 * float(np.ptp(position))
+    return max(kinematics.noise, least), smallest_step(position)
+
+
+def speed_in_sticks(kinematics: Kinematics) -> float:
+    """Return the median speed of the sticks, m/s, signed; NaN with fewer than `FEWEST_STICKS`."""
+    time, x = kinematics.time, kinematics.steady_position
+    speeds = [
+        (x[stick.last] - x[stick.first]) / (time[stick.last] - time[stick.first])
+        for stick in kinematics.sticks
+        if stick.last > stick.first
+    ]
+    return float(np.median(speeds)) if len(speeds) >= FEWEST_STICKS else math.nan
+
+
+def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, *, given: bool) -> float:
+    """Return a first belt speed, signed: as stated, or of the plateaus, the calibration or the fastest drag."""
+    if believed is not None and given:
+        return believed.value
+    if math.isfinite(kinematics.belt_speed) and kinematics.belt_speed != 0 and (believed or not math.isfinite(seen)):
+        return float(kinematics.belt_speed)
+    if math.isfinite(seen):
+        return seen
+    if believed is not None and believed.value != 0:
+        return believed.value
+    # Constant friction ends in a sine that just reaches the belt's speed; the drag displaces its middle.
+    kept = ~kinematics.missing
+    position, velocity = kinematics.steady_position[kept], kinematics.velocity[kept]
+    middle = 0.5 * (position.max() + position.min())
+    direction = 1.0 if middle >= position[0] else -1.0
+    return direction * float(np.percentile(direction * velocity, 99.5))
+
+
+def _rest_position(rig: Rig, recorded: Rig) -> Measured | None:
+    """Return the spring's rest in the recorded positions, m.
+
+    A datum was added to the readings, so that positions count from the rest; a better datum moves the rest by the
+    difference.
+    """
+    if rig.datum is None:
+        return rig.x0
+    return Measured(recorded.offset - rig.datum.value, rig.datum.sd)

@@ -1,1 +1,0 @@
-"""Which law: screening, evidence, equivalence, ranking, verdict."""

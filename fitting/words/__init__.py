@@ -1,0 +1,1 @@
+"""Verdict and warnings in words."""

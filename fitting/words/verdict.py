@@ -1,0 +1,197 @@
+"""The verdict in words."""
+
+import math
+from collections.abc import Sequence
+
+from fitting import noise_levels
+from fitting.judge.adequacy import NONE_FITTED, NOT_JUDGED, Adequacy
+from fitting.judge.calibrations import UNITS
+from fitting.judge.goodness import REJECTED
+from fitting.laws import ALL_LAWS
+from fitting.model.unknowns import Global
+from fitting.result import LawResult, Ranking
+from processing.record.finding import Finding
+from stickslip.output.lengths import format_length
+
+OTHER_SPEEDS = " or runs at other belt speeds"
+SPLITS = {
+    frozenset((1, 2)): "a start-up recorded from rest",
+    frozenset((3, 4)): f"a belt tachometer{OTHER_SPEEDS}",
+    frozenset((5, 6)): f"a belt tachometer{OTHER_SPEEDS}",
+    frozenset((3, 5)): "slips over a wider range of speeds (a faster belt or a weaker spring)",
+    frozenset((4, 6)): "slips over a wider range of speeds (a faster belt or a weaker spring)",
+}
+
+
+def write_verdict(ranking: Ranking, contradicted: Sequence[Sequence[Finding]]) -> str:
+    """Return the verdict: the law, or the compatible laws, and why; else what is known where no law describes the runs.
+
+    contradicted: What of each run's calibration its record contradicts.
+    """
+    if ranking.members:
+        return name_contradictions(_compatible(ranking), contradicted)
+    cause = next((finding.text for finding in ranking.findings if finding.code == "not-one-contact"), "")
+    if not cause and not any(contradicted):
+        cause = _instead(ranking.adequacy)
+    words = _no_law(ranking, cause)
+    return name_contradictions(words, contradicted)
+
+
+def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:
+    """Return a verdict with the calibrations that its law contradicts, each once."""
+    clauses = {}
+    for one in (one for own in contradicted for one in own):
+        unit, name = UNITS[one.code], one.code.replace("-", " ")
+        if one.code not in clauses:
+            clauses[one.code] = f"{name} (stated {one.expected:.3g} {unit}, the record shows {one.value:.3g} {unit})"
+    return f"{verdict}; it contradicts the stated {' and '.join(clauses.values())}" if clauses else verdict
+
+
+def _compatible(ranking: Ranking) -> str:
+    formulas = [row for row in ranking.rivals if row.in_set]
+    if ranking.best.formula is not None:
+        words = _of_formula(ranking)
+    else:
+        words = _of_six(ranking) if ranking.sustained else _constant_friction(ranking)
+        if formulas:
+            named = " or ".join(f"{row.called} ({row.shown})" for row in formulas)
+            words += f"; {named} describes the record as well"
+    equal = next((row for row in ranking.rows if row.law in ranking.not_excluded[:1]), None)
+    if equal is not None and f"; {equal.label} " not in words:  # unless it was named as the next best
+        words += f"; {equal.called} fits equally well"
+    rest_known = all(side.motion.datum_prior is not None for side in ranking.sides)
+    if not rest_known and (formulas or any(isinstance(law, str) for law in ranking.not_excluded)):
+        words += ": the spring's rest position (--x0) would help to distinguish them"
+    return words
+
+
+def _cycles(ranking: Ranking) -> str:
+    runs = f" of {len(ranking.runs)} runs" if ranking.runs else ""
+    return f"{ranking.best.cycles} cycles{runs}"
+
+
+def _of_six(ranking: Ranking) -> str:
+    """Return the verdict on the six, of which some are in the set."""
+    best, cycles = ranking.best, _cycles(ranking)
+    members = [row for row in ranking.rows if row.in_set and isinstance(row.law, int)]
+    fit = f"{cycles} fit to {format_length(best.rms_m)} rms"
+    if len(members) > 1:
+        others = " or ".join(row.called for row in members[1:])
+        split = SPLITS.get(frozenset(int(row.law) for row in members[:2]), f"more cycles{OTHER_SPEEDS}")
+        if ranking.runs:
+            split = split.removesuffix(OTHER_SPEEDS)
+        if _gives(ranking):
+            return (
+                f"{best.called} on a belt that slows under load, or {others}: equivalent, the record cannot "
+                f"distinguish them ({fit}); {split} would"
+            )
+        lag, best_lag = (0.0 if row.behind is None else row.behind[0] for row in (members[1], best))
+        return (
+            f"{best.called} or {others}: {cycles} cannot distinguish them (their errors differ by "
+            f"{100 * math.expm1(abs(lag - best_lag)):.0f} %, within the scatter between cycles); {split} would"
+        )
+    rest = next((row for row in ranking.rows if isinstance(row.law, int) and not row.in_set), None)
+    if rest is not None:
+        return f"{best.called}: {fit}; {_behind(best, rest)}"
+    alone = ", the only law fitted" if len([row for row in ranking.rows if row.asked]) == 1 else ""
+    return f"{best.called}{alone}: {fit}"
+
+
+def _behind(best: LawResult, other: LawResult) -> str:
+    """Return the lead over the next law in words."""
+    ratio = other.rms_m / best.rms_m
+    if ratio > 1.2:
+        return f"the next best, {other.label}, has {ratio:.3g} times the error"
+    more = other.fit.law_parameters > best.fit.law_parameters
+    lag = "does not fit better despite its extra parameter" if more else "fits slightly worse"
+    return f"{other.label} {lag}"
+
+
+def _constant_friction(ranking: Ranking) -> str:
+    six, best = [row for row in ranking.rows if isinstance(row.law, int)], ranking.best
+    head = "no sustained stick: constant friction, "
+    if len([row for row in six if row.in_set]) == 1:
+        return head + f"{best.called} by the start-up drag"
+    if len(six) == 1:
+        return head + f"{best.called}, the only law fitted"
+    if _gives(ranking):
+        return head + f"{best.called} on a belt that slows under load, or law 2: a belt tachometer would distinguish"
+    return head + "law 1 or law 2: the start-up drag does not distinguish a jump from a ramp"
+
+
+def _gives(ranking: Ranking) -> bool:
+    """Return whether the best law was fitted on a belt that slows under load, which no counts of the belt showed."""
+    measured = all(side.motion.belt_measured for side in ranking.sides)
+    return not measured and Global.COMPLIANCE in ranking.best.fit.places
+
+
+def _of_formula(ranking: Ranking) -> str:
+    """Return the verdict where a law given as a formula is the best."""
+    best, six = ranking.best, [row for row in ranking.rows if isinstance(row.law, int)]
+    head = f"{best.called}: {_cycles(ranking)} fit to {format_length(best.rms_m)} rms, {best.shown}"
+    others = [row for row in ranking.rows if row.in_set and row is not best]
+    if others:
+        named = " or ".join(f"{row.called} ({row.shown})" for row in others)
+        head = f"{head}; or {named}: the record cannot distinguish them"
+    if not six:
+        rest = next((row for row in ranking.rows if not row.in_set), None)
+        return head if rest is None else f"{head}; {_behind(best, rest)}"
+    if six[0].in_set:
+        return head
+    whole = ", the best of the six," if len(six) == len(ALL_LAWS) else ""
+    lead = 0.5 * ((six[0].score or 0.0) - (best.score or 0.0))
+    return f"{head}; {six[0].called}{whole} is behind by {lead:.3g} in log evidence"
+
+
+def _no_law(ranking: Ranking, cause: str) -> str:
+    """Return the verdict on a record that no law describes, with its cause, and how far off the laws are."""
+    rows, adequacy = ranking.rows, ranking.adequacy
+    asked = [row for row in rows if row.asked]
+    if len(asked) == 1:
+        head = f"{asked[0].called} does not describe this record"
+    else:
+        custom = adequacy.verdict == NONE_FITTED or any(row.formula is not None for row in asked)
+        head = f"none of the {'laws fitted' if custom else 'six laws'} describes this record"
+    parts = [cause, _left_over(rows[0], adequacy, len(rows))]
+    return f"{head}, nor does a published curve: {'; '.join(part for part in parts if part)}"
+
+
+def _instead(adequacy: Adequacy) -> str:
+    """Return what the record shows instead of a law."""
+    if adequacy.departures:
+        first = adequacy.departures[0]
+        size = f"{first.parameter} = {first.value:.3g} +- {first.stderr:.2g} {first.unit}"
+        return f"law {first.law} describes it together with {first.text} ({size})"
+    if adequacy.of_speed:
+        return "friction follows a curve of relative speed that is none of these"
+    if adequacy.fluctuation is not None:
+        return (
+            f"friction fluctuates at random within slips, by about {100 * adequacy.fluctuation:.2g} % of Fs (nothing "
+            "of the residual repeats from cycle to cycle)"
+        )
+    return "a deterministic effect that none of these models has: the residual repeats from cycle to cycle"
+
+
+def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
+    """Return the distance of the best law from the record in words."""
+    named = f"{best.called}, the closest," if laws > 1 else "it"
+    left = f"{named} leaves residuals of {format_length(best.rms_m)} rms"
+    found, outside = adequacy.goodness, best.outside_band
+    if found is None:
+        return left
+    times = (
+        f", {found.misfit:.3g} times the noise"
+        if found.misfit > noise_levels.CLEARLY_ABOVE
+        else ", too regular for noise"
+    )
+    band = ""
+    if adequacy.of_speed and outside is not None and outside.half_widths > 1:
+        band = f", and leaves the measured band by {outside.half_widths:.2g} half-widths at {outside.speed:.2g} m/s"
+    return f"{left}{times}{band} (p {format_probability(found.p_value)})"
+
+
+def format_probability(p: float | None) -> str:
+    """Return a p-value as "= 0.3", or as "< 1e-06": the tails of a null distribution are rough."""
+    if p is None:
+        return NOT_JUDGED
+    return f"= {p:.2g}" if p >= REJECTED else f"< {REJECTED:g}"
