@@ -236,8 +236,8 @@ def _fit(law: Law, curve: MeasuredCurve, target: MeasuredTarget, others: Sequenc
     if not asked:
         host = curve.spline_fit
         for other in others:
-            # The free curve contains every law: where it gains no more over the contained one than its parameters and one
-            # of a law are worth, no law can.
+            # The free curve contains every law: where it gains no more than its parameters and one of a law are worth,
+            # no law can.
             gain = 2 * host.residual.size * math.log(other.geometric_mean_rms / host.geometric_mean_rms)
             worth = host.task.curve.size - other.law_parameters + math.log(host.residual.size)
             if law.contains(other.law) and gain < worth:
