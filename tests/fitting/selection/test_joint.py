@@ -12,7 +12,7 @@ import pytest
 
 from daq.runfile import joint, listing, store
 from daq.runfile.recording import Recording
-from fitting import rank
+from fitting import palette, rank
 from fitting.model import unknowns
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.report import page, pictures
