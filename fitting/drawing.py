@@ -1,7 +1,4 @@
-"""Colours, dashes and marks of the pictures, as matplotlib takes them.
-
-Friction against relative speed: as measured without a law, and the curves of the laws.
-"""
+"""Colours, dashes and marks of the pictures, and the picture of friction against relative speed."""
 
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -24,9 +21,7 @@ if TYPE_CHECKING:
 
 Dashes = str | tuple[float, tuple[float, ...]]  # a line style of matplotlib; lengths in line widths
 COLOURS = {1: "#56B4E9", 2: "#0072B2", 3: "#E69F00", 4: "#D55E00", 5: "#009E73", 6: "#CC79A7"}
-# Of laws given as formulas, in the order of the ranking; from the sixth on they repeat.
-FORMULAS = ("#A03070", "#6B4226", "#5B6BBF", "#808000", "#1F7A7A")
-# Of the six laws, so that they are told apart without colours; and of formulas, as above.
+FORMULAS = ("#A03070", "#6B4226", "#5B6BBF", "#808000", "#1F7A7A")  # of formulas in the order of the ranking, repeated
 DASHES: dict[int, Dashes] = {
     1: (0, (1.2, 2)),
     2: (0, (2.5, 1.5)),
@@ -45,8 +40,8 @@ FORMULA_DASHES: tuple[Dashes, ...] = (
 MEASURED = "#9a9a9a"
 INK = "#222222"
 DASHED: Dashes = (0, (5, 3))
-# Of runs fitted jointly: none is the colour of a law.  In greyscale the three runs of a group differ in luminance, and
-# the groups in dashes and marks.  From the tenth run on they repeat.
+# Of runs, none the colour of a law.  In greyscale three runs differ in luminance, the groups of three in dashes and
+# marks.  From the tenth run on they repeat.
 RUNS = ("#3B1A78", "#C03A58", "#A9B83A", "#4A2409", "#1F7F7F", "#D598BC", "#1E1E1E", "#8F6510", "#7FB0EA")
 RUN_DASHES: tuple[Dashes, ...] = ("-", (0, (6, 3)), (0, (2, 2)))
 RUN_MARKS: tuple[dict[str, Any], ...] = ({"marker": "o"}, {"marker": "o", "mfc": "none"}, {"marker": "|"})
@@ -65,7 +60,6 @@ def run_mark(number: int) -> dict[str, Any]:
 
 
 def law_styles(laws: Iterable[int | str]) -> dict[int | str, dict[str, Any]]:
-    """Return the colour and the dashes of each law: the six by number, formulas in order."""
     styles: dict[int | str, dict[str, Any]] = {}
     names = 0
     for law in laws:
@@ -93,7 +87,7 @@ def friction(
     title: str,
     axes: "Axes | None" = None,
 ) -> Figure:
-    """Return friction against relative speed (m/s), all speeds (in ``axes``) and the low ones; laws best first."""
+    """Return friction against relative speed at all speeds (in ``axes``) and at low ones; laws best first."""
     styles = law_styles(fit.law.key for fit, _ in laws)
     shown = [(fit, name, styles[fit.law.key]) for fit, name in laws]
     with mpl.rc_context(fname=STYLE):
@@ -109,7 +103,6 @@ def friction(
 
 
 def draw_both(axes: "Sequence[Axes]", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None) -> None:
-    """Draw all speeds beside the low ones."""
     whole, low = axes
     draw(whole, laws, motion, measured)
     draw(low, laws, motion, measured, ZOOM)
@@ -120,8 +113,8 @@ def draw_both(axes: "Sequence[Axes]", laws: Shown, motion: MeasuredMotion, measu
 def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, part: float = 1.0) -> None:
     """Draw the laws, the first one heaviest, and the measurement up to a ``part`` of the largest relative speed.
 
-    Where ``measured`` (with its band, in `curves.unit`) is None, the force balance of the first law is drawn as points.
-    Where its level is not determined, the band is that of the shape, and the laws have its level.
+    Without ``measured`` the force balance of the first law is drawn as points.  Where its level is not determined, the
+    band is that of the shape, and the laws are moved to its level.
     """
     top = float(measured.speed[-1]) if measured is not None else float(np.abs(speeds(motion)).max())
     reach = 1.02 * part * top
@@ -143,12 +136,12 @@ def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCu
 
 
 def _force(fit: Fit, motion: MeasuredMotion, speed: Array) -> Array:
-    """Return a law's friction against relative speeds (n,), positive where it opposes the slip."""
+    """Return a law's friction, positive where it opposes the slip."""
     return motion.sign * friction_at(fit, motion, -motion.sign * speed)
 
 
 def _draw_balance(axes: "Axes", fit: Fit, motion: MeasuredMotion) -> list[float]:
-    """Draw the force balance at the samples, and return the ends of the usual values."""
+    """Draw the force balance at the samples; return the ends of the axis."""
     w, force, _ = points(fit, motion)
     thin = slice(None, None, max(1, w.size // MOST_POINTS))
     shown: dict[str, Any] = {"color": MEASURED, "ms": 2.5, "alpha": 0.4, "zorder": 1, "rasterized": True}
@@ -157,7 +150,7 @@ def _draw_balance(axes: "Axes", fit: Fit, motion: MeasuredMotion) -> list[float]
 
 
 def _draw_band(axes: "Axes", measured: MeasuredCurve, reach: float) -> list[float]:
-    """Draw the measured curve with its band, and return the ends of the band at speeds up to ``reach``, m/s."""
+    """Draw the measured curve with its band; return the ends of the axis for speeds up to ``reach``, m/s."""
     lo, hi, band, label = measured.lo, measured.hi, f"{100 * measured.confidence:g} % band", "measured, without a law"
     if not measured.level_known:  # the band of every level would hide the shape
         lo, hi = measured.friction - measured.shape_half, measured.friction + measured.shape_half
