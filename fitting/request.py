@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.runfile import joint
-from fitting import scene as rig_scene
 from fitting.flags import CalibrationFlags, LawFlags, OutputFlags, PartFlags, WorkFlags
 from fitting.laws import Competitors, numbers
 from fitting.options import Options
@@ -100,4 +99,4 @@ def _refuse_outputs(runs: list[Path], outputs: OutputFlags, places: Places) -> N
     if curve_csv is not None:
         atomic.refuse_existing(curve_csv, force, *runs, flag="--curve-csv")
     if scene is not None:
-        rig_scene.refuse_existing(scene, runs, force=force)
+        atomic.refuse_existing(scene, force, *runs, kind="scene", flag="--save-scene")

@@ -31,7 +31,7 @@ from processing.record.kinematics import Kinematics
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError, InputError, in_python
-from stickslip.output import notebook, suffix
+from stickslip.output import atomic, notebook, suffix
 
 if TYPE_CHECKING:
     import os
@@ -523,13 +523,7 @@ class Ranking:
 
     @property
     def covariance(self) -> "pd.DataFrame":
-        """Covariance of the best law's parameters, as a pandas table; units in ``attrs["units"]``.
-
-        Raises
-        ------
-        DataError
-            No law describes the record: the intervals are withheld.
-        """
+        """`correlation` times the standard errors of ``best.parameters``; their units in ``attrs["units"]``."""
         self._correlations("covariance")
         error = np.array([self.best.parameters[name].stderr for name in self._names])
         return self._square(self.correlation.to_numpy() * np.outer(error, error))
@@ -742,11 +736,12 @@ class Ranking:
         DataError
             Neither a law nor a friction curve describes the record.
         """
-        rig_scene, target = import_module(SCENE), Path(path)
+        target = Path(path)
         suffix.check(target, suffix.TOML, "--save-scene", {})
         recordings = [record.recording for record in self.records]
-        rig_scene.refuse_existing(target, [one.source for one in recordings if one.source.name], force=force)
-        rig_scene.save(target, self, Path(recordings[0].name))
+        runs = (one.source for one in recordings if one.source.name)
+        atomic.refuse_existing(target, force, *runs, kind="scene", flag="--save-scene")
+        import_module(SCENE).save(target, self, Path(recordings[0].name))
         return target
 
     @property

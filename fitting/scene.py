@@ -417,7 +417,3 @@ def save(path: Path, ranking: Ranking, run: Path) -> None:
     content = text(of_ranking(ranking), ranking, run)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(content, encoding="utf-8")
-
-
-def refuse_existing(path: Path, files: list[Path], *, force: bool) -> None:
-    atomic.refuse_existing(path, force, *files, kind="scene", flag="--save-scene")

@@ -209,11 +209,6 @@ def _signed(value: float) -> str:
     return f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
 
 
-def _shade(value: float) -> str:
-    """Return the colour of a cell: blue for errors of the same sign, orange for those of opposite sign."""
-    return f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})"
-
-
 def format_evidence(row: LawResult) -> tuple[str, str]:
     """Return the excess of a law's mean log error over the best one's, and its weight; dashes without."""
     if row.score is None or row.weight is None or row.behind is None:
@@ -234,17 +229,13 @@ def format_interval(item: Parameter) -> tuple[str, str, str, str]:
     return f"{item.value:.{digits}f}", f"{item.stderr:#.2g}".rstrip("."), interval, unit
 
 
-def _length(value: float) -> str:
-    return symbols.pretty(format_length(value))
-
-
 FILTERS: dict[str, Callable[..., Any]] = {
     "evidence": format_evidence,
     "interval": format_interval,
-    "length_text": _length,
+    "length_text": lambda value: symbols.pretty(format_length(value)),
     "pretty": symbols.pretty,
     "probability": format_probability,
-    "shade": _shade,
+    "shade": lambda value: f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})",
     "signed": _signed,
     "strongest": _strongest,
     "symbol": _symbol,

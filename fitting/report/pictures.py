@@ -55,15 +55,11 @@ def embed(drawn: Figure, about: str, name: str) -> str:
     with mpl.rc_context({"svg.hashsalt": name}):
         drawn.savefig(buffer, format="svg", dpi=DPI, transparent=True, metadata=nothing)
     text = buffer.getvalue()
-    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<g id=\"[^\"]*\"", _without_name, text, flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|(<g) id=\"[^\"]*\"", r"\1", text, flags=re.DOTALL)
     text = re.sub(r"=\"[^\"]*\"", lambda value: re.sub(r"(\.\d\d)\d+", r"\1", value[0]), text)
     text = re.sub(r"\s*\n\s*", "\n", re.sub(r"font: ([\d.]+px) [^;\"]*", r"font: \1 sans-serif", text))
     shown = f'<svg role="img" aria-label="{html.escape(about)}" style="max-width: {130 * drawn.get_figwidth():.0f}px"'
     return text[text.index("<svg") :].replace("<svg", shown, 1)
-
-
-def _without_name(part: re.Match[str]) -> str:
-    return "<g" if part[0].startswith("<g") else ""
 
 
 def shown_rows(ranking: Ranking) -> list[LawResult]:
