@@ -16,8 +16,8 @@ import daq
 import fitting
 import processing
 import rig_sim
-from fitting.drawing import COLOURS, DASHES, INK, MEASURED
 from fitting.judge import friction
+from fitting.palette import COLOURS, DASHES, INK, MEASURED
 from stickslip.output.plot import STYLE, PngFigure, figure
 
 if TYPE_CHECKING:

@@ -234,11 +234,14 @@ def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequ
 def _fit(law: Law, curve: MeasuredCurve, target: MeasuredTarget, others: Sequence[Fit], *, asked: bool) -> Fit | str:
     """Fit one formula, or return why it is not fitted."""
     if not asked:
-        least = min(other.geometric_mean_rms for other in others)
-        reached = min(noise_levels.DESCRIBES * float(np.max(curve.noise)), WORSE * least)
+        host = curve.spline_fit
         for other in others:
-            if law.contains(other.law) and other.geometric_mean_rms < reached:
-                return f"it contains law {other.law.name}, which no other law fits better: the record cannot exclude it"
+            # The free curve contains every law: where it gains no more than its parameters and one of a law are worth,
+            # no law can.
+            gain = 2 * host.residual.size * math.log(other.geometric_mean_rms / host.geometric_mean_rms)
+            worth = host.task.curve.size - other.law_parameters + math.log(host.residual.size)
+            if law.contains(other.law) and gain < worth:
+                return f"it contains law {other.law.name}, which no curve fits better: the record cannot exclude it"
     try:
         fit = fit_formula(law, curve, others=others, target=target)
     except InputError as error:

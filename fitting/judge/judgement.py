@@ -90,7 +90,11 @@ def compete(
     motions, largest = [run.motion for run in runs], float(np.max(noise))
     seen = {known.fit.law: known} if known.fit is by_law.get(known.fit.law) else {}
     judged = describing(list(by_law.values()), motions, largest, seen)
-    described = {law for law, own in judged.items() if not own.together.rejected}
+    rejected = [law for law, own in judged.items() if own.together.rejected]
+    # what a law that contains it does not explain although it errs less, a law does not
+    lost = {law for law in judged for other in rejected if other.contains(law) and misfit[other] < misfit[law]}
+    judged = {law: own for law, own in judged.items() if law in rejected or law not in lost}
+    described = {law for law in judged if law not in rejected}
     if not described:
         order = sorted(by_law.values(), key=lambda fit: misfit[fit.law])
         judged = describing(order[:1], motions, largest, judged) | judged

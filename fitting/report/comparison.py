@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fitting.drawing import INK, law_styles
 from fitting.judge.parameters import Parameter
+from fitting.palette import INK, law_styles
 from fitting.report import page, symbols
 from stickslip.errors import InputError, StickslipError
 from stickslip.output import atomic

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from daq.runfile import store
 from daq.runfile.recording import Recording
-from fitting.drawing import law_styles, run_colour
 from fitting.judge.adequacy import Adequacy
 from fitting.judge.parameters import Correlations, Parameter
+from fitting.palette import law_styles, run_colour
 from fitting.report import symbols
 from fitting.result import LawResult, Ranking
 from fitting.words.verdict import format_probability

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from fitting import drawing
-from fitting.drawing import COLOURS, DASHED, INK, MEASURED, law_styles, run_colour, run_dash, run_mark
+from fitting.palette import COLOURS, DASHED, INK, MEASURED, law_styles, run_colour, run_dash, run_mark
 from fitting.record.cycles import Cycle
 from fitting.report.symbols import pretty
 from fitting.result import LawResult, Ranking

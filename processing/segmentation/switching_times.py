@@ -169,12 +169,12 @@ def group_by_stick(times: SwitchingTimes) -> list[list[int]]:
 def span_sticks(series: Series, times: SwitchingTimes, sticks: list[list[int]]) -> Integers:
     """Return the spans of samples, (s + 1, 2), that decide on each stick, with some on either side, and on all.
 
-    The latter leaves out a slip's length at either end of the record, where a stick can be too short to be seen.
+    The latter leaves out the last slip's length of the record, where a stick can be too short to be seen.
     """
     spans = []
     for stick in sticks:
         begin = times.time[stick[0]] if times.kind[stick[0]] != LEAVE else times.time[stick[0]] - times.unit
         end = times.time[stick[-1]] if times.kind[stick[-1]] == LEAVE else times.time[stick[-1]] + times.unit
         spans.append(np.searchsorted(series.time, (begin - times.unit / 16, end + times.unit / 8)))
-    ends = np.searchsorted(series.time, (series.time[0] + times.unit, series.time[-1] - times.unit))
-    return np.array([*spans, ends], np.int64)
+    end = np.searchsorted(series.time, series.time[-1] - times.unit)
+    return np.array([*spans, (0, end)], np.int64)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fitting.drawing import law_styles
+from fitting.palette import law_styles
 from fitting.report import comparison
 from fitting.report.comparison import ComparedRun
 from fitting.report.symbols import pretty

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from fitting.drawing import RUNS, run_colour, run_dash, run_mark
+from fitting.palette import RUNS, run_colour, run_dash, run_mark
 from fitting.report import pictures
 
 

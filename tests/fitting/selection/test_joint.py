@@ -12,10 +12,10 @@ import pytest
 
 from daq.runfile import joint, listing, store
 from daq.runfile.recording import Recording
-from fitting import rank
+from fitting import palette, rank
 from fitting.model import unknowns
 from fitting.model.unknowns import PER_RUN, Global
-from fitting.report import drawing, page, pictures
+from fitting.report import page, pictures
 from processing.smoothing import smooth
 from rig_sim.friction.law import LAWS
 from stickslip.errors import DataError, InputError
@@ -259,7 +259,7 @@ def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five
     for text in texts:
         for number in (1, 2, 3):
             assert f">run {number}</text>" in text
-            assert drawing.run_colour(number).lower() in text
+            assert palette.run_colour(number).lower() in text
 
 
 def test_the_page_of_a_joint_fit_has_a_line_and_a_row_of_each_run(runs_of, law_five):

@@ -106,7 +106,7 @@ def test_every_published_law_is_fitted_or_says_why_not(ranked):
 
 def test_a_law_that_contains_one_that_describes_the_record_is_not_fitted(ranked):
     unfitted = {one.law: one.reason for one in ranked(law=3, duration=10.0).unfitted}
-    assert unfitted["stribeck"] == "it contains law 3, which no other law fits better: the record cannot exclude it"
+    assert unfitted["stribeck"] == "it contains law 3, which no curve fits better: the record cannot exclude it"
 
 
 @pytest.mark.parametrize("formula", ["Fs - 1000*s", "Fs*exp(800*s)"])
