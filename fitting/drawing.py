@@ -35,7 +35,7 @@ def friction(
     title: str,
     axes: "Axes | None" = None,
 ) -> Figure:
-    """Return friction against relative speed (m/s), all speeds (in ``axes``) and the low ones; laws best first."""
+    """Return friction against relative speed at all speeds (in ``axes``) and at low ones; laws best first."""
     styles = law_styles(fit.law.key for fit, _ in laws)
     shown = [(fit, name, styles[fit.law.key]) for fit, name in laws]
     with mpl.rc_context(fname=STYLE):
@@ -51,7 +51,6 @@ def friction(
 
 
 def draw_both(axes: "Sequence[Axes]", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None) -> None:
-    """Draw all speeds beside the low ones."""
     whole, low = axes
     draw(whole, laws, motion, measured)
     draw(low, laws, motion, measured, ZOOM)
@@ -62,8 +61,8 @@ def draw_both(axes: "Sequence[Axes]", laws: Shown, motion: MeasuredMotion, measu
 def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, part: float = 1.0) -> None:
     """Draw the laws, the first one heaviest, and the measurement up to a ``part`` of the largest relative speed.
 
-    Where ``measured`` (with its band, in `curves.unit`) is None, the force balance of the first law is drawn as points.
-    Where its level is not determined, the band is that of the shape, and the laws have its level.
+    Without ``measured`` the force balance of the first law is drawn as points.  Where its level is not determined, the
+    band is that of the shape, and the laws are moved to its level.
     """
     top = float(measured.speed[-1]) if measured is not None else float(np.abs(speeds(motion)).max())
     reach = 1.02 * part * top
@@ -85,12 +84,12 @@ def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCu
 
 
 def _force(fit: Fit, motion: MeasuredMotion, speed: Array) -> Array:
-    """Return a law's friction against relative speeds (n,), positive where it opposes the slip."""
+    """Return a law's friction, positive where it opposes the slip."""
     return motion.sign * friction_at(fit, motion, -motion.sign * speed)
 
 
 def _draw_balance(axes: "Axes", fit: Fit, motion: MeasuredMotion) -> list[float]:
-    """Draw the force balance at the samples, and return the ends of the usual values."""
+    """Draw the force balance at the samples; return the ends of the axis."""
     w, force, _ = points(fit, motion)
     thin = slice(None, None, max(1, w.size // MOST_POINTS))
     shown: dict[str, Any] = {"color": MEASURED, "ms": 2.5, "alpha": 0.4, "zorder": 1, "rasterized": True}
@@ -99,7 +98,7 @@ def _draw_balance(axes: "Axes", fit: Fit, motion: MeasuredMotion) -> list[float]
 
 
 def _draw_band(axes: "Axes", measured: MeasuredCurve, reach: float) -> list[float]:
-    """Draw the measured curve with its band, and return the ends of the band at speeds up to ``reach``, m/s."""
+    """Draw the measured curve with its band; return the ends of the axis for speeds up to ``reach``, m/s."""
     lo, hi, band, label = measured.lo, measured.hi, f"{100 * measured.confidence:g} % band", "measured, without a law"
     if not measured.level_known:  # the band of every level would hide the shape
         lo, hi = measured.friction - measured.shape_half, measured.friction + measured.shape_half

@@ -1,4 +1,4 @@
-"""The flags of `fit-friction` in groups, as typed: each is an argument of the command, with one flag for each field."""
+"""The flags of `fit-friction` in groups; each group is an argument of the command."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ def _repeated(text: str) -> Parameter:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class LawFlags:
-    """Which laws compete, and what is given of their parameters."""
+    """The laws that compete, and the conditions on their parameters."""
 
     laws: Annotated[
         str, Parameter(help="Laws to fit: 1-6, or a list such as 3,5,6; published ones by name: 1-6,stribeck.")
@@ -42,7 +42,7 @@ class LawFlags:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class CalibrationFlags:
-    """What is known of the rig, in place of the run's own calibration."""
+    """Calibrations that override the run's own."""
 
     mass: Mass = None
     stiffness: Stiffness = None
@@ -75,7 +75,7 @@ class CalibrationFlags:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class PartFlags:
-    """Which part of each run is fitted, and how sure the intervals are."""
+    """The fitted part of each run, and the confidence."""
 
     exclude_cycles: Annotated[str, Parameter(help="Cycles to leave out, counted from 1: 3,7-9.")] = ""
     begin: Annotated[
@@ -88,7 +88,7 @@ class PartFlags:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class OutputFlags:
-    """What is written besides the run file."""
+    """Files written besides the run."""
 
     report: Annotated[
         Path | None,
@@ -116,7 +116,7 @@ class OutputFlags:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class WorkFlags:
-    """Whether the runs are fitted one by one, and on which processors."""
+    """Separate fits, and the processors."""
 
     each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself: a batch.")] = False
     jobs: Annotated[int, Parameter(help="Processes to fit in; a joint fit uses at most three.")] = 1

@@ -1,17 +1,12 @@
-"""`Law`: a friction curve with its contact: one of the six, a published one, or a custom one.
+"""Friction laws of the slip speed s (m/s), which of them compete for a record, and the conditions on their parameters.
 
-``s`` is the slip speed, m/s; every other name of the formula is a parameter, per unit mass as Fs/m is.
+A `Law` is one of the six, a published curve or a custom one; parameters of its formula are per unit mass, as Fs/m is.
+A formula may have parameters only together, as ``a*b*s`` or ``Fs - (a + b)*s``: the derivatives by them, each over its
+size, are then linearly dependent at every set of values.  Several sets are compared, of the sizes that the units allow:
+a fall of no height leaves its speed undetermined, but the formula does not.
 
-Parameters that a formula has only together, as those of ``a*b*s`` or ``Fs - (a + b)*s``.
-
-A direction in the parameters along which the curve does not change at any speed exists where the derivatives by them,
-each over its size, are linearly dependent.  It must exist at several sets of values, of the sizes that the units of the
-parameters allow: a fall of no height leaves its speed undetermined, but the formula does not.
-
-Which laws compete for a record, and what is given of their parameters: fixed values, bounds and first values.
-
-A parameter is named as the results name it, in the unit that they give it there.  ``LAW.NAME`` is that of one law, as
-``5.gamma`` or ``mine.v_s``; a name alone is that of every law that has it.
+Fixed values, bounds and first values name a parameter as the results do, in the same unit.  ``LAW.NAME`` is that of one
+law, as ``5.gamma`` or ``mine.v_s``; a name alone is that of every law that has it.
 
 ==================  ==================================  ============================================================
 name                of                                  remarks
@@ -52,15 +47,13 @@ CONSTANT, LINEAR, HYPERBOLIC = "Fs", "Fs - G_slip*s", "Fs/(1 + gamma*s)"  # curv
 FORMULAS = {"constant": CONSTANT, "linear": LINEAR, "hyperbolic": HYPERBOLIC}
 OF_SIX = [(str(kind.number), FORMULAS[kind.curve], bool(kind.ramp)) for kind in LAWS.values()]
 SPEED_WORDS = re.compile(r"[svuwx]|[vu]_?(rel|r|slip)|speed|vel\w*|slip\w*|[sx]_?dot", re.IGNORECASE)  # meant as s
-# Part of a derivative beside those by other parameters, over the whole, or singular value over the largest: below,
-# derivatives are dependent; above 1e-6 they are not.
-DEPENDENT_BELOW = 1e-8
+DEPENDENT_BELOW = 1e-8  # relative size of a derivative beside others, or of a singular value; independent ones: > 1e-6
 UNIT_DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
 Bound = tuple[float | None, float | None]
 
 
 def check_values(given: Any, kind: str) -> Mapping[str, Any]:
-    """Return a caller's parameter values, numbers or text with a unit (bounds may be infinite), or raise InputError."""
+    """Return parameter values if they are numbers or text with a unit (bounds may be infinite); else InputError."""
     example = "{'gamma': (0, 20)}, with None for no bound" if kind == "bounds" else "{'gamma': 9.6}"
     do = f"give a dictionary, as in {kind}={example}"
     if given is None:
@@ -70,15 +63,12 @@ def check_values(given: Any, kind: str) -> Mapping[str, Any]:
     for name, value in given.items():
         pair = kind == "bounds" and isinstance(value, tuple | list) and len(value) == 2
         parts = [part for part in value if part is not None] if pair else [value]
-        if pair != (kind == "bounds") or not all(isinstance(part, Real) or _has_unit(part) for part in parts):
+        valid = (isinstance(part, Real) or (isinstance(part, str) and units.typed_unit(part)) for part in parts)
+        if pair != (kind == "bounds") or not all(valid):
             raise InputError(f"of {name} is {value!r:.40}", kind, do)
         if not all(isinstance(part, str) or _is_number(part, finite=not pair) for part in parts):
             raise InputError(f"{name} is {value!r:.40}", kind, "give a finite number, or text with a unit")
     return given
-
-
-def _has_unit(value: Any) -> bool:
-    return isinstance(value, str) and bool(units.typed_unit(value))
 
 
 def _is_number(value: Any, *, finite: bool) -> bool:
@@ -89,7 +79,6 @@ def _is_number(value: Any, *, finite: bool) -> bool:
 
 
 def in_unit(value: Any, unit: str, name: str, where: str) -> Any:
-    """Return a parameter's value or bounds as numbers in its unit."""
     if isinstance(value, tuple | list):
         return tuple(in_unit(end, unit, name, where) for end in value)
     return units.in_unit(value, unit, name, where) if isinstance(value, str) else value
@@ -169,54 +158,46 @@ class Law:
 
     @property
     def number(self) -> int | None:
-        """That of one of the six."""
         return int(self.name) if self.name.isdecimal() else None
 
     @property
     def key(self) -> int | str:
-        """The law in results: its number, or its name."""
         return self.number or self.name
 
     @property
     def words(self) -> str:
-        """Its name in words."""
         return LAWS[self.number].name if self.number else self.name.replace("-", " ")
 
     @property
     def has_kernel(self) -> bool:
-        """Whether a kernel of its own follows it; other curves are followed through a spline."""
+        """Whether its own kernel integrates it; other curves are integrated as a spline."""
         return self.number is not None and self == SIX[self.number]
 
     @property
     def kind(self) -> Kind:
-        """The law of the six that it is, or by which a formula on this contact is regressed."""
+        """The law of the six that it is or, for a formula, by which its contact is regressed."""
         return LAWS[self.number or (6 if self.ramp else 5)]
 
     def is_ramp_of(self, other: "Law") -> bool:
-        """Return whether this is the other law with a ramp."""
         same = self.formula == other.formula and bool(self.number) == bool(other.number)
         return same and self.ramp and not other.ramp
 
     def contains(self, other: "Law") -> bool:
-        """Return whether the other law is a limit of this one; a formula has those of either contact."""
+        """Return whether the other law is a limit of this one; the limits of a formula are on either contact."""
         if self.number:
             return other.number in NESTED[self.number]
         return self.name in ABOUT and other.formula in ABOUT[self.name].limits
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The fitted parameters, in order of first appearance."""
         return tuple(name for name in self.curve.parameters if name not in (self.fix or {}))
 
     @cached_property
     def dimensions(self) -> dict[str, tuple[int, int]]:
-        """Powers of friction and of speed in each parameter, by Euler's theorem on homogeneous functions.
+        """Powers a of friction f and b of speed in each parameter p; empty where a number of the formula has a unit.
 
-        Friction f has an independent unit, so that sum a_j p_j df/dp_j = f; the unit of speed is arbitrary, so that sum
-        b_j p_j df/dp_j + s df/ds = 0.  Empty without whole powers a, b: a number of the formula then has a unit.
+        Euler's theorem on homogeneous functions: sum a_j p_j df/dp_j = f and sum b_j p_j df/dp_j + s df/ds = 0.
         """
-        import numpy as np
-
         rng = np.random.default_rng(len(self.formula))
         names = self.curve.parameters
         rows, level, fall = [], [], []
@@ -231,7 +212,7 @@ class Law:
                 return {}
         table = np.concatenate(rows)
         target = np.stack((np.concatenate(level), np.concatenate(fall)), axis=1)
-        # Of parameters that enter only together the first has the unit: halves of it for two would round either way.
+        # The first of parameters that enter only together has the unit: halves for two would round either way.
         kept: list[int] = []
         for k, column in enumerate(table.T):
             others = table[:, kept]
@@ -244,7 +225,7 @@ class Law:
         return {name: (int(a), int(b)) for name, (a, b) in zip(names, whole, strict=True)}
 
     def unit(self, name: str, *, newtons: bool = False) -> str:
-        """Return the unit of a parameter, per unit mass or with friction in newtons; empty if unknown."""
+        """Return the unit of a parameter, per unit mass unless ``newtons``; empty if unknown."""
         force, speed = self.dimensions.get(name, (0, 0))
         if newtons and force == 1:
             return {0: "N", -1: "N s/m"}.get(speed) or f"N (m/s)^{speed}"
@@ -276,7 +257,7 @@ class Law:
         bounds: Mapping[str, Bound] | None = None,
         start: Mapping[str, float] | None = None,
     ) -> "Law":
-        """Return the law with more parameters fixed, bounded or started; these take precedence."""
+        """Return the law with these conditions in addition; they take precedence."""
         fixed = {**(self.fix or {}), **(fix or {})}
         first = {**(self.start or {}), **(start or {})}
         return replace(
@@ -302,16 +283,14 @@ RABINOWICZ = "E. Rabinowicz, Proc. Phys. Soc. 71 (1958) 668"
 
 
 class About(NamedTuple):
-    """A published curve in a sentence, its source, its formula, and the curves that are its limits."""
+    """A published curve."""
 
     title: str
     source: str
     formula: str
-    limits: tuple[str, ...]
+    limits: tuple[str, ...]  # curves: the straight line too, but for a Gaussian fall without a viscous term
 
 
-# An exponential fall, a logarithm and a power include the straight line; a Gaussian fall without a viscous term does
-# not.
 ABOUT = {
     "stribeck": About("a Stribeck curve", TUSTIN, STRIBECK, (CONSTANT, LINEAR)),
     "stribeck-viscous": About(
@@ -337,7 +316,7 @@ PUBLISHED = {
 
 
 def read_law(spec: str, where: str = "--law") -> Law:
-    """Return the law of ``NAME``, published, or ``NAME: FORMULA``; unknown or invalid ones raise InputError."""
+    """Return the law of ``NAME``, published, or ``NAME: FORMULA``."""
     name, colon, formula = (part.strip() for part in spec.partition(":"))
     if not colon:
         if name in PUBLISHED:
@@ -352,8 +331,7 @@ def read_law(spec: str, where: str = "--law") -> Law:
     return PUBLISHED.get(name) or Law(name, formula)
 
 
-DRAWS = 4  # sets of values: at half of them a chance dependence would pass, at twice nothing changes
-SIZES_DRAWN = (0.5, 2.0)  # least and largest size drawn, over the natural one
+DRAWS = 4  # sets of values at which parameters have to be dependent
 LEAST_PART = 0.1  # part of a direction over its largest: less is rounding
 
 
@@ -369,22 +347,19 @@ class Undetermined(NamedTuple):
 
 
 def natural_size(law: Law, name: str, friction: float, speed: float) -> float:
-    """Return the size of a parameter by its unit, for curves of that friction (m/s^2) and speed (m/s); else 1.
-
-    Positive also for negative friction, as of a measured curve without a known level.
-    """
+    """Return a parameter's size (> 0) by its unit for curves of this friction (m/s^2) and speed (m/s); 1 if unknown."""
     force, power = law.dimensions.get(name, (0, 0))
     return float(abs(friction) ** force * speed**power)
 
 
 def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermined, ...]:
-    """Return the parameters that a formula has only together, for friction (m/s^2) and slip speeds like these."""
+    """Return the parameters that a formula has only together, at this friction (m/s^2) up to a speed (m/s)."""
     rng = np.random.default_rng(len(law.formula))
     speeds = fastest * np.linspace(0.0, 1.0, 12 * len(law.free) + 1)
     sizes = np.array([natural_size(law, name, friction, fastest) for name in law.free])
     draws = []
     for _ in range(DRAWS):
-        drawn = sizes * rng.uniform(*SIZES_DRAWN, sizes.size)
+        drawn = sizes * rng.uniform(0.5, 2.0, sizes.size)
         values = dict(zip(law.free, drawn.tolist(), strict=True)) | dict(law.fix or {})
         try:
             draws.append(_groups(law.curve.gradient(speeds, values, law.free) * drawn))
@@ -398,7 +373,7 @@ def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermine
 
 
 def _groups(columns: Array) -> dict[tuple[int, ...], int]:
-    """Return groups of dependent columns (n, k), each with the number of directions along which they cancel."""
+    """Return groups of dependent columns, each with the number of directions along which they cancel."""
     size = np.linalg.norm(columns, axis=0)
     seen = size > DEPENDENT_BELOW * float(size.max(initial=0.0))
     groups: dict[tuple[int, ...], int] = {(i,): 1 for i in np.flatnonzero(~seen).tolist()}
@@ -421,8 +396,7 @@ def _groups(columns: Array) -> dict[tuple[int, ...], int]:
 
 
 ALL_LAWS = tuple(SIX)  # numbers of the six laws
-# Least value of each parameter of rig and contact, and whether it may be that.
-LEAST_VALUES: dict[str, tuple[float, bool]] = {
+LEAST_VALUES: dict[str, tuple[float, bool]] = {  # of parameters of rig and contact, and whether allowed itself
     "k": (0.0, False),
     "Fs": (0.0, False),
     "gamma": (0.0, True),
@@ -432,19 +406,16 @@ LEAST_VALUES: dict[str, tuple[float, bool]] = {
     "c": (0.0, True),
 }
 OF_EVERY_LAW = {"k/m": "s^-2", "k": "N/m", "c/m": "s^-1", "c": "N s/m", "v_dr": "m/s", "x0": "m"}
-OF_A_RAMP = {"d": "m/s", "static": ""}  # the second of the six alone
-NO_LIMIT = (-math.inf, True)
 PER_MASS = "/m"
 LAST_CYCLE = 100_000  # largest number of a cycle: no record holds as many
-BY_FORMULA = {"G_slip/m", "G_slip"}  # parameters of the six that are no unknowns of their kernels
 
 
 class Given(NamedTuple):
-    """Bounds of a parameter, equal where it is fixed, and its first value, if any."""
+    """Conditions on a parameter."""
 
     low: float = -math.inf
-    high: float = math.inf
-    start: float | None = None
+    high: float = math.inf  # low where it is fixed
+    start: float | None = None  # first value
 
     @property
     def fixed(self) -> bool:
@@ -453,10 +424,10 @@ class Given(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Competitors:
-    """The laws that compete; repeated laws, unknown parameters and impossible values raise InputError."""
+    """The laws that compete, with conditions by the names of parameters; impossible ones raise InputError."""
 
     laws: tuple[Law, ...] = tuple(SIX.values())
-    fix: Mapping[str, float] = field(default_factory=dict)  # by the names of parameters
+    fix: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, Bound] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
     in_newtons: tuple[str, ...] = field(default=(), init=False)  # names given with a unit that needs the mass
@@ -490,7 +461,7 @@ class Competitors:
         bounds: Mapping[str, Bound] | None = None,
         start: Mapping[str, float | str] | None = None,
     ) -> "Competitors":
-        """Return the competitors that Python code names: numbers, published names, custom laws."""
+        """Return the competitors that Python code names."""
         found: list[Law] = []
         several = isinstance(laws, Iterable) and not isinstance(laws, str)
         for one in laws if several else [laws]:  # type: ignore[union-attr]
@@ -525,7 +496,6 @@ class Competitors:
 
     @property
     def six(self) -> tuple[Law, ...]:
-        """Those of the six."""
         return tuple(law for law in self.laws if law.number)
 
     @property
@@ -533,20 +503,19 @@ class Competitors:
         return tuple(law for law in self.laws if not law.number)
 
     def asks(self, law: Law) -> bool:
-        """Return whether a law was named."""
         return any(own.name == law.name for own in self.laws)
 
     def by_kernel(self, law: Law) -> bool:
-        """Return whether a law's own kernel follows it with what is given of its parameters."""
-        return law.has_kernel and not BY_FORMULA & self.of_law(law).keys()
+        """Return whether a law's own kernel integrates it: not with conditions on G_slip, no unknown of a kernel."""
+        return law.has_kernel and not {"G_slip/m", "G_slip"} & self.of_law(law).keys()
 
     @property
     def searched(self) -> tuple[Law, ...]:
-        """The laws of the six that are fitted: all six where a formula competes, since it starts from them."""
+        """The fitted laws of the six: all where a formula competes, since it starts from them."""
         return self.laws if all(map(self.by_kernel, self.laws)) else tuple(SIX.values())
 
     def of_law(self, law: Law) -> dict[str, Given]:
-        """Return the conditions on a law's parameters, named without the law; impossible values raise InputError."""
+        """Return the conditions on a law's parameters by their names without the law."""
         given_of: dict[str, Given] = {}
         for kind, given in (("bounds", self.bounds), ("start", self.start), ("fix", self.fix)):
             for name, value in given.items():
@@ -556,11 +525,11 @@ class Competitors:
         own_names = () if law.number else law.curve.parameters
         for name, one in given_of.items():
             plain = "" if name in own_names else name.removesuffix(PER_MASS)
-            _check(name, one, *LEAST_VALUES.get(plain, NO_LIMIT))
+            _check(name, one, *LEAST_VALUES.get(plain, (-math.inf, True)))
         return given_of
 
     def _in_numbers(self, given: Mapping[str, Any], flag: str, newtons: set[str]) -> dict[str, Any]:
-        """Return values as numbers in the unit of the results; adds names whose unit has newtons to ``newtons``."""
+        """Return values in the units of the results; names whose unit has newtons are added to ``newtons``."""
         found: dict[str, Any] = {}
         for name, value in given.items():
             having = [law for law in self.laws if _named(name, law)]
@@ -596,12 +565,12 @@ def units_of(law: Law) -> dict[str, str]:
     """Return the unit in the results of each parameter that can be given."""
     own = {name: law.unit(name, newtons=True) for name in law.curve.parameters}
     per_mass = {f"{name}{PER_MASS}": law.unit(name) for name in own if law.dimensions.get(name, (0, 0))[0]}
-    ramp = {name: unit for name, unit in OF_A_RAMP.items() if law.ramp and (law.number or name == "d")}
+    ramp = ({"d": "m/s"} | ({"static": ""} if law.number else {})) if law.ramp else {}
     return {**OF_EVERY_LAW, **ramp, **per_mass, **own}
 
 
 def _named(name: str, law: Law) -> str | None:
-    """Return a parameter's name without the law's; None where the law has no such parameter."""
+    """Return a parameter's name without the law's; None if the law has no such parameter."""
     prefix, dot, bare = name.partition(".")
     if dot and prefix != law.name:
         return None
@@ -610,7 +579,7 @@ def _named(name: str, law: Law) -> str | None:
 
 
 def _read_value(name: str, value: Any, law: Law, flag: str, *, typed: bool) -> tuple[str, Any]:
-    """Return the name, per unit mass if the value's unit is, and the value as a number."""
+    """Return the name, per unit mass if the value's unit is, and the number."""
     own, known = str(_named(name, law)), units_of(law)
     if typed and f"{own}{PER_MASS}" in known:
         with suppress(InputError):
@@ -619,18 +588,15 @@ def _read_value(name: str, value: Any, law: Law, flag: str, *, typed: bool) -> t
 
 
 def _with(given: Given, kind: str, value: float | Bound) -> Given:
-    """Return the conditions with one more; a fixed value replaces all."""
     if kind == "bounds":
         low, high = value  # type: ignore[misc]
-        return given._replace(
-            low=NO_LIMIT[0] if low is None else float(low), high=math.inf if high is None else float(high)
-        )
+        low, high = -math.inf if low is None else float(low), math.inf if high is None else float(high)
+        return given._replace(low=low, high=high)
     number = float(value)  # type: ignore[arg-type]
     return Given(number, number, number) if kind == "fix" else given._replace(start=number)
 
 
 def _check(name: str, given: Given, least: float, itself: bool) -> None:
-    """Raise InputError for values below ``least``, or equal to it unless ``itself``."""
     for value in (given.high, given.start):
         if value is not None and (math.isnan(value) or value < least or (value == least and not itself)):
             do = f"it must be {'at least' if itself else 'above'} {least:g}"
@@ -663,7 +629,7 @@ def _read(text: str, where: str) -> list[Law]:
 
 
 def numbers(text: str, flag: str) -> list[int]:
-    """Return the whole numbers of a list such as ``1-3,6``; other text raises InputError."""
+    """Return the whole numbers of a list such as ``1-3,6``."""
     listed: list[int] = []
     for part in filter(None, (piece.strip() for piece in text.split(","))):
         first, dash, last = part.partition("-")
@@ -694,7 +660,7 @@ def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
 
 
 def _interval(text: str, name: str) -> tuple[str | None, str | None]:
-    """Return the bounds of LO:HI; either may be missing, and a unit after HI alone is that of both."""
+    """Return the bounds of LO:HI, either may be missing; a unit after HI alone is that of both."""
     low, colon, high = (part.strip() for part in text.partition(":"))
     if not colon or not (low or high):
         raise InputError(f"bounds of {name} are {text!r}", "--bound", "write LO:HI, LO: or :HI")

@@ -1,4 +1,4 @@
-"""The options of a fit, the same for every run, checked where they are made: by the command, and from Python."""
+"""The options of a fit, the same for every run."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -9,12 +9,12 @@ from fitting.laws import SIX, Competitors, Law
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
-LEAST_ALPHA = 1e-9  # surer is no interval
+LEAST_ALPHA = 1e-9  # 1 - confidence
 
 
 @dataclass(frozen=True)
 class Options:
-    """Which laws are fitted, to which part of the runs, and how; None keeps what a run's calibration states."""
+    """The options of a fit; None for the run's own calibration."""
 
     competitors: Competitors = field(default_factory=Competitors)
     mass: Measured | None = None  # kg
@@ -48,7 +48,7 @@ class Options:
             raise InputError(f"--x0 and {other} together", "command line", "give --x0 alone, with +-: --datum is -x0")
 
     def fixed(self, law: Law) -> dict[str, float]:
-        """Return the fixed parameters of a law; none for one that was not requested."""
+        """Return the fixed parameters of a requested law; none for others."""
         given = self.competitors.of_law(law) if self.competitors.asks(law) else {}
         return {name: one.low for name, one in given.items() if one.fixed}
 
@@ -61,7 +61,6 @@ class Options:
             raise InputError("cycles to exclude from several runs", "--exclude-cycles", do)
 
     def calibrate(self, rig: Rig) -> Rig:
-        """Return a run's calibration with the values of the options."""
         if self.mass is not None:
             rig = replace(rig, mass=self.mass)
         if self.stiffness is not None:
@@ -83,7 +82,7 @@ class Options:
 
     @property
     def laws_fitted(self) -> list[str]:
-        """The fitted laws in words, unless the six alone, and the conditions on them."""
+        """The laws, unless the six alone, and the conditions, in words."""
         laws, names = ([law.name for law in laws] for laws in (self.competitors.six, self.competitors.formulas))
         said = []
         if laws and len(laws) < len(SIX):

@@ -5,9 +5,7 @@ from typing import Any
 
 Dashes = str | tuple[float, tuple[float, ...]]  # a line style of matplotlib; lengths in line widths
 COLOURS = {1: "#56B4E9", 2: "#0072B2", 3: "#E69F00", 4: "#D55E00", 5: "#009E73", 6: "#CC79A7"}
-# Of laws given as formulas, in the order of the ranking; from the sixth on they repeat.
-FORMULAS = ("#A03070", "#6B4226", "#5B6BBF", "#808000", "#1F7A7A")
-# Of the six laws, so that they are told apart without colours; and of formulas, as above.
+FORMULAS = ("#A03070", "#6B4226", "#5B6BBF", "#808000", "#1F7A7A")  # of formulas in the order of the ranking, repeated
 DASHES: dict[int, Dashes] = {
     1: (0, (1.2, 2)),
     2: (0, (2.5, 1.5)),
@@ -26,8 +24,8 @@ FORMULA_DASHES: tuple[Dashes, ...] = (
 MEASURED = "#9a9a9a"
 INK = "#222222"
 DASHED: Dashes = (0, (5, 3))
-# Of runs fitted jointly: none is the colour of a law.  In greyscale the three runs of a group differ in luminance, and
-# the groups in dashes and marks.  From the tenth run on they repeat.
+# Of runs, none the colour of a law.  In greyscale three runs differ in luminance, the groups of three in dashes and
+# marks.  From the tenth run on they repeat.
 RUNS = ("#3B1A78", "#C03A58", "#A9B83A", "#4A2409", "#1F7F7F", "#D598BC", "#1E1E1E", "#8F6510", "#7FB0EA")
 RUN_DASHES: tuple[Dashes, ...] = ("-", (0, (6, 3)), (0, (2, 2)))
 RUN_MARKS: tuple[dict[str, Any], ...] = ({"marker": "o"}, {"marker": "o", "mfc": "none"}, {"marker": "|"})
@@ -46,7 +44,6 @@ def run_mark(number: int) -> dict[str, Any]:
 
 
 def law_styles(laws: Iterable[int | str]) -> dict[int | str, dict[str, Any]]:
-    """Return the colour and the dashes of each law: the six by number, formulas in order."""
     styles: dict[int | str, dict[str, Any]] = {}
     names = 0
     for law in laws:

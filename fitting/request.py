@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.runfile import joint
-from fitting import scene as rig_scene
 from fitting.flags import CalibrationFlags, LawFlags, OutputFlags, PartFlags, WorkFlags
 from fitting.laws import Competitors, numbers
 from fitting.options import Options
@@ -16,15 +15,14 @@ from stickslip.output import atomic, suffix
 
 
 class Places(NamedTuple):
-    """Where results go besides the run files and the tables that were named."""
+    """Files of results besides the runs and the tables."""
 
-    reports: Sequence[Path]  # of a joint fit one, with --each one a run; none where no report is wanted
-    joint_file: Path | None  # where a joint fit is stored
-    comparison: Path | None  # where the page goes that compares runs fitted one by one
+    reports: Sequence[Path]  # of a joint fit one, with --each one a run
+    joint_file: Path | None
+    comparison: Path | None  # page that compares runs fitted separately
 
 
 def read_options(laws: LawFlags, rig: CalibrationFlags, part: PartFlags, work: WorkFlags) -> Options:
-    """Return the options that the flags state."""
     competitors = Competitors.typed(
         laws.laws, laws.law or (), laws.ramp or (), laws.fix or (), laws.bound or (), laws.start or ()
     )
@@ -41,7 +39,7 @@ def read_options(laws: LawFlags, rig: CalibrationFlags, part: PartFlags, work: W
 
 
 def select_runs(files: list[Path], *, each: bool) -> list[Path]:
-    """Return the files that are runs: with ``each`` a pattern such as *.h5 also matches the joint fits of a folder."""
+    """Return the files without joint fits, which a pattern such as *.h5 also matches."""
     if not each:
         return files
     fits = [path for path in files if path.name.endswith(joint.SUFFIX) and joint.is_joint_fit(path)]
@@ -54,11 +52,7 @@ def select_runs(files: list[Path], *, each: bool) -> list[Path]:
 
 
 def place_outputs(runs: list[Path], outputs: OutputFlags, *, each: bool) -> Places:
-    """Return where results go.
-
-    Raises InputError for a run that is named twice, outputs that cannot be combined, and those with the suffix of
-    another format, repeated, or in place of other files.
-    """
+    """Return the files of results, if they can be combined, have the right suffix and replace no other files."""
     given, alone = "command line", "fit the runs one at a time"
     twice = len({path.resolve() for path in runs}) < len(runs)
     for wrong, what, where, do in (
@@ -105,4 +99,4 @@ def _refuse_outputs(runs: list[Path], outputs: OutputFlags, places: Places) -> N
     if curve_csv is not None:
         atomic.refuse_existing(curve_csv, force, *runs, flag="--curve-csv")
     if scene is not None:
-        rig_scene.refuse_existing(scene, runs, force=force)
+        atomic.refuse_existing(scene, force, *runs, kind="scene", flag="--save-scene")

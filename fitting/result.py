@@ -31,7 +31,7 @@ from processing.record.kinematics import Kinematics
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError, InputError, in_python
-from stickslip.output import notebook, suffix
+from stickslip.output import atomic, notebook, suffix
 
 if TYPE_CHECKING:
     import os
@@ -43,13 +43,11 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
-# Found by name when a file is written: they know the ranking, which is below them.
-PAGE, SCENE = "fitting.report.page", "fitting.scene"
+PAGE, SCENE = "fitting.report.page", "fitting.scene"  # imported by name: they import this module
 CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
 
 def numbers(values: "ArrayLike", name: str) -> Array:
-    """Return a caller's numbers; otherwise InputError, which names the argument."""
     try:
         return np.asarray(values, np.float64)
     except (TypeError, ValueError):
@@ -58,7 +56,7 @@ def numbers(values: "ArrayLike", name: str) -> Array:
 
 
 class _Row:
-    """A law of the ranking, whether it was fitted or not."""
+    """A law of the ranking, fitted or not."""
 
     law: int | str
     name: str
@@ -69,7 +67,7 @@ class _Row:
 
     @property
     def title(self) -> str:
-        """The law in a table: its number and name, or its name and formula."""
+        """The law in a table."""
         return f"{self.law} {self.name}" if self.formula is None else f"{self.law}: {self.formula}"
 
     def as_json(self) -> dict[str, Any]:
@@ -101,39 +99,39 @@ class LawResult(_Row):
     Attributes
     ----------
     law : int or str
-        One of the six by its number, a law given as a formula by its name.
+        The number of one of the six, the name of a law given as a formula.
     name : str
         In words.
     score : float or None
-        Penalised log error of the record (smaller is better), minus the best law's; None where no law describes the
-        record.
+        Penalised log error (smaller is better) minus the best law's; None where no law describes the record.
     weight : float or None
-        exp(-score/2), normalised over the laws that describe the record; None where no law does.
+        exp(-score/2), normalised over the laws; None as ``score``.
     in_set : bool
-        Whether the record cannot distinguish this law from the best one.
+        Whether the law is compatible with the data: indistinguishable from the best one.
     rms_m : float
-        m, all windows together.
+        Rms residual of all windows, m.
     misfit : float
         Rms residual of the usual cycles over the noise of a position.
     cycles : int
-        Cycles fitted.
+        Number of fitted cycles.
     parameters : dict
         By name; per unit mass, and in newtons when the mass or the spring's stiffness is known.
     cpu_s : float
+        CPU time, s.
     behind : (float, float) or None
         Mean paired difference of log error to the best law, penalty included, and its standard error.
     orbit : float
-        Distance of the law's orbit to the measured one, of the orbit's size (`fitting.judge.orbit`).
+        Distance of the law's orbit to the measured one, over the orbit's size (`fitting.judge.orbit`).
     fit : Fit
-        The fit itself, in its frame: per unit mass, with a belt that runs towards +x.
+        The fit in its frame: per unit mass, with a belt that runs towards +x.
     motion : MeasuredMotion
-        Of the run; the first one's where there are several.
+        Of the run; of the first of several.
     outside_band : BandExit or None
-        Where its curve leaves the band of the measured one the furthest.
+        Where its curve is furthest outside the band of the measured one.
     formula : str or None
-        Of a law given as one.
+        Of a law given as a formula.
     asked : bool
-        Whether it was asked for; every published law competes besides.
+        Whether the law was requested; every published law competes too.
     """
 
     law: int | str
@@ -159,12 +157,12 @@ class LawResult(_Row):
 
     @property
     def label(self) -> str:
-        """The law in a picture: its number, or its name."""
+        """The law in a picture."""
         return f"law {self.law}"
 
     @property
     def called(self) -> str:
-        """The law in a sentence: its name and number, or name and, for a custom law, formula."""
+        """The law in a sentence."""
         if self.formula is None:
             return f"law {self.law} ({self.name})"
         about = ABOUT.get(str(self.law))
@@ -172,7 +170,7 @@ class LawResult(_Row):
 
     @property
     def shown(self) -> str:
-        """Its parameters in words, without the rig's: per unit mass, those determined alone."""
+        """Those parameters of the curve that are determined alone, in words."""
         return ", ".join(
             f"{name} = {item.value:.3g} {item.unit}".rstrip()
             for name, item in self.parameters.items()
@@ -187,7 +185,7 @@ class LawResult(_Row):
         return name.startswith("(") or (own in self.fit.law.free and f"{name}/m" not in self.parameters)
 
     def position(self, t: "ArrayLike") -> Array:
-        """Return the fitted position, m, as the record reads it.
+        """Return the fitted position in the record's frame.
 
         Parameters
         ----------
@@ -197,8 +195,7 @@ class LawResult(_Row):
         Returns
         -------
         array of the same shape
-            NaN outside the cycles that were fitted.  Steps of the position that smoothing found (lost counts) are not
-            in it.
+            m, without lost counts that smoothing found; NaN outside the fitted cycles.
 
         Raises
         ------
@@ -231,7 +228,7 @@ class LawResult(_Row):
 
     @property
     def residuals(self) -> "pd.DataFrame":
-        """The residuals, one row a sample that was fitted.
+        """The residuals, one row for each fitted sample.
 
         Columns: ``time_s``, ``cycle`` (1 is the first break-away), ``phase`` ("stick" or "slip"), ``position_m`` as
         measured, ``fitted_m``, and ``residual_m``, the fitted position minus the measured one.
@@ -262,15 +259,14 @@ class LawResult(_Row):
     def profile(self, name: str) -> "pd.DataFrame":
         """Hold a parameter at values around the fitted one, and fit all others again.
 
-        The deviance is twice by how much the objective rises: where the problem is nearly linear the square of the
-        distance in standard errors, 3.84 at the ends of a 95 % interval.  A deviance that rises faster on one side
-        shows a bound there, as of a damping that cannot be negative.  The errors of the metres per count and of the
-        mass only scale the result, and are not in it.
+        The deviance is twice the rise of the objective: of a nearly linear problem the squared distance in standard
+        errors, 3.84 at the ends of a 95 % interval; it rises faster towards a bound, as of a damping, which cannot be
+        negative.  Errors of the metres per count and of the mass only scale the result, and are not included.
 
         Parameters
         ----------
         name : str
-            A parameter, by its name in ``parameters``, that follows from no others.
+            A name in ``parameters`` that follows from no others.
 
         Returns
         -------
@@ -280,8 +276,7 @@ class LawResult(_Row):
         Raises
         ------
         InputError
-            For a parameter that the law does not have, that is fixed, or that follows from others, naming those that
-            can be taken; of one run among several.
+            For a parameter that is unknown, fixed or follows from others, and for one run among several.
         """
         import pandas as pd
 
@@ -304,7 +299,7 @@ class LawResult(_Row):
 
 @dataclass(frozen=True)
 class UnfittedLaw(_Row):
-    """The row of a law that was not fitted, or not to an end that holds: it has no numbers."""
+    """The row of a law without a valid fit: it has no numbers."""
 
     law: int | str
     name: str
@@ -319,31 +314,31 @@ class UnfittedLaw(_Row):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ranking:
-    """The laws in order, with the verdict, the break-aways and the warnings.
+    """The laws, best first, with the verdict, the break-aways and the warnings.
 
     Attributes
     ----------
     verdict : str
-        A sentence; the laws it names are `members`, unless it says that none describes the record.
+        A sentence; it names the `members`, unless no law describes the record.
     members : tuple of int or str
-        Model confidence set: laws that the record cannot distinguish, best first.  It compares the laws with each
-        other; whether any of them describes the record is said by ``adequacy``.
+        Model confidence set, best first: laws that the record cannot distinguish.  Whether any of them describes the
+        record is in ``adequacy``.
     rows : tuple of LawResult
-        Best first, those in the set before all others; none where the record is stick-slip that no law comes near.
+        Best first, the set before all others; empty where no law comes near the record.
     events : tuple of BreakAway
         The break-aways.
     warnings : tuple of str
-        The texts of the findings among them.
+        In words, those of the findings included.
     motion : MeasuredMotion
-        What was fitted, in the fit's frame; the first run's where there are several.
+        The fitted motion in the fit's frame; of the first of several runs.
     cut : CycleSegmentation
         Its cycles.
     adequacy : Adequacy
-        Whether the best law describes the record, and what is known without a law; of all runs together.
+        Whether the best law describes all runs together, and the results without a law.
     findings : tuple of Finding
         Contradictions between calibration and record, and the faults that smoothing found.
     runs : tuple of Ranking
-        Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
+        For several runs fitted together, the parameters, residuals, cycles and motion of each.
     records : tuple of Kinematics
         The smoothed runs.
     alpha : float
@@ -351,13 +346,13 @@ class Ranking:
     unfitted : tuple of UnfittedLaw
         The laws that were not fitted, with the reasons.
     sustained : bool
-        Whether the mass sticks in the long run; else the start-up alone shows friction.
+        Whether the mass sticks in the long run; else only the start-up shows friction.
     not_excluded : tuple of int or str
-        Laws outside the set whose residual is no larger than the best law's within the noise of the comparison.
+        Laws outside the set whose residual equals the best law's within the noise of the comparison.
     part : str
-        What was fitted, in words, where that is not all.
+        The fitted part in words; "" for all.
     stages : tuple of str
-        Sha256 of the smoothed velocity in each run's file; "" where that has none.
+        Sha256 of the smoothed velocity in each run's file, or "".
     cpu_s : float
         CPU time, s.
 
@@ -399,7 +394,7 @@ class Ranking:
 
     @property
     def best(self) -> LawResult:
-        """The first row; there is none where no law came near the record."""
+        """The first row; IndexError where no law came near the record."""
         return self.rows[0]
 
     @property
@@ -414,17 +409,17 @@ class Ranking:
 
     @property
     def published(self) -> list[dict[str, Any]]:
-        """The published laws, nearest first, as `forms` has them; parameters are None where a law was not fitted."""
+        """The published laws as `forms` has them."""
         nearest: list[_Row] = sorted(self.rows, key=attrgetter("misfit"))
         return [row.as_form() for row in (*nearest, *self.unfitted) if row.law in PUBLISHED]
 
     @property
     def sides(self) -> "tuple[Ranking, ...]":
-        """The side of each run; of a single run the ranking itself."""
+        """The ranking of each run; of a single run this one."""
         return self.runs or (self,)
 
     def row(self, law: int | str) -> LawResult:
-        """Return the row of one law, by its number or name; KeyError when it was not fitted."""
+        """Return the row of a fitted law, by its number or name; KeyError for others."""
         for row in self.rows:
             if row.law == law:
                 return row
@@ -469,7 +464,7 @@ class Ranking:
         return document | {"statistics": pooled(self.statistics).as_json()}
 
     def as_run(self) -> dict[str, Any]:
-        """Return the best law's view of one run among several."""
+        """Return the JSON document of one run among several."""
         if not self.rows:
             return {"adequacy": self.adequacy.as_json()}
         return {
@@ -481,7 +476,7 @@ class Ranking:
         }
 
     def correlations(self) -> Correlations | None:
-        """Return the correlations of the best law's parameters (first run); None where intervals are withheld."""
+        """Return the correlations of the first run's best parameters; None where intervals are withheld."""
         if not self.rows or not all(item.trusted for item in self.best.parameters.values()):
             return None
         fit, motion = self.best.fit, self.sides[0].motion
@@ -491,11 +486,11 @@ class Ranking:
         return replace(found, names=tuple(f"{name} (1)" if name in RUNS_OWN else name for name in found.names))
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """Return the laws as a pandas table, one row a law, best first.
+        """Return the laws as a pandas table, best first.
 
-        Columns: what `as_json` says of a law, but for ``outside_band``; then of each parameter its value under its
-        name, and "NAME stderr", "NAME lo" and "NAME hi": missing where the law has no such parameter, or the interval
-        is withheld.  ``attrs["units"]`` has the unit of each parameter.
+        Columns: those of `as_json` without ``outside_band``; then for each parameter "NAME", "NAME stderr", "NAME lo"
+        and "NAME hi": missing where the law has no such parameter or the interval is withheld.  ``attrs["units"]`` has
+        the unit of each parameter.
         """
         import pandas as pd
 
@@ -512,10 +507,10 @@ class Ranking:
 
     @property
     def correlation(self) -> "pd.DataFrame":
-        """Correlations of the errors of the best law's parameters, -1 to 1, as a pandas table.
+        """Correlations of the errors of the best law's parameters, as a pandas table.
 
-        The parameters are those that are fitted and follow from no others, per unit mass; of several runs v_dr and x0
-        are those of the first, ``v_dr (1)``.
+        Parameters are per unit mass, without fixed ones and those that follow from others; of several runs v_dr and x0
+        are the first run's, ``v_dr (1)``.
 
         Raises
         ------
@@ -528,25 +523,14 @@ class Ranking:
 
     @property
     def covariance(self) -> "pd.DataFrame":
-        """Covariance of the best law's parameters, a pandas table.
-
-        It is `correlation` times the standard errors of ``best.parameters``, whose units ``attrs["units"]`` has.
-
-        Raises
-        ------
-        DataError
-            No law describes the record: the intervals are withheld.
-        """
+        """`correlation` times the standard errors of ``best.parameters``; their units in ``attrs["units"]``."""
         self._correlations("covariance")
         error = np.array([self.best.parameters[name].stderr for name in self._names])
         return self._square(self.correlation.to_numpy() * np.outer(error, error))
 
     @property
     def residuals(self) -> "pd.DataFrame":
-        """The residuals of the best law, one row a sample that was fitted.
-
-        Columns as of `LawResult.residuals`; of several runs a column ``run`` before them, 1 for the first.
-        """
+        """The best law's `LawResult.residuals`; of several runs with a first column ``run``, from 1."""
         import pandas as pd
 
         law = self._best("residuals").law
@@ -557,11 +541,10 @@ class Ranking:
 
     @property
     def curve(self) -> "pd.DataFrame":
-        """Friction against slip speed, measured without a law, a pandas table with one row a speed.
+        """Friction against slip speed, measured without a law, as a pandas table.
 
-        Columns: ``speed``, m/s, ``friction``, and ``lo`` and ``hi``, a band that holds the whole curve with the
-        confidence 1 - `alpha`; ``attrs["units"]``.  In N where the mass or the spring's stiffness is known, else per
-        kilogram.
+        Columns: ``speed``, m/s, ``friction``, and ``lo`` and ``hi``, a simultaneous band of the confidence
+        1 - `alpha`.  ``attrs["units"]``: N where the mass or the spring's stiffness is known, else N/kg.
 
         Raises
         ------
@@ -577,12 +560,11 @@ class Ranking:
 
     @property
     def forms(self) -> "pd.DataFrame":
-        """The published laws as they were fitted to the record, a pandas table with one row a law, nearest first.
+        """The fits of the published laws, as a pandas table with the smallest residual first.
 
         Columns: ``name``, ``formula``, ``source``, ``chi`` (rms residual over the noise of a position),
-        ``inside_band`` (whether its curve stays inside the band of `curve`), and of each parameter its value,
-        "NAME stderr", "NAME lo" and "NAME hi"; missing where the law was not fitted; levels in the unit of
-        `curve`.
+        ``inside_band`` (whether the curve stays inside the band of `curve`), and those of the parameters as in
+        `to_dataframe`, missing where the law was not fitted; levels in the unit of `curve`.
 
         Raises
         ------
@@ -603,12 +585,11 @@ class Ranking:
         return table
 
     def bootstrap(self, n: int = 200, seed: int | None = None) -> "pd.DataFrame":
-        """Fit the best law again to drawn cycles, and return its parameters: a pandas table, one row a draw.
+        """Fit the best law again to resampled cycles (Bayesian bootstrap: Rubin, 1981).
 
         The standard deviation of a column is a standard error that assumes neither a normal distribution nor a linear
-        problem.  Cycles are drawn by exponential weights (Rubin, 1981), calibrations from their errors.
-        With few cycles the spread is too small, as that of every bootstrap: by 10 to 20 % with twenty cycles, by a
-        fourth with five.
+        problem.  Calibrations are drawn from their errors.  With few cycles the spread is too small, as of every
+        bootstrap: by 10 to 20 % with twenty cycles, by a fourth with five.
 
         Parameters
         ----------
@@ -620,7 +601,7 @@ class Ranking:
         Returns
         -------
         DataFrame
-            Columns as of `covariance`; ``attrs["units"]``.
+            One row for each draw, columns and units as of `covariance`.
 
         Raises
         ------
@@ -678,9 +659,9 @@ class Ranking:
         return made.assign_attrs(verdict=self.verdict, adequacy=self.adequacy.said)
 
     def plot(self, ax: "Axes | None" = None) -> "Figure":
-        """Draw friction against relative speed: the measured curve with its band, and the laws of the set over it.
+        """Draw friction against relative speed: the measured curve with its band, and the laws of the set.
 
-        Where no curve was measured, the force balance of the best law at each sample is drawn instead.
+        Without a measured curve the force balance of the best law at each sample is drawn.
 
         Parameters
         ----------
@@ -690,12 +671,12 @@ class Ranking:
         Returns
         -------
         matplotlib Figure
-            ``figure.savefig(path)`` writes it, a notebook shows it.
+            It can be saved by ``figure.savefig(path)``.
 
         Raises
         ------
         DataError
-            For a ranking without laws: nothing is known of the friction.
+            No law came near the record.
         """
         from fitting import drawing
 
@@ -722,8 +703,8 @@ class Ranking:
         Raises
         ------
         InputError
-            The name has the suffix of another format, its folder does not exist, or what stands there is something
-            else and ``force`` is not given.
+            The name has the suffix of another format, its folder does not exist, or it is another file and ``force``
+            is not given.
         """
         target = Path(path)
         suffix.check(target, suffix.PAGE, "--report", {suffix.PDF: "then print the page from a browser"})
@@ -731,9 +712,9 @@ class Ranking:
         return target
 
     def save_scene(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
-        """Write the fitted rig as a scene (.toml), which `rig_sim.scene` and every command of `rig-sim` take.
+        """Write the fitted rig as a scene (.toml) for `rig_sim.scene` and every command of `rig-sim`.
 
-        It has the best law or, where no law describes the record, the measured curve; and the covariance, for the
+        It contains the best law or, where no law describes the record, the measured curve; and the covariance, for the
         draws of `rig_sim.continue_`.
 
         Parameters
@@ -755,16 +736,16 @@ class Ranking:
         DataError
             Neither a law nor a friction curve describes the record.
         """
-        rig_scene, target = import_module(SCENE), Path(path)
+        target = Path(path)
         suffix.check(target, suffix.TOML, "--save-scene", {})
         recordings = [record.recording for record in self.records]
-        rig_scene.refuse_existing(target, [one.source for one in recordings if one.source.name], force=force)
-        rig_scene.save(target, self, Path(recordings[0].name))
+        runs = (one.source for one in recordings if one.source.name)
+        atomic.refuse_existing(target, force, *runs, kind="scene", flag="--save-scene")
+        import_module(SCENE).save(target, self, Path(recordings[0].name))
         return target
 
     @property
     def _names(self) -> list[str]:
-        """The fitted parameters of the best law that follow from no others."""
         return [name for name in self._correlations("names").names if not self.best.parameters[name].fixed]
 
     def _square(self, matrix: Array) -> "pd.DataFrame":

@@ -1,16 +1,14 @@
 """A fitted rig as a scene of the simulator: its keys, values and covariance, and the TOML file of them.
 
-Without a mass or a stiffness a record shows forces per unit mass alone.  The scene then has a mass of 1 kg, and its
-newtons are per kilogram: times, positions and speeds are those of the rig all the same, and dampings those per kg.
+Without a mass or a stiffness a record determines forces per unit mass only.  The scene then has a mass of 1 kg: its
+forces and dampings are per kilogram; times, positions and speeds are those of the rig.
 
-Without a datum the record shows a free curve, and a linear one, but for a constant that moves together with the
-spring's rest, and leaves the motion as it is.  The rest is then the one that the curve assumes, or the default that
-the fit starts from, or, where friction would fall below `LEAST_FRICTION`, the one that keeps it there; and it is held
-in the covariance.
+Without a datum the level of a free or linear curve and the spring's rest position are confounded.  The rest position is
+then that of the curve or the default of the fit, moved where friction would fall below `LEAST_FRICTION`, and fixed in
+the covariance.
 
-The section ``fit`` names the keys of the scene that were fitted, with their values and covariance in the scene's
-units; ``friction.curve.3`` is the friction of the fourth point of a measured curve.  The belt's ripple is left out:
-predictions are for a steady belt.
+The section ``fit`` has the fitted keys of the scene with their values and covariance; ``friction.curve.3`` is the
+friction of the fourth point of a measured curve.  The belt's ripple is not included.
 """
 
 import math
@@ -41,10 +39,7 @@ from stickslip.toml import quote
 from stickslip.units import Measured
 
 DERIVATIVE_STEP = 1e-6  # step over an unknown or, where that is larger, over its error: derivatives err by 1e-9
-# A break-away level above that of a measured curve is written where it exceeds it by so many standard errors and this
-# share.
-# With 2 errors one in 40 contacts without such a level would be given one; 8 would hide a level twice as high.
-STATIC_ERRORS, LEAST_STATIC = 4.0, 0.005
+STATIC_ERRORS, LEAST_STATIC = 4.0, 0.005  # least excess of a break-away level over a curve: standard errors, and share
 BREAK_AWAY_BLUR = 0.5  # how far smoothing moves a break-away found without a law, over its half-window
 LEAST_FRICTION = 0.1  # least friction over a curve's fall: above 0, which changes no motion
 # Keys of a scene's section of friction that no parameter of a formula can have (`rig_sim.scenes.checks`).
@@ -54,12 +49,12 @@ LEAST_SCATTER = 2.0  # scatter of the levels over what noise makes of it: with l
 
 @dataclass(frozen=True, eq=False)
 class FittedScene:
-    """The contents of the file: keys ``section.key`` in order with their values (n,) and covariance (n, n)."""
+    """The contents of the file."""
 
-    friction: Mapping[str, Any]  # of the section friction: law or formula, and what was not fitted
-    keys: tuple[str, ...]
-    values: Array
-    covariance: Array
+    friction: Mapping[str, Any]  # of the section friction: law or formula, and fixed values
+    keys: tuple[str, ...]  # ``section.key`` of each fitted value
+    values: Array  # (n,)
+    covariance: Array  # (n, n)
     cycles: int
     points: Array  # slip speeds (m/s) of a measured curve, whose frictions are the last keys
     scatter: float  # standard deviation of the levels, of Fs
@@ -67,14 +62,13 @@ class FittedScene:
 
 @dataclass(frozen=True, eq=False)
 class FittedRig:
-    """A fit as a rig, at values ``unknowns`` (n,) of its shared unknowns and of its curve's."""
+    """A fit as a rig at ``unknowns`` (n,), its shared unknowns and those of its curve."""
 
     fit: Fit
     motion: MeasuredMotion
 
     @property
     def unknowns(self) -> Array:
-        """Those at the fit."""
         return self.fit.q[: sum(self.fit.task.widths[:2])].copy()
 
     @property
@@ -83,15 +77,12 @@ class FittedRig:
 
     @property
     def slots(self) -> list[int]:
-        """The place of each shared unknown among the first run's, or -1."""
+        """The index of each shared unknown among the first run's, or -1."""
         return [int(slot) for slot in columns(self.fit.places, len(self.fit.problem.runs))[0]]
 
     @cached_property
     def points(self) -> Array:
-        """The slip speeds of a free curve, m/s: its knots, and one more in the first and in the last piece.
-
-        A spline through points has no break at those next to its ends.
-        """
+        """The knots of a free curve, m/s, and, for a spline without a break next to its ends, two more speeds."""
         if not isinstance(self.curve, FreeCurve):
             return np.empty(0)
         knots = self.curve.spline.knots
@@ -99,7 +90,7 @@ class FittedRig:
 
     @cached_property
     def keys(self) -> dict[str, str]:
-        """The key of each parameter of the law in a scene, whose section friction has reserved keys."""
+        """The key of each parameter of the law in a scene, none of them reserved."""
         keys: dict[str, str] = {}
         parameters = self.curve.law.curve.parameters if self.curve.law is not None else ()
         for name in parameters:
@@ -111,12 +102,11 @@ class FittedRig:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The parameters of the law that were fitted."""
         return tuple(self.keys) if self.curve.kind else self.curve.free
 
     @property
     def sized(self) -> bool:
-        """Whether the units of the law's parameters are known, so that they can be those of forces."""
+        """Whether the units of the law's parameters are known."""
         law = self.curve.law
         return law is None or bool(law.dimensions) or self.motion.per_mass
 
@@ -128,20 +118,20 @@ class FittedRig:
         return values(self.fit.task.split(self.q(unknowns))[0][:PER_RUN])
 
     def friction(self, unknowns: Array, s: Array) -> Array:
-        """Return friction per unit mass (m/s^2) at slip speeds s (k,)."""
+        """Return friction, m/s^2."""
         return self.fit.task.friction(self.q(unknowns), s)
 
     def at_rest(self, unknowns: Array) -> float:
         return float(self.friction(unknowns, np.zeros(1))[0])
 
     def mass(self, K: float, factor: float = 1.0) -> float:
-        """Return the mass (kg) for k/m = K, with ``factor`` on the calibration; 1 without one."""
+        """Return the mass, kg, for k/m = K and ``factor`` on the calibration; 1 without one."""
         if self.motion.mass is not None:
             return self.motion.mass.value * factor
         return self.motion.stiffness.value * factor / K if self.motion.stiffness is not None else 1.0
 
     def scene(self, unknowns: Array, factor: float = 1.0, length: float = 1.0) -> dict[str, float]:
-        """Return the values of a scene, with ``factor`` on the mass or stiffness, and ``length`` metres a metre."""
+        """Return the values of a scene with ``factor`` on the mass or stiffness, and ``length`` on the metres."""
         p, law, sign = self.values(unknowns), self.curve.law, self.motion.sign
         m = self.mass(p.K, factor)
         scene = {
@@ -151,7 +141,7 @@ class FittedRig:
             "belt.speed": sign * p.v_dr * length,
             "damper.c": p.damping * m,
             "droop.fraction": p.compliance * p.F / p.K / p.v_dr,
-            # speeds of the points are exact in the scene: a length's error is that of the belt's speed against them
+            # Speeds of the points are exact: an error of length is that of the belt's speed against them.
             "friction.d": p.d * (1.0 if law is None else length),
             "friction.static": p.static,
         }
@@ -166,7 +156,6 @@ class FittedRig:
         return scene
 
     def names(self, *, static: bool) -> list[str]:
-        """Return the keys of a scene that were fitted; ``static`` is whether its break-away level is among them."""
         names = [] if self.motion.per_mass else ["mass.m"]
         names += ["spring.k", "spring.x0", "belt.speed", "damper.c"]
         names += [f"friction.{self.keys[name]}" for name in self.free]
@@ -176,7 +165,6 @@ class FittedRig:
         return names + [f"friction.curve.{i}" for i in range(self.points.size)]
 
     def unfitted(self) -> dict[str, Any]:
-        """Return what a scene's section friction has besides the fitted keys."""
         law = self.curve.law
         if law is None:
             return {"law": 0} | ({"contact": "ramp"} if self.curve.ramp else {})
@@ -188,20 +176,20 @@ class FittedRig:
 
 
 class BreakAwayLevel(NamedTuple):
-    """Friction at the break-aways minus that at rest, m/s^2, at given unknowns, and the error that they do not have."""
+    """Friction at the break-aways against that of the curve at rest."""
 
-    excess: Callable[[Array], float]
-    sd: float
-    least: float  # excess over both errors, and over friction at rest, from which the contact has a level of its own
+    excess: Callable[[Array], float]  # over friction at rest, m/s^2, at the unknowns
+    sd: float  # beside that of the unknowns
+    least: float  # excess over both errors, and over friction at rest, from which the contact has this level
     least_share: float
 
 
 def of_ranking(ranking: Ranking) -> FittedScene:
-    """Return the scene of the best law, or of the measured curve; DataError where neither describes the record.
+    """Return the scene of the best law or, where none describes the record, of the measured curve.
 
     Slips hardly constrain friction at rest.  Where the break-aways disagree with a law (finding ``break-away``), or no
-    law describes the record, the break-aways decide: a higher level is the contact's own, ``friction.static``; else the
-    curve passes through them, weighted by both errors.
+    law describes the record, they decide: a higher level is written as ``friction.static``; else the curve passes
+    through them, weighted by both errors.
     """
     fit, measured = _choose(ranking)
     rig = FittedRig(fit, ranking.motion)
@@ -241,7 +229,7 @@ def of_ranking(ranking: Ranking) -> FittedScene:
 
 
 def _choose(ranking: Ranking) -> tuple[Fit, MeasuredCurve | None]:
-    """Return the fit that describes the record, with the measured curve where it is that one's."""
+    """Return the fit that describes the record, and the measured curve if the fit is that one's."""
     adequacy = ranking.adequacy
     if ranking.rows and not adequacy.rejected:
         fit = ranking.best.fit
@@ -259,7 +247,7 @@ def _choose(ranking: Ranking) -> tuple[Fit, MeasuredCurve | None]:
 
 
 def _level_of_law(ranking: Ranking, rig: FittedRig) -> BreakAwayLevel | None:
-    """Return the level of the break-aways where they disagree with the law; a belt that slows under load has none."""
+    """Return the level of the break-aways if they disagree with the law; None for a belt that slows under load."""
     finding = next((each for each in ranking.sides[0].findings if each.code == "break-away"), None)
     if finding is None or Global.COMPLIANCE in rig.fit.places:
         return None
@@ -269,7 +257,7 @@ def _level_of_law(ranking: Ranking, rig: FittedRig) -> BreakAwayLevel | None:
 
 
 def _level_of_curve(curve: MeasuredCurve, statistics: StickSlipStatistics, rig: FittedRig) -> BreakAwayLevel | None:
-    """Return the level of the break-aways by their positions, which need no law; None on a ramp, or with too few."""
+    """Return the level of the break-aways by their positions; None on a ramp or with too few."""
     place = None if curve.ramp else _break_away_position(statistics, rig.motion)
     if place is None:
         return None
@@ -282,7 +270,7 @@ def _level_of_curve(curve: MeasuredCurve, statistics: StickSlipStatistics, rig: 
 
 
 def _held(spread: Array, rig: FittedRig) -> Array:
-    """Return a covariance (p, p) with the rest position fixed, where nothing but the assumption determines it."""
+    """Return the covariance with the rest position fixed where it is assumed only."""
     fit, curve = rig.fit, rig.curve
     assumed = curve.law is None or fit.held_rest is not None or curve.kind in ("constant", "linear")
     if rig.motion.datum_prior is not None or not assumed:
@@ -294,14 +282,14 @@ def _held(spread: Array, rig: FittedRig) -> Array:
 
 
 def _covariance_of_curve(curve: MeasuredCurve) -> Array:
-    """Return the covariance by the scatter between cycles, no smaller than the noise makes each variance."""
+    """Return the covariance by the scatter between cycles, no variance below that by noise."""
     noise, scattered = covariances(curve.linear)
     wider = np.sqrt(np.maximum(np.diag(noise) / np.maximum(np.diag(scattered), 1e-300), 1.0))
     return np.asarray(scattered * wider[:, None] * wider)
 
 
 def _move_of_rest(rig: FittedRig) -> Array:
-    """Return the move of the unknowns (n,) to the spring's rest that a measured curve is given: see the module."""
+    """Return the move of the unknowns to the rest position of a measured curve: see the module."""
     moved = np.zeros(rig.unknowns.size)
     if rig.motion.datum_prior is not None:
         return moved
@@ -316,7 +304,7 @@ def _move_of_rest(rig: FittedRig) -> Array:
 
 
 def _propagated(rig: FittedRig, names: list[str], unknowns: Array, spread: Array) -> tuple[Array, Array]:
-    """Return values and covariance of a scene's keys ``names``, the errors of mass, stiffness and metres included."""
+    """Return values and covariance of a scene's keys, the errors of mass, stiffness and metres included."""
     n, known = unknowns.size, rig.motion.mass or rig.motion.stiffness
     start, whole = np.concatenate((unknowns, [1.0, 1.0])), np.zeros((n + 2, n + 2))
     whole[:n, :n] = spread
@@ -331,7 +319,7 @@ def _propagated(rig: FittedRig, names: list[str], unknowns: Array, spread: Array
 
 
 def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array) -> Array:
-    """Return the derivatives of a function of u (n,), along the last axis, by central differences."""
+    """Return the derivatives by u along the last axis, by central differences."""
     columns_of = []
     for j in range(u.size):
         step = np.zeros(u.size)
@@ -341,7 +329,7 @@ def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array)
 
 
 def _positive(spread: Array) -> Array:
-    """Return a covariance without the rounding errors of directions with next to no variance."""
+    """Return the positive semidefinite part of a covariance."""
     scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
     size, axes = eigen(0.5 * (spread + spread.T) / scale[:, None] / scale)
     root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
@@ -350,7 +338,7 @@ def _positive(spread: Array) -> Array:
 
 
 def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion) -> Measured | None:
-    """Return the break-away position in the fit's frame, m, without a law; None with too few."""
+    """Return the break-away position in the fit's frame, m; None with too few."""
     seen = statistics.column("break_away_m")
     seen = seen[np.isfinite(seen)]
     if seen.size < FEWEST_LEVELS:
@@ -379,7 +367,6 @@ def _scatter(fit: Fit) -> float:
 
 
 def text(scene: FittedScene, ranking: Ranking, run: Path) -> str:
-    """Return the TOML file of a scene fitted to a ``run``."""
     values = dict(zip(scene.keys, scene.values.tolist(), strict=True))
     assumed = "mass.m" not in values
     kind = "measured curve" if scene.points.size else ranking.best.label
@@ -415,7 +402,6 @@ def text(scene: FittedScene, ranking: Ranking, run: Path) -> str:
 
 
 def _toml(value: Any) -> str:
-    """Return a value in TOML; the rows of a table are on lines of their own."""
     if isinstance(value, str):
         return quote(storable(value))
     if isinstance(value, bool):
@@ -428,12 +414,6 @@ def _toml(value: Any) -> str:
 
 
 def save(path: Path, ranking: Ranking, run: Path) -> None:
-    """Write the scene of a ranking, in place of an older file: see `refuse_existing`."""
     content = text(of_ranking(ranking), ranking, run)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(content, encoding="utf-8")
-
-
-def refuse_existing(path: Path, files: list[Path], *, force: bool) -> None:
-    """Raise InputError when ``path`` is a folder, a run, or a file that exists without ``force``."""
-    atomic.refuse_existing(path, force, *files, kind="scene", flag="--save-scene")

@@ -17,7 +17,7 @@ from stickslip.version import VERSION
 SUFFIX = ".each.html"
 MARK = '<meta name="generator" content="stickslip fit-friction --each'
 SHOWN = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d", "x0", "c/m")  # per unit mass: every run has these
-NOT_SHOWN = ("k", "c", "m", "wear", "droop", "ripple", "ripple_hz")  # beside the parameters of a formula
+NOT_SHOWN = ("k", "c", "m", "wear", "droop", "ripple", "ripple_hz")  # parameters of the rig
 COLUMNS = 2
 Styles = Mapping[int | str, Mapping[str, Any]]
 HEAD, PER_RUN = 0.8, 0.23  # inches of a panel: its title and labels, and each run
@@ -25,7 +25,7 @@ HEAD, PER_RUN = 0.8, 0.23  # inches of a panel: its title and labels, and each r
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One run: its file, and the document of its fit, or why it has none."""
+    """A run with the document of its fit, or with the failure."""
 
     file: Path
     document: Mapping[str, Any]
@@ -33,7 +33,7 @@ class ComparedRun:
 
     @property
     def law(self) -> int | str | None:
-        """The law of the first row; None where no law came near, or the fit failed."""
+        """The best law; None if no law came near or the fit failed."""
         return None if self._best is None else self._best["law"]
 
     @property
@@ -52,7 +52,6 @@ class ComparedRun:
 
     @property
     def names(self) -> list[str]:
-        """The parameters of the best law that are shown, per unit mass."""
         best = self._best or {}
         parameters = best.get("parameters", {})
         others = (name for name in parameters if name not in (*NOT_SHOWN, *SHOWN) and f"{name}/m" not in parameters)
@@ -64,19 +63,16 @@ class ComparedRun:
         return {"file": self.file, "error": self.failure.as_json()} | self.failure.data
 
     def parameter(self, name: str) -> Parameter | None:
-        """Return a parameter of the best law; None if it has no such parameter."""
+        """Return a parameter of the best law, if it has it; errors are NaN where withheld."""
         item = None if self._best is None else self._best["parameters"].get(name)
-        return None if item is None else _parameter(item)
-
-
-def _parameter(item: Mapping[str, Any]) -> Parameter:
-    """Return a parameter from its form in the document, NaN where withheld."""
-    stderr, lo, hi = (math.nan if item[key] is None else item[key] for key in ("stderr", "lo", "hi"))
-    return Parameter(item["value"], stderr, lo, hi, item["unit"], trusted=item["stderr"] is not None)
+        if item is None:
+            return None
+        stderr, lo, hi = (math.nan if item[key] is None else item[key] for key in ("stderr", "lo", "hi"))
+        return Parameter(item["value"], stderr, lo, hi, item["unit"], trusted=item["stderr"] is not None)
 
 
 def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = False) -> None:
-    """Raise InputError when ``path`` cannot be written or, without ``force``, is not a comparison of these runs."""
+    """Raise InputError if ``path`` cannot be written or, without ``force``, is not a comparison of these runs."""
     atomic.refuse_existing(path, force, mark=MARK, kind="comparison of runs", flag="--report")
     if path.exists() and not force and _mark(files) not in path.read_text(encoding="utf-8", errors="replace"):
         do = "give another name (--report), or --force to replace it"
@@ -90,11 +86,7 @@ def _mark(files: Sequence[Path]) -> str:
 
 
 def write(runs: Sequence[ComparedRun], path: Path, alpha: float, summary: str, *, force: bool = False) -> None:
-    """Write the comparison, in place of an older one of the same runs.
-
-    Raises InputError where ``path`` is another file, and RefusedError where it cannot be written; an older page then
-    remains.
-    """
+    """Write the comparison, in place of an older one of the same runs."""
     refuse_foreign_file(path, [run.file for run in runs], force=force)
     page.put(render(runs, alpha, summary), path)
 
@@ -138,7 +130,7 @@ def _value(item: Parameter | None) -> tuple[str, str]:
 
 
 def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, str], styles: Styles) -> str:
-    """Draw a panel for each parameter: a line of each run, with its value and interval."""
+    """Draw a panel for each parameter, with value and interval of each run."""
     from fitting.report import pictures
 
     lines = -(-len(names) // COLUMNS)

@@ -3,6 +3,7 @@
 import html
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,6 @@ from fitting.judge.adequacy import Adequacy
 from fitting.judge.parameters import Correlations, Parameter
 from fitting.palette import law_styles, run_colour
 from fitting.report import symbols
-from fitting.report import symbols as mathml
 from fitting.result import LawResult, Ranking
 from fitting.words.verdict import format_probability
 from processing.statistics import pooled
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 SUFFIX = ".report.html"
 NAMED = re.compile("sha256 of the raw record ([0-9a-f]{64})")
 TEMPLATES = Path(__file__).with_name("templates")
-STRONG, MOST_NAMED = 0.9, 4  # correlations that are named in words: above 0.9 a parameter's error doubles by them
+STRONG, MOST_NAMED = 0.9, 4  # correlations named in words: from 0.9 on they double a parameter's error
 MARK = '<meta name="generator" content="stickslip fit-friction'
 
 
@@ -40,7 +40,7 @@ def default_path(run: Path) -> Path:
 
 
 def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
-    """Return the paths of the reports: next to each run, or FILE, FILE-2, ...; two equal ones are an InputError."""
+    """Return the paths of the reports: next to each run, or FILE, FILE-2, ..."""
     if report is None:
         places = [default_path(run) for run in runs]
     else:
@@ -51,10 +51,9 @@ def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
 
 
 def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
-    """Raise InputError when ``path`` cannot be written or, without ``force``, is not a report of these runs.
+    """Raise InputError if ``path`` cannot be written or, without ``force``, is not a report of these raw records.
 
-    A report contains the sha256 of each of its raw records. The one named after a run of ``files`` may also be that of
-    an earlier run of this name which no run in the folder holds.
+    The report named after a single run may also be that of a former run of this name, which no run in the folder has.
     """
     atomic.refuse_existing(path, force, mark=MARK, kind="report", flag="--report")
     if not path.exists() or force:
@@ -73,7 +72,7 @@ def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[P
 
 
 def _holder(digests: set[str], file: Path) -> Path | None:
-    """Return the run next to ``file`` that holds one of these raw records, None where they are gone."""
+    """Return the run next to ``file`` that has one of these raw records."""
     for other in sorted(file.absolute().parent.glob("*.h5")):
         if other.name == file.name:
             continue
@@ -88,11 +87,7 @@ def _holder(digests: set[str], file: Path) -> Path | None:
 
 
 def write(ranking: Ranking, path: Path, text: str = "", *, force: bool = False) -> None:
-    """Write the page of a ranking, or its ``text``, in place of a report of the same runs, or any file with ``force``.
-
-    Raises InputError where ``path`` is another file, and RefusedError where it cannot be written; an older report then
-    remains.
-    """
+    """Write the page of a ranking, or its ``text``, in place of a report of the same runs."""
     recordings = [record.recording for record in ranking.records]
     digests, files = [one.digest for one in recordings], [one.source for one in recordings if one.source.name]
     refuse_foreign_file(path, digests, files=files, force=force)
@@ -105,7 +100,6 @@ def put(page: str, path: Path) -> None:
 
 
 def template(name: str) -> "Template":
-    """Return a template of this folder; inserted text is escaped."""
     import jinja2
 
     loader = jinja2.FileSystemLoader(TEMPLATES)
@@ -119,7 +113,6 @@ def now() -> str:
 
 
 def render(ranking: Ranking) -> str:
-    """Return the report as HTML."""
     from markupsafe import Markup
 
     from fitting.report import pictures
@@ -154,7 +147,7 @@ def render(ranking: Ranking) -> str:
 
 
 def _badge(ranking: Ranking) -> tuple[str, str]:
-    """Return the kind of the answer, and in words whether a law describes the record."""
+    """Return the style of the badge and its text."""
     if not ranking.rows:
         return "open", "no law fitted"
     if ranking.adequacy.rejected:
@@ -166,7 +159,7 @@ def _badge(ranking: Ranking) -> tuple[str, str]:
 
 
 def _headline(best: LawResult) -> dict[str, Parameter]:
-    """Return the parameters of the curve, the spring and the belt; in newtons where those are known."""
+    """Return the parameters of curve, spring and belt, in newtons where those are known."""
     parameters = best.parameters
     names = (*filter(best.is_own, parameters), *(name for name in ("k/m", "v_dr") if name in parameters))
     shown = (short if (short := name.removesuffix("/m")) in parameters else name for name in names)
@@ -174,12 +167,12 @@ def _headline(best: LawResult) -> dict[str, Parameter]:
 
 
 def _symbol(name: str) -> "Markup":
-    """Return the name of a parameter typeset, if it is no combination of several."""
+    """Return the name of a parameter, typeset unless it is a combination of several."""
     from markupsafe import Markup
 
     if re.fullmatch(r"\w+(/m)?", name) is None:
         return Markup.escape(name)
-    parts = "<mo>/</mo>".join(map(mathml.identifier, name.split("/")))
+    parts = "<mo>/</mo>".join(map(symbols.identifier, name.split("/")))
     return Markup(f"<math>{parts}</math>")
 
 
@@ -192,23 +185,16 @@ def _typeset(row: LawResult) -> "tuple[Markup, str]":
 
 
 def _when(recording: Recording) -> str:
-    """Return the time of recording; of an imported table, that of its file's last change."""
-    said = recording.when.removesuffix(recording.started) or "recorded "
-    return said + moment(recording.started)
+    """Return the time of recording, or of the last change of an imported table, without fractions of a second."""
+    started = recording.started
+    with suppress(ValueError):
+        started = datetime.fromisoformat(started).isoformat(" ", timespec="seconds")
+    return (recording.when.removesuffix(recording.started) or "recorded ") + started
 
 
 def smallest_departure(adequacy: Adequacy) -> str:
-    """Return the smallest detectable departure of friction in words."""
     visible = adequacy.smallest_visible
     return f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
-
-
-def moment(stated: str) -> str:
-    """Return a date and time in ISO 8601 without fractions of a second."""
-    try:
-        return datetime.fromisoformat(stated).isoformat(" ", timespec="seconds")
-    except ValueError:
-        return stated
 
 
 def _strongest(correlations: Correlations) -> list[str]:
@@ -223,13 +209,8 @@ def _signed(value: float) -> str:
     return f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
 
 
-def _shade(value: float) -> str:
-    """Return the colour of a cell: blue for errors of the same sign, orange for those of opposite sign."""
-    return f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})"
-
-
 def format_evidence(row: LawResult) -> tuple[str, str]:
-    """Return how far a law is behind the best one in mean log error, and its weight; dashes without an evidence."""
+    """Return the excess of a law's mean log error over the best one's, and its weight; dashes without."""
     if row.score is None or row.weight is None or row.behind is None:
         return "–", "–"
     behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
@@ -237,35 +218,24 @@ def format_evidence(row: LawResult) -> tuple[str, str]:
 
 
 def format_interval(item: Parameter) -> tuple[str, str, str, str]:
-    """Return value, standard error and interval with as many digits as the error deserves, and the unit.
-
-    Withheld error and interval are empty, and the value has four digits.
-    """
+    """Return value, standard error, interval and unit, with the digits that the error determines."""
+    unit = symbols.pretty(item.unit)
     if item.fixed:
-        return f"{item.value:.6g}", "fixed", "–", symbols.pretty(item.unit)
+        return f"{item.value:.6g}", "fixed", "–", unit
     if not item.trusted:
-        return f"{item.value:.4g}", "–", "withheld", symbols.pretty(item.unit)
+        return f"{item.value:.4g}", "–", "withheld", unit
     digits = item.decimals
-    value = f"{item.value:.{digits}f}"
-    return (
-        value,
-        f"{item.stderr:#.2g}".rstrip("."),
-        f"{item.lo:.{digits}f} … {item.hi:.{digits}f}",
-        symbols.pretty(item.unit),
-    )
-
-
-def _length(value: float) -> str:
-    return symbols.pretty(format_length(value))
+    interval = f"{item.lo:.{digits}f} … {item.hi:.{digits}f}"
+    return f"{item.value:.{digits}f}", f"{item.stderr:#.2g}".rstrip("."), interval, unit
 
 
 FILTERS: dict[str, Callable[..., Any]] = {
     "evidence": format_evidence,
     "interval": format_interval,
-    "length_text": _length,
+    "length_text": lambda value: symbols.pretty(format_length(value)),
     "pretty": symbols.pretty,
     "probability": format_probability,
-    "shade": _shade,
+    "shade": lambda value: f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})",
     "signed": _signed,
     "strongest": _strongest,
     "symbol": _symbol,

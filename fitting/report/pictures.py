@@ -1,7 +1,4 @@
-"""The pictures of a page as SVG: motion, phase portraits, friction, residuals, evidence and levels.
-
-Each shows all runs of a joint fit, each run in its own colour, dashes and marks.
-"""
+"""The pictures of a page as SVG; of a joint fit with all runs, each in its colour, dashes and marks."""
 
 import html
 import io
@@ -31,26 +28,23 @@ if TYPE_CHECKING:
 
 
 NARROW, WIDE = 4.6, 9.4  # inches: half of the page, and all of it
-# Inches: margins, a row of a legend, its key, and a letter.
-LEFT, RIGHT, BOTTOM, TITLE, ROW, KEY, LETTER = 0.62, 0.08, 0.42, 0.24, 0.17, 0.5, 0.062
+LEFT, RIGHT, BOTTOM, TITLE = 0.62, 0.08, 0.42, 0.24  # inches of margin
+ROW, KEY, LETTER = 0.17, 0.5, 0.062  # inches of a row of a legend, of its key, and of a letter
 DPI = 110  # of what is drawn as an image
 MOST_VECTOR = 4000  # points of a line; a longer one is drawn as an image
-MOST_POINTS = 200_000  # points of a whole record that are drawn, or up to twice as many: more take memory alone
-# Text of a page is set by the browser, in the font of the page.
+MOST_POINTS = 200_000  # points of a whole record that are drawn, or up to twice as many
 LOOK: dict[Any, Any] = dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 9)
 LOOK |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8) | {"savefig.bbox": "standard"}
 MM = 1e3  # positions are drawn in mm, speeds in m/s
 GAP = 0.01  # between runs that are drawn one after another, of the time of all
-BROAD, PALE = 3.0, 0.45  # width and opacity of a measured line, so that a fitted one over it leaves both to be seen
-PALE_RUN = 0.65  # opacity of each of several runs, whose luminances are to stay apart
+BROAD, PALE, PALE_RUN = 3.0, 0.45, 0.65  # width and opacity of a measured line; opacity for several runs
 BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law that describes the record
-SPREAD = 99.5  # percentile of residuals, beyond which the axes may cut some off
-BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
+SPREAD = 99.5  # percentile of residuals within the axes
+BINS = (4, 30)  # fewest and most of the distribution, whose number is the square root of that of the break-aways
 Part = Array  # (3, n) time (s), position (mm), velocity (m/s)
 
 
 def look() -> AbstractContextManager[None]:
-    """Return the context in which figures of a page are made and embedded."""
     return mpl.rc_context(LOOK, fname=STYLE)
 
 
@@ -61,24 +55,15 @@ def embed(drawn: Figure, about: str, name: str) -> str:
     with mpl.rc_context({"svg.hashsalt": name}):
         drawn.savefig(buffer, format="svg", dpi=DPI, transparent=True, metadata=nothing)
     text = buffer.getvalue()
-    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<g id=\"[^\"]*\"", _without_name, text, flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|(<g) id=\"[^\"]*\"", r"\1", text, flags=re.DOTALL)
     text = re.sub(r"=\"[^\"]*\"", lambda value: re.sub(r"(\.\d\d)\d+", r"\1", value[0]), text)
     text = re.sub(r"\s*\n\s*", "\n", re.sub(r"font: ([\d.]+px) [^;\"]*", r"font: \1 sans-serif", text))
     shown = f'<svg role="img" aria-label="{html.escape(about)}" style="max-width: {130 * drawn.get_figwidth():.0f}px"'
     return text[text.index("<svg") :].replace("<svg", shown, 1)
 
 
-def _without_name(part: re.Match[str]) -> str:
-    return "<g" if part[0].startswith("<g") else ""
-
-
-def by_law(rows: Sequence[LawResult]) -> list[LawResult]:
-    """Return rows in the order of their laws: the six by number, then formulas, best first."""
-    return sorted(rows, key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
-
-
 def shown_rows(ranking: Ranking) -> list[LawResult]:
-    """Return the laws that were requested or may be the contact's, best first."""
+    """Return the laws that were requested or may be the contact's."""
     may_be = ranking.not_excluded
     return [row for row in ranking.rows if row.asked or row.in_set or row is ranking.best or row.law in may_be]
 
@@ -88,7 +73,7 @@ def _styles(ranking: Ranking) -> dict[int | str, dict[str, Any]]:
 
 
 def _runs(ranking: Ranking, colour: str, label: str) -> list[dict[str, Any]]:
-    """Return colour, label and mark of each run: the arguments for a single run, else those of its number."""
+    """Return the style of each run: ``colour`` and ``label`` for a single run, else those of its number."""
     if not ranking.runs:
         return [{"color": colour, "label": label, **run_mark(1)}]
     numbers = range(1, len(ranking.runs) + 1)
@@ -96,7 +81,6 @@ def _runs(ranking: Ranking, colour: str, label: str) -> list[dict[str, Any]]:
 
 
 def _measured_lines(ranking: Ranking) -> list[dict[str, Any]]:
-    """Return the style of each run's measured motion."""
     broad = {"lw": BROAD, "alpha": PALE_RUN if ranking.runs else PALE, "marker": ""}
     runs = enumerate(_runs(ranking, MEASURED, "measured"), start=1)
     return [run | broad | {"ls": run_dash(number)} for number, run in runs]
@@ -105,10 +89,7 @@ def _measured_lines(ranking: Ranking) -> list[dict[str, Any]]:
 def panels(
     width: float, height: float, rows: int = 1, columns: int = 1, *, left: float = LEFT, gap: float = LEFT, **more: Any
 ) -> tuple[Figure, Any]:
-    """Return a figure with axes (rows, columns) in it; lengths in inches.
-
-    Its margins are fixed: a layout that is computed draws every picture twice.
-    """
+    """Return a figure (inches) and its axes, with fixed margins: a computed layout draws every picture twice."""
     drawn = Figure(figsize=(width, height))
     wide = (width - left - RIGHT - gap * (columns - 1)) / columns
     cells = drawn.subplots(rows, columns, squeeze=False, **more)
@@ -117,7 +98,7 @@ def panels(
 
 
 def _legend(drawn: Figure, axes: Sequence["Axes"], marks: float = 1.0) -> None:
-    """Put one legend of some axes above the whole figure, its marks so many times as large."""
+    """Put one legend of some axes above the figure; ``marks`` is the scale of its marks."""
     lines = {name: line for one in axes for line, name in zip(*one.get_legend_handles_labels(), strict=True)}
     width, height = drawn.get_size_inches()
     columns = max(1, int((width - LEFT) / (KEY + LETTER * max(map(len, lines)))))
@@ -143,13 +124,11 @@ def typical_cycle(row: LawResult) -> Cycle:
 
 
 def extent(cycle: Cycle) -> slice:
-    """Return the samples of a cycle, from the first of its stick to the last of its slip."""
     parts = [part for part in (cycle.stick, cycle.slip) if part[1] > part[0]]
     return slice(min(first for first, _ in parts), max(end for _, end in parts))
 
 
 def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
-    """Return the smoothed motion of a run or of one cycle."""
     motion = side.motion
     every = slice(None, None, max(1, motion.time.size // MOST_POINTS))
     samples = every if cycle is None else extent(cycle)
@@ -158,10 +137,9 @@ def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
 
 
 def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> Part:
-    """Return the motion of a law in each window of its fit, or of one cycle, with NaN between windows.
+    """Return the motion of a law in the windows of its fit, or of one cycle, with NaN between windows.
 
-    The first and the last sample of a window are left out: there the velocity, a difference, has one side only.  A slip
-    that is started beyond the belt's speed is drawn from where it falls below.
+    The ends of a window, where the velocity is a one-sided difference, and slips above the belt's speed are left out.
     """
     windows = row.fit.windows
     model = windows.position + row.fit.residual
@@ -178,7 +156,7 @@ def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> Par
 
 
 def begins(ranking: Ranking) -> list[float]:
-    """Return the offsets of each run's times, s, that put the runs one after another."""
+    """Return the offsets of time, s, that put the runs one after another."""
     if not ranking.runs:
         return [0.0]
     spans = np.array([side.motion.span for side in ranking.sides])
@@ -188,7 +166,6 @@ def begins(ranking: Ranking) -> list[float]:
 
 
 def time_label(ranking: Ranking) -> str:
-    """Return the label of the times that `begins` shifts."""
     return "time, one run after another (s)" if ranking.runs else "time (s)"
 
 
@@ -204,7 +181,7 @@ def record(ranking: Ranking) -> tuple[Figure, str]:
 
 
 def cycle(ranking: Ranking) -> tuple[Figure, str]:
-    """Draw position (the readings) and smoothed velocity of a typical cycle of each run since its break-away."""
+    """Draw the measured position and the smoothed velocity of a typical cycle of each run."""
     measured, fitted = [], []
     for side in ranking.sides:
         typical = typical_cycle(side.best)
@@ -240,17 +217,15 @@ def _over_time(
 
 
 def portraits(ranking: Ranking) -> tuple[Figure, str]:
-    """Draw phase portraits of the laws over a measured cycle of each run, the one with the best law's median error.
-
-    Without a law the whole record is drawn.
-    """
+    """Draw phase portraits of the laws over a typical cycle of each run; without a law, of the whole record."""
     if not ranking.rows:
         drawn, ((axes,),) = panels(NARROW, 3.3)
         _, x, v = measured_motion(ranking.sides[0])
         axes.plot(x, v, color=MEASURED, rasterized=True)
         axes.set(xlabel="position (mm)", ylabel="velocity (m/s)")
         return drawn, "Velocity against position of the record."
-    rows = by_law([row for row in ranking.rows if row.asked or row.in_set or row is ranking.best])
+    rows = [row for row in ranking.rows if row.asked or row.in_set or row is ranking.best]
+    rows.sort(key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
     lines, columns = math.ceil(len(rows) / 3), min(len(rows), 3)
     drawn, cells = panels(NARROW, 0.5 + 1.4 * lines, lines, columns, gap=0.1, sharex=True, sharey=True)
     drawn.subplots_adjust(top=1 - 2 * ROW / drawn.get_figheight(), hspace=0.45)
@@ -271,7 +246,7 @@ def portraits(ranking: Ranking) -> tuple[Figure, str]:
 
 
 def friction(ranking: Ranking) -> tuple[Figure, str]:
-    """Draw the measured curve with its band, and the laws that the record cannot tell from the best."""
+    """Draw the measured curve with its band, and the laws of the set."""
     drawn, ((axes,),) = panels(NARROW, 3.3)
     styles = _styles(ranking)
     rows = [row for row in ranking.rows if row.in_set] or [ranking.best]
@@ -393,7 +368,7 @@ PICTURES: tuple[Picture, ...] = (friction, cycle, record, portraits, laws, resid
 
 
 def draw(ranking: Ranking) -> dict[str, str]:
-    """Return the pictures of the report as ``<svg>`` elements by name; without a law only the measured ones."""
+    """Return the pictures of the report by name, as ``<svg>`` elements."""
     shown: list[Picture] = [*(PICTURES if ranking.rows else (record, portraits))]
     shown += [break_aways] if pooled(ranking.statistics).rows("m") else []
     with look():

@@ -1,9 +1,7 @@
-"""The fitted stage: /entry/fit and /entry/fit_law1 ... fit_law_NAME, of one run in its file, of several in their own.
+"""The fitted stage, and tables for other programs: the ranking and the measured friction curve.
 
-In a run file the raw data stay unchanged.  In the file of a joint fit (`daq.runfile.joint`) the cycles and what differs
-between the runs appear once for each: cycles_run1 ..., parameters_run1 ...; runs has the results of each.
-
-Tables for other programs, comma-separated: the ranking, a row for each run and law; the measured friction curve.
+The stage is /entry/fit and /entry/fit_law1 ... fit_law_NAME, added to the file of a run.  Several runs have a file of
+their joint fit (`daq.runfile.joint`): cycles_run1 ..., parameters_run1 ..., and the results of each run in runs.
 """
 
 import csv
@@ -35,7 +33,7 @@ FRICTION = "N or N/kg"  # unit of a friction: N where mass or stiffness is known
 
 @dataclass(frozen=True)
 class _Law:
-    """The contents of a law: its row, and the speeds of its friction friction_at."""
+    """The contents of a law's group."""
 
     row: LawResult
     ranking: Ranking
@@ -43,7 +41,7 @@ class _Law:
 
     @property
     def shared(self) -> dict[str, Parameter]:
-        """The parameters that all runs share; all for a single run."""
+        """The parameters that all runs share."""
         return self._of(self.ranking.sides[0], lambda name: not self.ranking.runs or name not in RUNS_OWN)
 
     def own(self, number: int) -> dict[str, Parameter]:
@@ -59,7 +57,7 @@ class _Law:
 
 
 def _end(place: int) -> Callable[[Ranking], float | None]:
-    """Return how the first (0) or last (-1) time of the fitted part of a single run is read, s."""
+    """Return the reader of the first (0) or last (-1) fitted time, s, of a single run."""
     return lambda side: None if side.runs else float(side.motion.begin + side.motion.time[place])
 
 
@@ -68,7 +66,7 @@ def _shown_name(row: LawResult) -> str:
 
 
 def _table(path: str, *columns: Field) -> tree.Tree:
-    """Return the rows of a table of the laws of a ranking; ``columns`` begin with the axis."""
+    """Return the rows of a table of laws; ``columns`` begin with the axis."""
     title = "log error of each law above the best one's, penalised"
     return (
         tree.table(path, columns[0].name, "score", title, optional=True),
@@ -88,7 +86,7 @@ def _names(ranking: Ranking) -> list[str] | None:
 
 
 def _evidence(name: str) -> Callable[[Ranking], list[float] | None]:
-    """Return how a column of the evidence is read; NaN where no law describes the record."""
+    """Return the reader of a column of the evidence; NaN where no law describes the record."""
     return lambda ranking: [math.nan if (item := getattr(row, name)) is None else item for row in ranking.rows] or None
 
 
@@ -108,27 +106,19 @@ def _used(side: Ranking) -> list[bool] | None:
 
 
 def _law(path: str, title: str, runs: int = 0) -> tree.Tree:
-    """Return the rows of one law; ``runs`` is the number of runs fitted together."""
+    """Return the rows of one law; ``runs`` is the number of runs fitted jointly, 0 for one."""
+    own: list[tree.Row] = []
+    for number in range(runs):
+        group = f"{path}/parameters_run{number + 1}"
+        of_run = Field(f"{group}/*", "parameters", "", PARAMETERS, value=methodcaller("own", number))
+        own += [Group(group, "NXparameters"), of_run]
     return (
         *tree.process(path, "fit-friction", 2, "friction_curve"),
         Group(f"{path}/parameters", "NXparameters"),
         Field(f"{path}/parameters/law_name", "text", "", "of the law", value=lambda law: _shown_name(law.row)),
         Field(f"{path}/parameters/formula", "text", "", "of the law", value=lambda law: formula(law.row.fit.law)),
         Field(f"{path}/parameters/*", "parameters", "", PARAMETERS, "shared"),
-        *(
-            row
-            for number in range(runs)
-            for row in (
-                Group(f"{path}/parameters_run{number + 1}", "NXparameters"),
-                Field(
-                    f"{path}/parameters_run{number + 1}/*",
-                    "parameters",
-                    "",
-                    PARAMETERS,
-                    value=methodcaller("own", number),
-                ),
-            )
-        ),
+        *own,
         tree.table(f"{path}/friction_curve", "relative_velocity", "friction", title),
         Field(f"{path}/friction_curve/relative_velocity", "f8[w]", "m/s", "mass minus belt", "relative_velocity"),
         Field(f"{path}/friction_curve/friction", "f8[w]", FRICTION, "on the mass", "friction"),
@@ -141,6 +131,10 @@ def _unfitted(ranking: Ranking) -> list[str] | None:
 
 def _smoothed(ranking: Ranking) -> str:
     return "" if ranking.runs else ranking.stages[0]
+
+
+def _of_runs(ranking: Ranking, name: str) -> list[Any] | None:
+    return [getattr(side.best, name) for side in ranking.runs] if ranking.rows else None
 
 
 PARAMETERS = "each parameter in its unit, with `NAME_errors`, NaN where no law describes the record"
@@ -172,20 +166,8 @@ RUNS: tree.Tree = (  # of a joint fit, beside what `daq.runfile.joint` writes
     Field("runs/begin", "f8[r]", "s", "of what was fitted", value=lambda fit: list(map(_end(0), fit.runs))),
     Field("runs/end", "f8[r]", "s", "of what was fitted", value=lambda fit: list(map(_end(-1), fit.runs))),
     Field("runs/adequacy", "text[r]", "", "verdict on this run", value=lambda fit: [s.adequacy.said for s in fit.runs]),
-    Field(
-        "runs/cycles",
-        "u4[r]",
-        "",
-        "cycles fitted",
-        value=lambda fit: [s.best.cycles for s in fit.runs] if fit.rows else None,
-    ),
-    Field(
-        "runs/rms",
-        "f8[r]",
-        "m",
-        "of the residuals",
-        value=lambda fit: [s.best.rms_m for s in fit.runs] if fit.rows else None,
-    ),
+    Field("runs/cycles", "u4[r]", "", "cycles fitted", value=lambda fit: _of_runs(fit, "cycles")),
+    Field("runs/rms", "f8[r]", "m", "of the residuals", value=lambda fit: _of_runs(fit, "rms_m")),
 )
 # As in the file of one run with law 1 and a formula; `_write` names the groups of each law and run.
 TREE: tree.Tree = (
@@ -199,11 +181,7 @@ TREE: tree.Tree = (
 
 
 def save(ranking: Ranking, *, force: bool = False) -> None:
-    """Write the stage into the run's file, or of several runs into the file of their joint fit, in place of an earlier.
-
-    Raises InputError where the run's raw data or smoothed stage are no longer those that were fitted, or, without
-    ``force``, where the file of the joint fit is another file.
-    """
+    """Write the stage, unless the raw data or the smoothed stage of the run have changed since they were fitted."""
     recordings = [record.recording for record in ranking.records]
     path = recordings[0].source
 
@@ -246,14 +224,12 @@ def _write(entry: h5py.Group, ranking: Ranking) -> None:
         tree.write(entry, _law(name, title, len(ranking.runs)), law, {FRICTION: unit(ranking.motion)})
 
 
+HEAD = "file,law,name,"
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
 
 
-HEAD = "file,law,name,"
-
-
 def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = False) -> None:
-    """Raise InputError where ``path`` is a folder, a run or, without ``force``, not a ranking of only these files."""
+    """Raise InputError if ``path`` is a folder, a run or, without ``force``, not a ranking of only these files."""
     atomic.refuse_existing(path, force, *files, mark=HEAD, kind="ranking", flag="--csv")
     if path.exists() and not force:
         with path.open(newline="", encoding="utf-8", errors="surrogateescape") as file:
@@ -264,7 +240,6 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
 
 
 def write_curve(path: Path, ranking: Ranking, curve: MeasuredCurve) -> None:
-    """Write friction against relative speed: the measured curve, its band, the best law and each formula."""
     unit, laws = ranking.adequacy.unit, [row for row in ranking.rows if row is ranking.best or row in ranking.rivals]
     drawn = [np.abs(friction.friction_at(row.fit, ranking.motion, -curve.speed)) for row in laws]
     columns = (curve.speed, curve.friction, curve.lo, curve.hi, *drawn)
@@ -276,7 +251,7 @@ def write_curve(path: Path, ranking: Ranking, curve: MeasuredCurve) -> None:
 
 
 def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]]) -> None:
-    """Write the rankings of runs (file and rows of the JSON document), in place of an older table."""
+    """Write the rankings of runs, each its file and the rows of the JSON document."""
     rows = [(file, row) for file, ranking in rankings for row in ranking]
     names = dict.fromkeys(name for _, row in rows for name in row["parameters"])
     with (

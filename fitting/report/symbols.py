@@ -1,9 +1,7 @@
-"""A friction formula typeset in MathML, which browsers show and print without a script.
+"""Formulas of the laws in plain text and typeset in MathML, and the meaning of their symbols.
 
-Names of Greek letters become the letters, ``v_s`` and ``Fs`` get subscripts, a quotient is a fraction, ``exp`` a power
-of e.  Brackets follow from the notation, not from the input.
-
-Formulas and symbols of the laws, in words and plain text: for the report, the run file and the documentation.
+Browsers show and print MathML without a script.  Names of Greek letters become the letters, ``v_s`` and ``Fs`` get
+subscripts, a quotient is a fraction, ``exp`` a power of e; brackets follow from the notation, not from the input.
 """
 
 import html
@@ -15,16 +13,11 @@ from rig_sim.friction.formula import Formula, Operation
 
 SUM, PRODUCT, SIGNED, POWER, ATOM = range(5)  # how strongly an expression binds
 Typeset = tuple[str, int]  # MathML, and how strongly its outermost operation binds
-GREEK = {
-    name: chr(code)
-    for code, name in enumerate(
-        (
-            "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigmaf sigma tau "
-            "upsilon phi chi psi omega"
-        ).split(),
-        start=0x3B1,
-    )
-}
+LETTERS = (
+    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigmaf sigma tau upsilon "
+    "phi chi psi omega"
+)
+GREEK = {name: chr(code) for code, name in enumerate(LETTERS.split(), start=0x3B1)}
 INDEXED = re.compile(r"([A-Z])([a-z]{1,2}\d?|\d)")  # Fs, Fc, F0
 
 
@@ -37,7 +30,6 @@ def typeset_formula(text: str) -> str:
 
 
 def identifier(name: str) -> str:
-    """Return a name: a letter, a Greek letter, or a word, with its subscript."""
     indexed = INDEXED.fullmatch(name)
     first, _, below = name.partition("_") if indexed is None else (indexed[1], "", indexed[2])
     if not first:
@@ -55,7 +47,6 @@ def _step(step: Operation, taken: list[Typeset]) -> Typeset:
 
 
 def _within(part: Typeset, least: int) -> str:
-    """Return an expression, in brackets where it binds less strongly than ``least``."""
     text, binds = part
     return text if binds >= least else f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>"
 
@@ -72,29 +63,9 @@ def _product(taken: list[Typeset], _: str) -> Typeset:
     return f"<mrow>{left}<mo>{sign}</mo>{right}</mrow>", PRODUCT
 
 
-def _quotient(taken: list[Typeset], _: str) -> Typeset:
-    return f"<mfrac>{taken[0][0]}{taken[1][0]}</mfrac>", POWER
-
-
-def _negative(taken: list[Typeset], _: str) -> Typeset:
-    return f"<mrow><mo>\N{MINUS SIGN}</mo>{_within(taken[0], POWER)}</mrow>", SIGNED
-
-
 def _power(taken: list[Typeset], _: str) -> Typeset:
     base = taken[0] if "<mfrac>" not in taken[0][0][:7] else (taken[0][0], PRODUCT)
     return f"<msup>{_within(base, ATOM)}<mrow>{taken[1][0]}</mrow></msup>", POWER
-
-
-def _exponential(taken: list[Typeset], _: str) -> Typeset:
-    return f"<msup><mi>e</mi><mrow>{taken[0][0]}</mrow></msup>", POWER
-
-
-def _root(taken: list[Typeset], _: str) -> Typeset:
-    return f"<msqrt>{taken[0][0]}</msqrt>", ATOM
-
-
-def _size(taken: list[Typeset], _: str) -> Typeset:
-    return f"<mrow><mo>|</mo>{taken[0][0]}<mo>|</mo></mrow>", ATOM
 
 
 def _function(taken: list[Typeset], name: str) -> Typeset:
@@ -107,12 +78,12 @@ SET: dict[str, Callable[[list[Typeset], str], Typeset]] = {
     "+": _sum,
     "-": _sum,
     "*": _product,
-    "/": _quotient,
+    "/": lambda taken, _: (f"<mfrac>{taken[0][0]}{taken[1][0]}</mfrac>", POWER),
     "**": _power,
-    "negative": _negative,
-    "exp": _exponential,
-    "sqrt": _root,
-    "abs": _size,
+    "negative": lambda taken, _: (f"<mrow><mo>\N{MINUS SIGN}</mo>{_within(taken[0], POWER)}</mrow>", SIGNED),
+    "exp": lambda taken, _: (f"<msup><mi>e</mi><mrow>{taken[0][0]}</mrow></msup>", POWER),
+    "sqrt": lambda taken, _: (f"<msqrt>{taken[0][0]}</msqrt>", ATOM),
+    "abs": lambda taken, _: (f"<mrow><mo>|</mo>{taken[0][0]}<mo>|</mo></mrow>", ATOM),
     "log": _function,
     "tanh": _function,
     "min": _function,
@@ -156,7 +127,7 @@ def formula(law: Law) -> str:
 
 
 def typeset(law: Law) -> tuple[str, str]:
-    """Return the curve of a law as MathML, and its contact in words."""
+    """Return the curve of a law as MathML, and its contact in plain text."""
     return typeset_formula(law.formula), _contact(law, "f(s)", "f(0)")
 
 
@@ -168,13 +139,12 @@ def _contact(law: Law, curve: str, at_rest: str) -> str:
 
 
 def symbols(parameters: Iterable[str]) -> list[tuple[str, str]]:
-    """Return each symbol and its meaning: those of every formula, and those of the named parameters."""
+    """Return symbol and meaning of every formula's symbols and of these parameters."""
     used = {name.removesuffix("/m") for name in parameters} | {"k", "c", "x0", "Fs", "v_dr"}
     return [(symbol, pretty(text)) for symbol, text in SYMBOLS.items() if symbol in ALWAYS or symbol in used]
 
 
 def pretty(text: str) -> str:
-    """Return words or a unit with raised exponents and the letter mu."""
     signs = (("^-1", "⁻¹"), ("^-2", "⁻²"), ("^2", "²"), ("^3", "³"), (" +- ", " ± "), (" um", " µm"))
     for plain, typeset in signs:
         text = text.replace(plain, typeset)

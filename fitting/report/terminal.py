@@ -21,7 +21,7 @@ INTERVAL = 3  # column of the table of parameters that may be broken over two li
 
 
 def of_ranking(ranking: Ranking, written: Sequence[Path | None]) -> list[Any]:
-    """Return the lines and tables of a ranking; ``written`` are the file of a joint fit, and the report."""
+    """Return the lines and tables of a ranking; ``written`` are the files of joint fit and report."""
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
     lines: list[Any] = [f"verdict: {ranking.verdict}"]
     if ranking.rows:
@@ -38,7 +38,6 @@ def of_ranking(ranking: Ranking, written: Sequence[Path | None]) -> list[Any]:
 
 
 def _laws(ranking: Ranking) -> "Table":
-    """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
     table = application.table("friction laws, best first", ("law", "rms error", "misfit", "behind", "weight", "in set"))
     for row in ranking.rows:
         style = "bold" if row.in_set else None
@@ -51,7 +50,6 @@ def _laws(ranking: Ranking) -> "Table":
 
 
 def _adequacy(adequacy: Adequacy) -> list[Any]:
-    """Return goodness of fit and the departures, in words."""
     lines: list[Any] = []
     goodness = adequacy.goodness
     if goodness is not None:
