@@ -235,16 +235,12 @@ def find_candidates(base: Base, noise: float) -> list[Candidate]:
     found = []
     for departure in DEPARTURES:
         scale, tried = best_scale(thin, departure)
-        step = score_departure(base, departure, scale) if tried else None
+        step = score(base.linear, base.respond([departure.forcing(base.motion, scale)])) if tried else None
         if step is None or (departure.drag is not None and not step.coefficients[0] > 0):
             continue
         if sigmas(step.log_p, tried * len(DEPARTURES)) > LEAST_SIGMAS and step.gain > least:
             found.append(Candidate(departure, scale, step.coefficients, step.gain / max(misfit, LEAST_GAIN)))
     return found
-
-
-def score_departure(base: Base, departure: Departure, scale: float) -> Score | None:
-    return score(base.linear, base.respond([departure.forcing(base.motion, scale)]))
 
 
 def best_scale(base: Base, departure: Departure) -> tuple[float, int]:

@@ -44,13 +44,11 @@ CONSTANT_LEFT = 1e-6  # share of a constant not spanned by the derivatives of a 
 START_MISFIT = 4.0
 
 
-def fit_formula(
-    law: Law, seen: MeasuredCurve, *, others: Sequence[Fit] = (), target: MeasuredTarget | None = None
-) -> Fit | None:
+def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit], target: MeasuredTarget) -> Fit | None:
     """Fit a law to the measured curve's runs, also from the end of ``others`` where it fits worse than they require."""
     host, noise = seen.spline_fit, seen.noise
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else seen.ramp))
-    curve, measured, within_errors = _started(law, seen, fastest, target)
+    curve, measured, within_errors = _started(law, fastest, target, host)
     problem = _problem(curve, host)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
     beside = start_beside(task, host)
@@ -113,18 +111,17 @@ def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:
 
 
 def _started(
-    law: Law, seen: MeasuredCurve, fastest: float, target: MeasuredTarget | None
+    law: Law, fastest: float, measured: MeasuredTarget, host: Fit
 ) -> tuple[FormulaCurve, MeasuredTarget, float]:
     """Return the formula with its starts, their target (friction itself if far off), and the misfit of its errors."""
-    measured, curve = target or measured_target(seen), None
-    within_errors = float(measured.alone.aim.size)
+    curve, within_errors = None, float(measured.alone.aim.size)
     try:
         curve = FormulaCurve(law, fastest, measured.near)
     except InputError as error:
         refused = error
     if curve is not None and curve.starts[0].misfit <= START_MISFIT * within_errors:
         return curve, measured, within_errors
-    nearest = friction_target(seen.spline_fit)
+    nearest = friction_target(host)
     with suppress(InputError):
         return FormulaCurve(law, fastest, nearest.near), nearest, 0.0
     if curve is None:

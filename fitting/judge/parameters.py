@@ -152,10 +152,6 @@ def without_level_errors(fit: Fit) -> Fit:
     return replace(fit, solution=replace(fit.solution, blocks=blocks))
 
 
-def levels_differ(fit: Fit) -> bool:
-    return _true_square(fit, PerCycle.LEVEL)[0] > 0
-
-
 def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
     """Return the mean square of an unknown beyond its expected errors, and the squares (cycles,)."""
     own = fit.inlier_cycles
@@ -277,9 +273,12 @@ TABLE = (
         "(G_slip - c)/m",
         "s^-1",
         lambda p, _: p.shape * p.F - p.damping,
-        curve="linear",
-        instead_of=Global.DAMPING,
-        limits=NO_LIMITS,
+        0,
+        "linear",
+        None,
+        "",
+        Global.DAMPING,
+        NO_LIMITS,
     ),
 )
 UNDETERMINED_WITH = {  # what is known only together with something that the record does not show
@@ -492,7 +491,7 @@ def _hidden_level(fit: Fit, p: Values, run: int, active: list[Global]) -> Array:
     if width <= 0 or not fit.inlier_cycles.any():
         return np.zeros(len(active))
     moved = math.sqrt(float(np.mean(fit.local[fit.inlier_cycles, PerCycle.LEVEL] ** 2))) * p.F / p.K
-    if levels_differ(fit) and moved > fit.geometric_mean_rms:
+    if _true_square(fit, PerCycle.LEVEL)[0] > 0 and moved > fit.geometric_mean_rms:
         return np.zeros(len(active))
     moves = {
         Global.DATUM: -p.F / (width * p.K),

@@ -219,7 +219,8 @@ def _whole(
     if residual is None or there is None:
         return None
     seen = nodes.seen(there + nodes.windows.position, residual)
-    seen_by = Model(task, seen, flow.LONGEST_STEP, _over(sparse.near, seen), nodes.count)
+    path = None if sparse.near is None else replace(sparse.near, windows=seen)
+    seen_by = Model(task, seen, flow.LONGEST_STEP, path, nodes.count)
     last = _one_pass(seen_by, start, noise, WHOLE, LATER_DAMPING, below_belt=below_belt)
     if last is None:
         return None
@@ -265,10 +266,6 @@ def restarted(at: Fit) -> Array:
     local = at.local.copy()
     local[cycles[better]] = found.local[better]
     return local
-
-
-def _over(near: Path | None, windows: object) -> Path | None:
-    return None if near is None else replace(near, windows=windows)  # type: ignore[arg-type]
 
 
 def _with_noise(at: Fit, *, first: bool) -> Fit:
