@@ -1,9 +1,7 @@
-"""Each break-away separately: its time, its load, and the friction in the slip after it.
+"""Each break-away separately, with its time, its load and the friction in the slip after it; the motion at any times.
 
 The load at break-away is not read from the smoothed corner (6 to 7 % off): the start time of a slip under the fitted
 law that passes through the measured positions around the corner is searched instead.
-
-The fitted motion at any times: for a curve over the data.
 """
 
 import math
@@ -29,7 +27,6 @@ POOR_CYCLE = 3.0  # error over a cycle's usual one: a larger one means that some
 
 
 def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
-    """Return every break-away of the record, fitted or not, by the best law."""
     times, loads = _break_aways(fit, motion)
     usual = float(np.median(fit.cycle_rms))
     place = {cycle.number: k for k, cycle in enumerate(fit.cycles)}
@@ -46,10 +43,7 @@ def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -
 
 
 def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
-    """Return time (s) and friction over Fs/m of each fitted cycle's break-away; arrays of shape (cycles,).
-
-    The search begins where the load reaches the level of the following slip: before, the law itself would hold.
-    """
+    """Return times, s, and friction over Fs/m; the search begins where the load reaches the next slip's level."""
     count = len(fit.cycles)
     earliest = np.array([_reaches_level(fit, motion, k) for k in range(count)])
     latest = np.array([float(motion.time[cycle.slip[0]]) for cycle in fit.cycles])
@@ -65,13 +59,11 @@ def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
 
 
 def _belt_ripple(fit: Fit, time: Array) -> tuple[Array, Array, Array]:
-    """Return position (m), velocity and acceleration of the belt's fitted ripple at ``time`` (any shape)."""
     p = fit.values
     return Ripple(p.cosine, p.sine, p.omega).belt_motion(time)
 
 
 def _edge_speed(fit: Fit, time: Array) -> Array:
-    """Return the velocity at the end of a stick, m/s: the belt's less `_width`."""
     return np.asarray(fit.values.v_dr - _width(fit) + _belt_ripple(fit, time)[1])
 
 
@@ -82,7 +74,7 @@ def _width(fit: Fit) -> float:
 
 
 def _friction(fit: Fit, time: Array, x: Array) -> Array:
-    """Return friction per unit mass (m/s^2) just before the break-away, corrected for the deceleration on a ramp."""
+    """Return friction per unit mass just before the break-away, corrected for the deceleration on a ramp."""
     p, speed = fit.values, _edge_speed(fit, time)
     load = p.K * (x - p.datum) + p.damping * speed + _belt_ripple(fit, time)[2]
     slowing = _width(fit) / p.static * p.K * speed / p.F
@@ -100,7 +92,7 @@ def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
 
 
 def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
-    """Return the squared error around the corner of break-aways at ``trials`` (cycles, m), same shape; m^2."""
+    """Return the squared error, m^2, around the corner of break-aways at ``trials`` (cycles, m)."""
     errors = np.full(trials.shape, np.inf)
     table: list[tuple[int, ...]] = []
     owner: list[tuple[int, ...]] = []
@@ -145,7 +137,7 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
 
 
 def _in_stick(fit: Fit, motion: MeasuredMotion, k: int, time: Array) -> Array:
-    """Return the position at ``time`` if the mass had not left the belt, m."""
+    """Return the position if the mass had not left the belt, m."""
     first, end = fit.cycles[k].stick
     if _width(fit) > 0 or end <= first:
         return np.interp(time, motion.time, motion.position)
@@ -188,7 +180,7 @@ def motion_at(fit: Fit, time: Array) -> tuple[Array, Array]:
 
 
 def _spans(windows: ShootingWindows) -> tuple[Array, Array]:
-    """Return start and end of each window, s: a stick's to the slip, others to a sample after their last."""
+    """Return start and end of each window, s: of a stick to the slip, else to a sample after the last."""
     table = windows.table
     begin, last = windows.time[table[:, 2]], windows.time[table[:, 2] + table[:, 3] - 1]
     end = last + float(np.median(np.diff(windows.time)))

@@ -1,34 +1,23 @@
-"""Results of a measurement of the friction curve.
+"""The friction curve of a record, measured without a law: its fit, its level, and its band.
 
-Whether a record determines the level of its friction curve, and the level that is assumed where it does not.
+A free spline is fitted to the measured positions of every window. Unknown are the law's shared parameters but its level
+and shape, the coordinates of the spline, and the six unknowns of each cycle. The search starts where a law ended and at
+the regression of the smoothed slips.
 
-The motion determines K datum + friction.  Without a calibrated datum only effects proportional to friction separate the
-two: levels that scatter between cycles or wear, a ramp's creep, a belt that slows under load.  Without any of these,
-moving curve and datum together leaves the motion unchanged to the last digit; a search then ended anywhere in that
-valley, even at negative friction, and the curve was 50 to 100 % off, in a band of 2 to 50 %.
+The motion determines K datum + friction. Without a calibrated datum only effects proportional to friction separate the
+two: levels that scatter or wear, a ramp's creep, a belt that slows under load. Without these, curve and datum can move
+together and the motion is the same to the last digit. The level is then assumed, not fitted: the spring is relaxed
+where a record begins at rest below the middle of the motion, else at the lowest position, so that friction is nowhere
+negative. Band and parameters include the uncertainty of the rest position (`REST_SD`).
 
-So the level is then assumed, not fitted: the spring is taken as relaxed where a record begins at rest below the middle
-of the motion, otherwise at the lowest position, so that friction is nowhere negative.  The band and the parameters of
-forms include the uncertainty of the rest position (`REST_SD`).
+A simultaneous band holds the whole curve: its factor is the quantile of the largest deviation over all speeds, in
+standard deviations, from normal draws. As for the laws' parameters, the larger of two covariances counts: by the noise,
+and by the scatter of the cycles' gradients (sandwich).
 
-A free spline as the friction curve, fitted to the measured positions of every window by the driver.
+A formula is compared in the metric of the record: minimised is (c(formula) - c)' I (c(formula) - c), c the coefficients
+of the curve and I the information on them with everything else fitted again.
 
-Unknown are the law's shared parameters but its own level and shape, the coordinates of the curve's coefficients, and
-each cycle's own six.  The search starts where a law ended and at the regression of the smoothed slips.
-
-The measured curve in the metric of the record: what a formula is compared with.
-
-Minimised is (c(formula) - c)' I (c(formula) - c), c the coefficients of the measured curve and I the information on
-them with everything else fitted again.  What the record does not show does not count.
-
-The covariance of the measured curve and its simultaneous band.
-
-A band that holds the whole curve is wider than the interval of one point: its factor is the quantile of the largest
-deviation over all speeds, in standard deviations, found from normal draws.  As for the laws' parameters, both the
-noise alone and the scatter of the cycles' gradients (sandwich) give a covariance, and the larger deviation counts at
-each speed: with few cycles the sandwich comes out too small, with residuals that are not white the other.
-
-`measure_curve`: friction against relative speed, without a law, from the fits of the laws to a record.
+Not modelled: friction that depends on anything but relative speed and its level in each cycle.
 """
 
 import math
@@ -60,41 +49,33 @@ from stickslip.units import Measured
 
 @dataclass(frozen=True)
 class BandExit:
-    """The largest exit from the band, in half-widths (below 1 it stays inside), and its speed.
+    """The largest exit from the band; less the means over the speeds where the level is hardly known."""
 
-    Where the curve's level is hardly known, both curves are taken less their means over the speeds.
-    """
-
-    half_widths: float
-    speed: float
+    half_widths: float  # below 1 it stays inside
+    speed: float  # m/s
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
     """Friction per unit mass against relative speed, measured without a law, with a simultaneous band."""
 
-    # (k,) relative speed, m/s, where the record shows the curve: from a few percent of the largest slip speed on
-    speed: Array = field(repr=False)
-    # (k,) m/s^2; mean level of the record, and the band that holds the whole curve at the stated confidence
-    friction: Array = field(repr=False)
-    lo: Array = field(repr=False)
+    speed: Array = field(repr=False)  # (k,) relative speed, m/s, from a few percent of the largest slip speed on
+    friction: Array = field(repr=False)  # (k,) m/s^2, at the mean level of the record
+    lo: Array = field(repr=False)  # (k,) the simultaneous band
     hi: Array = field(repr=False)
-    # (k,) m/s^2; half the width of the same band for the curve less its mean over the speeds
-    shape_half: Array = field(repr=False)
+    shape_half: Array = field(repr=False)  # (k,) half-width of the band for the curve less its mean over the speeds
     k_over_m: Parameter  # 1/s^2
-    # weighted rms residual over the noise: well above 1, friction is no function of relative speed on a constant spring
-    chi: float
-    ramp: float  # Half-width of the ramp that slip begins beyond, m/s; 0 for a jump
+    chi: float  # weighted rms residual over the noise; well above 1, friction depends on more than relative speed
+    ramp: float  # half-width of the ramp that slip begins beyond, m/s; 0 for a jump
     spline_fit: Fit = field(repr=False)
-    # about the solution; the coordinates of the curve's coefficients are the last unknowns
-    linear: LinearisedFit = field(repr=False)
+    linear: LinearisedFit = field(repr=False)  # the curve's coordinates are the last unknowns
     noise: Array = field(repr=False)  # (runs,) standard deviation of a position, m
     confidence: float
     cpu_s: float
 
     @property
     def level_assumed(self) -> bool:
-        """Whether the record constrains only differences of friction (`fitting.judge.curve`)."""
+        """Whether the record constrains only differences of friction."""
         return self.spline_fit.held_rest is not None
 
     @property
@@ -103,12 +84,10 @@ class MeasuredCurve:
         return bool(np.median(self.hi - self.lo) < 2 * STATED_ERROR * np.median(self.friction))
 
 
-# Standard deviation of an assumed rest position, over the record's travel.  Friction that falls by a fifth stretches
-# the spring to 2.5 travels, where the start-up is not recorded.  Only the band and the intervals depend on it.
+# Standard deviation of an assumed rest position over the travel: a fall of friction by a fifth stretches the spring by
+# 2.5 travels. Only the band and the intervals depend on it.
 REST_SD = 3.0
-# Variance over what noise gives them: how much the levels must scatter to separate datum and friction.  At 4 their
-# noise makes the level's standard error a seventh too small.  Encoder records with 3 % scatter have 1e2 and more.
-SCATTER_SHOWN = 4.0
+SCATTER_SHOWN = 4.0  # variance of the levels over that by noise, from which they separate datum and friction
 NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
 
 
@@ -124,11 +103,7 @@ def rest_prior(run: Run, sd: float = REST_SD) -> Measured:
 
 
 def assumed_rest(fit: Fit) -> Measured | None:
-    """Return the rest position to assume where the levels do not scatter (`law_scatters`).
-
-    None where a calibration determines the level: of a rest position, or of the sticking speed where the load changes
-    it.
-    """
+    """Return the rest position to assume if levels do not scatter; None where a calibration determines the level."""
     yields = fit.law.ramp or Global.COMPLIANCE in fit.places
     for motion in fit.problem.motions:
         if motion.datum_prior is not None or (yields and (motion.belt_measured or motion.belt_prior is not None)):
@@ -137,11 +112,9 @@ def assumed_rest(fit: Fit) -> Measured | None:
 
 
 def law_scatters(fit: Fit, noise: Array) -> bool:
-    """Return whether the levels of the usual cycles scatter by more than noise and misfit explain.
+    """Return whether levels within a run scatter by more than noise (runs,), m, and misfit explain.
 
-    They must move the spring, stretched by friction at the belt's speed, by more than ``noise`` (runs,), m: rounding to
-    counts, which is not white, makes levels scatter by a fifth of that.  Levels are compared within a run: the mean of
-    each trades against the run's own rest position.
+    They must also move the spring by more than the noise: rounding to counts makes levels scatter by a fifth of that.
     """
     usual, run = fit.inlier_cycles, fit.windows.run[fit.inlier_cycles]
     if usual.sum() < np.unique(run).size + 1:
@@ -159,8 +132,7 @@ def law_scatters(fit: Fit, noise: Array) -> bool:
 def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tuple[Array, Array]:
     """Return unknowns (13 runs,) and a curve (n,) that give the same motion with another rest position.
 
-    Other runs' rest positions move equally. On a ramp the slope of friction in stick and the speed where slip begins
-    stay.
+    Other runs' rest positions move equally. On a ramp the slope in stick and the speed where slip begins stay.
     """
     rise = u[Global.K] * (u[Global.DATUM] - rest.value)
     moved = u.copy()
@@ -186,10 +158,7 @@ def unseen(places: Sequence[int], curve: Curve, u: Array) -> Array:
 
 
 def linearised(fit: Fit) -> LinearisedFit:
-    """Return the problem made linear at the solution; the curve's coordinates are the last unknowns.
-
-    An assumed rest position stays as uncertain as assumed.
-    """
+    """Return the linearised problem, the curve's coordinates last; an assumed rest position stays uncertain."""
     linear, curve, rest = LinearisedFit.at(fit), fit.curve_on_path, fit.held_rest
     if linear is None or curve is None:
         raise RuntimeError("a fitted curve has a path")
@@ -216,7 +185,7 @@ def chi(fit: Fit, noise: Array) -> float:
 
 
 def fit_spline(fit: Fit, noise: Array) -> Fit | None:
-    """Fit a spline on the contact (jump or ramp) of its best law; None where its motion cannot be followed."""
+    """Fit a spline on the contact (jump or ramp) of a law; None where its motion cannot be followed."""
     rest = assumed_rest(fit)
     if rest is None:
         return _fit_spline(fit, noise, None)
@@ -229,7 +198,6 @@ def fit_spline(fit: Fit, noise: Array) -> Fit | None:
 
 
 def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> Fit | None:
-    """Fit a spline with an assumed rest position, or with a free one."""
     beside = _beside_law(fit, rest)
     if beside is None:
         return None
@@ -241,10 +209,7 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> Fit | None:
 
 
 def _beside_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | None:
-    """Return the task of the free curve on a law's contact, and the law's fit as a start.
-
-    None where the law's ramp is as wide as the slips are fast.
-    """
+    """Return the task of the free curve and the law's fit as a start; None with a ramp as wide as slips are fast."""
     ramp = fit.law.ramp
     problem, local = _problem(fit, rest), fit.local.copy()
     knots = curve_knots(problem.runs, float(fit.u[Global.D]) if ramp else 0.0)
@@ -276,7 +241,7 @@ def _regressed(task: Task) -> list[FitStart]:
 
 
 def _started_below(fit: Fit, local: Array) -> Array:
-    """Return the cycles' own unknowns; a start beyond the belt's speed is replaced by the smoothed motion's."""
+    """Replace starts beyond the belt's speed by those of the smoothed motion."""
     if fit.law.ramp:
         return local
     smoothed = fit.windows.starting_values(fit.problem.motions)
@@ -286,7 +251,6 @@ def _started_below(fit: Fit, local: Array) -> Array:
 
 
 def _problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
-    """Return the law's problem with the prior of the rest positions."""
     problem = fit.problem
     prior, precision = problem.prior.copy(), problem.precision.copy()
     lower, upper, start = problem.lower.copy(), problem.upper.copy(), problem.start.copy()
@@ -304,32 +268,27 @@ LEAST_INFORMATION = 1e-12  # information over the largest: less is rounding
 
 
 class MeasuredTarget(NamedTuple):
-    """Target of a formula, in the directions of the curve's coefficients that the record constrains, without a prior.
+    """Target in the directions of the coefficients that the record constrains, without a prior."""
 
-    The distances have unit variance; ``level_sd`` (m/s^2) is that of a constant by which the whole curve may be off.
-    """
-
-    alone: Target
-    level_sd: float
+    alone: Target  # distances of unit variance
+    level_sd: float  # of a constant by which the whole curve may be off, m/s^2
 
     @property
     def near(self) -> Target:
-        """The target with the uncertainty of the level."""
         return self.alone.off_by_a_constant(self.level_sd)
 
 
 def friction_target(fit: Fit) -> MeasuredTarget:
-    """Return the measured curve as a target with equal weight on `GRID_SPEEDS`, for curves far from it."""
+    """Return the measured curve with equal weight on `GRID_SPEEDS`, for formulas far from it."""
     speeds = _speeds(fit)
     friction = fit.spline(speeds)
     return MeasuredTarget(Target.of(speeds, friction, float(np.median(friction))), _level_sd(fit))
 
 
 def measured_target(curve: MeasuredCurve) -> MeasuredTarget:
-    """Return the measured curve as a target, in the metric of the record.
+    """Return the measured curve as a target, in the metric of the record, of the residuals where they exceed the noise.
 
-    Where the residuals exceed the noise, the metric uses them. The lowest coefficients are fitted again with each
-    formula, since their effect is not linear.
+    The lowest coefficients are fitted again with each formula, since their effect is not linear.
     """
     fit, linear = curve.spline_fit, curve.linear
     basis, total = free_curve(fit.task).basis, linear.reduced.H
@@ -351,7 +310,6 @@ def measured_target(curve: MeasuredCurve) -> MeasuredTarget:
     follow = followed(others, cross)
     own = data[first:, first:] - np.einsum("ik,kj->ij", cross, follow)
     size, axes = eigen(0.5 * (own + own.T))
-    # shown is what the record knows better than the prior
     held = np.einsum("ik,ij,jk->k", axes, prior[first:, first:], axes)
     shown = size > np.maximum(held, LEAST_INFORMATION * size.max())
     deviation = np.sqrt(size[shown])
@@ -379,8 +337,7 @@ def _level_sd(fit: Fit) -> float:
 def followed(curvature: Array, cross: Array) -> Array:
     """Return by how much some unknowns (p,) follow others (n,): inv(curvature) cross', shape (p, n).
 
-    By a solution: an inverse left the weakest direction, 1e-8 of the strongest, to rounding, and forms that differed
-    from the curve along it cost nothing. An unknown without curvature does not move.
+    By a solution: an inverse loses the weakest direction, 1e-8 of the strongest, to rounding.
     """
     found = np.zeros(cross.T.shape)
     seen = np.diag(curvature) > 0
@@ -412,7 +369,7 @@ def seen_speeds(fit: Fit) -> Array:
 
 
 def curve_columns(fit: Fit, s: Array) -> Array:
-    """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns and the ramp's half-width."""
+    """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns."""
     found = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), free_curve(fit.task).basis.slopes))
     if Global.D in fit.places and fit.problem.ramp:
         h = 1e-4 * fit.spline.knots[-1]
@@ -421,11 +378,7 @@ def curve_columns(fit: Fit, s: Array) -> Array:
 
 
 def half_widths(columns: Array, both: tuple[Array, Array], confidence: float, widening: float) -> Array:
-    """Return the half-width of the band (k,), m/s^2.
-
-    ``columns`` (k, p) are the curve's derivatives by the unknowns; ``confidence`` is that of the whole curve, and
-    ``widening`` a factor for few cycles.
-    """
+    """Return the half-width of the band (k,), m/s^2; ``widening`` is a factor for few cycles."""
     rng = np.random.default_rng(SEED)
     deviation, quantile = np.zeros(columns.shape[0]), 0.0
     for covariance in both:
@@ -441,19 +394,15 @@ def half_widths(columns: Array, both: tuple[Array, Array], confidence: float, wi
     return np.asarray(widening * quantile * deviation)
 
 
-# Error over that of the nearest jump law: a ramp law contains its jump law and is always a little nearer, by 1 % at
-# most where there is no ramp.
+# Error over that of the nearest jump law, below which a ramp is preferred; without a ramp the gain is 1 % at most.
 RAMP_NEARER = 0.97
 
 
 def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> MeasuredCurve | None:
-    """Measure the friction curve of a record, or of several runs of one contact; None where no motion can be followed.
+    """Measure the friction curve of one contact from fits, best first; None where no motion can be followed.
 
-    ``fits``, best first, give windows, calibrations and starts; ``noise`` (runs,) is in m. Of jump and ramp, the ramp
-    goes first where a ramp law comes near the noise and no jump law does; the other is tried where the first does not
-    reach the noise and the laws prefer it, or where the search stalled. Without a datum the curve is determined but for
-    a constant, unless the levels scatter (`fitting.judge.curve`). Not modelled: friction that depends on anything but
-    relative speed and its level in each cycle.
+    ``noise`` (runs,) is in m. The ramp is first where a ramp law comes near the noise and no jump law does; the other
+    contact follows where the first does not reach the noise and the laws prefer it, or where the search stalled.
     """
     begun = clock.process_time()
     ordered, prefers_ramp = _contacts(fits, noise)
@@ -471,7 +420,7 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
 
 
 def _contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
-    """Return the best fit of each contact, first that to try first, and whether the laws prefer a ramp."""
+    """Return the best fit of each contact, the first to try first, and whether the laws prefer a ramp."""
     by_error = sorted(fits, key=lambda fit: fit.geometric_mean_rms)
     nearest = [next((fit for fit in by_error if fit.law.ramp == ramp), None) for ramp in (False, True)]
     jump, ramp = nearest
@@ -511,7 +460,6 @@ def _measured(fit: Fit, left: float, noise: Array, alpha: float, begun: float) -
 
 
 def furthest_exit(curve: MeasuredCurve, friction: Array) -> BandExit:
-    """Return where a friction (k,) at the curve's speeds leaves the measured band the furthest."""
     off, half = friction - curve.friction, curve.hi - curve.friction
     if not curve.level_known:
         off, half = off - off.mean(), curve.shape_half
@@ -521,5 +469,5 @@ def furthest_exit(curve: MeasuredCurve, friction: Array) -> BandExit:
 
 
 def in_newtons(curve: MeasuredCurve, mass: float) -> MeasuredCurve:
-    """Return the curve as a force (N) on a mass (kg); k/m stays."""
+    """Convert to a force on a mass, kg; k/m stays."""
     return replace(curve, **{name: mass * getattr(curve, name) for name in ("friction", "lo", "hi", "shape_half")})

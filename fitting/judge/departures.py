@@ -1,26 +1,14 @@
-"""A departure with which a law describes a record.
+"""Which assumption breaks: departures with which a law describes a record that no law describes alone.
 
-The base of the tests for departures: a fit of a law or of the free curve, made linear about its solution.
-
-Score tests: how much of a fit's residual one more parameter would explain, and how significantly.
-
-The columns of a departure are projected off everything that the fit adjusts (`fitting.judge.linearised`), so one
-linear step gives its parameters.  Their error is a jackknife over the cycles: residuals are correlated within a cycle,
-and cycles are independent.
+A score test on the best law and on the free curve chooses the order in which departures are tried: a law that is wrong
+by itself can hide a departure, and a free curve can take part of one up. The columns of a departure are projected off
+everything that the fit adjusts (`fitting.judge.linearised`), so one linear step gives its parameters and its gain; a
+frequency or wavelength is scanned on a thinned record. The error is a jackknife over the cycles: residuals are
+correlated within a cycle, and cycles are independent. Each departure is then fitted together with a law, whose motion
+follows it; a scanned scale is one more unknown.
 
 Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests); B. Efron, C. Stein, Ann. Statist. 9
 (1981) 586 (the jackknife).
-
-The departures that would explain the residual of a fit, each with the share of the misfit that it explains.
-
-Every gain is that of one linear step (`fitting.judge.departures`).  A departure's frequency or wavelength is scanned
-first, on a thinned record.
-
-Which assumption breaks: departures with which a law describes a record that no law describes alone.
-
-A score test on the best law and on the free curve chooses the order in which departures are tried: a law that is wrong
-by itself can hide a departure, and a free curve can take part of one up.  The driver then fits each together with a
-law, whose motion follows the departure; a scanned scale is one more unknown.
 """
 
 import math
@@ -61,9 +49,7 @@ class Scale:
 @dataclass(frozen=True)
 class FittedDeparture:
     name: str
-    # standard deviations of a normal variable that is as unlikely, the number of departures that were tried taken into
-    # account
-    sigmas: float
+    sigmas: float  # of a normal variable that is as unlikely after as many trials
     parameter: str  # symbol of its size
     value: float
     stderr: float
@@ -76,7 +62,6 @@ class FittedDeparture:
     refitted: bool = True  # no other departure is reported
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form."""
         row: dict[str, Any] = {
             "name": self.name,
             "sigmas": self.sigmas,
@@ -110,10 +95,7 @@ class Base:
         revolution: float | None = None,
         linear: LinearisedFit | None = None,
     ) -> "Base | None":
-        """Linearise a fit, unless it comes linearised; None where the motion near its solution cannot be followed.
-
-        ``revolution`` is the encoder's travel per revolution, m, if calibrated.
-        """
+        """Linearise a fit; None where it cannot be followed. ``revolution``, m, is the encoder's, if calibrated."""
         linear, path = LinearisedFit.at(fit) if linear is None else linear, fit.path
         if linear is None or path is None or not math.isfinite(linear.cost):
             return None
@@ -130,7 +112,7 @@ class Base:
         return Base.at(thin, self.motion.records, self.motion.revolution) or self
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
-        """Return the response of the positions to forcings of one kind, shape (N, columns of all)."""
+        """Return the response (N, columns of all) of the positions to forcings of one kind."""
         acceleration, belt_speed, reading = (
             None if parts[0] is None else np.hstack(parts) for parts in zip(*forcings, strict=True)
         )
@@ -142,22 +124,20 @@ class Base:
         return tangents(self.path, columns, belt_speed=belt_speed, position=reading)
 
     def misfit_beyond_noise(self, noise: float) -> float:
-        """Return the cost of the residuals above that of the noise, m, which a departure can at most explain."""
+        """Return the cost of the residuals above that of the noise, m."""
         weights = np.repeat(self.linear.weights, np.diff(self.linear.first))
         return max(0.5 * float(np.sum(weights * (self.linear.residual**2 - noise**2))), 0.0)
 
 
 def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
-    """Return the median of the cycles' errors, m, which spoilt cycles do not move."""
+    """Return the median of the cycles' rms, m, which spoilt cycles do not move."""
     return math.sqrt(float(np.median([np.mean(residual[cycle] ** 2) for cycle in rows])))
 
 
-# Share of a column's curvature left after the projection: with no more, the fit already adjusts it.  Derivatives
-# err by 3e-6 of their size, so 1e-11 is rounding.  Quadratic drag, the least distinguishable beside a damping and a
-# law's shape, keeps 2e-7; at 1e-6 it was never found.
+# Share of a column's curvature left after the projection: with less, the fit adjusts it already. Rounding leaves 1e-11,
+# quadratic drag 2e-7.
 LEAST_KEPT = 1e-9
-# What is added to a curvature, over it: two columns that do the same stay solvable, and no estimate changes by more.
-RIDGE = 1e-12
+RIDGE = 1e-12  # added to a curvature, over it, so that two equal columns stay solvable
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,10 +149,7 @@ class Score:
 
 
 def score(base: LinearisedFit, columns: Array) -> Score | None:
-    """Test a departure with the derivatives ``columns`` (N, 1 or 2).
-
-    None where the fit already adjusts its parameters, fewer than four cycles remain, or a single cycle shows it.
-    """
+    """Test columns (N, 1 or 2); None where the fit adjusts them already, or too few cycles show them."""
     scores = base.scores(columns)
     information, total = scores.information, scores.score
     k, n = total.shape[1], int(np.sum(np.any(total != 0, axis=1)))
@@ -213,30 +190,22 @@ def sigmas(log_p: float, trials: float = 1.0) -> float:
 
 
 def solve(matrix: Array, right: Array) -> Array:
-    """Solve for one or two unknowns each, (..., k), in units of the diagonal of the matrices (..., k, k)."""
+    """Solve for one or two unknowns each, (..., k), in units of the diagonal of the matrices."""
     scale = 1 / np.sqrt(np.maximum(np.einsum("...kk->...k", matrix), 1e-300))
     scaled = matrix * scale[..., :, np.newaxis] * scale[..., np.newaxis, :] + RIDGE * np.eye(scale.shape[-1])
     return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., np.newaxis])[..., 0])
 
 
-# Least standard deviations and least fall of the cost of a departure that is reported.  On six records that one of
-# the six laws describes, the best of all departures reached a gain of 6.
-LEAST_SIGMAS, LEAST_GAIN = 4.0, 12.0
-# Gain over the whole cost: a departure with less is not reported.  Rounding to counts is not white; a free curve that
-# describes a record leaves patterns of counts, of which a belt ripple of 7 um/s explained 0.4 %.
-LEAST_COST_SHARE = 0.01
-# Gain short of the best, over it: departures so near explain the record equally well, and the one with the fewest
-# parameters comes first.  A hard spring and friction by position at a wavelength of about the travel differ by 1 %.
-EQUAL_GAIN = 0.04
-SCALES_AT_ONCE = 16  # scales at a time: curvatures between all columns are made, and only those of one scale used
-# Scales that are tried about the best of a scan, in steps between neighbours.
+LEAST_SIGMAS, LEAST_GAIN = 4.0, 12.0  # of a reported departure; a true law alone allows gains of 6
+LEAST_COST_SHARE = 0.01  # gain over the whole cost: patterns of counts explain 0.4 %
+EQUAL_GAIN = 0.04  # gain short of the best, over it, of departures that explain the record equally well
+SCALES_AT_ONCE = 16  # curvatures between all columns are made, and only those of one scale used
+# Scales tried about the best of a scan, in steps between neighbours.
 STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A departure with the scale and size by which it explains the most of a fit's misfit."""
-
     departure: Departure
     scale: float  # NaN for a departure without one
     size: Array  # (columns,) coefficients
@@ -248,10 +217,7 @@ class Candidate:
 
 
 def rank_candidates(bases: Sequence[Base], noise: float) -> list[Candidate]:
-    """Return every departure that explains part of the misfit of a fit, the strongest first.
-
-    Of those within `EQUAL_GAIN` of the strongest, the one with the fewest parameters is first.
-    """
+    """Return departures, strongest first; of those within `EQUAL_GAIN` the one with the fewest parameters is first."""
     best: dict[str, Candidate] = {}
     for candidate in (candidate for base in bases for candidate in find_candidates(base, noise)):
         name = candidate.departure.name
@@ -263,22 +229,18 @@ def rank_candidates(bases: Sequence[Base], noise: float) -> list[Candidate]:
 
 
 def find_candidates(base: Base, noise: float) -> list[Candidate]:
-    """Return the departures that are significant on one fit; a drag dissipates energy."""
+    """Return the significant departures; a drag dissipates energy."""
     thin, least = base.thinned(), max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
     misfit = base.misfit_beyond_noise(noise)
     found = []
     for departure in DEPARTURES:
         scale, tried = best_scale(thin, departure)
-        step = score_departure(base, departure, scale) if tried else None
+        step = score(base.linear, base.respond([departure.forcing(base.motion, scale)])) if tried else None
         if step is None or (departure.drag is not None and not step.coefficients[0] > 0):
             continue
         if sigmas(step.log_p, tried * len(DEPARTURES)) > LEAST_SIGMAS and step.gain > least:
             found.append(Candidate(departure, scale, step.coefficients, step.gain / max(misfit, LEAST_GAIN)))
     return found
-
-
-def score_departure(base: Base, departure: Departure, scale: float) -> Score | None:
-    return score(base.linear, base.respond([departure.forcing(base.motion, scale)]))
 
 
 def best_scale(base: Base, departure: Departure) -> tuple[float, int]:
@@ -299,7 +261,7 @@ def best_scale(base: Base, departure: Departure) -> tuple[float, int]:
 
 
 def gains(base: Base, departure: Departure, scales: Array) -> Array:
-    """Return the decrease of the cost with the departure at each of the scales (n,); 0 where the fit adjusts it."""
+    """Return the decrease of the cost at each scale; 0 where the fit adjusts the departure already."""
     found = []
     for part in np.array_split(scales, math.ceil(scales.size / SCALES_AT_ONCE)):
         columns = base.respond([departure.forcing(base.motion, float(scale)) for scale in part])
@@ -316,23 +278,15 @@ def gains(base: Base, departure: Departure, scales: Array) -> Array:
     return np.concatenate(found)
 
 
-# Share of the misfit explained in one linear step: a departure with less is not fitted.  True departures but forces by
-# the velocity explain 0.72 to 1; of LuGre contacts the strongest explained 0.1 to 1.
+# Least share of the misfit explained in one linear step by a fitted departure; true ones but drags explain 0.72 to 1.
 LEAST_EXPLAINED = 0.5
-# Share of what the first that describes the record explains: one with more is fitted too, as one step does not tell
-# them apart.  A spring that hardens by 1 % gained 0.94 of what friction by position did, and left 3.76 um instead of
-# 4.07.
-RIVAL_SHARE = 0.9
+RIVAL_SHARE = 0.9  # least share of what the first explains: one step does not distinguish such departures
 MOST_LAWS = 2  # laws that a departure is fitted with: the best, and the best of another curve
-# Error over the noise: a search that then errs more is given up.  True departures are at 0.9 to 1.0; LuGre contacts are
-# at 9 and more, and drag on a steep ramp took a minute to end at 3.
-GIVEN_UP_ABOVE_NOISE = 2.0
+GIVEN_UP_ABOVE_NOISE = 2.0  # error over the noise of a settled fit that is not finished; true departures are at 1
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A law fitted with one departure."""
-
     fit: Fit
     base: Base
     gain: float  # by how much the cost falls with it
@@ -362,7 +316,6 @@ class Refit:
 
     @property
     def usual_rms(self) -> float:
-        """Median of the cycles' errors, m."""
         return usual_rms(self.fit.residual, self.fit.rows)
 
 
@@ -374,14 +327,7 @@ def explain_misfit(
     revolution: float | None,
     describes: Callable[[Refit], bool],
 ) -> tuple[FittedDeparture, ...]:
-    """Return the departures with which a law describes a record that no law describes alone, the nearest first.
-
-    fits: The laws, best first.
-    records: Of each run.
-    noise: Standard deviation of one measured position, m.
-    revolution: Travel per revolution of the encoder, m; scanned where it is not known.
-    describes: Whether noise may have made the residual of a refit.
-    """
+    """Return departures with which a law describes the record, nearest first; ``noise`` and ``revolution`` are in m."""
     refits: list[Refit] = []
     least = 0.0
     for candidate in _candidates(fits[0], curve, records, noise, revolution):
@@ -397,10 +343,7 @@ def explain_misfit(
 def _candidates(
     best: Fit, curve: MeasuredCurve, records: Sequence[MeasuredMotion], noise: float, revolution: float | None
 ) -> Iterator[Candidate]:
-    """Yield what to fit, likeliest first, and then every drag.
-
-    The test of a drag, on a law that has ended far away without it, is a poor guess, and its fit does not start there.
-    """
+    """Yield candidates, likeliest first, then every drag: its test is poor on a law that ended far away without it."""
     near = curve.chi < noise_levels.DESCRIBES  # there a share of the misfit says nothing
     bases = [Base.at(best, records, revolution)]
     if not near:
@@ -429,10 +372,7 @@ def fit_with(candidate: Candidate, fits: Sequence[Fit], noise: float) -> Refit |
 
 
 def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> Refit | None:
-    """Fit a law with a departure; None where it stays far from the noise, or the departure is not significant.
-
-    The law that was ``tested`` starts at its end: another may have ended far away without the departure.
-    """
+    """Fit a law with a departure, from its end if ``tested``; None far from the noise, or not significant."""
     task = replace(fit.task, forces=(Force(candidate.departure, candidate.scale),))
     noises = np.full(fit.runs, noise)
     first = first_pass(task, _start(task, fit if tested else None, candidate.size))
@@ -451,7 +391,6 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
 
 
 def _start(task: Task, end: Fit | None, size: Array) -> FitStart:
-    """Return the end of a fit, or the regression, with the departure as tested; a drag is regressed too."""
     (force,), start = task.forces, regressed_start(task) if end is None else end.start
     if force.departure.drag is None:
         rest = start.q if end is not None else start.q[: -force.width]
@@ -463,7 +402,6 @@ def _start(task: Task, end: Fit | None, size: Array) -> FitStart:
 
 
 def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
-    """Convert a departure to the units of the rig."""
     departure, record = refit.force.departure, refit.fit.problem.motions[0]
     size = amplitude(refit.force.coefficients(refit.size), refit.spreads)
     parameter, unit = departure.parameter, departure.unit
@@ -488,7 +426,7 @@ def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
 
 
 def amplitude(coefficients: Array, spreads: Array) -> Measured:
-    """Return the coefficient, or the amplitude of a sine and a cosine, with the largest of its standard errors."""
+    """Return the coefficient, or the amplitude of a sine and a cosine, with the larger standard error."""
     size = float(coefficients[0]) if coefficients.size == 1 else float(np.hypot(*coefficients))
     along = coefficients / size if size else np.full(coefficients.size, coefficients.size**-0.5)
     return Measured(size, math.sqrt(float(np.einsum("i,sij,j->s", along, spreads, along).max())))

@@ -1,14 +1,11 @@
-"""Ageing: a break-away level above the level of slip, and whether it grows with the time of the stick before.
+"""Break-aways above the level of slip (ageing), and friction that fluctuates at random within a slip.
 
-The break-aways lie in no window of the fit, so a law can be right and its contact age.  Source: J. H. Dieterich, Pure
-Appl. Geophys. 116 (1978) 790 (static friction grows with the logarithm of the time at rest).
+The break-aways lie in no window of the fit, so a law can be right and its contact age. Source: J. H. Dieterich, Pure
+Appl. Geophys. 116 (1978) 790 (static friction grows with the logarithm of the time at rest). Not modelled: levels that
+differ from law to law where none of them fits; then the ratio says nothing.
 
-Not modelled: levels that differ from law to law where none of them fits; then the ratio says nothing.
-
-Friction that fluctuates at random within a slip: how large it must be to leave what a law leaves.
-
-Random friction acts on the fitted motion and all unknowns are fitted again, to first order in it.  Its correlation time
-is the one for which what is then left, with the noise, has the correlation time of the residual.
+Random friction acts on the fitted motion and all unknowns are fitted again, to first order in it. Its correlation time
+is the one for which the remainder, with the noise, has the correlation time of the residual.
 """
 
 import math
@@ -27,9 +24,7 @@ from stickslip.compute.arrays import Array, autocorrelation_time
 from stickslip.units import Measured
 
 FEWEST_BREAK_AWAYS = 6  # break-aways of which a scatter is taken
-# Excess of the break-away level, over the level of slip.  Under the six laws the ratio errs by up to 0.7 % (36 records,
-# counts of 50 um and 8 % scatter among them): the break-away is read from a corner that lies in no window.
-LEAST_EXCESS = 0.02
+LEAST_EXCESS = 0.02  # of the break-away level over that of slip; under the six laws the ratio errs by up to 0.7 %
 ERRORS_SHOWN = 5.0  # standard errors by which an excess, or a growth, is shown
 # The growth with time is compared with its own scatter; it comes out at half to three quarters of the truth, because a
 # high level also makes the stick before it longer.
@@ -38,12 +33,7 @@ ERRORS_SHOWN = 5.0  # standard errors by which an excess, or a growth, is shown
 def find_other_break_away(
     events: Sequence[BreakAway], cut: CycleSegmentation, rest: Measured, unit: str
 ) -> list[Finding]:
-    """Return that the break-aways disagree with the law's friction at rest; none where they agree, or too few show it.
-
-    events: Of a law that describes the record.
-    rest: Friction at rest, with the error that all cycles share: of rest position and Fs
-        (`fitting.judge.parameters.break_away_level_error`).
-    """
+    """Return that break-aways disagree with friction at rest (with its shared error); none where too few show it."""
     landing = {cycle.number + 1: cycle.landing for cycle in cut.cycles}
     good = [event for event in events if not event.flag and math.isfinite(event.break_away_level)]
     if len(good) < FEWEST_BREAK_AWAYS:
@@ -83,11 +73,9 @@ def _growth(stick: Array, ratio: Array) -> Measured | None:
     return Measured(slope, math.sqrt(float(np.sum(raised**2))) / square)
 
 
-# The size is then known to a factor of two or three; the same draws for every record.  Half of them changed one size
-# from 14.8 to 14.4 %.
-DRAWS, SEED = 6, 5
+DRAWS, SEED = 6, 5  # the same draws for every record; the size is then known to a factor of two or three
 HARMONICS = 64  # sines whose sum is one draw
-# Correlation times of the friction that are tried, over that of the residual: a position follows a force late.
+# Correlation times of the friction over that of the residual: a position follows a force late.
 TIMES_TRIED = (1.0, 0.5, 0.25, 0.125, 0.0625)
 
 
@@ -95,9 +83,6 @@ def fluctuation_share(base: Base, count_repeated: Callable[[Array], Array], nois
     """Return the standard deviation of random friction over the friction at rest.
 
     None where more of the residual repeats from slip to slip than random friction leaves, or beside an unstable motion.
-
-    count_repeated: Returns the share of residuals (N, B) that repeats, (B,).
-    noise: Standard deviation of a position, m.
     """
     linear, path = base.linear, base.path
     excess = usual_rms(linear.residual, linear.rows) ** 2 - noise**2
@@ -127,22 +112,19 @@ def fluctuation_share(base: Base, count_repeated: Callable[[Array], Array], nois
 
 
 def _friction_at_rest(fit: Fit) -> float:
-    """Return friction at the break-aways (m/s^2) by the stretch of the spring from the stated or assumed rest position.
-
-    A law that does not describe the record may end at any level: 100 times the true one was seen.
-    """
+    """Return friction at the break-aways, m/s^2, by the stretch of the spring: a wrong law may end at any level."""
     own = [rows for rows, run in zip(fit.rows, fit.windows.run, strict=True) if run == 0]
     highest = float(np.mean([np.max(fit.windows.position[rows]) for rows in own]))
     return fit.values.K * (highest - rest_prior(fit.problem.runs[0]).value)
 
 
 def _correlation(residual: Array, base: Base) -> float:
-    """Return the correlation time of residuals (N,), in samples."""
+    """Return the correlation time in samples."""
     return autocorrelation_time([residual[rows] for rows in base.linear.rows])
 
 
 def _random(time: Array, correlation: float, rng: np.random.Generator) -> Array:
-    """Return random numbers of unit variance at times (M,), s, with a Gaussian correlation; shape (M, DRAWS)."""
+    """Return random numbers (M, DRAWS) of unit variance at times, s, with a Gaussian correlation."""
     rate = rng.standard_normal((HARMONICS, DRAWS)) / correlation
     phase = rng.uniform(0.0, 2 * math.pi, (HARMONICS, DRAWS))
     total = np.zeros((time.size, DRAWS))

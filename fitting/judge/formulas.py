@@ -1,17 +1,12 @@
-"""A law given as a formula, fitted by the driver to the positions of every window.
+"""Laws given as formulas: the requested and every published one, fitted to the positions of every window.
 
-Windows, noise and calibrations are those of the measured curve, so that the fit differs from it in the curve alone.
-The search starts where the measured curve ended, at each minimum of the formula on it.
+Windows, noise and calibrations are those of the measured curve, so that a fit differs from it in the curve alone. The
+search starts at each minimum of the formula on the measured curve. A formula with a constant hides the rest position
+where no calibration gives that: it is then assumed as in `fitting.judge.curve`.
 
-A formula with a constant hides the rest position where no calibration gives that: it is then assumed, as for the
-measured curve (`fitting.judge.curve`).  The shape of one without a constant says where the spring rests.
-
-Laws given as formulas beside the six: those that were named, and every published one.
-
-All are fitted, whatever the measured curve looks like: where the rest position is unknown, the level of friction is,
-and the six are then richer than they look.  A law that contains another one that reaches the noise is not fitted, since
-the record cannot refute it.  What is evidence and who is in the set is decided as between the six
-(`fitting.judge.evidence`).
+All are fitted, whatever the measured curve looks like: where the rest position is unknown, so is the level of friction,
+and the six are then richer than they look. A law that contains another one is not fitted where the record cannot refute
+that one. `fitting.judge.evidence` compares them with the six.
 """
 
 import logging
@@ -43,29 +38,17 @@ from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_star
 from fitting.search.passes import finish
 from stickslip.errors import InputError
 
-CONSTANT_LEFT = 1e-6  # share of a constant: what is left of it beside the derivatives of a formula that has one
-# Other minima on the measured curve are starts too: those that are off it by less than its errors, or by less than so
-# many times the nearest one's chi square.  A fall over which the record has few samples has two such minima; at twice a
-# wrong formula is started once or twice more.  A formula whose nearest is off by more than so many times the curve's
-# errors starts where friction itself is nearest.
+CONSTANT_LEFT = 1e-6  # share of a constant not spanned by the derivatives of a formula that has one
+# Chi square over that of the nearest minimum, up to which others are starts; over that of the curve's errors, above
+# which a formula starts where friction itself is nearest.
 START_MISFIT = 4.0
 
 
-def fit_formula(
-    law: Law, seen: MeasuredCurve, *, others: Sequence[Fit] = (), target: MeasuredTarget | None = None
-) -> Fit | None:
-    """Fit a law with a jump or its own ramp to the measured curve's runs; None where its motion cannot be followed.
-
-    law: With a jump or a ramp of its own.
-    seen: The measured curve.
-    others: Other laws fitted to the runs: where the law errs more than constant friction, or than another one that it
-        contains, it starts again where the best of them ended.
-    target: The measured curve in the metric of the record, where it is known already.
-    Raises InputError: with none of the values tried is the formula a friction curve.
-    """
+def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit], target: MeasuredTarget) -> Fit | None:
+    """Fit a law to the measured curve's runs, also from the end of ``others`` where it fits worse than they require."""
     host, noise = seen.spline_fit, seen.noise
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else seen.ramp))
-    curve, measured, within_errors = _started(law, seen, fastest, target)
+    curve, measured, within_errors = _started(law, fastest, target, host)
     problem = _problem(curve, host)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
     beside = start_beside(task, host)
@@ -101,15 +84,12 @@ def fit_formula(
 
 
 def contained(law: Law, other: Law) -> bool:
-    """Return whether the other law can err no less than this one: constant friction, or a limit of it.
-
-    A ramp of the six may have a break-away level of its own, which none of a formula has.
-    """
+    """Return whether the other is constant friction or a limit; a ramp of the six may have a break-away level."""
     return (law.contains(other) or other.number == 1) and not (other.number and other.ramp)
 
 
 def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:
-    """Return where a formula starts from another law's end: nearest to its friction, at the rest that is assumed."""
+    """Return starts nearest to another law's friction, at the assumed rest position."""
     curve, knots = task.curve, np.linspace(0.0, 1.0, GRID_SPEEDS)
     if not isinstance(curve, FormulaCurve):
         raise TypeError("not the task of a formula")
@@ -131,21 +111,17 @@ def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:
 
 
 def _started(
-    law: Law, seen: MeasuredCurve, fastest: float, target: MeasuredTarget | None
+    law: Law, fastest: float, measured: MeasuredTarget, host: Fit
 ) -> tuple[FormulaCurve, MeasuredTarget, float]:
-    """Return the formula with its starts, what these are near, and the misfit of one that is off by the curve's errors.
-
-    A formula that is far off starts where friction itself is nearest, unless it is no friction there.
-    """
-    measured, curve = target or measured_target(seen), None
-    within_errors = float(measured.alone.aim.size)
+    """Return the formula with its starts, their target (friction itself if far off), and the misfit of its errors."""
+    curve, within_errors = None, float(measured.alone.aim.size)
     try:
         curve = FormulaCurve(law, fastest, measured.near)
     except InputError as error:
         refused = error
     if curve is not None and curve.starts[0].misfit <= START_MISFIT * within_errors:
         return curve, measured, within_errors
-    nearest = friction_target(seen.spline_fit)
+    nearest = friction_target(host)
     with suppress(InputError):
         return FormulaCurve(law, fastest, nearest.near), nearest, 0.0
     if curve is None:
@@ -154,14 +130,13 @@ def _started(
 
 
 def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
-    """Return whether a shared unknown is a rest position without calibration and without assumption."""
     run, slot = divmod(place, PER_RUN)
     given = problem.motions[run].datum_prior is not None or problem.held[place]
     return slot == Global.DATUM and not given
 
 
 def _has_constant(curve: FormulaCurve) -> bool:
-    """Return whether the parameters can add a constant to the formula, which then hides the rest position."""
+    """Return whether the parameters can add a constant, which then hides the rest position."""
     speeds = np.linspace(0.0, curve.fastest, 41)
     slopes = curve.slopes(curve.start, speeds)
     slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
@@ -171,7 +146,7 @@ def _has_constant(curve: FormulaCurve) -> bool:
 
 
 def _problem(curve: FormulaCurve, host: Fit) -> EstimationProblem:
-    """Return the problem of a formula; a constant of it takes the rest position as the measured curve does."""
+    """Return the problem of a formula, with the measured curve's rest positions if it has a constant."""
     own = EstimationProblem.build(curve.law, host.problem.runs)
     if not _has_constant(curve):
         return own
@@ -184,21 +159,14 @@ def _problem(curve: FormulaCurve, host: Fit) -> EstimationProblem:
 
 
 logger = logging.getLogger(__name__)
-# Difference over the friction: curves that differ by less are one.  Half or twice decides the same for formulas written
-# in another way, which agree to rounding, and for other families, which are off by more than a hundredth.
-SAME_CURVE = 1e-3
-# Size of a parameter over that by its unit: beyond it the search has left every curve that the record may show.
-RUN_AWAY = 1e4
+SAME_CURVE = 1e-3  # difference of equal curves over the friction; other families differ by more than a hundredth
+RUN_AWAY = 1e4  # size of a parameter over that by its unit, above which the search has no end
 
 
 def fit_formulas(
     competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]
 ) -> tuple[list[Fit], list[Unfitted], list[str]]:
-    """Fit the laws that were named, and every published law; also return those that cannot be fitted, and warnings.
-
-    curve: From which each fit starts.
-    six: Of the six; a formula that errs more than one that it contains starts again where the best of them ended.
-    """
+    """Fit requested and published laws; also return those that cannot be fitted, and warnings."""
     fits: list[Fit] = []
     missing: list[Unfitted] = []
     warned: list[str] = []
@@ -219,10 +187,7 @@ def fit_formulas(
 
 
 def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Iterator[Law]:
-    """Yield the laws that were named and are followed by their formulas, with what is given; then the published.
-
-    A published law has the contact of the measured curve.
-    """
+    """Yield the requested laws followed by their formulas, then the published with the measured curve's contact."""
     motion = six[0].problem.motions[0]
     for law in (*competitors.formulas, *competitors.six):
         if not competitors.by_kernel(law):
@@ -262,7 +227,7 @@ def _fit(law: Law, curve: MeasuredCurve, target: MeasuredTarget, others: Sequenc
 
 
 def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
-    """Return which of the laws that it contains a fit errs more than: it has not come to its end; None for none."""
+    """Return the reason to reject a fit that is worse than that of a contained law: its search has not ended."""
     for other in others:
         limit = fit.law.contains(other.law) if fit.law.has_kernel else contained(fit.law, other.law)
         worse = fit.geometric_mean_rms > WORSE * other.geometric_mean_rms
@@ -272,7 +237,6 @@ def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
 
 
 def _draws(law: Law, rival: Fit, host: Fit) -> bool:
-    """Return whether a requested law can draw the curve of another one, which is then not a rival."""
     if law.ramp != rival.problem.ramp:
         return False
     speeds = seen_speeds(host)

@@ -1,34 +1,24 @@
-"""The departures that are tried: ten rows of a table, each with the functions that it names.
+"""The departures that are tried, with the velocity v of the mass over ground, the stretch z, the travel b of the belt.
 
-Signs and sizes, with v the velocity of the mass over ground, z the stretch of the spring, b the travel of the belt:
-
-- ``spring-nonlinear``: the spring's force is -k z - k3 z^3, with k3 in N/m^3, positive for a hard spring.  A spring
-  that pulls as it pushes has no quadratic term.  Source: A. H. Nayfeh, D. T. Mook, Nonlinear Oscillations, 1979, ch. 4.
-- ``drag-quadratic``: -q v |v|, with q in N s^2/m^2.  At one belt speed v_b the velocity is v_b - s, with s the slip
-  speed, so a free friction curve takes it up: only runs at several belt speeds, or a law whose curve is of another
-  form, show it.  Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1987, par. 45.
-- ``guide-friction``: -Fg sign(v), with Fg in N: Coulomb friction of the mass in its own guide.  At one belt speed only
-  the jump at v = 0, where the mass turns, distinguishes it from friction of the belt.  A guide that holds the mass at
-  rest while the spring pulls less than Fg is not modelled.  Source: B. Armstrong-Helouvry, P. Dupont, C. Canudas de
-  Wit, Automatica 30 (1994) 1083.
-- ``eccentricity``: the reading errs by e sin(2 pi x/L + phase), with e in m, once per revolution L of an eccentric
-  encoder wheel.  L is the record's calibration (counts per revolution times metres per count) where it has one, else
-  scanned.  A camera or a laser has no wheel: there it is the lens or the scale.
-- ``belt-drift``: v_b (1 + a (t - t_mid)), with a in 1/s, relative to the speed in the middle of the record.  Each run
-  of a joint fit has the same a; also in ``stiffness-drift``.
-- ``belt-ripple``: v_b + r sin(2 pi f t + phase), with r in m/s.  Where the sticks show one strong ripple it is fitted
-  with the laws (`fitting.record.ripple`); this is a second one, or one too weak for that.  Its frequency is looked for
-  in the residual of the sticks, where the mass moves as the belt does.
-- ``stiffness-drift``: k (1 + a (t - t_mid)), with a in 1/s, as by the spring's temperature.
-- ``second-mode``: a second mass on the first, on a spring of its own: m2 (x + z)'' = -k2 z - c2 z', with z its way on
-  the first mass.  m2/m is given; the angular frequency sqrt(k2/m2) is scanned.  It rings from one cycle into the next,
-  so it is followed through the whole record, driven by the record's own acceleration.  The two columns, stretch and
-  velocity of its spring, take up what another damping shifts in phase.  Source: J. P. Den Hartog, Mechanical
-  Vibrations, 1956, ch. 3 (vibration absorber).
-- ``friction-by-belt-position``: F (1 + a sin(2 pi (b - x)/L + phase)), with a relative and L the length of the belt.
-  Friction that changes from one slip to the next only is a scatter of its level.
-- ``friction-by-mass-position``: F (1 + a sin(2 pi x/L + phase)).  Wavelengths beyond the travel look like another
-  spring.  Source: worn tracks, as in E. Rabinowicz, Friction and Wear of Materials, 1995, ch. 4.
+- ``spring-nonlinear``: the spring's force is -k z - k3 z^3, positive k3 for a hard spring. Source: A. H. Nayfeh,
+  D. T. Mook, Nonlinear Oscillations, 1979, ch. 4.
+- ``drag-quadratic``: -q v |v|. A free friction curve takes it up at one belt speed: only runs at several, or a law
+  whose curve is of another form, show it. Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1987, par. 45.
+- ``guide-friction``: -Fg sign(v), Coulomb friction in the guide of the mass. At one belt speed only the jump where the
+  mass turns distinguishes it from friction of the belt. Not modelled: a guide that holds the mass at rest. Source:
+  B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994) 1083.
+- ``eccentricity``: the reading errs by e sin(2 pi x/L + phase), L the revolution of the encoder wheel, calibrated or
+  scanned. For a camera or a laser it is the lens or the scale.
+- ``belt-drift``: v_b (1 + a (t - t_mid)), the same a in each run of a joint fit; so is that of ``stiffness-drift``.
+- ``belt-ripple``: v_b + r sin(2 pi f t + phase), a second one beside that fitted with the laws, or too weak for it
+  (`fitting.record.ripple`). f is searched in the residual of the sticks, where the mass moves as the belt does.
+- ``stiffness-drift``: k (1 + a (t - t_mid)), as by the spring's temperature.
+- ``second-mode``: a second mass on the first: m2 (x + z)'' = -k2 z - c2 z'. m2/m is given, sqrt(k2/m2) scanned. It
+  rings from one cycle into the next, so the record's own acceleration drives it through the whole record. The two
+  columns are stretch and velocity. Source: J. P. Den Hartog, Mechanical Vibrations, 1956, ch. 3.
+- ``friction-by-belt-position``: F (1 + a sin(2 pi (b - x)/L + phase)), L the length of the belt.
+- ``friction-by-mass-position``: F (1 + a sin(2 pi x/L + phase)). Wavelengths beyond the travel look like another
+  spring. Source: E. Rabinowicz, Friction and Wear of Materials, 1995, ch. 4 (worn tracks).
 """
 
 import cmath
@@ -47,12 +37,10 @@ from stickslip.compute.compile import compiled
 SMALLEST_REVOLUTION = 0.04  # revolution over the travel: a smaller wheel would turn 25 times in a slip
 MOST_PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
 MODE_DAMPING = 0.01  # damping of a second mass over the critical one
-# Frequency over the main spring's: slower is a second spring, faster moves with the mass.
-SLOWEST_MODE, FASTEST_MODE = 1.5, 15.0
+SLOWEST_MODE, FASTEST_MODE = 1.5, 15.0  # over the main spring's: slower is a second spring, faster moves with the mass
 FREQUENCY_STEP = 0.012  # relative step between frequencies: about half the width of the resonance
 HELD_SLIPS = 8e-3  # time for which the acceleration is held, in slips; at the fastest mode a tenth of its period
-# Length over the way between mass and belt in a cycle: a shorter belt turns more than once in a cycle.
-SHORTEST_BELT = 0.7
+SHORTEST_BELT = 0.7  # length over the way between mass and belt in a cycle: a shorter one turns more than once in it
 LONGEST_BELT = 0.7  # length over the way in the whole record: on a longer one a place that does not come back is wear
 SHORTEST_WAVELENGTH = 0.08  # wavelength over the travel: what repeats more often in a slip averages out
 
@@ -114,7 +102,7 @@ def drift_of_stiffness(trajectory: FittedMotion, _: float) -> Forcing:
 
 
 def pull_of_second_mass(trajectory: FittedMotion, omega: float) -> Forcing:
-    """Return the pull of a mass of 1 (times the first), in phase and a quarter turn later, m/s^2."""
+    """Return the pull of an equal mass, in phase and a quarter turn later, m/s^2."""
     out = np.empty((trajectory.time.size, 2))
     for run, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
         time, drive = held_acceleration(record)
@@ -128,7 +116,7 @@ def pull_of_second_mass(trajectory: FittedMotion, omega: float) -> Forcing:
 
 @lru_cache(maxsize=8)  # one a run: every frequency uses the same drive
 def held_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
-    """Return times and mean accelerations, m/s^2, of steps of about `HELD_SLIPS` slips; shapes (n,)."""
+    """Return times and mean accelerations, m/s^2, of steps of about `HELD_SLIPS` slips."""
     interval = float(np.median(np.diff(record.time)))
     held = max(1, int(HELD_SLIPS * record.slip_s / interval))
     count = int((record.time[-1] - record.time[0]) / (held * interval))
@@ -138,10 +126,7 @@ def held_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
 
 
 def follow_second_mass(acceleration: Array, step: float, omega: float) -> Array:
-    """Return stretch omega^2 and velocity omega (n, 2) of an oscillator on a moving base, m/s^2.
-
-    ``acceleration`` (n,) of the base is constant for ``step`` s; in the complex plane the oscillator is one pole.
-    """
+    """Return stretch omega^2 and velocity omega (n, 2), m/s^2, of an oscillator on a base moved stepwise."""
     rate = omega * complex(-MODE_DAMPING, math.sqrt(1 - MODE_DAMPING**2))
     turn = cmath.exp(rate * step)
     state = np.empty(acceleration.size, np.complex128)
@@ -150,7 +135,6 @@ def follow_second_mass(acceleration: Array, step: float, omega: float) -> Array:
 
 
 def mode_frequencies(trajectory: FittedMotion) -> Array:
-    """Return angular frequencies that the samples resolve, rad/s."""
     interval = max(float(np.median(np.diff(record.time))) for record in trajectory.records)
     main = math.sqrt(trajectory.K)
     fastest = min(FASTEST_MODE * main, 0.5 * math.pi / interval)

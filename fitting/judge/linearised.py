@@ -1,10 +1,9 @@
 """A fit's estimation problem made linear about its solution.
 
-The response of the residuals to other noise, the data's constraint on an unknown that was not fitted, and the pull of
-single cycles all follow from the derivatives at the solution, without another search.
-
-The cost is 1/2 sum_c w_c |r_c|^2 and the priors' quadratic forms, as in `fitting.least_squares.levenberg_marquardt`;
-the unknowns of each cycle are eliminated by the same `SchurComplement`.
+The response of the residuals to other noise, the constraint of the data on an unknown that was not fitted, and the
+influence of single cycles follow from the derivatives at the solution, without another search. The cost is
+1/2 sum_c w_c |r_c|^2 and the priors' quadratic forms, as in `fitting.least_squares.levenberg_marquardt`; the unknowns
+of each cycle are eliminated by the same `SchurComplement`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -37,19 +36,13 @@ WEIGHT_LEFT = 1e-6  # share of its weight left to a cycle that does not count: i
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Gradient and curvature of the cost in d more unknowns, those of the fit eliminated.
-
-    At a minimum, the estimate of one unknown is -total / total information, and its gain half of total^2 / total
-    information; omitting a cycle removes its score and information.
-    """
+    """Gradient and curvature of the cost in d more unknowns; without a cycle its score and information are missing."""
 
     score: Array  # (cycles, d) each cycle's gradient
     information: Array  # (cycles, d, d) each cycle's curvature
     prior_score: Array  # (d,) the same of the priors of the shared unknowns
     prior_information: Array
-    # (d,) curvature of each unknown alone, before elimination: how much of it is left says how far it is
-    # distinguishable
-    raw: Array
+    raw: Array  # (d,) curvature before elimination; the share that is left says how distinguishable an unknown is
 
     @property
     def total(self) -> Array:
@@ -61,14 +54,11 @@ class Scores:
 
 
 def cut(columns: Array, blocks: Sequence[Block]) -> Iterator[Array]:
-    """Yield the rows of columns (N, n) in each block."""
     return (columns[block.rows] for block in blocks)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedFit:
-    """Derivatives, residuals and priors of an estimation problem at its solution."""
-
     derivatives: Derivatives  # of the positions by the shared unknowns, and by those of their cycle
     residual: Array  # (N,) model minus measurement, m
     rows: tuple[slice, ...]  # the residuals of each cycle, one after another without a gap
@@ -85,7 +75,6 @@ class LinearisedFit:
 
     @classmethod
     def at(cls, fit: Fit) -> "LinearisedFit | None":
-        """Linearise a fit; None where the motion cannot be followed there."""
         task = fit.least_squares
         known = fit.windows.rows, task.weights, priors(task, fit.q, fit.local)
         try:
@@ -94,7 +83,7 @@ class LinearisedFit:
             return None
 
     def changed(self, change: Callable[[Array], Array], priors: Priors) -> "LinearisedFit":
-        """Return the same with the derivatives (n, p + q) of each block changed."""
+        """Change the derivatives (n, p + q) of each block."""
         return self.of(self.derivatives.changed(change), self.residual, self.rows, self.weights, priors)
 
     @cached_property
@@ -103,10 +92,7 @@ class LinearisedFit:
         return first_of(self.rows)
 
     def _gradients(self, columns: Iterable[Array]) -> tuple[Array, Array]:
-        """Return w J'C of columns in each cycle, by the shared (cycles, p, n) and the own unknowns (cycles, q, n).
-
-        ``columns`` are those (n rows of a block, n) of each block.
-        """
+        """Return w J'C of blocks C (rows, n) by the shared (cycles, p, n) and the cycles' unknowns (cycles, q, n)."""
         parts = []
         for (block, part), own in zip(self.derivatives, columns, strict=True):
             parts.append(self._product(part, own, block))
@@ -122,12 +108,12 @@ class LinearisedFit:
 
     @cached_property
     def reduced(self) -> SchurComplement:
-        """The same with the cycles' own unknowns eliminated: ``H`` is the information on the shared ones."""
+        """The problem with the cycles' unknowns eliminated: ``H`` is the information on the shared ones."""
         return SchurComplement(self.blocks)
 
     @cached_property
     def information(self) -> Array:
-        """Each cycle's information on the shared unknowns, its own eliminated, (cycles, p, p)."""
+        """Each cycle's information on the shared unknowns, (cycles, p, p)."""
         return self.reduced.by_cycle(self.blocks.cycle_curvature)
 
     @property
@@ -137,16 +123,16 @@ class LinearisedFit:
 
     @cached_property
     def _pull(self) -> Array:
-        """The step (cycles, q) by the gradients of the cycles' own unknowns alone."""
+        """The step (cycles, q) by the gradients of the cycles' unknowns alone."""
         return self.reduced.local_step(self.blocks.gl)
 
     @cached_property
     def gradients(self) -> Array:
-        """Each cycle's gradient in the shared unknowns, its own eliminated, shape (cycles, p)."""
+        """Each cycle's gradient in the shared unknowns, shape (cycles, p)."""
         return self.reduced.reduced_gradients(self.blocks.cycle_g, self._pull)
 
     def refit(self, residuals: Repeat) -> Iterator[tuple[Block, Array]]:
-        """Yield what a linear fit leaves of B records with the fit's true unknowns, such as noise, block by block.
+        """Yield the residuals of B records after a linear fit from its true unknowns, block by block.
 
         Unchanged where the step would raise the cost: at a jump of the motion the derivatives fail.
         """
@@ -158,7 +144,6 @@ class LinearisedFit:
             yield block, np.where(lower, self._moved(block, part, drawn, steps), drawn)
 
     def refit_columns(self, residuals: Array) -> Array:
-        """Return what a linear fit leaves of residuals (N, B), as `refit`."""
         return np.concatenate([left for _, left in self.refit(partial(cut, residuals))])
 
     def _change(self, g: Array, gl: Array, step: Array, local: Array) -> Array:
@@ -170,7 +155,7 @@ class LinearisedFit:
         return np.asarray(slope + bend + np.einsum("cqb,cqr,crb->b", local, own, local, optimize=True))
 
     def without(self, spoilt: Mask) -> "LinearisedFit":
-        """Return the fit after a Gauss-Newton step without some cycles (cycles,), or as it was if that is worse."""
+        """Return the fit after a Gauss-Newton step without some cycles, or as it was if that is worse."""
         weights = np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights)
         others = self.of(self.derivatives, self.residual, self.rows, weights, self.priors)
         step, own = others.reduced.newton_step(others.blocks.g, others.blocks.gl)
@@ -180,7 +165,7 @@ class LinearisedFit:
         return found if found.cost <= others.cost else self
 
     def _steps(self, step: Array, own: Array) -> Array:
-        """Return the steps (cycles, p + q, B) of all unknowns from those of the shared (p, B) and (cycles, q, B)."""
+        """Return steps (cycles, p + q, B) of all unknowns from those of the shared (p, B) and (cycles, q, B)."""
         return np.concatenate([np.broadcast_to(step, (len(self.rows), *step.shape)), own], axis=1)
 
     def _moved(self, block: Block, part: Array, residuals: Array, steps: Array) -> Array:
@@ -196,7 +181,7 @@ class LinearisedFit:
         return 0.5 * float(np.einsum("c,c...->...", self.weights, squares))
 
     def scores(self, columns: Array) -> Scores:
-        """Return gradient and curvature in further unknowns with position derivatives ``columns`` (N, d)."""
+        """Return gradient and curvature in unknowns with position derivatives ``columns`` (N, d)."""
         columns = np.ascontiguousarray(columns)
         to_shared, to_local = self._gradients(cut(columns, self.derivatives.blocks))
         parts = [(block, columns[block.rows]) for block in self.derivatives.blocks]

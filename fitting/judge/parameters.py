@@ -1,22 +1,18 @@
-"""Results of a fit: a parameter with its interval, and one break-away.
+"""Parameters of a fit in the units of the rig, with their intervals, and each break-away.
 
-Intervals: a sandwich over cycles, calibrations as priors, t quantile.
+Intervals: a sandwich over cycles, calibrations as priors, t quantile over the cycles. Residuals of a slightly wrong
+model are correlated within a cycle and independent between cycles, so the spread of the cycles' gradients shows how far
+the estimate would move with other cycles. With few cycles the sandwich can be too small; the curvature at the noise
+level rms x sqrt(correlation time) is the floor. In it a cycle informs by no more than its residuals allow: under
+constant friction only the drag of a start-up constrains the belt's speed, and no other cycle shows how far a ripple
+moves it.
 
-Residuals of a slightly wrong model are correlated within a cycle and independent between cycles, so the spread of the
-cycles' gradients shows how far the estimate would move with other cycles.  With few cycles the sandwich can be too
-small; the curvature at the noise level rms x sqrt(correlation time) is the floor.  In it a cycle informs by no more
-than its residuals allow: under constant friction only the drag of a start-up constrains the belt's speed, so that no
-other cycle shows how far a belt's ripple moves it.
+The errors of the levels must not inform the parameters (`without_level_errors`). Without a datum the prior of the
+levels is wider than their scatter (`EstimationProblem.level_prior`); the floor is then the covariance of the estimate
+under the true scatter.
 
-The errors of the levels must not inform the parameters (`without_level_errors`).
-
-Without a datum the prior of the friction levels is wider than their scatter (`EstimationProblem.level_prior`).  The
-floor is then the covariance of the estimate under the true scatter.
-
-Results of a fit in the units of the rig: one table of derived quantities, each with its interval.
-
-Errors are propagated to first order from the covariance of the fit (`fitting.judge.parameters`), with a Student's
-t quantile over the cycles.  The error of the metres per count enters every quantity that has a length in its unit.
+Derived quantities are one table. Errors propagate to first order; that of the metres per count enters every quantity
+with a length in its unit.
 """
 
 import math
@@ -40,30 +36,22 @@ from fitting.search.formula import FormulaCurve
 from stickslip.compute.arrays import Array, Integers, autocorrelation_time
 from stickslip.units import Measured
 
-# Standard error over a value, from which that is not stated in words; of a level of friction only its difference to
-# another is.  At half known levels are withheld, at twice levels of either sign are stated.
-STATED_ERROR = 0.5
-
-
+STATED_ERROR = 0.5  # standard error over a value, from which it is not stated; of levels only the difference is
 NO_LIMITS = (-math.inf, math.inf)
 LARGEST_LOG = 300.0  # logarithm of a value's factor: at more the end of an interval is no number
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value with its standard error and confidence interval, in its unit.
-
-    ``trusted`` is False where the law does not describe the record: error and interval are then too small, and withheld
-    from documents and tables.  ``fixed`` values were not fitted.
-    """
+    """A value with its standard error and confidence interval."""
 
     value: float
     stderr: float
     lo: float
     hi: float
     unit: str
-    trusted: bool = True
-    fixed: bool = False
+    trusted: bool = True  # False: the law does not describe the record, and the error, too small, is withheld
+    fixed: bool = False  # not fitted
 
     @property
     def decimals(self) -> int:
@@ -79,7 +67,6 @@ class Parameter:
         return f"{self.value:.{digits}f} [{self.lo:.{digits}f}, {self.hi:.{digits}f}] {self.unit}".rstrip()
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form; null for what is withheld."""
         error = {"stderr": self.stderr, "lo": self.lo, "hi": self.hi} if self.trusted else _WITHHELD
         return {"value": self.value, **error, "unit": self.unit} | ({"fixed": True} if self.fixed else {})
 
@@ -93,10 +80,7 @@ class Parameter:
         *,
         by_log: bool = False,
     ) -> "Parameter":
-        """Return a value with its interval within the limits, by a factor for one that is fitted by its logarithm.
-
-        ``quantile`` is half the width of the interval over the standard error.
-        """
+        """Return the interval of ``quantile`` standard errors within limits, by a factor if fitted by its logarithm."""
         if by_log and value > 0:
             factor = math.exp(min(quantile * stderr / value, LARGEST_LOG))
             lo, hi = value / factor, value * factor
@@ -120,7 +104,7 @@ _WITHHELD = dict.fromkeys(("stderr", "lo", "hi"))
 
 @dataclass(frozen=True, eq=False)
 class Correlations:
-    """Correlations (p, p) of the errors of the parameters ``names`` (p,), -1 to 1."""
+    """Correlations (p, p) of the errors of the parameters ``names``."""
 
     names: tuple[str, ...]
     matrix: Array
@@ -142,21 +126,18 @@ class BreakAway:
         return {"static_level" if name == "break_away_level" else name: item for name, item in vars(self).items()}
 
 
-# Variance of a cycle's residuals over what the fit assumes, at the most, since a correlation time from one
-# window is uncertain.  With 4 the error of the belt's speed from a drag on a rippling belt would be too small by 2.
+# Largest variance of a cycle's residuals over the assumed one: a correlation time from one window is uncertain.
 LARGEST_VARIANCE = 2.0
-# Scatter of the levels beyond their errors, in standard errors of a mean square, from which they inform.  With 20
-# cycles that is a scatter as large as the errors, which noise alone shows once in 150 contacts; with half of it once in
-# 13, with twice of it the scatter must be 1.4 times the errors.
+# Scatter of the levels beyond their errors, in standard errors of a mean square, from which they inform: noise alone
+# shows as much once in 150 contacts.
 SCATTER_ERRORS = 3.0
 
 
 def without_level_errors(fit: Fit) -> Fit:
-    """Return a fit whose curvatures are those at the levels without their errors.
+    """Return a fit with the curvatures at levels without their errors.
 
-    Without a datum a ramp law constrains only Fs/d, v_dr - d and x0 + Fs/k, unless the friction level changes between
-    cycles. Levels that differ only by their errors would count as such a change, and v_dr would get an interval a
-    hundred times too narrow.
+    Without a datum a ramp law constrains only Fs/d, v_dr - d and x0 + Fs/k, unless the level changes between cycles.
+    Errors counted as such changes would give v_dr an interval a hundred times too narrow.
     """
     if fit.problem.level_prior <= 1 or not fit.inlier_cycles.any():
         return fit
@@ -171,12 +152,8 @@ def without_level_errors(fit: Fit) -> Fit:
     return replace(fit, solution=replace(fit.solution, blocks=blocks))
 
 
-def levels_differ(fit: Fit) -> bool:
-    return _true_square(fit, PerCycle.LEVEL)[0] > 0
-
-
 def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
-    """Return the mean square of a cycle's unknown beyond its expected errors, and the squares (cycles,)."""
+    """Return the mean square of an unknown beyond its expected errors, and the squares (cycles,)."""
     own = fit.inlier_cycles
     error = np.asarray(np.linalg.inv(fit.solution.blocks.Hl)[:, column, column])
     likely = float(np.mean(error[own])) * (1 + SCATTER_ERRORS * math.sqrt(2 / own.sum()))
@@ -184,18 +161,12 @@ def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
 
 
 def covariance(fit: Fit) -> Array:
-    """Return a covariance (p, p) of the unknowns not smaller than either of `covariances`.
-
-    A variance in it may exceed both: for one quantity take the larger of both variances.
-    """
+    """Return one covariance not smaller than either; for one quantity take the larger of both variances."""
     return upper_bound(*covariances(fit))
 
 
 def covariances(fit: Fit) -> tuple[Array, Array]:
-    """Return the covariances (p, p) of the unknowns, the curve's last, by the sandwich and by the curvature.
-
-    The priors are so many more independent sources.
-    """
+    """Return the covariances (p, p) of the unknowns, the curve's last, by the sandwich and by the curvature."""
     blocks = fit.solution.blocks
     reduced = SchurComplement(blocks)
     H = reduced.H
@@ -218,9 +189,8 @@ def covariances(fit: Fit) -> tuple[Array, Array]:
 def upper_bound(first: Array, second: Array) -> Array:
     """Return a covariance (p, p) that is in no direction smaller than either of two.
 
-    In the basis in which the second is 1 and the first diagonal it is the larger of both. Raising the variances with
-    fixed correlations would not do: where Fs and gamma are strongly correlated, it would give the friction's slope at
-    the belt's speed an error that neither covariance allows.
+    In the basis in which the second is 1 and the first diagonal it is the larger of both. Larger variances with the
+    same correlations would give combinations of correlated unknowns an error that neither covariance allows.
     """
     unit = np.sqrt(np.diag(second))
     size, axes = eigen(second / unit[:, None] / unit)
@@ -242,7 +212,7 @@ def _founded(fit: Fit) -> Array:
 
 
 def _excess(fit: Fit) -> Array:
-    """Return the excess precision (cycles, q) of the levels by which the prior is wider than their scatter."""
+    """Return the precision (cycles, q) of the levels missing in the prior, which is wider than their scatter."""
     sd = fit.noise.level_sd(fit.windows, fit.problem.level_prior)
     excess = (1 - (fit.noise.scatter / sd) ** 2) / sd**2
     found = np.zeros_like(fit.solution.blocks.gl)
@@ -250,17 +220,13 @@ def _excess(fit: Fit) -> Array:
     return found
 
 
-# Share of a default's variance left after the fit: with more the default still decides, and what depends on it is
-# not given.  Chosen; half and twice give the same parameters on 26 records.
-DEFAULT_LEFT = 0.01
+DEFAULT_LEFT = 0.01  # share of a default's variance left after the fit; with more, what depends on it is not given
 POSITIVE = (0.0, math.inf)
 Own = Mapping[str, float]  # the law's parameters by name, per unit mass
 SIX = "six"  # of each of the six that its own kernel follows
 
 
 class Derived(NamedTuple):
-    """One derived quantity and its condition."""
-
     name: str
     unit: str
     formula: Callable[[Values, Own], float]
@@ -307,9 +273,12 @@ TABLE = (
         "(G_slip - c)/m",
         "s^-1",
         lambda p, _: p.shape * p.F - p.damping,
-        curve="linear",
-        instead_of=Global.DAMPING,
-        limits=NO_LIMITS,
+        0,
+        "linear",
+        None,
+        "",
+        Global.DAMPING,
+        NO_LIMITS,
     ),
 )
 UNDETERMINED_WITH = {  # what is known only together with something that the record does not show
@@ -323,17 +292,12 @@ RUNS_OWN = ("v_dr", "x0", "Fs0/m", "wear", "droop", "ripple", "ripple_hz")  # th
 def derived_parameters(
     fit: Fit, motion: MeasuredMotion, alpha: float, run: int = 0, *, sustained: bool = True
 ) -> dict[str, Parameter]:
-    """Return a law's parameters with their intervals, in the record's signs.
+    """Return a law's parameters with their intervals, in the record's signs and recorded positions.
 
-    ``x0`` is the spring's rest in the recorded positions.  Fs is its mean over the record; for a ``sustained`` contact,
-    which sticks repeatedly, ``Fs0/m`` is its value at the start and ``wear`` the fraction lost per second, by the line
-    through the cycles' levels (`fitting.model.windows`).  ``static`` is a ramp's break-away level over Fs, where they
-    differ.  ``droop`` is the slowing of the belt under Fs, ``ripple`` and ``ripple_hz`` are amplitude and frequency of
-    its speed.  A formula's parameter whose unit has friction is given as ``NAME/m`` and as ``NAME``, in newtons where
-    mass or stiffness is known; its name takes precedence.
-
-    Where datum or damping is not calibrated and the data hardly constrain it, what depends on it is omitted, and the
-    constrained combination is given: ``x0 + Fs/k``, ``(G_slip - c)/m``.
+    A ``sustained`` contact sticks repeatedly and may wear: ``Fs0/m`` is the level at the start, ``wear`` the fraction
+    lost per second. ``droop`` is the slowing of the belt under Fs. A formula's parameter ``NAME`` with friction in its
+    unit is also given as ``NAME/m``; its name takes precedence. Where datum or damping is neither calibrated nor
+    constrained by the data, only the constrained combination is given.
     """
     known = _known(fit, motion, run)
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
@@ -349,7 +313,7 @@ def derived_parameters(
 
 
 def _differences(fit: Fit, known: "Known", own: Mapping[str, Parameter], quantile: float) -> dict[str, Parameter]:
-    """Return, per unit mass, the differences of a formula's levels that are known where the levels are not."""
+    """Return the differences of a formula's levels that are known where the levels are not, per unit mass."""
     values_of, found = fit.own_values, {}
     levels = [name for name in values_of if f"{name}/m" in own and fit.law.dimensions[name] == (1, 0)]
     for pair in combinations([name for name in levels if not own[f"{name}/m"].fixed], 2):
@@ -369,7 +333,7 @@ def _level_known(item: Parameter) -> bool:
 
 
 def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations:
-    """Return the correlations of a law's parameters per unit mass, without those that follow from others."""
+    """Return the correlations of parameters per unit mass that do not follow from others."""
     known = _known(fit, motion, run)
     rows = _rows_each_once(fit, motion, known)
     slopes = np.array([list(known.slopes(row.formula)) for row in rows])
@@ -391,18 +355,15 @@ def _rows_each_once(fit: Fit, motion: MeasuredMotion, known: "Known") -> list[De
 
 
 class IndependentParameters(NamedTuple):
-    """Names of parameters, the power of the metre in each (k,), and a function to their values (k,).
-
-    ``at(q, unseen)`` takes the unknowns q and the standard deviations of what the record does not constrain.
-    """
+    """Parameters at given unknowns ``q`` and, in standard deviations, a direction ``unseen`` by the record."""
 
     names: tuple[str, ...]
-    lengths: Array
-    at: Callable[[Array, float], Array]
+    lengths: Array  # (k,) power of the metre in each
+    at: Callable[[Array, float], Array]  # (q, unseen) to their values (k,)
 
 
 def independent_parameters(fit: Fit, motion: MeasuredMotion) -> IndependentParameters:
-    """Return the parameters of the first run that follow from no others, per unit mass, at given unknowns."""
+    """Return the parameters of the first run that follow from no others, per unit mass."""
     known = _known(fit, motion, 0)
     rows = _rows_each_once(fit, motion, known)
 
@@ -434,10 +395,7 @@ def unknown_of(fit: Fit, motion: MeasuredMotion, name: str) -> tuple[int, Callab
 
 
 def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> float:
-    """Return the error of a run's break-away level over Fs from rest position, Fs and k/m, which all cycles share.
-
-    Without a datum, or on a camera track, it is far larger than the scatter between cycles suggests.
-    """
+    """Return the error of the break-away level over Fs that all cycles share: from x0, Fs and k/m."""
     known = _known(fit, motion, run)
     p, _ = known.at(known.q)
     place = p.datum + p.F / p.K
@@ -445,23 +403,17 @@ def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> fl
 
 
 class Known(NamedTuple):
-    """A fit's knowledge of one run, with free unknowns ``q`` (m,): the ``active`` shared ones, then the curve's.
+    """Constraints of a fit on one run."""
 
-    ``places`` are theirs among those of the fit, ``at`` returns parameters at given unknowns.  ``spreads``
-    (2, m, m) are the covariances by sandwich and curvature; ``undetermined`` are those dominated by a default;
-    ``unseen`` (m,) is an unconstrained direction, a standard deviation long, contained in ``spreads``.
-    """
-
-    q: Array
-    places: Integers
+    q: Array  # (m,) free unknowns: the ``active`` shared ones, then the curve's
+    places: Integers  # (m,) among those of the fit
     at: Callable[[Array], tuple[Values, Own]]
     active: list[Global]
-    spreads: Array
-    undetermined: set[Global]
-    unseen: Array | float = 0.0
+    spreads: Array  # (2, m, m) covariances by sandwich and curvature
+    undetermined: set[Global]  # dominated by a default
+    unseen: Array | float = 0.0  # (m,) an unconstrained direction, a standard deviation long, contained in ``spreads``
 
     def slopes(self, formula: Callable[[Values, Own], float]) -> Iterator[float]:
-        """Yield the derivative of a quantity by each unknown."""
         for k, value in enumerate(self.q.tolist()):
             step = 1e-6 * max(abs(value), 1e-6)
             up, down = self.q.copy(), self.q.copy()
@@ -470,7 +422,7 @@ class Known(NamedTuple):
             yield (formula(*self.at(up)) - formula(*self.at(down))) / (2 * step)
 
     def variance(self, formula: Callable[[Values, Own], float]) -> float:
-        """Return the variance of a quantity, the larger of both."""
+        """Return the larger variance of both."""
         slope = np.array(list(self.slopes(formula)))
         return max(float(np.einsum("i,sij,j->s", slope, self.spreads, slope).max()), 0.0)
 
@@ -502,8 +454,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
         unseen = datum_sd * np.array([beside.get(slot, 0.0) for slot in active])
         spread, known_datum = spread + np.outer(unseen, unseen), spread
         if Global.D in active:
-            # The record knows d/Fs, so an error of the datum also scales the error of the width, which the product of
-            # both derivatives leaves out; without a datum it is the larger part of it.
+            # The record determines d/Fs, so an error of the datum also scales that of the width, to second order.
             width = known_datum[:, active.index(Global.D), active.index(Global.D), None, None]
             both = np.array([float(slot in (Global.D, Global.V_DR)) for slot in active])
             spread = spread + width * (rate * datum_sd) ** 2 * np.outer(both, both)
@@ -540,7 +491,7 @@ def _hidden_level(fit: Fit, p: Values, run: int, active: list[Global]) -> Array:
     if width <= 0 or not fit.inlier_cycles.any():
         return np.zeros(len(active))
     moved = math.sqrt(float(np.mean(fit.local[fit.inlier_cycles, PerCycle.LEVEL] ** 2))) * p.F / p.K
-    if levels_differ(fit) and moved > fit.geometric_mean_rms:
+    if _true_square(fit, PerCycle.LEVEL)[0] > 0 and moved > fit.geometric_mean_rms:
         return np.zeros(len(active))
     moves = {
         Global.DATUM: -p.F / (width * p.K),
@@ -555,7 +506,7 @@ def _hidden_level(fit: Fit, p: Values, run: int, active: list[Global]) -> Array:
 
 
 def _table(fit: Fit, motion: MeasuredMotion, known: Known) -> Iterator[tuple[Derived, Measured | None]]:
-    """Yield the rows of rig, contact and the six for a fit, each with the calibration that multiplies it."""
+    """Yield the rows that apply to a fit, each with the calibration that multiplies it."""
     kind = fit.task.curve.kind
     for row in TABLE:
         scale = None if not row.scale or (row.scale == "stiffness" and motion.mass) else getattr(motion, row.scale)
@@ -569,7 +520,7 @@ def _table(fit: Fit, motion: MeasuredMotion, known: Known) -> Iterator[tuple[Der
 
 
 def _own_rows(fit: Fit, motion: MeasuredMotion) -> Iterator[tuple[Derived, Measured | None]]:
-    """Yield the rows of a formula's own parameters, those with friction in their unit per unit mass and as a force."""
+    """Yield a formula's parameters, those with friction in their unit per unit mass and as a force."""
     law, curve = fit.law, fit.task.curve
     if not isinstance(curve, FormulaCurve):
         return
@@ -602,17 +553,14 @@ def _of_formula(p: Values, own: Own, name: str, stretched: int = 0) -> float:
 
 
 def _hidden(known: Known) -> set[str]:
-    """Return the names that are constrained only together with an undetermined one."""
     return {name for slot in known.undetermined for name in UNDETERMINED_WITH[slot]}
 
 
 def _sign_of(row: Derived, motion: MeasuredMotion) -> float:
-    """Return -1 for a row that changes sign with the belt, if the run's belt runs backward."""
     return motion.sign if row.mirrored else 1.0
 
 
 def _scaled(row: Derived, scale: Measured | None, known: Known, motion: MeasuredMotion, quantile: float) -> Parameter:
-    """Return a derived quantity with its interval, times its row's calibration."""
     value = _sign_of(row, motion) * float(row.formula(*known.at(known.q)))
     variance = known.variance(row.formula) + (row.length * value * motion.length_error) ** 2
     low, high = row.limits
@@ -625,7 +573,7 @@ def _scaled(row: Derived, scale: Measured | None, known: Known, motion: Measured
 
 
 def _wear_of(trend: Wear | None, level: Parameter | None, alpha: float) -> dict[str, Parameter]:
-    """Return wear, and with a level that at the start of the recording; empty where the levels have no trend."""
+    """Return wear, and with a level that at the start; empty where the levels have no trend."""
     if trend is None:
         return {}
     first, rate = trend.first, trend.rate

@@ -40,20 +40,15 @@ from stickslip.compute.ordered import Map
 from stickslip.compute.workers import workers
 
 logger = logging.getLogger(__name__)
-# Error over the best, or over the resolution, from which a task is not looked at more closely: no law that errs 3 times
-# as much was in a set, and at 10 every sample costs time.
+# Error over the best, or over the resolution, above which a task is not improved; at 3 no law is compatible.
 FAR_BEYOND_BEST = 5.0
-# Error over the best when settled, up to which a fit takes every sample: no law that errs 1.4 times as much was in a
-# set, and at 4 laws that are wrong take a third of the time.
-FINISHED_NEAR_BEST = 2.0
-# Noise, over the resolution, assumed in another first pass where every task leaves more than noise.
-LESS_NOISE_ASSUMED = 10.0
+FINISHED_NEAR_BEST = 2.0  # error over the best when settled, up to which a fit takes every sample
+LESS_NOISE_ASSUMED = 10.0  # noise over the resolution in another first pass, where no task reaches the noise
 NARROW_START = 0.02  # width over the first one, of a ramp that starts next to none at its jump law's end
 WORSE = 1.0005  # error over a neighbour's, from which a task starts again from that one's fit
 
 
 def fit_from(task: Task, start: FitStart, noise: PassNoise) -> Fit | None:
-    """Fit a task from the end of another fit, with its noise; None where the motion cannot be followed."""
     first = first_pass(task, start, noise)
     settled = None if first is None else settle(first)
     return None if settled is None else finish(settled) or settled
@@ -65,12 +60,10 @@ def best_end(
     noise_m: Array | None = None,
     least: float = math.inf,
 ) -> Fit | None:
-    """Settle a task from each start until one reaches the noise; return the best fit.
+    """Settle a task from each start, likeliest first, until one reaches the noise; return the best fit.
 
-    Starts come with the noise of their fit, likeliest first; the best after its first pass is settled first, and one
-    that reaches the noise ends the search, as one far beyond the best does. ``noise_m`` (runs,) is the noise of a
-    position, m, if known; else the resolution. ``least`` is the least error of other tasks, m: where every first pass
-    is far beyond it, the best is returned as it is.
+    The best after its first pass is settled first. Without the noise of a position ``noise_m`` (runs,), m, it is the
+    resolution. Where every first pass is far beyond ``least``, the least error of other tasks, m, none is settled.
     """
     reached = noise_levels.DESCRIBES * (task.resolution if noise_m is None else float(np.max(noise_m)))
     tried: list[Fit] = []
@@ -103,10 +96,7 @@ def fit_laws(
     progress: Callable[[float], None] | None = None,
     scheduler: str | None = None,
 ) -> list[Fit]:
-    """Fit laws to runs of one contact; jump laws first, without those whose motion cannot be followed.
-
-    All laws ``among`` are searched, so that a fit does not depend on which others are requested.
-    """
+    """Fit laws to runs of one contact; all ``among`` are searched, so that a fit does not depend on the request."""
     tasks = [law_task(law, runs) for law in sorted(among, key=lambda law: law.name)]
     asked = set(laws)
 
@@ -125,7 +115,6 @@ def fit_all(
     each: Map = map,
     progress: Callable[[int], None] = lambda _: None,
 ) -> list[Fit]:
-    """Fit tasks to the same runs, and return those ``asked`` for in the order given."""
     fits = fit_first_passes(tasks, each, progress)
     fits = improve_near_best(fits, settle_lower, GIVEN_UP_BEYOND_BEST, each)
     fits = exchange_starts(tasks, fits, each)
@@ -143,7 +132,6 @@ def fit_all(
 
 
 def fit_first_passes(tasks: Sequence[Task], each: Map, progress: Callable[[int], None]) -> list[Fit | None]:
-    """Return the first pass of each task from the regression, tried again where none reaches the noise."""
     fits: list[Fit | None] = []
     for fit in each(regressed_pass, tasks):
         fits.append(fit)
@@ -154,11 +142,7 @@ def fit_first_passes(tasks: Sequence[Task], each: Map, progress: Callable[[int],
 
 
 def retry_first_pass(first: tuple[Task, Fit | None]) -> Fit | None:
-    """Return the best of a first pass, one with less noise assumed, and, without convergence, another one.
-
-    Much noise leads out of poor minima of single cycles; less lets a wrong law follow a valley that calibrations as
-    strong as that noise close.
-    """
+    """Repeat a first pass with less noise: much leads out of poor minima, less along the valley of a wrong law."""
     task, fit = first
     best = select_better(fit, regressed_pass(task, assumed_noise(task, LESS_NOISE_ASSUMED)))
     if best is None or best.solution.outcome == "converged":
@@ -169,7 +153,6 @@ def retry_first_pass(first: tuple[Task, Fit | None]) -> Fit | None:
 def improve_near_best(
     fits: Sequence[Fit | None], improve: Callable[[Fit], Fit | None], times: float, each: Map
 ) -> list[Fit | None]:
-    """Return the fits, improved where their error is within so many times that of the best."""
     limit = times * least_error(fits)
     near = [fit for fit in fits if fit is not None and fit.geometric_mean_rms <= limit]
     improved = dict(zip(map(id, near), each(improve, near), strict=True))
@@ -177,23 +160,21 @@ def improve_near_best(
 
 
 def settle_lower(fit: Fit) -> Fit:
-    """Return a settled fit, or the fit where settling raises the error: a wrong law may take all its cycles as odd."""
+    """Return the settled fit unless its error is larger: a wrong law may take all its cycles as outliers."""
     settled = settle(fit)
     return fit if settled is None or fits_worse(settled, fit) else settled
 
 
 def least_error(fits: Sequence[Fit | None]) -> float:
-    """Return the least error, m; 0 of no fit."""
     return min((fit.geometric_mean_rms for fit in fits if fit is not None), default=0.0)
 
 
 def fits_worse(fit: Fit | None, other: Fit) -> bool:
-    """Return whether a fit is worse than another of the same samples: a thinned record shows a smaller residual."""
+    """Compare fits of the same samples only: a thinned record shows a smaller residual."""
     return fit is None or (fit.whole == other.whole and fit.geometric_mean_rms > WORSE * other.geometric_mean_rms)
 
 
 def select_better(fit: Fit | None, other: Fit | None) -> Fit | None:
-    """Return the fit of the same samples with the smaller error; the first where both are equal."""
     if fit is None or other is None:
         return fit or other
     return other if other.geometric_mean_rms < fit.geometric_mean_rms else fit
@@ -202,11 +183,7 @@ def select_better(fit: Fit | None, other: Fit | None) -> Fit | None:
 def exchange_starts(
     tasks: Sequence[Task], fits: Sequence[Fit | None], each: Map, tried: Sequence[Fit | None] = ()
 ) -> list[Fit | None]:
-    """Start each task that fits worse than a neighbour again from that one's fit; keep the better fit.
-
-    A wrong or weakly determined law has several minima, and no start of its own is always in the lowest one. From the
-    fits ``tried`` all have started before.
-    """
+    """Restart each task that fits worse than a neighbour from that fit, unless ``tried``; keep the better fit."""
     limit = FAR_BEYOND_BEST * least_error(fits)
     fresh = [fit for fit in fits if fit is not None and all(fit is not other for other in tried)]
     restarts = {
@@ -219,10 +196,7 @@ def exchange_starts(
 
 
 def list_better_neighbours(task: Task, fit: Fit | None, others: Sequence[Fit], limit: float) -> list[Fit]:
-    """Return the better fits from which a task starts again: of a curve that it contains, on its contact, of all.
-
-    A fit above the ``limit`` of the error, or of every sample, starts from a curve that it contains alone.
-    """
+    """Return better fits: of a curve contained, and below the ``limit`` also on the contact and of all."""
     ranked = sorted((other for other in others if fits_worse(fit, other)), key=lambda other: other.geometric_mean_rms)
     best = [other for other in ranked if task.curve.contains(other.task.curve)][:1]
     if fit is None or not (fit.whole or fit.geometric_mean_rms > limit):
@@ -232,10 +206,7 @@ def list_better_neighbours(task: Task, fit: Fit | None, others: Sequence[Fit], l
 
 
 def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit | None:
-    """Return the best of a task's fit and of those that start from its neighbours, each with that one's noise.
-
-    From a neighbour of every sample only the last pass is made.
-    """
+    """Refit with the noise of each better neighbour; from one of every sample only by the last pass."""
     task, fit, neighbours = restart
     for neighbour in neighbours:
         if fits_worse(fit, neighbour):
@@ -251,10 +222,7 @@ def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit 
 
 
 def start_beside(task: Task, donor: Fit, narrow: float = 1.0) -> FitStart:
-    """Return a warm start of a task from another fit: its shared unknowns, windows and friction.
-
-    A new ramp starts with ``narrow`` of its first width.
-    """
+    """Return a warm start from another fit; a new ramp starts with ``narrow`` of its first width."""
     u = donor.u
     mine, other = task.curve, donor.task.curve
     if isinstance(mine, LawCurve) and isinstance(other, LawCurve):
@@ -268,10 +236,7 @@ def start_beside(task: Task, donor: Fit, narrow: float = 1.0) -> FitStart:
 
 
 def mark_overtaking(fits: Sequence[Fit | None], each: Map) -> list[Fit | None]:
-    """Settle fits of one curve again with the cycles that one of them finds overtaking the belt.
-
-    A ramp may fit such a cycle by a very low level, where its jump shows that it is spoilt.
-    """
+    """Share cycles with overtaking among fits of one curve: a ramp may fit one by a very low level."""
     limits = [0.0 if fit is None else FAR_BEYOND_BEST * fit.task.resolution for fit in fits]
     seen = [
         (fit.task.curve, find_overtaking(fit))

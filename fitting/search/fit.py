@@ -1,7 +1,4 @@
-"""The noise that a pass of a fit assumes, and that its residuals show.
-
-The end of a fit: unknowns, residuals, friction, path and derivatives, of all runs or of one.
-"""
+"""The result of a fit, and the noise that a pass assumes and its residuals show."""
 
 import math
 from collections.abc import Sequence
@@ -28,20 +25,16 @@ from stickslip.units import Measured
 DEFAULT_FADE_SD = 0.005  # a slip: what a friction level may fade by where a run has too few cycles to show wear
 LEAST_FADE_SD = 5e-7  # least of that, a slip
 INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
-# In the last pass an outlier's weight is this power of weight/`INLIER_WEIGHT` times as large, and at least that share.
+# Power of weight/`INLIER_WEIGHT`, and its least value, by which the last pass lowers the weight of an outlier.
 OUTLIER_POWER, LEAST_OUTLIER_SHARE = 3, 0.02
 OUTLIER_LEVEL_SD = 10.0  # standard deviation of the log level of an outlier cycle, so that it has no weight in the mean
-# Scatter over that of the levels, for one under which the mass overtakes the belt: it is low for that reason, and it is
-# the next cycle's as well.  With 20 it counts in the mean by 1 in 400; unbounded, a search that leaves the overtaking
-# loses it.
-OVERTAKING_FACTOR = 20.0
+OVERTAKING_FACTOR = (
+    20.0  # prior width over that of other levels, where the mass overtakes the belt: 1/400 of the weight
+)
 STICK_SPEED_SD = 0.05  # error over the belt's speed: how well smoothing knows the speed in the middle of a stick
-# Of the logarithms of the friction levels: their standard deviation before a fit has seen them, and within what limits
-# one that was seen is believed.  At half the lower limit a record of few cycles holds its levels together; at twice the
-# upper one a level runs off where its slip shows next to none.
+# Standard deviation of the log friction levels before the first pass, and the limits of one estimated from residuals.
 FIRST_SCATTER, LEAST_SCATTER, MOST_SCATTER = 0.1, 0.01, 0.5
-# Weight of a cycle in the noise; its error is at most 1.7 times the median, twice that lets kicks in.
-COUNTED_WEIGHT = 0.5
+COUNTED_WEIGHT = 0.5  # least weight of a cycle that informs the noise: its error is 1.7 times the median one
 START_SD = 0.1  # distance over the travel: how far a window may start from the smoothed motion
 
 
@@ -54,21 +47,18 @@ class PassNoise:
 
     @property
     def inliers(self) -> Mask:
-        """Inlier cycles (cycles,)."""
         return np.asarray(self.weights > INLIER_WEIGHT)
 
     @property
     def for_last_pass(self) -> "PassNoise":
-        """The same with outlying cycles nearly ignored."""
         return replace(self, weights=without_outliers(self.weights))
 
     @property
     def without_fade(self) -> "PassNoise":
-        """The same with constant levels within a cycle."""
         return replace(self, fade_sd=None)
 
     def with_fade(self, task: Task, windows: ShootingWindows, local: Array) -> "PassNoise":
-        """Return the same with levels that may fade within a cycle as they do between cycles."""
+        """Let levels fade within a cycle as they do between cycles."""
         sd = []
         for run, motion in enumerate(task.problem.motions):
             table = windows.table
@@ -80,10 +70,7 @@ class PassNoise:
         return replace(self, fade_sd=np.array(sd))
 
     def seen(self, task: Task, windows: ShootingWindows, residual: Array, local: Array, *, first: bool) -> "PassNoise":
-        """Return the noise that residuals (N,) show, run by run.
-
-        After the first pass it only decreases: a wrong curve must not be excused by its own misfit.
-        """
+        """Return the noise that residuals show; after a first pass it only decreases, so no misfit excuses itself."""
         rms, run = windows.rms(residual), windows.run
         weights, sigma = np.ones(rms.size), self.sigma.copy()
         for k, motion in enumerate(task.problem.motions):
@@ -96,14 +83,13 @@ class PassNoise:
         return replace(self, sigma=sigma, weights=weights, scatter=scatter)
 
     def local_precision(self, task: Task, windows: ShootingWindows) -> Array:
-        """Return the precisions (cycles, 6) of each cycle's own unknowns: about the smoothed motion, and its level."""
+        """Return the prior precisions (cycles, 6): about the smoothed motion, and of the levels."""
         wide = [(START_SD * motion.travel, motion.belt_speed) for motion in task.problem.motions]
         sd = np.array([[x, v, 0.0, 0.0, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
         sd[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = self.level_sd(windows, task.problem.level_prior)
         return np.asarray(1 / sd**2)
 
     def level_sd(self, windows: ShootingWindows, wider: float) -> Array:
-        """Return the standard deviations (cycles, 2) of the priors of the log levels: ``wider`` times the scatter."""
         found = np.full((len(windows.rows), 2), wider * self.scatter)
         found[windows.overtaking, 1] *= OVERTAKING_FACTOR
         found[~self.inliers] = OUTLIER_LEVEL_SD
@@ -111,21 +97,16 @@ class PassNoise:
 
 
 def without_outliers(weights: Array) -> Array:
-    """Return weights (cycles,) that nearly ignore outlying cycles.
-
-    Those of `cycle_weights` still let an outlier pull: its residuals keep one sign over much of a slip. Not 0, since
-    the cycle's own unknowns must still follow it.
-    """
+    """Nearly ignore outlying cycles; not 0, since the own unknowns of each must still follow it."""
     return weights * np.clip((weights / INLIER_WEIGHT) ** OUTLIER_POWER, LEAST_OUTLIER_SHARE, 1.0)
 
 
 def cycle_weights(errors: Array, usual: float) -> Array:
-    """Return weights (cycles,): 1, less for a cycle that fits worse than the ``usual`` one."""
     return np.minimum(2 / (1 + (errors / usual) ** 2), 1.0)
 
 
 def effective_sigma(residual: Array, rows: Sequence[slice]) -> float:
-    """Return rms x sqrt(tau), tau their integrated autocorrelation time in samples, pooled over the cycles."""
+    """Return rms x sqrt(tau), tau the integrated autocorrelation time in samples, pooled over the cycles."""
     parts = [residual[own] for own in rows]
     square, count = sum(float(np.sum(r**2)) for r in parts), sum(r.size for r in parts)
     return math.sqrt(square / count * autocorrelation_time(parts)) if square > 0 else 0.0
@@ -163,22 +144,20 @@ class Fit:
 
     @property
     def places(self) -> tuple[int, ...]:
-        """The shared unknowns of all runs that the fit moves, without a formula's."""
         return self.task.places
 
     @property
     def theta(self) -> Array:
-        """The curve's own unknowns."""
+        """The unknowns of the curve."""
         return self.task.split(self.q)[1]
 
     @property
     def runs(self) -> int:
-        """The number of runs of windows, cycles and residuals."""
         return len(self.problem.runs) if self.run is None else 1
 
     @property
     def u(self) -> Array:
-        """The unknowns of the runs (13 runs,), as in `fitting.model.unknowns`; F of a formula is that at rest."""
+        """The unknowns (13 runs,) as in `fitting.model.unknowns`; F of a formula is friction at rest."""
         u, theta, _ = self.task.split(self.q)
         if theta.size and self.task.curve.law is not None:
             u[Global.LOG_F :: PER_RUN] = math.log(float(self.task.friction(self.q, np.zeros(1))[0]))
@@ -186,17 +165,14 @@ class Fit:
 
     @cached_property
     def values(self) -> unknowns.Values:
-        """Global parameters by name, of the first run."""
         return unknowns.values(self.u[:PER_RUN])
 
     @property
     def own_values(self) -> dict[str, float]:
-        """The law's parameters by name, per unit mass."""
         return self.task.curve.values(self.theta, self.u)
 
     @property
     def start(self) -> FitStart:
-        """The start of another pass of the same task."""
         return FitStart(self.q, self.local)
 
     @cached_property
@@ -205,7 +181,6 @@ class Fit:
 
     @property
     def rows(self) -> tuple[slice, ...]:
-        """The residuals of each cycle."""
         return self.windows.rows
 
     @cached_property
@@ -214,13 +189,12 @@ class Fit:
 
     @property
     def inlier_cycles(self) -> Mask:
-        """The cycles (cycles,) that do not fit so badly (a kick, lost counts) that their levels say nothing."""
+        """Cycles whose level informs: without a kick or lost counts."""
         inliers = self.noise.inliers
         return inliers if self.run is None else inliers[self.model.windows.run == self.run]
 
     @property
     def path(self) -> Path | None:
-        """The fitted motion of all runs, for tangents; None where it cannot be followed."""
         return self.model.path(self.q, self.local)
 
     @property
@@ -232,12 +206,10 @@ class Fit:
 
     @property
     def derivatives(self) -> Derivatives:
-        """Derivatives (N, p + n + m + 6) of the positions by all unknowns."""
         return self.model.all_derivatives(self.q, self.local)
 
     @cached_property
     def cycle_rms(self) -> Array:
-        """RMS residual of each cycle, m, shape (cycles,)."""
         return self.windows.rms(self.residual)
 
     @property
@@ -246,22 +218,21 @@ class Fit:
 
     @property
     def geometric_mean_rms(self) -> float:
-        """Geometric mean of the cycles' rms, m, robust to a few spoilt cycles."""
+        """Robust to a few spoilt cycles."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
 
     @property
     def misfit(self) -> float:
-        """The geometric mean of the cycles' rms beyond noise (the largest of all runs), m."""
+        """The geometric mean rms beyond the resolution, m."""
         return math.sqrt(max(self.geometric_mean_rms**2 - self.task.resolution**2, 0.0))
 
     @property
     def outcome(self) -> str:
-        """The reason for the end of the last minimisation (`levenberg_marquardt.Solution`)."""
         return self.solution.outcome
 
     @property
     def held_rest(self) -> Measured | None:
-        """The rest position that is assumed, since a constant of the curve stands for it; None where it is not."""
+        """The assumed rest position; None where it was calibrated or fitted."""
         problem = self.problem
         if problem.motions[0].datum_prior is not None or not problem.held[Global.DATUM]:
             return None
@@ -269,14 +240,14 @@ class Fit:
 
     @property
     def law_parameters(self) -> int:
-        """Number of the law's own free unknowns, without those of every law (datum, damping, fade, belt)."""
+        """Number of free unknowns without those that every law has (datum, damping, fade, belt)."""
         held = self.problem.held
         shared = sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.places)
         return shared + self.task.curve.size - (self.held_rest is not None)
 
     @property
     def calibration_deviations(self) -> Array:
-        """Deviations of the shared unknowns from stated calibrations, in standard deviations; else 0."""
+        """Distance from stated calibrations in standard deviations; 0 without one."""
         problem, index = self.problem, list(self.places)
         deviations = (self.task.split(self.q)[0][index] - problem.prior[index]) * np.sqrt(problem.precision[index])
         guessed = [
@@ -286,41 +257,37 @@ class Fit:
 
     @property
     def curve_on_path(self) -> Curve | None:
-        """The friction of a path."""
         return self.task.curve.on_path(self.theta, self.q[: len(self.places)])
 
     @cached_property
     def spline(self) -> FrictionSpline:
-        """The curve as followed, where that is not by a kernel of its own."""
         curve = self.curve_on_path
         if curve is None or curve.spline is None:
             raise RuntimeError("no spline follows this curve")
         return curve.spline
 
     def deviation(self, place: int) -> float:
-        """Return the standard deviation of a shared unknown by the noise that the last pass assumed."""
+        """Return the standard deviation of a shared unknown under the noise assumed in the last pass."""
         index = self.places.index(place)
         return math.sqrt(float(SchurComplement(self.solution.blocks).covariance[index, index]))
 
     def force(self, w: Array, mass: float = 1.0) -> Array:
-        """Return friction on a mass (kg), N, positive along the belt, at relative velocities w (n,), m/s."""
+        """Return friction on a mass (kg), N, positive along the belt, at relative velocities w, m/s."""
         w, d = np.asarray(w, float), self.values.d if self.problem.ramp else 0.0
         slip = np.sign(w) * self.task.friction(self.q, np.maximum(np.abs(w) - d, 0.0))
         ramp = self.values.static * self.values.F * w / d if d else np.zeros(w.shape)
         return np.asarray(-mass * np.where(np.abs(w) <= d, ramp, slip))
 
     def residual_in(self, windows: ShootingWindows, local: Array) -> Array | None:
-        """Return the residual (N,) in other windows of this run, m; None where it cannot be followed."""
         curve = self.curve_on_path
         found = None if curve is None else positions(windows, curve, self.u, local)
         return None if found is None else found - windows.position
 
     def level_trend(self, run: int = 0) -> wear.Wear | None:
-        """Return the line through the levels of one run's inlier cycles (`fitting.model.windows`)."""
         return wear.of_cycles(self.windows, self.inlier_cycles, self.local, run)
 
     def for_run(self, run: int) -> "Fit":
-        """Return the fit of one run: its cycles, residuals and unknowns; the solution stays that of all."""
+        """Return the cycles, residuals and unknowns of one run; the solution stays that of all."""
         if self.runs == 1:
             return self
         own = np.flatnonzero(self.windows.run == run)

@@ -1,15 +1,12 @@
-"""Starting values of a formula: its projection on another friction, such as the measured curve.
+"""A law given as a formula: its starting values, and its curve as followed in a fit.
 
-The parameters in which the formula is linear follow from least squares beside trials of the others.  The best trials,
-each in a valley of its own, are improved within the bounds; several count, since motion tells more than a curve.
-Nothing is needed from the user.
+The parameters in which the formula is linear follow from least squares for trials of the others. The best trials, each
+in a separate valley, are improved within the bounds. Several are starts, since motion says more than a curve.
 
-A law given as a formula as the curve of a fit: followed through a spline, started by `fitting.search.formula`.
-
-The spline's knots are refined until its error is below `SPLINE_ERROR` of the friction; the derivatives by the
-parameters are the formula's.  A parameter that bends the curve and is never negative is fitted by its logarithm.  A
-trial whose formula is not finite, is negative at a speed of the motion or is not above 0 at rest is rejected as one
-that cannot be followed.
+The formula is followed through a spline whose knots are refined until its error is below `SPLINE_ERROR` of the
+friction; the derivatives by the parameters are the formula's. A trial whose formula is not finite, negative at a speed
+of the motion or not above 0 at rest is rejected. A non-negative parameter that bends the curve is fitted by its
+logarithm.
 """
 
 import math
@@ -31,8 +28,7 @@ DOUBLED = 2.0  # factor on a parameter: whether the derivative by it changes the
 BEND_DRAWS = 3  # sets of values at which that is looked at
 DERIVATIVE_ROUNDING = 1e-9  # change over a derivative: less is rounding
 SCANNED = 40  # values of one parameter that is tried alone: half as many find the same minima
-# Values of each of several parameters, and the range of all over their natural sizes: half as many a decade still start
-# Stribeck curves.
+# Values of each of several parameters, and their range over the natural sizes.
 COMBINED, TRIED_SIZES = 10, (10**-2.5, 1e2)
 MOST_TRIALS, SEED = 300, 7  # trials of all such parameters together; more than that are drawn
 BEST_TRIALS = 4  # best trials that are improved, each in a valley of its own
@@ -43,20 +39,19 @@ REFUSED_RESIDUAL = 1e9  # a residual of no number: the step is refused
 
 
 class Target(NamedTuple):
-    """Target of a formula f: ``root`` f(``speeds``) near ``aim``; shapes (k,) m/s, (m, k), (m,); ``size`` in m/s^2."""
+    """Target of a formula f: ``root`` f(``speeds``) near ``aim``."""
 
-    speeds: Array
-    root: Array
-    aim: Array
-    size: float
+    speeds: Array  # (k,) m/s
+    root: Array  # (m, k)
+    aim: Array  # (m,)
+    size: float  # of the friction, m/s^2
 
     @classmethod
     def of(cls, speeds: Array, friction: Array, sd: float) -> "Target":
-        """Return friction (k,) with one standard deviation everywhere, m/s^2, as a target."""
         return cls(speeds, np.eye(speeds.size) / sd, friction / sd, float(np.median(friction)))
 
     def off_by_a_constant(self, sd: float) -> "Target":
-        """Return the same with an unknown constant of standard deviation ``sd``, m/s^2."""
+        """Return the target with an unknown constant of standard deviation ``sd``, m/s^2."""
         along = sd * self.root.sum(axis=1)
         square = float(np.sum(along**2))
         if not square > 0:
@@ -66,34 +61,25 @@ class Target(NamedTuple):
         return self._replace(root=root, aim=self.aim - narrow * along * float(np.sum(along * self.aim)))
 
     def constant_beside(self, friction: Array, sd: float) -> float:
-        """Return the constant, of standard deviation ``sd``, that brings friction (k,) nearest, m/s^2."""
+        """Return the constant, of standard deviation ``sd``, that brings friction nearest, m/s^2."""
         along = sd * self.root.sum(axis=1)
         return -sd * float(np.sum(along * self.away(friction))) / (1 + float(np.sum(along**2)))
 
     def away(self, friction: Array) -> Array:
-        """Return the distances (m,) of friction (k,) from the target."""
         return np.asarray(np.einsum("mk,k->m", self.root, friction) - self.aim)
 
 
 class Start(NamedTuple):
-    """Values of the free parameters, and their squared distance from the target."""
-
     values: dict[str, float]
     misfit: float
 
 
 def find_starts(law: Law, near: Target, fastest: float = 0.0) -> list[Start]:
-    """Return local minima of a law's free parameters near another friction, nearest first.
-
-    The law's first values are the trials, within its bounds; it must be friction up to ``fastest``, m/s, or the
-    target's fastest. Raises InputError where no trial makes the formula a friction curve, with the reason of the first.
-    """
+    """Return local minima near a target, nearest first, where the formula is friction up to ``fastest``, m/s."""
     return StartSearch(law, near, fastest).minima()
 
 
 class StartSearch:
-    """The trials of a law's free parameters near another friction; arguments as in `find_starts`."""
-
     def __init__(self, law: Law, near: Target, fastest: float = 0.0) -> None:
         self.law, self.near = law, near
         self.fixed, self.given = dict(law.fix or {}), dict(law.start or {})
@@ -104,7 +90,6 @@ class StartSearch:
         self.refused: InputError | None = None
 
     def minima(self) -> list[Start]:
-        """Return the best local minima where the formula is a friction, nearest first."""
         improved = [end for start in self._tried() if (end := self._improved(start)) is not None]
         if not improved:
             why = self.refused or InputError("no values were tried", "formula", "give first values")
@@ -114,7 +99,7 @@ class StartSearch:
 
     @cached_property
     def bends(self) -> dict[str, bool]:
-        """Whether each parameter bends the curve: its derivative depends on it."""
+        """Whether the derivative by each parameter depends on it."""
         return {name: self._moves((name,)) for name in self.law.free}
 
     @cached_property
@@ -127,10 +112,7 @@ class StartSearch:
         return tuple(chosen)
 
     def _moves(self, group: tuple[str, ...]) -> bool:
-        """Return whether the derivatives by a group of parameters depend on them, at some values of the others.
-
-        These values are distinct at random: with two equal friction levels, a Stribeck speed has no effect.
-        """
+        """Return whether derivatives by a group depend on it; other values are random, as equal ones hide an effect."""
         rng = np.random.default_rng(SEED)
         for _ in range(BEND_DRAWS):
             whole = self.fixed | {
@@ -154,11 +136,7 @@ class StartSearch:
         return float(np.clip(value, low, high))
 
     def _tried(self) -> list[Start]:
-        """Return the best trials of the parameters that bend the curve, with the linear ones.
-
-        Of one parameter these are the minima of a scan: on fine records the true valley is so narrow that a wide one
-        elsewhere is lower on the scan.
-        """
+        """Return the best trials; of one parameter the minima of a scan, since the true valley may be narrow."""
         tried = [name for name in self.law.free if name not in self.linear and name not in self.given]
         first, found = self._with_linear(self.begin), [self._with_linear(values) for values in self._combined(tried)]
         if len(tried) != 1:
@@ -169,7 +147,6 @@ class StartSearch:
         return [one for one in [first, *minima] if one is not None]
 
     def _combined(self, tried: Sequence[str]) -> list[dict[str, float]]:
-        """Return trials of the parameters that bend the curve: all combinations, or some of very many."""
         each = [self._values(name, SCANNED if len(tried) == 1 else COMBINED) for name in tried]
         if math.prod(map(len, each)) <= MOST_TRIALS:
             combined = list(product(*each))
@@ -179,7 +156,7 @@ class StartSearch:
         return [self.begin | dict(zip(tried, values, strict=True)) for values in combined]
 
     def _values(self, name: str, count: int) -> list[float]:
-        """Return values of a parameter of each sign within its bounds, evenly spaced in their logarithm."""
+        """Return values of each sign within the bounds, evenly spaced in their logarithm."""
         found: list[float] = []
         for sign in (1.0, -1.0):
             low, high = sorted(sign * limit for limit in self.law.limits(name))
@@ -190,7 +167,7 @@ class StartSearch:
         return found
 
     def _with_linear(self, values: dict[str, float]) -> Start | None:
-        """Return values with the linear ones by bounded least squares; None where not finite."""
+        """Add the linear parameters by bounded least squares; None where not finite."""
         left = self._left(values)
         if left is None:
             return None
@@ -207,7 +184,7 @@ class StartSearch:
         return None if left is None else Start(values, float(np.sum(left**2)))
 
     def sloped(self, values: dict[str, float], by: tuple[str, ...]) -> Array | None:
-        """Return the derivatives (m, p) of the residual by parameters; None where not finite."""
+        """Return the derivatives (m, p) of the residual; None where not finite."""
         try:
             slopes = self.law.curve.gradient(self.near.speeds, self.fixed | values, by)
         except InputError as error:
@@ -224,7 +201,6 @@ class StartSearch:
             return None
 
     def _valleys(self, starts: Sequence[Start]) -> list[Start]:
-        """Return the best of the starts in each of the best valleys."""
         kept: list[tuple[Start, Array]] = []
         for start in starts:
             left = self._left(start.values)
@@ -235,7 +211,7 @@ class StartSearch:
         return [start for start, _ in kept]
 
     def _improved(self, start: Start) -> Start | None:
-        """Return the end of bounded least squares, or the start; None where neither is a friction."""
+        """Return the end of bounded least squares, or the start; None where neither is friction."""
         from scipy.optimize import least_squares
 
         names = self.law.free
@@ -265,7 +241,7 @@ class StartSearch:
         return end if self._is_friction(end.values) else start if usable else None
 
     def _is_friction(self, values: dict[str, float]) -> bool:
-        """Return whether friction is finite and not negative at every slip speed, and above 0 at rest."""
+        """Return whether friction is finite, not negative in slip, and above 0 at rest."""
         whole = self.fixed | values
         try:
             friction = self.law.curve.value(self.checked, whole)
@@ -284,7 +260,7 @@ class StartSearch:
 
 
 def _order(start: Start) -> tuple[float, int]:
-    """Return the sort key: of values with the same curve, those with fewer signs come first."""
+    """Return the sort key: of equal curves, the one with fewer negative parameters is first."""
     return float(f"{max(start.misfit, ROUNDING):.5g}"), sum(value < 0 for value in start.values.values())
 
 
@@ -296,12 +272,7 @@ SPLINE_REACH = 1.1  # last knot over the measured curve's: slips of the fit may 
 
 
 class FormulaCurve(FrictionCurve):
-    """A law's formula as the friction of a path; theta (k,) are its free parameters or their logarithms (``by_log``).
-
-    It is followed up to slip speed ``fastest``, m/s; ``starts`` are minima on the target ``near``, nearest first.  Of
-    parameters that the formula has only ``together`` some are held at their starts or natural sizes.
-    Raises InputError where no trial of the parameters is a friction, with the reason of the first.
-    """
+    """A formula as the friction of a path; theta are its free parameters, or their logarithms (``by_log``)."""
 
     law: Law
 
@@ -328,7 +299,6 @@ class FormulaCurve(FrictionCurve):
         return None if spline is None else spline_curve(spline, self.ramp)
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
-        """As in `FrictionCurve`, with the formula's own derivatives by the parameters."""
         in_slip, in_stick, edge = friction_effect(path)
         at_rest = self.slopes(theta, np.zeros(1))[0]
         forces = in_stick[:, None] * at_rest
@@ -338,7 +308,7 @@ class FormulaCurve(FrictionCurve):
         return np.hstack([shared_tangents(path, places), own])
 
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
-        """As in `FrictionCurve`; constant beyond `fastest`, where the formula may not be a friction."""
+        """Constant beyond `fastest`, where the formula may not be friction."""
         try:
             return self.at_speeds(theta, s)
         except InputError:
@@ -359,7 +329,7 @@ class FormulaCurve(FrictionCurve):
             return np.where(self.by_log, np.log(lower), lower), np.where(self.by_log, np.log(upper), upper)
 
     def at_speeds(self, theta: Array, s: Array) -> Array:
-        """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s; InputError if not finite or negative."""
+        """Return friction, m/s^2, at slip speeds, m/s; InputError if not finite or negative."""
         found = self.law.curve.value(s, self.values(theta))
         if found.min() < 0:
             at = self.law.curve.place(float(s[np.argmin(found)]), self.values(theta))
@@ -368,17 +338,12 @@ class FormulaCurve(FrictionCurve):
         return found
 
     def slopes(self, theta: Array, s: Array) -> Array:
-        """Return the derivatives (k, unknowns) of friction at slip speeds s (k,)."""
         values = self.values(theta)
         found = self.law.curve.gradient(s, values, self.free)
         return np.asarray(found * np.where(self.by_log, [values[name] for name in self.free], 1.0))
 
     def spline(self, theta: Array) -> FrictionSpline | None:
-        """Return a spline through the formula; None where it is not a friction, or too abrupt.
-
-        It begins with the knots of the trial before, or anew where those of other trials do not fit or are so many that
-        a path along them has too many steps.
-        """
+        """Return a spline through the formula, from the last knots if they fit; None if not friction or too abrupt."""
         crowded = self._near.knots.size > MOST_PIECES // 2
         for begin in dict.fromkeys((self._first, self._near) if crowded else (self._near, self._first)):
             found = self._through(theta, begin)
@@ -388,7 +353,6 @@ class FormulaCurve(FrictionCurve):
         return None
 
     def _through(self, theta: Array, spline: FrictionSpline) -> FrictionSpline | None:
-        """Return a spline through the formula, with refined knots where its error is large."""
         while True:
             knots = spline.knots
             at = np.append(np.linspace(knots[:-1], knots[1:], PER_PIECE, endpoint=False, axis=1), knots[-1])

@@ -4,7 +4,7 @@ first_pass   noise 30 times the resolution, on the thinned record: priors then h
 settle       again with the noise, weights and scatter that the pass before showed, until these stay
 finish       every sample, seen through nodes, and a last step of all; levels may fade, outlying cycles hardly count
 
-Cycles in which the mass overtakes the belt after landing although its velocity does not show it.
+Cycles in which the mass overtakes the belt unseen are found between `settle` and `finish`.
 """
 
 import math
@@ -30,7 +30,7 @@ from stickslip.compute.arrays import Array, Mask
 
 
 class Limits(NamedTuple):
-    """Limits of a minimisation: most steps, and the gain and the relative change of the rms below which it ends."""
+    """Most steps of a minimisation, and the gain and relative change of the rms below which it ends."""
 
     steps: int
     gain: float
@@ -38,40 +38,24 @@ class Limits(NamedTuple):
     corrections: int = 0
 
 
-# Noise that the first pass assumes, over the resolution.  At half a start that errs by a slip's tenth is held where it
-# is; at twice the priors hold a true law too, which then needs one more pass.
-FIRST_NOISE = 30.0
-# Of each pass on the thinned record.  Half the steps end before a bent valley's floor; twice the steps cost laws that
-# are wrong twice the time.  A wrong law's noise is large and its gain small: its rms says whether it still moves.
-SEARCH = Limits(12, 1e-3, 1e-3)
-WHOLE = Limits(30, 1e-5, np.inf, corrections=3)  # of every sample: at half, a level that fades is not at its end
+FIRST_NOISE = 30.0  # noise assumed in the first pass, over the resolution: a start may err by a tenth of a slip
+SEARCH = Limits(12, 1e-3, 1e-3)  # on the thinned record; the gain of a wrong law is small, so its rms decides
+WHOLE = Limits(30, 1e-5, np.inf, corrections=3)  # with every sample
 MOST_PASSES = 4  # passes after the first; the noise of a true law stays after two
-# Noise shown over the noise assumed: a pass that shows no less was the last.  At 0.9 each law takes one pass more.
-NOISE_SETTLED = 0.8
+NOISE_SETTLED = 0.8  # noise shown over the noise assumed, above which a pass is the last
 NOISE_CUT = 4.0  # factor by which the noise assumed falls from pass to pass, where it is known
 FIRST_DAMPING, LATER_DAMPING = 1e-4, 1e-6  # of the curvatures: far from the end, and near it
 CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the own unknowns of outlying cycles
-# Error over the best after the first pass, from which a fit is not settled.  True laws reach 20 there in harsh records;
-# twice costs time alone.
-GIVEN_UP_BEYOND_BEST = 30.0
-# Least gain in log likelihood of a ramp's break-away level of its own.  Half and twice decide the same on 26 records,
-# of which two have one.
-STATIC_GAIN = 5.0
-# Starts of the break-away level over that of slip.  What the level's first step would gain does not say whether it is
-# worth a search: with levels of 1.05 and of 1.5 it was nothing at the end without one.  From 1.1 alone a level of 1.5
-# was missed, from 1.5 alone one of 1.3.
-STATIC_STARTS = (1.1, 1.5)
-# Shares of the way from the curve of a fit without a level to that of the regression, from which others start.  Of 24
-# records of law 6 with levels of 1.2 to 1.6 the first alone misses about half, the second alone five, both three.
-TOWARDS_REGRESSION = (1.0, 0.75)
+GIVEN_UP_BEYOND_BEST = 30.0  # error over the best after the first pass; true laws reach 20 in harsh records
+STATIC_GAIN = 5.0  # least gain in log likelihood by a separate break-away level of a ramp
+STATIC_STARTS = (1.1, 1.5)  # starts of the break-away level over that of slip: either alone misses true levels
+TOWARDS_REGRESSION = (1.0, 0.75)  # starts on the way from the curve of a fit without a level to the regression
 CYCLE_GAIN = 0.99  # cost over that of a cycle before: another start of its own unknowns led to another minimum
-# Of forces along an earlier path: how often the path is followed before a pass, the passes in which they settle, the
-# most steps of each, and the change of their size at which they have.
+# Forces along a path: times that it is followed before a pass; most passes, steps of each, and change when settled.
 FOLLOWED, FORCE_PASSES, FORCE_STEPS, FORCE_SETTLED = 4, 6, 8, 1e-3
 
 
 def regressed_start(task: Task) -> FitStart:
-    """Return the start: shared unknowns of the regression, forces of 0, windows at the smoothed motion."""
     problem = task.problem
     windows = problem.windows(thinned=True)
     local = starts.cycle_starts(windows, problem.motions, problem.cycles, problem.start)
@@ -80,25 +64,19 @@ def regressed_start(task: Task) -> FitStart:
 
 
 def restarted_windows(at: Fit) -> FitStart:
-    """Return a restart: the fit's shared unknowns, with all windows at the smoothed motion.
-
-    The first shared unknowns may have held some cycles in poor minima, and these held them in turn.
-    """
+    """Restart all windows at the smoothed motion: the first shared unknowns may have led them to poor minima."""
     problem = at.task.problem
     return FitStart(at.q, starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u))
 
 
 def assumed_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
-    """Return noise of so many resolutions, before the first pass."""
+    """Return noise of so many resolutions."""
     resolution = np.array([motion.resolution for motion in task.problem.motions])
     return PassNoise(times * resolution, np.ones(len(task.problem.cycles)))
 
 
 def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> Fit | None:
-    """Fit on the thinned record; None where the start cannot be followed.
-
-    ``noise`` is that of a fitted start; for others nearly any misfit is taken for noise.
-    """
+    """Fit the thinned record; without the noise of a fitted start nearly any misfit is taken for noise."""
     begun = clock.process_time()
     windows = task.problem.windows(thinned=True)
     noise = assumed_noise(task) if noise is None else noise
@@ -109,10 +87,7 @@ def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> F
 
 
 def regressed_pass(task: Task, noise: PassNoise | None = None) -> Fit | None:
-    """Return the first pass from the regression; a belt's ripple is free only after the rest has converged.
-
-    Under the large noise of a first pass any frequency fits as well as that of the sticks.
-    """
+    """Fit from the regression; under large noise any ripple fits, so its frequency is freed at the end."""
     steady = task.without(*RIPPLE)
     if steady.places == task.places:
         return first_pass(task, regressed_start(task), noise)
@@ -123,10 +98,7 @@ def regressed_pass(task: Task, noise: PassNoise | None = None) -> Fit | None:
 
 
 def settle(at: Fit, noise_m: Array | None = None) -> Fit | None:
-    """Fit again with the noise and the weights of the previous pass, until these no longer change.
-
-    A known noise of a position, ``noise_m`` (runs,), m, is approached in steps, whatever a pass shows.
-    """
+    """Repeat the pass with the noise shown until that stays; a known noise (runs,), m, is approached in steps."""
     begun, spent = clock.process_time(), at.cpu_s
     for _ in range(MOST_PASSES):
         found = _searched(at)
@@ -143,17 +115,12 @@ def settle(at: Fit, noise_m: Array | None = None) -> Fit | None:
 
 
 def _searched(at: Fit) -> Fit | None:
-    """Return another pass on the thinned record, from the end of a fit."""
     model = Model(at.task, at.windows, flow.SEARCH_STEP, at.model.near)
     return _one_pass(model, FitStart(at.q, restarted(at)), at.noise, SEARCH, LATER_DAMPING)
 
 
 def with_own_static(at: Fit) -> Fit:
-    """Return the fit of a ramp with a separate break-away level where that gains on the thinned record.
-
-    Starts whose first pass gains something are settled until one reaches the noise. A level free from the first pass on
-    ends in poor minima.
-    """
+    """Give a ramp a break-away level if the thinned record gains; free from the first pass it ends in poor minima."""
     begun, task = clock.process_time(), at.task.with_static
     reached = noise_levels.DESCRIBES * task.resolution
     best = at
@@ -171,9 +138,8 @@ def with_own_static(at: Fit) -> Fit:
 def _static_starts(task: Task, at: Fit) -> list[Array]:
     """Return unknowns (13 runs,) with a break-away level, from the end of a fit without one.
 
-    A curve without a level rises towards rest to come near the break-aways, and the regression of the smoothed slips is
-    too flat. The first have curves between the two, and the fit's friction at rest as the level; the others have the
-    fit's friction in slip.
+    Without a level the curve rises towards rest, and the regression of the smoothed slips is too flat. The first starts
+    lie between the two, with the fit's friction at rest as the level; the others keep its friction in slip.
     """
     between = [at.u.copy() for _ in TOWARDS_REGRESSION]
     for u, share in zip(between, TOWARDS_REGRESSION, strict=True):
@@ -189,20 +155,19 @@ def _static_starts(task: Task, at: Fit) -> list[Array]:
 
 
 def _beside(task: Task, u: Array, at: Fit) -> Array:
-    """Return the unknowns of a task with other free places, at u (13 runs,) and the end of a fit."""
     u = np.clip(u, task.problem.lower, task.problem.upper)
     return np.concatenate([u[list(task.places)], at.q[len(at.task.places) :]])
 
 
 def _set_static(task: Task, u: Array, level: float) -> None:
-    """Change the break-away level in u (13 runs,), with the same friction in slip and slope in stick."""
+    """Change the break-away level in u, with the same friction in slip and slope in stick."""
     if isinstance(task.curve, LawCurve):
         for own in u.reshape(-1, PER_RUN):
             own[:] = unknowns.to_array(starts.with_static(task.curve.code, unknowns.values(own), level))
 
 
 def _static_gain(at: Fit) -> float:
-    """Return the approximate gain of a break-away level in log likelihood; inf where the ramp has none."""
+    """Return the approximate gain in log likelihood; inf without a level."""
     if Global.STATIC not in at.task.places:
         return math.inf
     excess, sd = float(at.u[Global.STATIC]) - 1.0, at.deviation(Global.STATIC)
@@ -210,10 +175,7 @@ def _static_gain(at: Fit) -> float:
 
 
 def finish(at: Fit, noise_m: Array | None = None) -> Fit | None:
-    """Fit again with every sample, through nodes; None where these shorter steps cannot be followed.
-
-    ``noise_m`` (runs,) is the noise of a position, m, where known better than by this curve's residual.
-    """
+    """Fit every sample, through nodes, with a known noise (runs,), m, if any; None if that cannot be followed."""
     begun, spent = clock.process_time(), at.cpu_s
     noise = at.noise.with_fade(at.task, at.windows, at.local)
     # The noise is that of levels that fade: without, a drag that wears shows several times as much.
@@ -228,10 +190,7 @@ def finish(at: Fit, noise_m: Array | None = None) -> Fit | None:
 
 
 def finish_from(task: Task, start: FitStart, noise: PassNoise, near: Path | None = None) -> Fit | None:
-    """Fit with every sample from near the end, with the noise of the pass before.
-
-    A break-away level that gains nothing is left out again; slips that start faster than the belt start again.
-    """
+    """Fit every sample from near the end; a break-away level without gain is removed."""
     begun = clock.process_time()
     found = _whole(task, start, noise, near)
     if found is None:
@@ -260,7 +219,8 @@ def _whole(
     if residual is None or there is None:
         return None
     seen = nodes.seen(there + nodes.windows.position, residual)
-    seen_by = Model(task, seen, flow.LONGEST_STEP, _over(sparse.near, seen), nodes.count)
+    path = None if sparse.near is None else replace(sparse.near, windows=seen)
+    seen_by = Model(task, seen, flow.LONGEST_STEP, path, nodes.count)
     last = _one_pass(seen_by, start, noise, WHOLE, LATER_DAMPING, below_belt=below_belt)
     if last is None:
         return None
@@ -275,9 +235,8 @@ def _whole(
 def _started_below_belt(at: Fit, noise: PassNoise) -> Fit:
     """Refit slips that start faster than the belt from a slower start, and keep the better fit.
 
-    Beyond the belt's speed friction points the other way until the mass sticks, and the cycle's break-away then fixes
-    its level: a local minimum under noise, with Fs up to 15 % too small. Bounds from the first pass on lead other fits
-    into poor minima. On a ramp the two directions meet without a jump.
+    Friction there points the other way until the mass sticks: a local minimum under noise, Fs up to 15 % too small.
+    Bounds from the first pass on lead other fits into poor minima.
     """
     problem, curve = at.task.problem, at.task.curve
     fastest = at.windows.fastest_starts(at.u)
@@ -291,10 +250,7 @@ def _started_below_belt(at: Fit, noise: PassNoise) -> Fit:
 
 
 def restarted(at: Fit) -> Array:
-    """Return the cycles' own unknowns, those of outlying cycles from the smoothed motion where that costs less.
-
-    A cycle with a velocity step has several minima, and a poor one distorts the fit although its weight is low.
-    """
+    """Restart outlying cycles from the smoothed motion where that costs less: a velocity step makes several minima."""
     cycles = np.flatnonzero(~at.noise.inliers)
     part = at.least_squares.of_cycles(at.q, cycles)
     if part is None:
@@ -310,11 +266,6 @@ def restarted(at: Fit) -> Array:
     local = at.local.copy()
     local[cycles[better]] = found.local[better]
     return local
-
-
-def _over(near: Path | None, windows: object) -> Path | None:
-    """Return a path as one of other windows with the same times."""
-    return None if near is None else replace(near, windows=windows)  # type: ignore[arg-type]
 
 
 def _with_noise(at: Fit, *, first: bool) -> Fit:
@@ -347,10 +298,7 @@ def _one_pass(
 
 
 def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_belt: bool = False) -> LeastSquaresProblem:
-    """Return the problem of a pass: calibrations are priors; levels that do not fade keep their fade.
-
-    ``below_belt`` bounds slips to start slower than the belt, as a separate curve or force requires.
-    """
+    """Return the problem of a pass; ``below_belt`` bounds slips to start slower than the belt."""
     task, windows = model.task, model.windows
     problem, (p, _, m) = task.problem, task.widths
     index = list(task.places)
@@ -384,12 +332,10 @@ def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_bel
     )
 
 
-# Share of a spoilt cycle's mean square beyond the usual one: less is left where the mass overtakes.
-LEFT_BY_OVERTAKING = 0.5
+LEFT_BY_OVERTAKING = 0.5  # share of a spoilt cycle's excess mean square: less is left where the mass overtakes
 
 
 def find_overtaking(at: Fit) -> Mask:
-    """Return the spoilt cycles (cycles,) whose residual an unseen overtaking of the belt explains."""
     asked: Mask = at.windows.spoilt(at.residual) & ~at.windows.overtaking
     overtaking = np.zeros(asked.size, np.bool_)
     cycles = np.flatnonzero(asked)
@@ -409,7 +355,6 @@ def find_overtaking(at: Fit) -> Mask:
 
 
 def with_overtaking(at: Fit, overtaking: Mask) -> Fit | None:
-    """Return the thinned record fitted with the belt overtaken in these cycles (cycles,) too."""
     problem = at.task.problem.with_overtaking(overtaking)
     fresh = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, at.u)
     local = np.where(overtaking[:, None], fresh, at.local)
