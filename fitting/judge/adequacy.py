@@ -187,7 +187,8 @@ def assess(
     if rejected and explain and not departures and chosen.linearised is not None:
         base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
         if base is not None:
-            fluctuation = fluctuation_share(base, partial(_count_repeated, chosen), float(np.max(noise)))
+            count_repeated, repeated = partial(_count_repeated, chosen), chosen.together.repeat
+            fluctuation = fluctuation_share(base, repeated, count_repeated, float(np.max(noise)))
     visible = _visible(chosen, motions)
     together = Adequacy(
         outcome,

@@ -79,10 +79,13 @@ HARMONICS = 64  # sines whose sum is one draw
 TIMES_TRIED = (1.0, 0.5, 0.25, 0.125, 0.0625)
 
 
-def fluctuation_share(base: Base, count_repeated: Callable[[Array], Array], noise: float) -> float | None:
+def fluctuation_share(
+    base: Base, repeated: float, count_repeated: Callable[[Array], Array], noise: float
+) -> float | None:
     """Return the standard deviation of random friction over the friction at rest.
 
-    None where more of the residual repeats from slip to slip than random friction leaves, or beside an unstable motion.
+    None where more of the residual (``repeated``) repeats from slip to slip than random friction leaves, or beside an
+    unstable motion.
     """
     linear, path = base.linear, base.path
     excess = usual_rms(linear.residual, linear.rows) ** 2 - noise**2
@@ -106,7 +109,7 @@ def fluctuation_share(base: Base, count_repeated: Callable[[Array], Array], nois
             times = [_correlation(one, base) for one in drawn.T]
             found.append((abs(math.log(float(np.median(times)) / seen)), size))
             repeat = max(repeat, float(np.max(count_repeated(drawn))))
-    if not found or count_repeated(linear.residual[:, None])[0] > repeat:
+    if not found or repeated > repeat:
         return None
     return min(found)[1] * base.fit.values.F / _friction_at_rest(base.fit)
 

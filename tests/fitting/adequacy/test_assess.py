@@ -110,4 +110,4 @@ def test_friction_that_fluctuates_is_told_from_what_repeats_and_measured_by_the_
     if lost:
         assert found.fluctuation is None
     else:
-        assert 0.08 / 3 < found.fluctuation < 0.08 * 3
+        assert 0.04 < found.fluctuation < 0.16
