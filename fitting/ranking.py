@@ -1,7 +1,4 @@
-"""`rank`: fits the laws to smoothed records and ranks them; returns the best, or the set of compatible ones.
-
-Evidence and set rule: `fitting.judge.evidence`.
-"""
+"""`rank`: smoothed records are fitted, the laws compete (`fitting.judge.evidence`), and the answer is put in words."""
 
 import logging
 import time as clock
@@ -33,7 +30,7 @@ def rank(
     options: Options,
     progress: Callable[[float], None] | None = None,
 ) -> Ranking:
-    """Fit the laws to a record, or to several of one contact together, and rank them; errors as of `fitting.rank`."""
+    """Rank the laws of a record, or of several of one contact together; errors as of `fitting.rank`."""
     begun = clock.process_time()
     if len(records) > 1:
         options.check_joint()
@@ -104,10 +101,7 @@ def _compete(
     runs: Sequence[Run],
     progress: Callable[[float], None] | None = None,
 ) -> Competition:
-    """Fit all laws to the runs, and let them compete.
-
-    Raises NoLawError: no law comes near the record.
-    """
+    """Let all laws compete; NoLawError where none comes near the record."""
     competitors = options.competitors
     six, runs, sustained, doubt = law_fits.fit_runs(options, runs, records, progress)
     nearest, curve = measure(six, [run.motion for run in runs], options.alpha)
@@ -138,7 +132,7 @@ def _compete(
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
-    """Return the encoder's travel per revolution, m, if the same in all runs, else None."""
+    """Return the encoder's travel per revolution, m, if the same in all runs."""
     found = set()
     for record in records:
         pitch, counts = record.recording.rig.metres_per_count, record.recording.rig.counts_per_revolution

@@ -47,7 +47,7 @@ def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
 
 
 def friction_at(fit: Fit, motion: MeasuredMotion, w: Array) -> Array:
-    """Return a law's friction at relative velocities w (n,), m/s in the record's sign; in `unit`."""
+    """In `unit`, at relative velocities w (n,), m/s in the record's sign."""
     return fit.force(w, mass(motion, fit))
 
 
