@@ -38,7 +38,6 @@ def fit(
 
     ``places`` are those of the reports, if wanted. An unusable run becomes a row; DeviceError is raised only where all
     workers were lost before the first run had finished.
-
     """
     rows: list[ComparedRun] = []
     reports: Sequence[Path | None] = places or [None] * len(files)

@@ -50,7 +50,6 @@ def exit_code(document: Mapping[str, Any]) -> int:
 
 
 def load_run(path: Path, options: Options, rig: Rig | None = None) -> LoadedRun:
-    """Read a run, with another calibration if given; InputError for an unusable file, calibration or time range."""
     samples = runfile.select_between(path, options.begin, options.end)
     with runfile.open_run(path) as file:
         beside = smoothed_stage.digest(file["entry"])  # before the rest: what replaces it later is another one

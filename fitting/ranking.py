@@ -8,7 +8,7 @@ from dataclasses import replace
 from daq.runfile.rig import Rig
 from fitting.judge import law_fits, screening
 from fitting.judge.adequacy import assess, measure
-from fitting.judge.calibrations import LawParameters, find_contradictions, find_other_contact, known_rest, with_given
+from fitting.judge.calibrations import LawParameters, find_contradictions, find_other_contact, with_given
 from fitting.judge.formulas import fit_formulas, name_better_limit
 from fitting.judge.judgement import Competition, compete
 from fitting.judge.parameters import Parameter
@@ -20,6 +20,7 @@ from fitting.search.fit import Unfitted
 from fitting.words import answer
 from processing.record.kinematics import Kinematics
 from stickslip.errors import DataError
+from stickslip.units import Measured
 
 logger = logging.getLogger(__name__)
 
@@ -85,9 +86,10 @@ def _cut(records: Sequence[Kinematics], rigs: Sequence[Rig], options: Options) -
     """Return each record in the fit's frame, divided into cycles."""
     for record in records:
         screening.refuse_wrong_times(record)
-    runs = []
+    runs, rest = [], options.competitors.fix.get("x0")
     for record, rig in zip(records, rigs, strict=True):
-        motion = frame.from_kinematics(record, known_rest(rig, options.competitors), options.belt_speed)
+        known = rig if rest is None else rig.resting_at(Measured(rest, 0.0))
+        motion = frame.from_kinematics(record, known, options.belt_speed)
         screening.refuse_few_samples(motion, record)
         runs.append(law_fits.cut_run(motion, frozenset(options.excluded)))
         found = runs[-1].cut

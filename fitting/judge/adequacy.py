@@ -1,7 +1,6 @@
 """Whether a law describes a record; the friction curve without a law; and what else acts where none does.
 
 `measure` judges the nearest of the six and measures the curve; `assess` concludes, once all laws have competed.
-
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -151,7 +150,6 @@ def assess(
     The first result is of all runs together; of several runs one follows for each, without curve and departures.
     ``nearest`` are the fits to try departures with, best first; ``laws`` is how many of the six were requested; without
     ``explain`` the cause is known already; a ``revolution`` (encoder travel, m) of None is scanned for.
-
     """
     rejected = chosen.together.rejected
     curve_goodness = None
@@ -173,7 +171,10 @@ def assess(
         base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
         if base is not None:
             fluctuation = fluctuation_share(base, partial(_count_repeated, chosen), float(np.max(noise)))
-    visible = _visible(chosen, motions)
+    usual = chosen.usual
+    visible: tuple[float | None, ...] = (None,) * len(motions)
+    if usual is not None:
+        visible = smallest_visible(chosen.fit, usual, chosen.slips)
     together = Adequacy(
         outcome,
         chosen.together.noise_m,
@@ -184,9 +185,10 @@ def assess(
     )
     if curve is not None:
         mass = known_mass(motions[0], curve)
+        shown = replace(curve, k_over_m=replace(curve.k_over_m, trusted=of_speed))
         together = replace(
             together,
-            curve=_reported(curve, mass, trusted=of_speed),
+            curve=shown if mass is None else in_newtons(shown, mass),
             curve_goodness=curve_goodness,
             outside_band={fit.law.key: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
             unit="N/kg" if mass is None else "N",
@@ -203,15 +205,12 @@ def assess(
 
 
 def describing(
-    fits: Sequence[Fit],
-    motions: Sequence[MeasuredMotion],
-    noise: float,
-    known: Mapping[Law, Judged] | None = None,
+    fits: Sequence[Fit], motions: Sequence[MeasuredMotion], noise: float, known: Mapping[Law, Judged]
 ) -> dict[Law, Judged]:
     """Return the goodness of fit of the nearest law, and of those within `noise_levels.LOST` times the ``noise``, m."""
     nearest = min(fits, key=lambda fit: fit.geometric_mean_rms)
     return {
-        fit.law: (known or {}).get(fit.law) or _judged(fit, motions)
+        fit.law: known.get(fit.law) or _judged(fit, motions)
         for fit in fits
         if fit is nearest or fit.geometric_mean_rms < noise_levels.LOST * noise
     }
@@ -224,11 +223,6 @@ def _count_repeated(chosen: Judged, residuals: Array) -> Array:
     return np.asarray(np.average(repeated, axis=0, weights=[own.bins.slips for own in judged]))
 
 
-def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
-    usual = chosen.usual
-    return (None,) * len(motions) if usual is None else smallest_visible(chosen.fit, usual, chosen.slips)
-
-
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
     """Return whether one of the laws leaves no more than noise, as far as that can be judged."""
     return any(not _judged(fit, motions).together.rejected for fit in fits)
@@ -239,12 +233,6 @@ def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
     if motion.mass is not None:
         return motion.mass.value
     return motion.stiffness.value / curve.k_over_m.value if motion.stiffness is not None else None
-
-
-def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> MeasuredCurve:
-    """Return the curve in newtons where the mass is known; k/m without its interval where it is not trusted."""
-    curve = replace(curve, k_over_m=replace(curve.k_over_m, trusted=trusted))
-    return curve if mass is None else in_newtons(curve, mass)
 
 
 def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:

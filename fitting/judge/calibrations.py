@@ -6,7 +6,6 @@ position has the sign of the run's belt.
 A calibration is contradicted only where a law that was fitted without it describes the record, and none does with it.
 A law that describes the record with a calibration as a prior, but far from it, is fitted again without it.  Runs that
 no law describes together are of several contacts where one law describes each of them alone, with other parameters.
-
 """
 
 import math
@@ -37,11 +36,6 @@ UNKNOWNS = {
     "c": Global.DAMPING,
 }
 IN_NEWTONS, SIGNED = ("k", "Fs", "c"), ("v_dr", "x0")
-
-
-def known_rest(rig: Rig, competitors: Competitors) -> Rig:
-    fixed = competitors.fix.get("x0")
-    return rig if fixed is None else rig.resting_at(Measured(fixed, 0.0))
 
 
 def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
@@ -126,7 +120,6 @@ def find_contradictions(
     """Return what of each run's calibration its record contradicts, in the record's own signs, SI units.
 
     ``described`` has the laws that describe the runs; ``records`` the calibration that the positions were made with.
-
     """
     found = _of_runs(described, runs, records)
     doubted = {one.code for own in found for one in own} if described else set(UNITS)

@@ -16,7 +16,6 @@ Ramp and belt.  Without the belt's counts a ramp and a jump on a belt that slows
 (`rig_sim.flow.modes`, droop).  So the jump law of the nearest ramp also competes on a belt whose compliance is fitted,
 and pays for it as the ramp pays for its width.  Runs at several belt speeds can separate the two: a ramp has the same
 width at every speed, while each run has its own compliance.
-
 """
 
 import math
@@ -73,11 +72,6 @@ class Units:
     samples: float  # effective samples in all units together
 
 
-def _log_error(residual: Array, motion: MeasuredMotion) -> float:
-    """Return the log of the rms, not below the encoder's error."""
-    return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
-
-
 def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
     """Return the cycles (cycles,) that the best law and its near relatives describe; all where these are too few."""
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)
@@ -132,10 +126,10 @@ def _judged(
 
 
 def unit_errors(fit: Fit, runs: Sequence[Run], units: Units) -> Array:
-    """Return the log error of every unit (units,), run by run."""
+    """Return the log rms of every unit (units,), not below the encoder's error, run by run."""
     judged = _judged(fit, runs, units.inliers, sustained=units.sustained)
     found = [
-        _log_error(piece, motion)
+        0.5 * math.log(float(np.mean(piece**2)) + motion.resolution**2)
         for (motion, residual), pieces in zip(judged, units.pieces, strict=True)
         for piece in np.array_split(residual, pieces)
     ]
@@ -241,7 +235,6 @@ def fit_on_compliant_belt(fits: Sequence[Fit], runs: Sequence[Run], alpha: float
     """Fit the jump law of the nearest ramp on a belt that slows under load.
 
     None where the belt was measured, the ramp is wider than any belt's loss, or its jump law fits as well.
-
     """
     if any(run.motion.belt_measured for run in runs):
         return None

@@ -19,7 +19,6 @@ mass again within milliseconds, and a step of the position remains.
 Smallest visible departure.  A wave in the friction, with one or two periods over all slip speeds and constant
 amplitude, or two or four over the travel and in proportion to the friction, less what the law's own parameters absorb.
 It is visible where half of all repetitions with it are rejected; the median over the waves is a typical size.
-
 """
 
 import math
@@ -62,11 +61,11 @@ class PositionNoise:
     jitter: float  # s, standard deviation of a sample time
 
     def variance(self, velocity: Array) -> Array:
-        """(n,), m^2, at velocities (n,)."""
+        """At velocities (n,), m^2, (n,)."""
         return np.asarray(self.pitch**2 / 12 + self.white**2 + (self.jitter * velocity) ** 2)
 
     def sd(self, velocity: Array) -> float:
-        """M rms over the velocities."""
+        """Rms over the velocities, m."""
         return math.sqrt(float(np.mean(self.variance(velocity))))
 
     @property
@@ -345,7 +344,6 @@ def judge(
 
     Residual and ``refit`` are of a fit without the cycles ``left_out``, which would pull at the shared parameters;
     ``windows`` replace the fit's where the residual is of others.
-
     """
     windows = fit.windows if windows is None else windows
     owner = np.repeat(windows.table[:, 5], windows.table[:, 3])

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fitting.judge import evidence
-from fitting.judge import evidence as equivalence
 from fitting.judge.adequacy import Judged, describing
 from fitting.judge.curve import MeasuredCurve
 from fitting.judge.evidence import Evidence, ModelSet, Units
@@ -63,10 +62,8 @@ def compete(
     """Compare all laws by one evidence; the set is one of those that describe the record.
 
     The jump law of a narrow ramp competes on a compliant belt too; of both fits of a law the better one is its row.
-    ``noise`` (runs,), m, is of one position; ``known`` is a law judged already.
-
     """
-    compliant = equivalence.fit_on_compliant_belt(fits, runs, alpha, sustained=sustained)
+    compliant = evidence.fit_on_compliant_belt(fits, runs, alpha, sustained=sustained)
     contenders = [*fits, *([] if compliant is None else [compliant])]
     units = evidence.common_units(contenders, runs, sustained=sustained)
     by_law: dict[Law, Fit] = {}
@@ -89,7 +86,7 @@ def compete(
     table = Evidence(tuple(penalised), np.array(list(penalised.values())), units.samples)
     chosen = evidence.model_confidence_set(table, alpha, described)
     fitting = {law: by_law[law] for law in described}
-    chosen = equivalence.with_indistinct_contacts(chosen, fitting, errors, runs, alpha, sustained=sustained)
+    chosen = evidence.with_indistinct_contacts(chosen, fitting, errors, runs, alpha, sustained=sustained)
     outside = sorted(described.difference(chosen.members), key=chosen.score.__getitem__)
     first = chosen.members[0]
     equal = [law for law in outside if evidence.no_larger(errors[law], errors[first], units.samples)]
@@ -104,7 +101,6 @@ def compete(
 
 
 def _misfit(fit: Fit, units: Units, noise: Array) -> float:
-    """Return the rms residual of the usual cycles over the noise of a position."""
     usual = [
         (fit.residual[rows], noise[run])
         for rows, run, counts in zip(fit.rows, fit.windows.run, units.inliers, strict=True)

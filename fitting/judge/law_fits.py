@@ -75,7 +75,6 @@ def fit_runs(
 
     Also returns their runs, whether the mass sticks often, and the reason to refuse the records unless another law fits
     them: fits of the six that do not come near refuse a record only if no custom law was requested.
-
     """
     laws = options.competitors.searched
     sustained = _check(laws, runs, records)
@@ -113,7 +112,6 @@ def fit_runs(
 def _fit_laws(
     laws: Sequence[Law], runs: Sequence[Run], among: Sequence[Law] = tuple(SIX.values()), **how: Any
 ) -> list[Fit]:
-    """Fit laws, without the errors of the levels as information."""
     return [without_level_errors(one) for one in exchange.fit_laws(laws, runs, among, **how)]
 
 
@@ -134,7 +132,6 @@ def _fit_other_ripples(
 
 
 def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Return whether the best law fits to within the noise."""
     return describes([min(fits, key=lambda fit: fit.geometric_mean_rms)], [run.motion for run in runs])
 
 
@@ -150,7 +147,6 @@ def _fit_grazing(
 
     Apparent short sticks may be the tops of a sine, so a ripple comes first only where the start-up drag shows one.
     Laws with sticks are tried where constant friction misses the record.
-
     """
     tried = [(fit_to(CONSTANT, steady, CONSTANT), steady)]
     rippled = [_with_ripple(run) for run in steady]
@@ -199,7 +195,7 @@ def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematic
     count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
-            refuse(screening.swings_alone(count), records)
+            refuse(f"{count} whole swing{'' if count == 1 else 's'} in it, and no stick", records)
         if count:  # a longer record of another motion would be none either
             refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
         left = sum(len(run.cut.cycles) for run in runs) - count

@@ -7,7 +7,6 @@ Calibrations are drawn from their errors.  Each draw is fitted with a warm start
 Profile.  One parameter is fixed at a row of values and all others are fitted again.  The deviance is twice the rise of
 the objective: in a linear problem the square of the distance in standard errors.  It excludes the errors of the metres
 per count and of the mass, which only scale the result.
-
 """
 
 import math
@@ -62,7 +61,6 @@ def profile(fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter
     """Return ``value`` (k,) of a parameter, and with it fixed there ``deviance`` (k,) and ``rms_m`` (k,).
 
     Unknown, fixed or dependent ones raise InputError, a motion that cannot be followed DataError.
-
     """
     if name not in parameters:
         raise InputError(f"law {fit.law.name} has no parameter {name!r}", "profile", nearest(name, list(parameters)))

@@ -10,7 +10,6 @@ single ones are clear of the noise.
 Stick-slip.  A record without cycles, or one that no law fits roughly in a few cycles or at all, is refused; what the
 motion shows explains why.  One fact decides alone, since only fits to such records are costly: a spring accelerates the
 mass between its sticks.
-
 """
 
 import math
@@ -97,7 +96,6 @@ def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
     """Return squared modes (k, m), m^2, mean square step (k,), m^2, and cycle (k,) of every piece.
 
     The mean of the modes over the cycles is subtracted: lost frames do not repeat, a wrong law's misfit does.
-
     """
     modes, steps, cycles, places = [], [], [], []
     windows = fit.windows
@@ -129,11 +127,7 @@ def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
 def _regressed(
     squares: Array, steps: Array, cycle: Integers, modes: PieceModes, certain: float
 ) -> tuple[Measured, float] | None:
-    """Return the share with its standard error by cycles, and the error of a record without lost frames.
-
-    None where the latter is larger than ``certain``.
-
-    """
+    """Return the share, and its error without lost frames; None where the latter is larger than ``certain``."""
     noise = np.broadcast_to(modes.noise[:, None, :], (NOISE_LAGS + 1, *squares.shape))
     columns = np.concatenate((noise, (steps[:, None] * modes.walk)[None]))
     level = float(np.mean(squares[:, : squares.shape[1] // 2]))  # of the modes that the walk hardly has
@@ -198,7 +192,6 @@ def refusal(
 
 
 def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics], where: str) -> tuple[str, str, str]:
-    """Return what a rejected record is, where, and what to do."""
     if why == SINE_ALONE:
         do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
         return f"no belt stick-slip in this record: {why}", where, do
@@ -243,7 +236,6 @@ def _slip(motion: MeasuredMotion, record: Kinematics) -> tuple[float, float]:
 
 
 def _rounded_up(rate: float) -> float:
-    """Round up to two digits."""
     step = 10.0 ** (math.floor(math.log10(rate)) - 1)
     return step * math.ceil(rate / step)
 
@@ -280,11 +272,7 @@ def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
 
 
 def is_stick_slip(record: Kinematics) -> bool:
-    """Return whether a record sticks and slips in turn on a belt, whatever its friction.
-
-    Its sticks have one speed, and the slips lead back as far, at a changing speed, as under a spring.
-
-    """
+    """Return whether sticks of one speed alternate with slips back, as long and at a changing speed."""
     sticks = record.sticks
     if len(sticks) < FEW or record.plateau_fraction < LEAST_SHARE:
         return False
@@ -322,11 +310,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
 
 
 def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return why no law can describe the runs, from rough fits of a few cycles, or "" once one law fits.
-
-    Free windows and levels let any of the six reach `SCREENED_ERROR` on real stick-slip.
-
-    """
+    """Return why no law can describe the runs, from rough fits of a few cycles; "" once one law fits."""
     if not sustained and all(_is_sine_alone(run) for run in runs):
         return SINE_ALONE
     few = [replace(run, cut=replace(run.cut, cycles=_spread_out(run.cut.used))) for run in runs]
@@ -350,10 +334,6 @@ def _sine_or(what: str, runs: Sequence[Run], *, sustained: bool) -> str:
     """Return ``what``, or that the motion is a sine without a start-up, which is the same at any friction."""
     alone = not sustained and all(_is_sine(run.motion) and not run.cut.starts_at_rest for run in runs)
     return SINE_ALONE if what and alone else what
-
-
-def swings_alone(swings: int) -> str:
-    return f"{swings} whole swing{'' if swings == 1 else 's'} in it, and no stick"
 
 
 def comes_near(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
@@ -382,7 +362,6 @@ def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
 
 
 def _of_motion(motion: MeasuredMotion) -> str:
-    """Return why a record without a whole cycle shows no stick-slip."""
     v = motion.velocity
     if motion.travel < BEYOND_NOISE * motion.resolution or motion.travel == 0:
         return "nothing moves beyond the noise" if motion.travel else "nothing moves"
@@ -444,5 +423,4 @@ def dies_away(velocity: Array) -> bool:
 
 
 def _slip_length(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
-    """Return the median distance covered in a slip window, m."""
     return float(np.median([np.ptp(motion.position[slice(*cycle.slip)]) for cycle in cut.used]))

@@ -4,7 +4,6 @@ A law's interval holds if that law does.  Where several laws are compatible, the
 interval of the best one: on a ramp the mass lags behind the belt, so a jump law finds a slower belt.  So intervals of
 the rig's parameters contain those of every compatible law; one that leaves a parameter undetermined contains all
 values.
-
 """
 
 import math
@@ -42,7 +41,6 @@ def over_compatible_laws(rows: Sequence[LawResult], compatible: Collection[int |
     """Return one run's rows; intervals of the rig's parameters contain those of every compatible law.
 
     The standard error becomes that of the longer half of the interval. Rows outside the set do not change.
-
     """
     others = [row.parameters for row in rows if row.law in compatible]
     withheld = {name for lead, _ in _undetermined(rows, compatible) for name in GROUPS[lead]}
@@ -134,7 +132,6 @@ def without_law(
     records: Sequence[Kinematics],
     begun: float,
 ) -> Ranking:
-    """Return the verdict on stick-slip that no law fits: no rows, and what is known without a law."""
     outcome = NONE_OF_SIX if len(options.competitors.six) == len(SIX) else NONE_FITTED
     laws = "none of the six laws" if outcome == NONE_OF_SIX else outcome
     words = verdict.name_contradictions(f"stick-slip, but {laws}: {reason}", contradicted)
