@@ -36,9 +36,8 @@ def fit(
 ) -> list[ComparedRun]:
     """Fit every run separately; this process alone reads and writes the files.
 
-    ``places`` are those of the reports, if wanted; the workers of a dask scheduler need no files; ``progress`` gets the
-    number of finished runs. An unusable run becomes a row; DeviceError is raised only where all workers were lost
-    before the first run had finished.
+    ``places`` are those of the reports, if wanted. An unusable run becomes a row; DeviceError is raised only where all
+    workers were lost before the first run had finished.
     """
     rows: list[ComparedRun] = []
     reports: Sequence[Path | None] = places or [None] * len(files)
@@ -68,7 +67,6 @@ def fit_each(
 
 
 def _code(row: ComparedRun) -> int:
-    """Return the exit code of a run alone."""
     return job.exit_code(row.document) if row.failure is None else row.failure.exit_code
 
 
@@ -85,7 +83,6 @@ def summary(rows: Sequence[ComparedRun]) -> str:
 
 
 def text(rows: Sequence[ComparedRun], compared: Path | None) -> list[Any]:
-    """Return the printed table of file, set and verdict, or of errors, and all warnings."""
     table = application.table("runs fitted one by one", ("file", "set", "verdict"))
     table.columns[0].overflow = table.columns[2].overflow = "fold"
     table.columns[2].justify, table.columns[2].no_wrap = "left", False
@@ -116,7 +113,7 @@ def _failure(error: Exception, file: Path) -> StickslipError:
 
 
 def _load(file: Path, report: Path | None, options: Options, force: bool) -> LoadedRun:
-    """Read a run; an existing file in place of its report that is not its report is an InputError."""
+    """Read a run; InputError for a file in place of its report that is not its report."""
     run = job.load_run(file, options)
     if report is not None:
         page.refuse_foreign_file(report, [run.recording.digest], files=[file], force=force)
@@ -141,7 +138,6 @@ def _fitted(run: LoadedRun | StickslipError, options: Options, draw: bool) -> Ou
 
 
 def _saved(file: Path, place: Path | None, outcome: Outcome, force: bool) -> ComparedRun:
-    """Save the result and the report, and return the row."""
     if isinstance(outcome, StickslipError):
         return ComparedRun(file, {}, outcome)
     ranking, text = outcome

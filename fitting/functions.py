@@ -1,4 +1,4 @@
-"""``fitting.rank``: of a run, a file, a smoothed motion, two arrays, or several runs of one contact; `rank_each`."""
+"""`fitting.rank` and `fitting.rank_each`: runs, files, motions or arrays become loaded runs for `fitting.job`."""
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -52,15 +52,14 @@ class RankedRun:
 
 
 class RankedRuns(list[RankedRun]):
-    """Runs that were each fitted by themselves, in their order: a list of `RankedRun`."""
+    """Runs that were each fitted separately: a list of `RankedRun` in the order of the runs."""
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return the runs as a pandas table, one row a run.
 
-        Columns: ``file``, ``verdict``, ``adequacy``, ``law`` and ``name`` of the best law, ``rms_m``, ``error``, and of
-        each parameter of that law its value under its name, and "NAME stderr", "NAME lo" and "NAME hi": missing where
-        the law has no such parameter, the interval is withheld, or the run could not be fitted.  ``attrs["units"]`` has
-        the unit of each parameter.
+        Columns: ``file``, ``verdict``, ``adequacy``, ``law`` and ``name`` of the best law, ``rms_m``, ``error``, and
+        for each parameter of that law NAME, "NAME stderr", "NAME lo" and "NAME hi": missing where the law has no such
+        parameter, the interval is withheld, or the run was not fitted.  ``attrs["units"]`` has the parameters' units.
         """
         import pandas as pd
 
@@ -107,20 +106,20 @@ def rank(
 ) -> Ranking:
     """Fit friction laws to a record, or to several records of one contact together, and rank them.
 
-    A quantity is a number in SI, ``(value, sd)``, or text with a unit: ``"500 g +- 1 g"``.  What is given here goes
-    before the calibration of the run.  The numbers are those that `fit-friction` prints; no file is written.
+    A quantity is a number in SI, ``(value, sd)``, or text with a unit: ``"500 g +- 1 g"``.  Values given here
+    override the run's calibration.  The numbers are those that `fit-friction` prints; no file is written.
 
     Parameters
     ----------
     run_or_time : Recording, Kinematics, path, sequence of them, or array_like of shape (n,)
         A run; a smoothed motion (`processing.smooth`); a run file or a table that `daq.load` reads; or times, s, of
-        the ``position``.  Several runs are fitted as one contact: k/m, Fs/m, the curve, the ramp and the damping are
-        one for all; belt speed, rest position, wear and the belt's compliance are each run's own.
+        the ``position``.  Several runs are fitted as one contact: they share k/m, Fs/m, the curve, the ramp and the
+        damping; each has its own belt speed, rest position, wear and belt compliance.
     position : array_like of shape (n,), optional
-        Positions, m, beside times.
+        Positions, m, at the times.
     laws : int, str, Law, or sequence of them
         Which laws compete: of the six by number or range (``"1-6"``), published ones by name (``"stribeck"``), and
-        laws of one's own (`fitting.Law`).
+        custom laws (`fitting.Law`).
     mass, stiffness, damping : quantity, optional
         Moving mass, kg, or stiffness of the spring, N/m: one of the two; viscous damping, N s/m.
     x0 : quantity, optional
@@ -131,13 +130,12 @@ def rank(
     rig : Rig or sequence of Rig, optional
         The whole calibration instead of the run's: one for all, or one for each run.
     fix, bounds, start : mapping, optional
-        Values of parameters that are known, bounds as (low, high), and first values, by the names that the results
-        give them and in their units, or as text with a unit: ``{"gamma": 9.6}``, of one law
-        ``{"mine.v_s": "50 mm/s"}``.
+        Fixed values, bounds as (low, high), and start values of parameters, by the names and in the units of the
+        results, or as text with a unit: ``{"gamma": 9.6}``; of one law ``{"mine.v_s": "50 mm/s"}``.
     begin, end : time, optional
-        Of a run file the part to fit: from, and up to, s or text with a unit.
+        The part of a run file to fit, s or text with a unit.
     excluded : int or sequence of int
-        Numbers of cycles to leave out (1 is the first break-away); of a run that is fitted alone.
+        Numbers of cycles to leave out (1 is the first break-away); for a single run only.
     alpha : float
         1 - confidence of the intervals and of the set rule.
     jobs : int
@@ -154,23 +152,20 @@ def rank(
     Raises
     ------
     InputError
-        For what is no run, unknown laws, parameters that no law has or values that they cannot have, a formula
-        without the slip speed, a record in counts, a belt speed of zero, belt counts asked for that are not
-        there, alpha outside (0, 1), fewer than one job, a scheduler that cannot be used, or a speed or cycles to
-        exclude beside several runs.
+        If the input is not a run; for unknown laws or parameters, or impossible values; a formula without the slip
+        speed; a record in counts; a belt speed of zero; missing belt counts that were required; alpha outside (0, 1);
+        fewer than one job; an unusable scheduler; a speed or excluded cycles with several runs.
     DataError
-        When a record shows no stick-slip, when a slip has fewer than eight samples, when there are fewer than four
-        complete cycles, when some of the runs stick and others do not, or when frames were lost or doubled among even
-        times.
+        If a record shows no stick-slip, a slip has fewer than eight samples, there are fewer than four complete cycles,
+        only some of the runs stick, or frames were lost or doubled among even times.
 
     Notes
     -----
-    A belt that slows under load looks like a ramp.  With the belt's own counts its compliance is measured and part of
-    the flow; without, a ramp narrow enough to be such a belt brings its jump law into the set.
+    A belt that slows under load looks like a ramp.  With belt counts its compliance is measured and part of the model;
+    without them, a ramp narrow enough to be such a belt brings its jump law into the set.  A ripple of the belt speed
+    at one frequency is detected in the sticks and fitted.
 
-    A belt whose speed ripples at one frequency is seen in the sticks, and its ripple is also fitted.
-
-    Not modelled: a ripple of several frequencies, friction that remembers, a mass or spring that changes between runs.
+    Not modelled: a ripple of several frequencies, friction with memory, a mass or spring that changes between runs.
 
     Examples
     --------
@@ -216,16 +211,16 @@ def rank_each(
     scheduler: str | None = None,
     **options: Any,
 ) -> RankedRuns:
-    """Fit every run by itself, and rank its laws: what `fit-friction --each` does, without writing a file.
+    """Fit every run separately, and rank its laws: as `fit-friction --each`, without writing a file.
 
-    A run that cannot be fitted stops no other: its error stands in its place.
+    If one run fails, the rest continue and its row has the error.
 
     Parameters
     ----------
     runs : iterable of paths, Recording or Kinematics
-        As of `fitting.rank`, such as ``Path("monday").glob("*.h5")``.
+        As for `fitting.rank`, such as ``Path("monday").glob("*.h5")``.
     laws : int, str, Law, or sequence of them
-        Which laws compete, as of `fitting.rank`.
+        Which laws compete, as for `fitting.rank`.
     rig : Rig or sequence of Rig, optional
         The whole calibration instead of the runs' own: one for all, or one for each run.
     jobs : int
@@ -246,10 +241,9 @@ def rank_each(
     Raises
     ------
     InputError
-        For what `fitting.rank` refuses whatever the run, no run, what is not a run, fewer than one job, or a scheduler
-        that cannot be used.
+        If there is no run, or an item is not a run; for options that `fitting.rank` rejects for any run.
     DeviceError
-        All processes, or the scheduler, were lost before the first run was finished.
+        If all processes, or the scheduler, were lost before the first run was finished.
 
     Examples
     --------
@@ -292,7 +286,6 @@ def _read_options(
     start: Mapping[str, float | str] | None = None,
     **values: Any,
 ) -> Options:
-    """Return the options of keywords of `rank`."""
     competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
     return Options(competitors, **{name: READ.get(name, _as_given)(value, name) for name, value in values.items()})
 
@@ -352,7 +345,7 @@ def _are(values: Sequence[Any], kind: Any) -> bool:
 
 
 def _loaded(run: Run, rig: Rig | None, options: Options) -> LoadedRun:
-    """Return a run with its calibration; a run file as the command reads it, smoothed where it has that stage."""
+    """Return a run with its calibration; a run file is read as by the command, smoothed where it has that stage."""
     if isinstance(run, str | os.PathLike) and Path(run).suffix.lower() in suffix.RUN.suffixes:
         return job.load_run(Path(run), options, rig)
     if options.begin is not None or options.end is not None:

@@ -29,17 +29,17 @@ MISSING_AT_ENDS = 0.01
 
 @dataclass(frozen=True, eq=False)
 class LoadedRun:
-    """A run with its calibration, smoothed if its file has that ``stage`` (digest); ``whole`` are its end times, s."""
+    """A run with its calibration, smoothed if its file has that stage."""
 
     recording: Recording
     kinematics: Kinematics | None
     rig: Rig
-    stage: str
-    whole: tuple[float, float]
+    stage: str  # digest of the smoothing in its file
+    whole: tuple[float, float]  # times of its first and last sample, s
 
 
 def exit_code(document: Mapping[str, Any]) -> int:
-    """Return the exit code of a document by the number of requested laws in the set; other laws do not count."""
+    """Return the exit code by the number of requested laws in the set; other laws do not count."""
     if document["adequacy"]["verdict"] not in (ADEQUATE, None):  # None: goodness of fit could not be judged
         return EXIT_NO_LAW
     rivals = document.get("rivals", ())
@@ -50,7 +50,6 @@ def exit_code(document: Mapping[str, Any]) -> int:
 
 
 def load_run(path: Path, options: Options, rig: Rig | None = None) -> LoadedRun:
-    """Read a run, with another calibration if given; an unusable file, calibration or time range is an InputError."""
     samples = runfile.select_between(path, options.begin, options.end)
     with runfile.open_run(path) as file:
         beside = smoothed_stage.digest(file["entry"])  # before the rest: what replaces it later is another one
@@ -78,10 +77,7 @@ def fit_runs(runs: Sequence[LoadedRun], options: Options, progress: Callable[[fl
 
 
 def save(ranking: Ranking, report: Path | None, text: str, *, force: bool = False) -> None:
-    """Write the results into the run file, of several runs into a new one, and the page's ``text`` to ``report``.
-
-    Raises InputError where the run was recorded or smoothed again meanwhile.
-    """
+    """Write the results into the run file (of several runs a new one), and the page; the run must be unchanged."""
     stage.save(ranking, force=force)
     if report is not None:
         page.write(ranking, report, text, force=force)
@@ -97,7 +93,7 @@ def _smoothed(run: LoadedRun) -> Kinematics:
 
 
 def _with_replaced(motion: Kinematics, rig: Rig, options: Options) -> Kinematics:
-    """Return a motion with a finding for each replaced value of its run's calibration."""
+    """Add a finding for each replaced value of the run's calibration."""
     speed = options.belt_speed
     if speed is not None and not isinstance(speed, str):
         rig = replace(rig, belt_speed=speed if isinstance(speed, Measured) else Measured(speed))
@@ -106,7 +102,7 @@ def _with_replaced(motion: Kinematics, rig: Rig, options: Options) -> Kinematics
 
 
 def _with_replaced_mass(ranking: Ranking, options: Options) -> Ranking:
-    """Return a ranking with a finding where the mass implied by a stated stiffness is not the stored one."""
+    """Add a finding where the mass implied by a stated stiffness is not the stored one."""
     ratio = ranking.rows[0].parameters.get("k/m") if ranking.rows else None
     if options.stiffness is None or ratio is None or not ratio.value > 0:
         return ranking

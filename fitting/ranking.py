@@ -1,7 +1,4 @@
-"""`rank`: fits the laws to smoothed records and ranks them; returns the best, or the set of compatible ones.
-
-Evidence and set rule: `fitting.judge.evidence`.
-"""
+"""`rank`: smoothed records are fitted, the laws compete (`fitting.judge.evidence`), and the answer is put in words."""
 
 import logging
 import time as clock
@@ -11,7 +8,7 @@ from dataclasses import replace
 from daq.runfile.rig import Rig
 from fitting.judge import law_fits, screening
 from fitting.judge.adequacy import assess, measure
-from fitting.judge.calibrations import LawParameters, find_contradictions, find_other_contact, known_rest, with_given
+from fitting.judge.calibrations import LawParameters, find_contradictions, find_other_contact, with_given
 from fitting.judge.formulas import fit_formulas, name_better_limit
 from fitting.judge.judgement import Competition, compete
 from fitting.judge.parameters import Parameter
@@ -23,6 +20,7 @@ from fitting.search.fit import Unfitted
 from fitting.words import answer
 from processing.record.kinematics import Kinematics
 from stickslip.errors import DataError
+from stickslip.units import Measured
 
 logger = logging.getLogger(__name__)
 
@@ -33,7 +31,7 @@ def rank(
     options: Options,
     progress: Callable[[float], None] | None = None,
 ) -> Ranking:
-    """Fit the laws to a record, or to several of one contact together, and rank them; errors as of `fitting.rank`."""
+    """Rank the laws of a record, or of several of one contact together; errors as of `fitting.rank`."""
     begun = clock.process_time()
     if len(records) > 1:
         options.check_joint()
@@ -88,9 +86,10 @@ def _cut(records: Sequence[Kinematics], rigs: Sequence[Rig], options: Options) -
     """Return each record in the fit's frame, divided into cycles."""
     for record in records:
         screening.refuse_wrong_times(record)
-    runs = []
+    runs, rest = [], options.competitors.fix.get("x0")
     for record, rig in zip(records, rigs, strict=True):
-        motion = frame.from_kinematics(record, known_rest(rig, options.competitors), options.belt_speed)
+        known = rig if rest is None else rig.resting_at(Measured(rest, 0.0))
+        motion = frame.from_kinematics(record, known, options.belt_speed)
         screening.refuse_few_samples(motion, record)
         runs.append(law_fits.cut_run(motion, frozenset(options.excluded)))
         found = runs[-1].cut
@@ -104,10 +103,7 @@ def _compete(
     runs: Sequence[Run],
     progress: Callable[[float], None] | None = None,
 ) -> Competition:
-    """Fit all laws to the runs, and let them compete.
-
-    Raises NoLawError: no law comes near the record.
-    """
+    """Let all laws compete; NoLawError where none comes near the record."""
     competitors = options.competitors
     six, runs, sustained, doubt = law_fits.fit_runs(options, runs, records, progress)
     nearest, curve = measure(six, [run.motion for run in runs], options.alpha)
@@ -138,7 +134,7 @@ def _compete(
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
-    """Return the encoder's travel per revolution, m, if the same in all runs, else None."""
+    """Return the encoder's travel per revolution, m, if the same in all runs."""
     found = set()
     for record in records:
         pitch, counts = record.recording.rig.metres_per_count, record.recording.rig.counts_per_revolution

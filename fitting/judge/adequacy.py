@@ -1,6 +1,4 @@
-"""The assessment of a record: whether a law describes it, and what else is known if none does.
-
-Whether a law describes a record; the friction curve without a law; and what else acts where none does.
+"""Whether a law describes a record; the friction curve without a law; and what else acts where none does.
 
 `measure` judges the nearest of the six and measures the curve; `assess` concludes, once all laws have competed.
 """
@@ -43,20 +41,15 @@ NOT_JUDGED = "not judged"
 
 @dataclass(frozen=True, eq=False)
 class Adequacy:
-    # `ADEQUATE`; `NONE_OF_SIX`: no law, but a curve without a law may; `NOT_OF_SPEED`: not even that; `NONE_FITTED`
-    # where not all six laws were fitted; None where nothing could be judged (`fitting.judge.goodness`)
+    # `NONE_OF_SIX`: a curve may; `NOT_OF_SPEED`: not even a curve; `NONE_FITTED`: of fewer than six; None: not judged
     verdict: str | None
     noise_m: float  # standard deviation of one position, m
     goodness: GoodnessOfFit | None = None  # of the law that was judged; None where no law could be fitted at all
-    # departure of friction, % of Fs, that half of all repetitions of this record would show
-    # (`fitting.judge.goodness`)
-    smallest_visible: float | None = None
+    smallest_visible: float | None = None  # departure, % of Fs, that half of all repetitions of the record would show
     # friction against relative speed without a law, in newtons where mass or stiffness is known
     curve: MeasuredCurve | None = None
-    # of the curve, where it was judged: no law is adequate, or it leaves far more than the noise
-    curve_goodness: GoodnessOfFit | None = None
-    # where each law leaves the curve's band the furthest
-    outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)
+    curve_goodness: GoodnessOfFit | None = None  # None where the curve was not judged
+    outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)  # where each law leaves the band furthest
     unit: str = "N/kg"  # of the curve's friction
     departures: tuple[FittedDeparture, ...] = ()  # those with which a law describes the record, strongest first
     # standard deviation of random friction within slips, over Fs, where that is what no law describes
@@ -64,7 +57,6 @@ class Adequacy:
 
     @property
     def said(self) -> str:
-        """The verdict in words, or `NOT_JUDGED`."""
         return self.verdict or NOT_JUDGED
 
     @property
@@ -96,7 +88,6 @@ class Adequacy:
 
 
 def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
-    """Return the document's form of a measured curve."""
     k_over_m = curve.k_over_m.as_json()
     del k_over_m["unit"]
     return {
@@ -120,7 +111,7 @@ class Judged:
 
     @property
     def noise(self) -> Array:
-        """Standard deviation of one position of each run, m, (runs,)."""
+        """(runs,) standard deviation of one position, m."""
         return np.array([own.noise_m for own in self.slips])
 
     @property
@@ -129,7 +120,7 @@ class Judged:
 
     @property
     def usual(self) -> LinearisedFit | None:
-        """The fit without these cycles."""
+        """The linearised fit without the spoilt cycles."""
         linear = self.linearised
         return None if linear is None or self.faults is None else linear.without(self.faults)
 
@@ -154,19 +145,11 @@ def assess(
     *,
     explain: bool = True,
 ) -> list[Adequacy]:
-    """Return whether the law of the first row describes the runs, and what else acts where it does not.
+    """Return whether the first of the ``ranked`` laws describes the runs, and what else acts where it does not.
 
-    ranked: All laws, in the order of the rows.
-    chosen: The first of them.
-    curve: Friction without a law.
-    noise: (runs,) Standard deviation of one position of each run, m.
-    nearest: The fits to try departures with, best first.
-    motions: Of each run.
-    laws: How many of the six were asked for.
-    revolution: Travel per revolution of the encoder, m; scanned where it is not known.
-    explain: Whether to look for what else acts; else it is known why no law describes the runs.
-    Returns: Of all runs together and, where there are several, of each: goodness of fit and the smallest visible
-        departure alone.
+    The first result is of all runs together; of several runs one follows for each, without curve and departures.
+    ``nearest`` are the fits to try departures with, best first; ``laws`` is how many of the six were requested; without
+    ``explain`` the cause is known already; a ``revolution`` (encoder travel, m) of None is scanned for.
     """
     rejected = chosen.together.rejected
     curve_goodness = None
@@ -189,7 +172,10 @@ def assess(
         if base is not None:
             count_repeated, repeated = partial(_count_repeated, chosen), chosen.together.repeat
             fluctuation = fluctuation_share(base, repeated, count_repeated, float(np.max(noise)))
-    visible = _visible(chosen, motions)
+    usual = chosen.usual
+    visible: tuple[float | None, ...] = (None,) * len(motions)
+    if usual is not None:
+        visible = smallest_visible(chosen.fit, usual, chosen.slips)
     together = Adequacy(
         outcome,
         chosen.together.noise_m,
@@ -200,9 +186,10 @@ def assess(
     )
     if curve is not None:
         mass = known_mass(motions[0], curve)
+        shown = replace(curve, k_over_m=replace(curve.k_over_m, trusted=of_speed))
         together = replace(
             together,
-            curve=_reported(curve, mass, trusted=of_speed),
+            curve=shown if mass is None else in_newtons(shown, mass),
             curve_goodness=curve_goodness,
             outside_band={fit.law.key: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
             unit="N/kg" if mass is None else "N",
@@ -219,18 +206,12 @@ def assess(
 
 
 def describing(
-    fits: Sequence[Fit],
-    motions: Sequence[MeasuredMotion],
-    noise: float,
-    known: Mapping[Law, Judged] | None = None,
+    fits: Sequence[Fit], motions: Sequence[MeasuredMotion], noise: float, known: Mapping[Law, Judged]
 ) -> dict[Law, Judged]:
-    """Return the goodness of fit of the laws that may describe the runs, and of the nearest one.
-
-    Those that err `noise_levels.LOST` times the ``noise`` (m) do not.
-    """
+    """Return the goodness of fit of the nearest law, and of those within `noise_levels.LOST` times the ``noise``, m."""
     nearest = min(fits, key=lambda fit: fit.geometric_mean_rms)
     return {
-        fit.law: (known or {}).get(fit.law) or _judged(fit, motions)
+        fit.law: known.get(fit.law) or _judged(fit, motions)
         for fit in fits
         if fit is nearest or fit.geometric_mean_rms < noise_levels.LOST * noise
     }
@@ -243,11 +224,6 @@ def _count_repeated(chosen: Judged, residuals: Array) -> Array:
     return np.asarray(np.average(repeated, axis=0, weights=[own.bins.slips for own in judged]))
 
 
-def _visible(chosen: Judged, motions: Sequence[MeasuredMotion]) -> tuple[float | None, ...]:
-    usual = chosen.usual
-    return (None,) * len(motions) if usual is None else smallest_visible(chosen.fit, usual, chosen.slips)
-
-
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
     """Return whether one of the laws leaves no more than noise, as far as that can be judged."""
     return any(not _judged(fit, motions).together.rejected for fit in fits)
@@ -258,12 +234,6 @@ def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
     if motion.mass is not None:
         return motion.mass.value
     return motion.stiffness.value / curve.k_over_m.value if motion.stiffness is not None else None
-
-
-def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> MeasuredCurve:
-    """Return the curve in newtons where the mass is known; k/m without its interval where it is not trusted."""
-    curve = replace(curve, k_over_m=replace(curve.k_over_m, trusted=trusted))
-    return curve if mass is None else in_newtons(curve, mass)
 
 
 def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:

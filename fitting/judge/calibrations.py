@@ -1,14 +1,11 @@
-"""The user's values of parameters in the units of the fit: of the shared unknowns, and of formulas.
+"""The stated rig: the user's values in the units of the fit, and contradictions between them and the record.
 
 The fit is per unit mass, and its belt runs forward: values in newtons are divided by the mass, and a belt speed or a
 position has the sign of the run's belt.
 
-Contradictions between the stated rig and the record, and between runs of one contact.
-
 A calibration is contradicted only where a law that was fitted without it describes the record, and none does with it.
-A law that describes the record with a calibration as a prior, but far from it, was fitted without it in effect: what it
-shows alone is then fitted again.  Runs that no law describes together are of several contacts where one law describes
-each of them alone, with other parameters.
+A law that describes the record with a calibration as a prior, but far from it, is fitted again without it.  Runs that
+no law describes together are of several contacts where one law describes each of them alone, with other parameters.
 """
 
 import math
@@ -41,17 +38,8 @@ UNKNOWNS = {
 IN_NEWTONS, SIGNED = ("k", "Fs", "c"), ("v_dr", "x0")
 
 
-def known_rest(rig: Rig, competitors: Competitors) -> Rig:
-    """Return a run's calibration with the fixed rest position, if any."""
-    fixed = competitors.fix.get("x0")
-    return rig if fixed is None else rig.resting_at(Measured(fixed, 0.0))
-
-
 def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
-    """Return the runs with the user's values of each law's shared unknowns.
-
-    Raises InputError for a belt speed of several runs, or a force in newtons without a mass.
-    """
+    """Return the runs with the user's values; InputError for a belt speed of several, or newtons without mass."""
     of_laws = {
         law.name: {
             name: given
@@ -93,7 +81,6 @@ def formula_given(law: Law, given: Mapping[str, Given], motion: MeasuredMotion) 
 
 
 def _unknowns(given: Mapping[str, Given], sign: float, motion: MeasuredMotion) -> tuple[GivenUnknown, ...]:
-    """Return the values of the shared unknowns."""
     found = []
     for name, own in given.items():
         slot = UNKNOWNS.get(name.removesuffix(PER_MASS))
@@ -121,10 +108,7 @@ def _newtons(name: str, motion: MeasuredMotion) -> float:
     return 1.0 if motion.mass is None else motion.mass.value
 
 
-# Distance of a calibration from the fit, in standard deviations, that contradicts it.  At 3 one true calibration in 400
-# would be reported, and as many again because an interval from 16 cycles is itself uncertain; at 5 a belt speed wrong
-# by less than 5 % of its stated value would pass.
-CONTRADICTED_BY = 4.0
+CONTRADICTED_BY = 4.0  # standard deviations between calibration and fit, chosen: at 3, 1 true one in 400 is reported
 UNITS = {"belt-speed": "m/s", "datum": "m", "x0": "m", "damping": "N s/m", "stiffness": "N/m"}
 LawParameters = Sequence[Mapping[str, Parameter]]  # of a law that describes the runs, its parameters of each run
 Refit = Callable[[Sequence[Run]], Sequence[LawParameters]]  # what describes runs with other calibrations
@@ -135,9 +119,7 @@ def find_contradictions(
 ) -> list[list[Finding]]:
     """Return what of each run's calibration its record contradicts, in the record's own signs, SI units.
 
-    described: The parameters of each run, of each law that describes the runs.
-    records: Of each run, with the calibration that its positions were made with.
-    refit: Fits all laws to runs with other calibrations; returns the parameters of those that describe them.
+    ``described`` has the laws that describe the runs; ``records`` the calibration that the positions were made with.
     """
     found = _of_runs(described, runs, records)
     doubted = {one.code for own in found for one in own} if described else set(UNITS)
@@ -165,7 +147,7 @@ def _without(run: Run, codes: Collection[str]) -> Run:
 def _of_runs(
     described: Sequence[LawParameters], runs: Sequence[Run], records: Sequence[Kinematics]
 ) -> list[list[Finding]]:
-    """Return the calibrations of each run that none of the laws agrees with, as the first of them shows them."""
+    """Return the calibrations of each run that none of the laws agrees with, as the first law shows them."""
     found: list[list[Finding]] = []
     for number, (run, record) in enumerate(zip(runs, records, strict=True)):
         by_law = [
@@ -178,7 +160,7 @@ def _of_runs(
 
 
 def _compared(motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig) -> Iterator[Finding]:
-    """Yield each calibration beside what a law shows of it."""
+    """Yield each calibration with what a law shows of it."""
     if motion.stated_speed is not None and not parameters["v_dr"].fixed:
         speed = parameters["v_dr"]
         error = math.hypot(speed.stderr, motion.length_error * speed.value)
@@ -213,10 +195,7 @@ def _finding(code: str, seen: Measured, stated: Measured) -> Finding:
 
 
 def find_other_contact(each: Sequence[Mapping[int | str, Mapping[str, Parameter]]]) -> Finding | None:
-    """Return the parameter in which two runs differ most, where one law describes each of them alone; else None.
-
-    ``each`` are the laws of each run, best first.
-    """
+    """Return the parameter in which two runs differ most, where one law describes each alone (best law first)."""
     law = next((law for law in each[0] if all(law in laws for laws in each)), None)
     if law is None:
         return None

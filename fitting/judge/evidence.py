@@ -1,27 +1,21 @@
-"""Evidence between laws, and the model confidence set: the laws that it cannot distinguish.
+"""Evidence between laws, and the model confidence set: the laws that the record cannot distinguish.
 
-Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
-Where the best law's residual is white noise, a cycle is divided into pieces of `PIECE_TIMES` correlation times, because
-there a law may fail in a small part of a cycle: with cycles as units law 2, better than law 1 by 5 % over 1500 samples,
-was ranked lower.  The score is a BIC: with N effective samples (samples over the correlation time of the best law's
-residuals) each unit pays (p/2N) log N in log error for the law's p parameters, and 1/2N of the misfit to the
-calibrations.  Cycles that not even the best law describes (a kick) are not evidence.  The t-interval of a mean
-difference assumes independent units.
+Evidence.  Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles
+between laws.  Where the best law's residual is white noise, a cycle is divided into pieces of `PIECE_TIMES` correlation
+times, because a law may fail in a small part of it.  The score is a BIC: with N effective samples (samples over the
+correlation time of the best law's residual) each unit pays (p/2N) log N in log error for the law's p parameters, and
+1/2N of the misfit to the calibrations.  Cycles that not even the best law describes are not evidence.  The t-interval
+of a mean difference assumes independent units.
 
 Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
 zero, or when the difference, however regular, is small and the winner is not a limit of it.  Inside the set a law is
 preferred to the winner only when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6, each jump law in its ramp
 law): then the winner's extra parameter does not improve the fit.
 
-A ramp and a jump on a belt that slows under load make the same motion.
-
-Without the belt's counts the two are one observable (`rig_sim.flow.modes`, droop): a belt that loses 1 % of its speed
-at the load Fs turns law 5 into a perfect law 6.  So the jump law of the nearest ramp also competes on a belt whose
-compliance is fitted, and pays for it as the ramp pays for its width.  Runs at several belt speeds can separate the two:
-a ramp has the same width at every speed, while each run has its own compliance.
-
-A ramp acts in a few samples of a cycle.  Where noise hides them it fits no better and is ranked lower for its extra
-parameter, although the interval of its width contains wide ramps.
+Ramp and belt.  Without the belt's counts a ramp and a jump on a belt that slows under load are one observable
+(`rig_sim.flow.modes`, droop).  So the jump law of the nearest ramp also competes on a belt whose compliance is fitted,
+and pays for it as the ramp pays for its width.  Runs at several belt speeds can separate the two: a ramp has the same
+width at every speed, while each run has its own compliance.
 """
 
 import math
@@ -49,19 +43,14 @@ from stickslip.units import Measured
 FEWEST_CYCLES = 4  # cycles of which the usual are trusted: of fewer, all count
 DRAG_PIECES = 8  # equal pieces of a start-up drag, where it is all the evidence
 RELATED_FACTOR = 2.0  # error over the best law's: a limit of it that is further off is no near relative
-# Constant friction leaves 2 of an encoder's error (0.6 of a count), even with 200 us of jitter and a belt that ripples;
-# the shortest sticks tested leave 170 (test_ranking): half or twice the limit changes neither.  Of white noise it
-# leaves 1.0: a fit's rms over 400 samples and more is known to 4 %.
-COUNTING_LIMIT = 8.0
-NOISE_LIMIT = 1.25  # error over the resolution that white noise leaves
-# Length in correlation times: twice as many lose evidence on a start-up drag, half as many have skewed log errors.
-PIECE_TIMES = 16
+COUNTING_LIMIT = 8.0  # error over an encoder's that constant friction leaves: 2 on its own motion, 170 on short sticks
+NOISE_LIMIT = 1.25  # error over the resolution that constant friction leaves of white noise: 1.0, known to 4 %
+PIECE_TIMES = 16  # length of a piece in correlation times, chosen: shorter ones have skewed log errors
 LONGEST_WHITE_TIME = 3.0  # correlation time in samples: with a longer one residuals are not white
 # Difference of scores: a law that is a limit of the winner, and whose evidence differs by less, is as good.
 TIED_SCORE = 1.0
 # The same where neither law is a limit of the other.  Laws whose motions differ by S (chi square) have scores that
-# differ by S +- 2 sqrt(S), so that the wrong one leads by more than this in 2 % of the records at most; with half of it
-# in 8 %.  The t-interval does not show this: where motions are nearly the same, differences are small but regular.
+# differ by S +- 2 sqrt(S): the wrong one leads by more than this in 2 % of the records at most.
 OPEN = 4.0
 SAME_SCORE = 1  # decimals of a score: one curve in two forms differs by less
 
@@ -83,17 +72,8 @@ class Units:
     samples: float  # effective samples in all units together
 
 
-def _log_error(residual: Array, motion: MeasuredMotion) -> float:
-    """Return the log of the rms, not below the encoder's error."""
-    return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
-
-
 def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
-    """Return the cycles to compare, shape (cycles,): those that the best law describes, if these are enough.
-
-    A cycle with a velocity step in its slip fits no law and does not help to decide. Laws that are limits of each other
-    differ there by their minimisers' ends, so near relatives must all describe it.
-    """
+    """Return the cycles (cycles,) that the best law and its near relatives describe; all where these are too few."""
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)
     related = [
         fit
@@ -109,10 +89,7 @@ def _related(law: Law, other: Law) -> bool:
 
 
 def common_units(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> Units:
-    """Return the units of the comparison, by the best law's residuals.
-
-    A law that a coarse fit ruled out has fewer samples in a cycle, which limits its units.
-    """
+    """Return the units by the best law's residual; a law from a coarse fit has fewer samples, which limits them."""
     inliers = common_inliers(fits)
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)
     kept = [part for _, part in _judged(best, runs, inliers, sustained=sustained)]
@@ -149,10 +126,10 @@ def _judged(
 
 
 def unit_errors(fit: Fit, runs: Sequence[Run], units: Units) -> Array:
-    """Return the log error of every unit, run by run; shape (units,)."""
+    """Return the log rms of every unit (units,), not below the encoder's error, run by run."""
     judged = _judged(fit, runs, units.inliers, sustained=units.sustained)
     found = [
-        _log_error(piece, motion)
+        0.5 * math.log(float(np.mean(piece**2)) + motion.resolution**2)
         for (motion, residual), pieces in zip(judged, units.pieces, strict=True)
         for piece in np.array_split(residual, pieces)
     ]
@@ -160,10 +137,7 @@ def unit_errors(fit: Fit, runs: Sequence[Run], units: Units) -> Array:
 
 
 def constant_friction_limit(motion: MeasuredMotion) -> float:
-    """Return the largest residual of constant friction on a motion that it makes, m rms.
-
-    The step counts as far as rounding makes up the resolution: the last printed decimal of a noisy sensor does not.
-    """
+    """Return the largest residual that constant friction leaves on its own motion, m rms."""
     counting = COUNTING_LIMIT * motion.step**2 / 12 / motion.resolution
     return math.hypot(counting, NOISE_LIMIT * motion.resolution)
 
@@ -196,42 +170,26 @@ def _drag_rows(fit: Fit, drag: tuple[int, int]) -> slice:
 
 
 def penalised(fit: Fit, errors: Array, units: Units, belts: int = 0) -> Array:
-    """Return the log errors with the penalties for the law's parameters and for contradicted calibrations.
-
-    ``belts`` is the number of belts whose compliance this fit alone has as a parameter.
-    """
+    """Add the penalties; ``belts`` is the number whose compliance this fit alone has as a parameter."""
     n = max(units.samples, errors.size)
     return errors + ((fit.law_parameters + belts) * math.log(n) + prior_misfit(fit)) / (2 * n)
 
 
 def prior_misfit(fit: Fit) -> float:
-    """Return a fit's penalty for contradicted calibrations, a squared deviation where small.
-
-    Student's t with 4 degrees of freedom: a wrong calibration must not decide alone. A guessed datum costs nothing.
-    """
+    """Return the penalty for contradicted calibrations: Student's t, as a wrong one must not decide alone."""
     return float(np.sum(5 * np.log1p(fit.calibration_deviations**2 / 4)))
 
 
 @dataclass(frozen=True, eq=False)
 class ModelSet:
-    """Members of the set (best first), and score, weight and lag of each law.
-
-    ``behind`` is the mean paired difference of log error to the best law, with its standard error.
-    """
-
-    members: tuple[Law, ...]
+    members: tuple[Law, ...]  # best first
     score: dict[Law, float]
     weight: dict[Law, float]
-    behind: dict[Law, tuple[float, float]]
+    behind: dict[Law, tuple[float, float]]  # mean paired difference of log error to the best law, and its error
 
 
 def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[Law] | None = None) -> ModelSet:
-    """Apply the set rule to the evidence.
-
-    evidence: At least two units (cycles).
-    alpha: 1 - confidence of the t-interval.
-    among: The laws that describe the record, of which the set is; others have no weight.
-    """
+    """Apply the set rule to two units or more, ``among`` the laws that describe the record; others have no weight."""
     laws, errors = evidence.laws, evidence.penalised
     wanted = [k for k, law in enumerate(laws) if among is None or law in among]
     n = errors.shape[1]
@@ -269,11 +227,8 @@ def no_larger(errors: Array, best: Array, samples: float) -> bool:
     return mean <= CONTRADICTED_BY * error or 2 * max(errors.size, samples) * mean < OPEN
 
 
-# Speed that a belt may lose under the load Fs, over its own: a ramp that may be narrower may be such a belt.
-WIDEST_BELT_LOSS = 0.03
-# Difference in log error: a hyperbola on a compliant belt and a ramp differ by less, for all that long records show it.
-# Chosen; half and twice decide the same on 26 records.
-SAME_ERROR = 0.05
+WIDEST_BELT_LOSS = 0.03  # speed that a belt may lose under the load Fs, over its own
+SAME_ERROR = 0.05  # difference in log error, chosen: a hyperbola on a compliant belt and a ramp differ by less
 
 
 def fit_on_compliant_belt(fits: Sequence[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> Fit | None:
@@ -310,14 +265,7 @@ def with_indistinct_contacts(
     *,
     sustained: bool,
 ) -> ModelSet:
-    """Return the set with both of a jump and its ramp where the record does not distinguish them.
-
-    It does not where the jump law is fitted on a belt that slows under load, or where the ramp may be wider than the
-    loss of any belt, and neither errs plainly more.
-
-    fits: The laws that describe the record.
-    errors: The log errors of each (units,).
-    """
+    """Add a jump, or its ramp, to the set where the other is in it and a belt under load may explain the difference."""
     members = list(chosen.members)
     pairs = [(jump, ramp) for jump in fits.values() for ramp in fits.values() if ramp.law.is_ramp_of(jump.law)]
     for jump, ramp in pairs:
@@ -333,7 +281,7 @@ def with_indistinct_contacts(
 
 
 def slows_under_load(fit: Fit) -> bool:
-    """Return whether a fit is on a belt whose compliance was fitted, not measured."""
+    """Return whether the belt's compliance was fitted, not measured."""
     return any(motion.compliance is not None and not motion.belt_measured for motion in fit.problem.motions)
 
 

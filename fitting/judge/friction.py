@@ -27,17 +27,15 @@ def unit(motion: MeasuredMotion) -> str:
     return "N" if motion.mass is not None or motion.stiffness is not None else "N/kg"
 
 
-def speeds(motion: MeasuredMotion, number: int = 401) -> Array:
+def speeds(motion: MeasuredMotion) -> Array:
     """Return relative velocities (m/s, in the record's sign) over the range of the motion, including 0."""
     w = motion.velocity - motion.belt_speed
     low, high = float(w.min()), max(float(w.max()), 0.1 * motion.belt_speed)
-    # densest around 0, where the laws differ
-    half = np.linspace(0, 1, number // 2 + 1) ** 2
+    half = np.linspace(0, 1, 201) ** 2  # densest around 0, where the laws differ
     return np.sort(motion.sign * np.r_[low * half[1:], high * half])
 
 
 def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
-    """Return `speeds` over the ranges of all runs."""
     widest: dict[float, Array] = {}
     for motion in motions:
         spanned = speeds(motion)
@@ -47,7 +45,7 @@ def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
 
 
 def friction_at(fit: Fit, motion: MeasuredMotion, w: Array) -> Array:
-    """Return a law's friction at relative velocities w (n,), m/s in the record's sign; in `unit`."""
+    """In `unit`, at relative velocities w (n,), m/s in the record's sign."""
     return fit.force(w, mass(motion, fit))
 
 

@@ -1,41 +1,24 @@
-"""The noise of measured positions, from the residual: rounding to a pitch, white noise, jitter of sample times.
+"""Goodness of fit in absolute terms: whether noise alone could have produced the residual of a law.
 
-The noise of a position is not the printed decimal.  A counter rounds; a camera adds white noise; sample times that
-jitter move a position by velocity times the error of the time.  All three are estimated from fourth differences of the
-residual, in which a smooth misfit cancels.
+Noise.  A counter rounds, a camera adds white noise, and jitter of the sample times moves a position by velocity times
+the error of the time.  All three are estimated from fourth differences of the residual, in which a smooth misfit
+cancels.  Not modelled: noise that is correlated over several samples, as after a low-pass filter.
 
-Not modelled: noise that changes slowly against the sample interval, as after a low-pass filter.
+Statistics.  Each slip, from its window's start to the landing, is cut into bins of its phase, and the residual is
+averaged in them: a wrong law leaves a residual that is smooth over a bin and repeats from slip to slip.  Two more are
+of whole cycles, sticks included: the largest mean square over the median, and the rms of all.
 
-Statistics of residuals that noise alone leaves small: what repeats from slip to slip, and what is smooth in a slip.
+Null distribution.  The fitted motion is measured repeatedly with the record's noise, all unknowns are fitted again,
+linearly, and the statistics are taken of the residual.  Rounding makes patterns that repeat from cycle to cycle; the
+repetitions have them too.  A statistic that is the same in all repetitions is not judged.
 
-Each slip, from its window's start to the landing, is cut into bins of its phase, and the residuals are averaged in
-them.  A law that is wrong leaves residuals that are smooth over a bin, and mostly the same in every slip.  A slip that
-a velocity step has spoilt must not count for more than the others.
-
-Goodness of fit in absolute terms: whether noise alone could have produced the residuals of a law.
-
-Null distribution: the fitted motion is measured repeatedly with the record's noise (`fitting.judge.goodness`), all
-unknowns are fitted again, linearly, and the statistics of the slips (`fitting.judge.goodness`) are taken of what
-is left.  The other two statistics are of whole cycles, sticks included: the largest mean square over the usual one, and
-the rms of all.  Rounding makes patterns that repeat from cycle to cycle; the repetitions have them too.  A statistic
-that is the same in all repetitions distinguishes nothing and is not judged.  The draws are seeded: the same record
-gives the same number.
-
-Cycles that fit badly because the mass got a velocity step there, as from the belt's joint.
-
-A cycle with a far larger residual than its run's median is not evidence against a law where one velocity step explains
-the excess.  In a slip the step changes the velocity at one time; in a stick, and after the landing, friction stops the
+Cycles left out.  A cycle with a far larger residual than its run's median is not evidence against a law where one
+velocity step, as from the belt's joint, explains the excess.  In a stick, and after the landing, friction stops the
 mass again within milliseconds, and a step of the position remains.
 
-The smallest departure of friction that would be detected in half of all repetitions of a record.
-
-What is not detected is not absent: a camera track passes under laws that an encoder would reject.  The departure is a
-wave in the slip speed, with one or two periods over all speeds and constant amplitude, or in the position, with two or
-four periods over the travel and in proportion to the friction.  The linear refit removes what the law's own parameters
-absorb.  Half of all repetitions are rejected where what repeats, or what is smooth, with the wave's mean squares in it
-reaches its limit (`fitting.judge.goodness`).  The median over the waves is a typical size.
-Departures that a law nearly absorbs (half a period over all speeds, say) must be several times larger, and a wave that
-it cannot follow at all is detected at half of the size.
+Smallest visible departure.  A wave in the friction, with one or two periods over all slip speeds and constant
+amplitude, or two or four over the travel and in proportion to the friction, less what the law's own parameters absorb.
+It is visible where half of all repetitions with it are rejected; the median over the waves is a typical size.
 """
 
 import math
@@ -60,13 +43,11 @@ from stickslip.compute.arrays import Array, Integers, Mask
 # Order of differences, and their weights (1, 4, 6, 4, 1) squared and summed.
 DIFFERENCE_ORDER, SQUARED_WEIGHTS = 4, 70.0
 ROUNDED_TWICE = 0.1  # pitches: counts printed with a few decimals are that near whole multiples of the pitch
-# Distance from the belt's speed, over it, within which a reading is left out where counts are rounded.  At half a count
-# a sample in the sticks the errors alternate, which the differences take for 1.4 times the noise; at whole counts for
-# none.
+# Distance from the belt's speed, over it, of readings left out where counts are rounded: in sticks rounding errors
+# alternate or stay the same, and their differences are not white.
 STEADY_SPEED = 0.1
 FASTEST_PATTERN = 0.8  # pitches a sample: slower readings repeat patterns, whose differences are not white
-# Variance over that of rounding: less white noise beside it is not distinguished from it.  True encoders give up to 0.3
-# by chance, because fast rounding is not quite white; noise as large as the rounding gives 1.
+# Least variance of white noise over that of rounding; encoders without noise give up to 0.3.
 LEAST_WHITE_NOISE = 0.5
 JITTER_SHOWN = 4.0  # variance of the jitter, in its standard errors, that is shown
 FEWEST_DIFFERENCES = 50  # differences from which noise is estimated
@@ -80,11 +61,11 @@ class PositionNoise:
     jitter: float  # s, standard deviation of a sample time
 
     def variance(self, velocity: Array) -> Array:
-        """Return the variance (n,) at velocities (n,), m^2."""
+        """At velocities (n,), m^2, (n,)."""
         return np.asarray(self.pitch**2 / 12 + self.white**2 + (self.jitter * velocity) ** 2)
 
     def sd(self, velocity: Array) -> float:
-        """Return the standard deviation of a position, m rms over the velocities."""
+        """Rms over the velocities, m."""
         return math.sqrt(float(np.mean(self.variance(velocity))))
 
     @property
@@ -153,28 +134,23 @@ def reading_pitch(reading: Array) -> float:
 
 
 MOST_BINS = 60  # bins of a slip, with 8 to 20 samples each at 1 kHz
-# Samples in a bin of the usual slip, at the least.  Chosen: the mean of one sample is that sample, so a bin of 1.5
-# hides what is smooth in a slip; with 6, a slip of 12 samples has two bins, in which what repeats from slip to slip
-# cancels.
-SAMPLES_IN_BIN = 3
+SAMPLES_IN_BIN = 3  # least samples of the usual slip in a bin, chosen: enough to average, few enough for short slips
 FEWEST_SLIPS = 2  # at least: what repeats needs two
 
 
 class Statistics(NamedTuple):
     """Statistics of B sets of residuals of a run's judged cycles, each (B,); 0 without slips to judge but for `rms`."""
 
-    # share of the binned residuals' variance that repeats from slip to slip, without bias: 0 for noise, 1 for residuals
-    # that are the same in every slip
+    # share of the binned residuals' variance that repeats from slip to slip, without bias: 0 for noise, at most 1
     repeat: Array
-    # variance of the binned residuals over that of independent residuals of the same rms; median over the slips. 1 for
-    # white noise, up to the number of samples in a bin.
+    # variance of the binned residuals over that of white noise of the same rms; median over the slips
     smooth: Array
     worst: Array  # largest mean square of a cycle, over the median
     rms: Array  # of all cycles, equally weighted, m
 
 
 def cycle_squares(residuals: Array, rows: Sequence[slice]) -> Array:
-    """Return the mean square of residuals (N, B) in each cycle, m^2, shape (cycles, B)."""
+    """Return the mean squares of residuals (N, B), m^2, shape (cycles, B)."""
     first = np.array([own.start - rows[0].start for own in rows])
     count = np.array([own.stop - own.start for own in rows])
     return np.asarray(np.add.reduceat(residuals**2, first, axis=0) / count[:, np.newaxis])
@@ -190,9 +166,7 @@ class SlipBins:
     phase: Integers
     count: Array  # (occupied bins,) residuals in it
     slips: int
-    # into how many the phase of a slip is cut: `SAMPLES_IN_BIN` of the usual slip's samples in each, at most
-    # `MOST_BINS`
-    bins: int
+    bins: int  # into which the phase of a slip is cut
 
     @property
     def judged(self) -> bool:
@@ -230,17 +204,16 @@ class SlipBins:
         return np.asarray(np.add.reduceat(values[self.rows[first:last] - block.rows.start], starts - first, axis=0))
 
     def per_slip(self, binned: Array) -> Array:
-        """Return the sum over the bins (occupied bins, B) of each slip, shape (slips, B)."""
+        """Sum the bins (occupied bins, B) of each slip, shape (slips, B)."""
         return np.asarray(np.add.reduceat(binned, self._edges, axis=0))
 
     def per_phase(self, binned: Array) -> Array:
-        """Return the sum over the bins (occupied bins, B) of each phase, shape (phases met, B)."""
+        """Sum the bins (occupied bins, B) of each phase, shape (phases met, B)."""
         order, edges = self._by_phase
         return np.asarray(np.add.reduceat(binned[order], edges, axis=0))
 
     @cached_property
     def _edges(self) -> Integers:
-        """First occupied bin of each slip."""
         return np.searchsorted(self.slip, np.arange(self.slips))
 
     @cached_property
@@ -255,16 +228,14 @@ class SlipBins:
         return self.per_slip(self.count[:, None]), self.per_slip(np.ones((self.slip.size, 1)))
 
     def lag1(self, residual: Array) -> float:
-        """Return the autocorrelation of neighbouring residuals (N,) of the slips."""
         products = np.r_[0.0, residual[1:] * residual[:-1]]
         return float(np.sum(products[self.rows])) / max(float(np.sum(residual[self.rows] ** 2)), 1e-300)
 
     def statistics(self, residuals: Array, squares: Array) -> Statistics:
-        """Return the statistics of residuals (N, B), m, with the mean squares (cycles, B) of their judged cycles."""
         return self.combine(self.sums(residuals), self.sums(residuals**2), squares)
 
     def combine(self, sums: Array, squared: Array, squares: Array) -> Statistics:
-        """Return the same from the sums of residuals and of their squares in each bin."""
+        """Return the statistics from the sums of residuals and of their squares in each bin."""
         rms = np.asarray(np.sqrt(np.sum(squares, axis=0) / max(squares.shape[0], 1)))
         if not self.judged:
             nothing = np.zeros(rms.size)
@@ -286,26 +257,19 @@ class SlipBins:
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13  # seed of the repetitions: the same for every record
-# Probability below which noise is not what made the residuals.  The tails are those of a gamma distribution with the
-# moments of 60 repetitions of a linearised refit, so small probabilities are rough; 1e-6 is five standard deviations.
-REJECTED = 1e-6
+REJECTED = 1e-6  # p-value below which noise is rejected: five standard deviations, since the gamma tails are rough
 TESTS = 4  # what repeats, what is smooth, the worst cycle, and the size of all
-# Noise of all judged cycles together over that of the repetitions, at the most: a noise that is not quite that
-# of the model is no misfit.  True laws leave 0.97 to 1.04.
-NOISE_KNOWN = 1.2
+NOISE_KNOWN = 1.2  # rms of all judged cycles over that of the repetitions, at most; true laws leave 0.97 to 1.04
 
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
     noise_m: float  # standard deviation of one position, from the record, m
     misfit: float  # rms of the residuals of the judged cycles over ``noise_m``
-    lag1: float  # as in `fitting.judge.goodness.SlipStatistics`; 0 where no slip can be judged
-    repeat: float
-    # probability of statistics at least as large by noise alone; None where nothing could be judged: fewer than
-    # `FEWEST_SLIPS` slips, or no statistic that differs between repetitions
-    p_value: float | None
-    # numbers of the cycles that are not judged (`fitting.judge.goodness`); of several runs together none
-    left_out: tuple[int, ...] = ()
+    lag1: float  # autocorrelation of neighbouring residuals; 0 where no slip can be judged
+    repeat: float  # as in `Statistics`
+    p_value: float | None  # of statistics at least as large by noise alone; None where nothing could be judged
+    left_out: tuple[int, ...] = ()  # numbers of the cycles that are not judged; of several runs together none
 
     @property
     def judged(self) -> bool:
@@ -378,9 +342,8 @@ def judge(
 ) -> tuple[RunSlips, ...]:
     """Return the statistics of each run's slips with their null distribution.
 
-    ``residual`` (N,), m, is that of a fit without the cycles ``left_out``, as ``refit`` is: a slip that the belt's
-    joint has struck pulls at the parameters it shares with the others, which then have smooth residuals under the true
-    law (p = 1e-15 with 6 slips). ``windows`` replace the fit's where the residuals are of others.
+    Residual and ``refit`` are of a fit without the cycles ``left_out``, which would pull at the shared parameters;
+    ``windows`` replace the fit's where the residual is of others.
     """
     windows = fit.windows if windows is None else windows
     owner = np.repeat(windows.table[:, 5], windows.table[:, 3])
@@ -477,21 +440,18 @@ def tail(value: float, null: Array) -> float | None:
     return gamma_tail(value, mean, spread) if mean > 0 and spread > ROUNDING * mean else None
 
 
-TIMES_TRIED = 40  # steps tried, one a time, in a slip and in a stick; at 20 the best explains 0.8 of some steps
-# Share of a cycle's mean square beyond the usual one that a step explains.  Steps of 5 to 20 mm/s explain 0.97 to 1.0
-# of it in a slip; a landing after which the mass overtakes the belt unseen 0.77.
+TIMES_TRIED = 40  # times of a step that are tried in a slip and in a stick
+# Share of a cycle's excess mean square that a step must explain: steps of 5 to 20 mm/s explain 0.97 or more, an unseen
+# overtaking 0.77.
 LEAST_EXPLAINED = 0.9
-# Other cycles of a run that may fit badly by chance: a touch of a hand, an overtaking that was not seen.
+# Other cycles of a run, and their share, that may fit badly by chance: a touch of a hand, an unseen overtaking.
 MOST_ODD, MOST_ODD_SHARE = 1, 0.1
 
 
 def left_out(
     path_in: Callable[[Block], Path | None], linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers
 ) -> Mask:
-    """Return which spoilt cycles (cycles,) to leave out: those struck, and others where they are few.
-
-    ``path_in`` returns the path of a cycle, ``run`` is each cycle's run, ``landings`` are in s.
-    """
+    """Return which spoilt cycles (cycles,) to leave out: those struck, and others where they are few."""
     if not spoilt.any():
         return spoilt
     struck = _struck(path_in, linear, landings, spoilt, run)
@@ -598,10 +558,7 @@ def _percent(run: RunSlips, sums: Array, squares: Array) -> float | None:
 
 
 def half_seen(run: RunSlips, wave: Array, square: Array) -> float:
-    """Return the amplitude of a wave, of Fs, that rejects half of a run's repetitions; inf without one.
-
-    ``wave`` and ``square`` (occupied bins,) are sums of the wave and of its square in each bin.
-    """
+    """Return the amplitude of a wave, of Fs, that rejects half of a run's repetitions; inf without one."""
     bins, begin = run.bins, least(run.bins)
     sums, squares = wave[:, None], square[:, None]
     number, occupied = bins.residuals_and_bins
@@ -644,7 +601,6 @@ def _respond(fit: Fit, fastest: float, travel: float, blocks: Sequence[Block]) -
 
 
 def _waves(path: Path, u: Array, fastest: float, travel: float) -> Array:
-    """Return the acceleration (M, waves) by each wave."""
     F = np.exp(u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
     level = np.where(path.slips, path.side * path.level * F, 0.0)
     friction = np.where(path.slips, path.friction, 0.0)

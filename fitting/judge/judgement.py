@@ -1,4 +1,4 @@
-"""`compete`: the one competition of all laws: which describe the record, and which of these it cannot distinguish."""
+"""The one competition of all laws: which describe the record, and which of these it cannot distinguish."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fitting.judge import evidence
-from fitting.judge import evidence as equivalence
 from fitting.judge.adequacy import Judged, describing
 from fitting.judge.curve import MeasuredCurve
 from fitting.judge.evidence import Evidence, ModelSet, Units
@@ -18,17 +17,13 @@ from stickslip.compute.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Competition:
-    """All laws that were fitted, in the order of the rows, and the goodness of fit of those near the noise.
-
-    ``misfit`` is the rms of each law's residual in the usual cycles, over the noise of a position.  ``not_excluded``
-    are laws outside the set whose residual is no larger than the best law's within the noise of the comparison:
-    parsimony, not the record, excludes them.  Those that contain the best law, which cannot do worse, come last.
-    """
+    """All laws that were fitted, in the order of the rows, and the goodness of fit of those near the noise."""
 
     fits: tuple[Fit, ...]
     judged: Mapping[Law, Judged]
     chosen: ModelSet
-    misfit: Mapping[Law, float]
+    misfit: Mapping[Law, float]  # rms residual of the usual cycles over the noise of a position
+    # laws outside the set whose residual, without penalties, is as small as the best law's; those that contain it last
     not_excluded: tuple[Law, ...] = ()
     runs: tuple[Run, ...] = ()
     sustained: bool = True  # whether the mass sticks in the long run
@@ -40,7 +35,6 @@ class Competition:
 
     @property
     def members(self) -> tuple[Law, ...]:
-        """The set, best first; empty where no law describes the record."""
         return self.chosen.members
 
     @property
@@ -51,16 +45,14 @@ class Competition:
 
     @property
     def best(self) -> Fit:
-        """The law of the first row."""
         return self.fits[0]
 
     @property
     def described(self) -> bool:
-        """Whether a law describes the record."""
         return bool(self.chosen.members)
 
     def describes(self, law: Law) -> bool:
-        """Return whether a law describes the record, as far as that can be judged."""
+        """Whether a law describes the record, as far as that can be judged."""
         return law in self.judged and not self.judged[law].together.rejected
 
 
@@ -70,12 +62,8 @@ def compete(
     """Compare all laws by one evidence; the set is one of those that describe the record.
 
     The jump law of a narrow ramp competes on a compliant belt too; of both fits of a law the better one is its row.
-
-    noise: (runs,) Standard deviation of one position of each run, m.
-    known: A law whose goodness of fit is known already.
-    sustained: Whether the mass sticks in the long run; else the start-up drags alone are evidence.
     """
-    compliant = equivalence.fit_on_compliant_belt(fits, runs, alpha, sustained=sustained)
+    compliant = evidence.fit_on_compliant_belt(fits, runs, alpha, sustained=sustained)
     contenders = [*fits, *([] if compliant is None else [compliant])]
     units = evidence.common_units(contenders, runs, sustained=sustained)
     by_law: dict[Law, Fit] = {}
@@ -102,7 +90,7 @@ def compete(
     table = Evidence(tuple(penalised), np.array(list(penalised.values())), units.samples)
     chosen = evidence.model_confidence_set(table, alpha, described)
     fitting = {law: by_law[law] for law in described}
-    chosen = equivalence.with_indistinct_contacts(chosen, fitting, errors, runs, alpha, sustained=sustained)
+    chosen = evidence.with_indistinct_contacts(chosen, fitting, errors, runs, alpha, sustained=sustained)
     outside = sorted(described.difference(chosen.members), key=chosen.score.__getitem__)
     first = chosen.members[0]
     equal = [law for law in outside if evidence.no_larger(errors[law], errors[first], units.samples)]
@@ -117,7 +105,6 @@ def compete(
 
 
 def _misfit(fit: Fit, units: Units, noise: Array) -> float:
-    """Return the rms residual of the usual cycles over the noise of a position."""
     usual = [
         (fit.residual[rows], noise[run])
         for rows, run, counts in zip(fit.rows, fit.windows.run, units.inliers, strict=True)

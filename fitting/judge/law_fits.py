@@ -20,15 +20,15 @@ from fitting.search.fit import Fit
 from processing.record.kinematics import Kinematics
 from stickslip.errors import DataError, InputError
 
-# Error in the start-up drag over what a rippling belt leaves: a steady belt that leaves more was none.  On belts
-# with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.
+# Error in the start-up drag of a steady belt over that of a rippling one: more shows the ripple.  2 % ripple makes 1.5
+# to 79, three parameters without meaning 1.2.
 STEADY_DRAG_ERROR = 1.3
 CONSTANT = (SIX[1], SIX[2])  # laws of constant friction, which alone make a mass graze the belt
-MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each costs another fit of all laws
+MOST_OTHERS = 3  # ripples tried instead of the likeliest: each costs another fit of all laws
 
 
 class NoLawError(Exception):
-    """No law fits the record; `rank` catches it, and returns it as a result where that is stick-slip."""
+    """No law fits the record; `rank` returns it as a result where that is stick-slip."""
 
     def __init__(self, reason: str, *, stick_slip: bool) -> None:
         super().__init__(reason)
@@ -51,7 +51,7 @@ def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
 
 
 def _with_ripple(run: Run) -> Run:
-    """Return a run with the ripple that its sticks show, cut as on a steady belt; else the run."""
+    """Return a run with the ripple that its sticks show, if any."""
     found = ripple.find_ripple(run.motion, run.cut)
     return run if found is None else _rippled(run, found)
 
@@ -74,8 +74,7 @@ def fit_runs(
     """Fit those of the six that may describe the records.
 
     Also returns their runs, whether the mass sticks often, and the reason to refuse the records unless another law fits
-    them. A record that rough fits of the six do not come near is refused, unless a custom law was requested that may;
-    one that their fits do not come near is not refused yet.
+    them: fits of the six that do not come near refuse a record only if no custom law was requested.
     """
     laws = options.competitors.searched
     sustained = _check(laws, runs, records)
@@ -113,14 +112,13 @@ def fit_runs(
 def _fit_laws(
     laws: Sequence[Law], runs: Sequence[Run], among: Sequence[Law] = tuple(SIX.values()), **how: Any
 ) -> list[Fit]:
-    """Fit laws by the driver; without the errors of the levels as information."""
     return [without_level_errors(one) for one in exchange.fit_laws(laws, runs, among, **how)]
 
 
 def _fit_other_ripples(
     laws: Sequence[Law], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run]]:
-    """Fit the laws with the other possible ripples of the sticks, until one is described; return the best fits."""
+    """Fit the laws with other possible ripples, until one describes the run; return the best fits."""
     best = fits, run
     least = min(fit.geometric_mean_rms for fit in fits)
     for trial in _other_ripples(run):
@@ -134,12 +132,10 @@ def _fit_other_ripples(
 
 
 def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Return whether the best law fits to within the noise."""
     return describes([min(fits, key=lambda fit: fit.geometric_mean_rms)], [run.motion for run in runs])
 
 
 def _other_ripples(run: Run) -> list[Run]:
-    """Return a run with each ripple nearly as likely as the likeliest."""
     likely = ripple.find_ripples(run.motion, cycles.segment_cycles(run.motion, _excluded(run)))
     return [_rippled(run, other) for other in likely[1 : 1 + MOST_OTHERS]]
 
@@ -149,8 +145,8 @@ def _fit_grazing(
 ) -> tuple[list[Fit], Sequence[Run], bool]:
     """Fit the laws to a mass that grazes the belt; also return the runs and whether it sticks often.
 
-    Such a mass shows little of the belt, and apparent short sticks may be the tops of a sine. So a ripple comes first
-    only where the start-up drag shows one. Laws with sticks are tried where constant friction misses the record.
+    Apparent short sticks may be the tops of a sine, so a ripple comes first only where the start-up drag shows one.
+    Laws with sticks are tried where constant friction misses the record.
     """
     tried = [(fit_to(CONSTANT, steady, CONSTANT), steady)]
     rippled = [_with_ripple(run) for run in steady]
@@ -199,7 +195,7 @@ def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematic
     count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
-            refuse(screening.swings_alone(count), records)
+            refuse(f"{count} whole swing{'' if count == 1 else 's'} in it, and no stick", records)
         if count:  # a longer record of another motion would be none either
             refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
         left = sum(len(run.cut.cycles) for run in runs) - count
@@ -216,7 +212,6 @@ def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematic
 
 
 def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return advice to obtain more cycles."""
     if any(map(_excluded, runs)):
         return "leave out fewer (--exclude-cycles)"
     if not sustained and all(run.cut.starts_at_rest and screening.dies_away(run.motion.velocity) for run in runs):
@@ -228,7 +223,7 @@ def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
 
 
 def refuse(why: str, records: Sequence[Kinematics]) -> None:
-    """Raise NoLawError unless ``why``, the reason that the laws cannot be ranked, is empty."""
+    """Raise NoLawError unless the reason is empty."""
     if why:
         stick_slip = why != screening.SINE_ALONE and all(screening.is_stick_slip(record) for record in records)
         raise NoLawError(why, stick_slip=stick_slip)

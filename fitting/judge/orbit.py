@@ -29,17 +29,14 @@ class MeasuredOrbit:
         return cls(size, cKDTree(points / size))
 
     def distance(self, fit: Fit) -> float:
-        """Return the rms distance of one run's law orbit to the measured one, of the orbit's size in each axis.
-
-        Differences in time alone, such as a late slip, do not count.
-        """
+        """Return the rms distance in the phase plane, over the orbit's size: differences in time do not count."""
         points = orbit(fit) / self.size
         distances, _ = self.tree.query(points[:: max(1, len(points) // MOST_POINTS)])
         return float(np.sqrt(np.mean(distances**2)))
 
 
 def orbit(fit: Fit) -> Array:
-    """Return position and velocity of a law in all windows; shape (samples, 2)."""
+    """Return position and velocity of a law in all windows, shape (samples, 2)."""
     x = fit.windows.position + fit.residual
     parts = []
     for _, _, first, count, *_ in fit.windows.table:

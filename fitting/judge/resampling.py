@@ -1,14 +1,12 @@
 """Errors of a fitted law without a covariance: fits of drawn cycles, and fits with one parameter fixed.
 
-Bootstrap.  The cycles of a record are independent: each break-away draws a new friction level, and the residuals of a
-slightly wrong model are correlated within a cycle alone.  So cycles are drawn, not samples, by the weights of the
-Bayesian bootstrap (D. Rubin, Ann. Statist. 9 (1981) 130): exponential ones, since omitting cycles entirely would leave
-a short record with too few.  Calibrations are drawn from their errors.  Each draw is fitted with a warm start. The
-spread is that of the sandwich covariance (`fitting.judge.parameters`) where the problem is linear.
+Bootstrap.  Residuals are correlated within a cycle, and each break-away draws a new friction level.  So cycles are
+drawn, by the exponential weights of the Bayesian bootstrap (D. Rubin, Ann. Statist. 9 (1981) 130), which omits none.
+Calibrations are drawn from their errors.  Each draw is fitted with a warm start.
 
 Profile.  One parameter is fixed at a row of values and all others are fitted again.  The deviance is twice the rise of
-the objective: in a linear problem the square of the distance in standard errors, 3.84 at the ends of a 95 % interval.
-It excludes the errors of the metres per count and of the mass, which only scale the result.
+the objective: in a linear problem the square of the distance in standard errors.  It excludes the errors of the metres
+per count and of the mass, which only scale the result.
 """
 
 import math
@@ -27,19 +25,13 @@ from stickslip.compute.arrays import Array
 from stickslip.errors import DataError, InputError, nearest
 
 FIRST_DAMPING = 1e-6  # damping over the curvatures: each fit starts near its end, which does not depend on it
-# Share of the draws that must be fitted.  Those that cannot are the outermost, and the outermost tenth of normal draws
-# has 44 % of their variance: at half of this the spread is that of the middle alone, at 1 a single odd draw refuses
-# all.
-FEWEST_FITTED = 0.9
-# Reach in standard errors on either side, and fits on each: half as many leave a bent profile unseen.
+FEWEST_FITTED = 0.9  # share of draws that must be fitted: the outermost tenth has 44 % of a normal variance
+# Reach in standard errors on either side, and fits on each.
 PROFILE_REACH, PROFILE_STEPS = 3.0, 6
 
 
 def bootstrap(fit: Fit, motion: MeasuredMotion, n: int, seed: int | None) -> dict[str, Array]:
-    """Return parameters of fits of n draws of cycles: by name arrays (draws,), per unit mass, of the first run.
-
-    Raises InputError for fewer than two draws, and DataError where more than a tenth of them cannot be fitted.
-    """
+    """Return parameters of n draws: by name arrays (draws,), per unit mass, of the first run."""
     if not (isinstance(n, int) and n >= 2):
         raise InputError(f"n is {n!r}", "bootstrap", "give 2 draws or more; 200 show a standard error to 5 %")
     rng, problem = np.random.default_rng(seed), fit.least_squares
@@ -68,8 +60,7 @@ def bootstrap(fit: Fit, motion: MeasuredMotion, n: int, seed: int | None) -> dic
 def profile(fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], name: str) -> dict[str, Array]:
     """Return ``value`` (k,) of a parameter, and with it fixed there ``deviance`` (k,) and ``rms_m`` (k,).
 
-    ``name`` is an unknown of the fit: per unit mass or, with a known mass, in newtons; unknown, fixed or dependent ones
-    raise InputError, a motion that cannot be followed DataError.
+    Unknown, fixed or dependent ones raise InputError, a motion that cannot be followed DataError.
     """
     if name not in parameters:
         raise InputError(f"law {fit.law.name} has no parameter {name!r}", "profile", nearest(name, list(parameters)))

@@ -1,19 +1,15 @@
-"""Frames lost or doubled among even times, where noise hides single ones: what they leave in the residuals of a fit.
+"""Records that are refused: frames lost among even times, too few samples in a slip, no belt stick-slip.
 
-Each lost frame moves all positions behind it by the way v dt of one frame.  The residuals of a window then are noise
-and a random walk, whose variance grows by p (v dt)^2 a sample when a share p of the frames is missing.  The residuals
-are cut into pieces, each less a cubic and what it has in common with the same piece of the other cycles: that takes
-away what a wrong law, a ripple or wear leaves.  The squares of what a piece holds of the modes of a random walk are
-regressed on the variances that noise and the walk give to each mode.
-Noise may be correlated over three samples, as after a filter in the tracker: its autocovariances are unknowns, too.
-What rounding leaves of a slow motion is correlated for longer: where it makes up the noise, nothing is looked for.
+Frames.  A lost (or doubled) frame moves all later positions by v dt.  The residual of a window is then noise and a
+random walk, whose variance grows by p (v dt)^2 a sample when a share p of the frames is missing.  The residual is cut
+into pieces, each less a cubic and the mean over the cycles, which removes the misfit of a wrong law, a ripple or wear;
+the squared modes of the walk are regressed on the variances that noise and walk give to each.  Noise may be correlated
+over three samples; where rounding dominates it, nothing is tested.  `processing.defects.frames` counts the frames where
+single ones are clear of the noise.
 
-`processing.defects.frames` counts the frames where single ones are clear of the noise.
-
-Why a record is not belt stick-slip: it has no cycle, no law fits a few of its cycles roughly, or none all of them.
-
-Rough fits decide; what the motion shows explains a refusal.  One fact decides alone, since only fits to such records
-are costly: a spring accelerates the mass between its sticks.
+Stick-slip.  A record without cycles, or one that no law fits roughly in a few cycles or at all, is refused; what the
+motion shows explains why.  One fact decides alone, since only fits to such records are costly: a spring accelerates the
+mass between its sticks.
 """
 
 import math
@@ -41,19 +37,15 @@ from stickslip.compute.arrays import Array, Integers
 from stickslip.errors import DataError, InputError
 from stickslip.units import Measured
 
-# Samples of a piece: the shortest that shows the share to `SHARE_ERROR` is taken, or the last.  In 16 a law's misfit
-# leaves nothing, in 256 (0.64 s at 400 frames a second) constant friction shows the share under 1 mm of noise.
+# Samples of a piece: the shortest that determines the share to `SHARE_ERROR`, or the last.
 PIECE_SAMPLES = (16, 32, 64, 128, 192, 256)
 TREND_DEGREE = 3  # degree of the polynomial taken off each piece
 NOISE_LAGS = 3  # samples over which noise may be correlated
-# Standard error of the share without lost frames.  With twice as much, 5 % would be five errors away, which is no sure
-# finding; half as much wants longer pieces, and none is long enough for constant friction under 1 mm of noise.
-SHARE_ERROR = 0.005
-# Share of lost frames in standard errors: where losses are possible, and sure.  Of 40 sound tracks (0.2 to 1 mm of
-# noise, also of other laws than the six) none exceeds 2.1, of 24 that miss 5 % of their frames none has less than 10.
-# Between the two limits longer pieces decide.
+SHARE_ERROR = 0.005  # standard error of the share without lost frames: 5 % lost are ten errors
+# Share of lost frames in standard errors where losses are possible, and sure; between them longer pieces decide.  40
+# sound tracks have at most 2.1, 24 that miss 5 % of their frames at least 10.
 POSSIBLE_ERRORS, SURE_ERRORS = 3.0, 6.0
-LEAST_SHARE_LOST = 0.01  # share of lost frames: less moves parameters by less than 1 %
+LEAST_SHARE_LOST = 0.01  # less moves parameters by less than 1 %
 ERRORS_BETWEEN_CYCLES = 2.5  # share in standard errors by the scatter between cycles, which the walk makes large
 FEWEST_PIECES, FEWEST_CYCLES = 8, 4
 REWEIGHTINGS = 4  # fits, each with the weights of the last
@@ -80,10 +72,7 @@ def piece_modes(n: int) -> PieceModes:
 
 
 def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None:
-    """Return the share of lost (or doubled) frames of a run, 0 to 1, by the best law; None where none is seen.
-
-    A board's recording and uneven times are not tested: their times show what is missing.
-    """
+    """Return the share of lost (or doubled) frames of a run, 0 to 1, by the best law; None where none is detected."""
     motion = fit.problem.motions[run]
     if record.recording.raw is not None or not record.even_times or motion.resolution < DITHERED * motion.step:
         return None
@@ -106,8 +95,7 @@ def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None
 def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
     """Return squared modes (k, m), m^2, mean square step (k,), m^2, and cycle (k,) of every piece.
 
-    Pieces are at the same places in every window, and the mean of their modes over the cycles is subtracted: lost
-    frames do not repeat, the misfit of a wrong law does.
+    The mean of the modes over the cycles is subtracted: lost frames do not repeat, a wrong law's misfit does.
     """
     modes, steps, cycles, places = [], [], [], []
     windows = fit.windows
@@ -139,10 +127,7 @@ def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
 def _regressed(
     squares: Array, steps: Array, cycle: Integers, modes: PieceModes, certain: float
 ) -> tuple[Measured, float] | None:
-    """Return the share with its standard error by cycles, and that of a record without lost frames.
-
-    None where the latter is larger than ``certain``.
-    """
+    """Return the share, and its error without lost frames; None where the latter is larger than ``certain``."""
     noise = np.broadcast_to(modes.noise[:, None, :], (NOISE_LAGS + 1, *squares.shape))
     columns = np.concatenate((noise, (steps[:, None] * modes.walk)[None]))
     level = float(np.mean(squares[:, : squares.shape[1] // 2]))  # of the modes that the walk hardly has
@@ -169,25 +154,18 @@ def _regressed(
 # Difference over the usual stick's speed: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1.
 ONE_SPEED = 0.2
 FEWEST_STICKS = 2  # sticks to distinguish one speed from several
-# Samples in the usual slip.  Chosen: with 4, wrong laws are named alone and corners are found at the wrong places; from
-# 16 on nothing is gained.
-FEWEST_SAMPLES = 8
-# Samples in the usual slip with which a record that no law describes is refused for what it shows alone.  Of 230
-# contacts that stick one is refused so, with 9 samples, two of them in a stick: half as many would not tell why, and
-# twice as many would ask for a higher rate where another motion was recorded.
-ENOUGH_SAMPLES = 20
+FEWEST_SAMPLES = 8  # samples in the usual slip, chosen: with 4, wrong laws win
+ENOUGH_SAMPLES = 20  # samples in the usual slip, chosen: with fewer, a refusal advises a higher rate
 BEYOND_NOISE = 20.0  # way in standard deviations of a position: a mass that moves by less does not move
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
 SINE_DISTANCE = 0.05  # distance from a sine over its amplitude: closer, a motion is one
-# Least change of velocity in the middle half of a slip, over the slip speed.  Spring and mass alone make 0.3 to 0.5, 39
-# runs of all laws and disturbances 0.45 to 1.5, a triangular wave 0.000; half and twice the bound refuse the same.
+# Least change of velocity in the middle half of a slip, over the slip speed: spring and mass make 0.3 or more, a
+# triangular wave 0.000.
 EVEN_SLIP = 0.1
 DIES_AWAY = 0.7  # speed in the last third over that at first, of a motion that dies away
 WORST_ERROR = 0.02  # error over a slip's length: a best law that usually errs by more describes something else
 LEAST_FRICTION = 1e-3  # friction over the spring's pull in a slip: with less, nothing holds the mass
-# Rough fits before the six laws: eight cycles cost 0.02 to 0.2 CPU s a law.  The first law tried leaves
-# at most 0.004 of a slip on five sample runs and a rippled one; noise, drives and hands left 0.04 to 0.4 by the best
-# law, a triangular wave 0.007.  Half the bound would still pass those runs; at twice more noise reaches the full fits.
+# Error of a rough fit over a slip's length: stick-slip leaves at most 0.004, noise, drives and hands 0.04 to 0.4.
 SCREENED_ERROR = 0.03
 SCREENED_CYCLES = 8  # cycles of the record, evenly spread
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
@@ -196,21 +174,14 @@ NONE_NEAR = "no law comes near it"
 NOT_DESCRIBED = "no law describes it"  # though one comes near
 SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
-# Share of the record in sticks.  At half of it none of 240 records of other motion is taken for stick-slip either; at
-# twice, records of 132 and of 38 sticks of one speed (0.19, and 0.21 of paper on paper) are none.
-LEAST_SHARE = 0.15
-# Median way back in a slip, over the median way of a stick: in the long run both are equal.  Records of paper on paper
-# have 0.83 and 1.01, steps 0.04.
-RETURNS = (0.5, 2.0)
+LEAST_SHARE = 0.15  # of the record in sticks: stick-slip of paper on paper has 0.19 and more
+RETURNS = (0.5, 2.0)  # median way back in a slip, over that of a stick: paper on paper has 0.83 and 1.01, steps 0.04
 
 
 def refusal(
     why: str, contradicted: Sequence[Sequence[Finding]], runs: Sequence[Run], records: Sequence[Kinematics]
 ) -> DataError:
-    """Return the error of a record whose laws cannot be ranked.
-
-    ``contradicted`` are each run's calibrations without which a law fits.
-    """
+    """Return the error of records whose laws cannot be ranked; ``contradicted`` by each run, if a law fits without."""
     where = ", ".join(record.recording.where for record in records)
     findings = [finding for own in contradicted for finding in own]
     if findings:
@@ -221,7 +192,6 @@ def refusal(
 
 
 def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics], where: str) -> tuple[str, str, str]:
-    """Return what a rejected record is, where, and what to do."""
     if why == SINE_ALONE:
         do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
         return f"no belt stick-slip in this record: {why}", where, do
@@ -238,14 +208,14 @@ def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics],
 
 
 def refuse_wrong_times(record: Kinematics) -> None:
-    """Raise DataError for a record with frames lost or doubled among even times, since their places are unknown."""
+    """Raise DataError for frames lost or doubled among even times: their places are unknown."""
     for finding in record.findings:
         if finding.code in WRONG_TIMES:
             raise _wrong_times(f"{100 * finding.value:.2g}", WRONG_TIMES[finding.code], record)
 
 
 def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
-    """Raise DataError for a record with fewer than `FEWEST_SAMPLES` in the usual slip; it holds the finding."""
+    """Raise DataError, with its finding, for fewer than `FEWEST_SAMPLES` in the usual slip."""
     samples_per_slip, slip_s = _slip(motion, record)
     samples = round(samples_per_slip)
     if samples >= FEWEST_SAMPLES:
@@ -261,21 +231,17 @@ def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def _slip(motion: MeasuredMotion, record: Kinematics) -> tuple[float, float]:
-    """Return the samples in the usual slip of a record, and its duration, s."""
+    """Return the samples in the usual slip, and its duration, s."""
     return motion.samples_per_slip, motion.samples_per_slip * float(np.median(np.diff(record.time)))
 
 
 def _rounded_up(rate: float) -> float:
-    """Return a rate rounded up to two digits, Hz."""
     step = 10.0 ** (math.floor(math.log10(rate)) - 1)
     return step * math.ceil(rate / step)
 
 
 def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
-    """Raise InputError for a spring at rest beyond the end of the travel to which the belt runs.
-
-    Only for stick-slip: otherwise the belt's direction does not matter.
-    """
+    """Raise InputError for a spring at rest beyond the end of the travel to which the belt runs."""
     if motion.datum_prior is None:
         return
     rest = replace(motion.datum_prior, value=motion.sign * motion.datum_prior.value)
@@ -287,10 +253,7 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
-    """Raise DataError for a record whose residuals by the best law show lost or doubled frames.
-
-    Only finished fits have the residuals of every sample that this requires.
-    """
+    """Raise DataError where the residual of the best finished fit shows lost or doubled frames."""
     best = min((fit for fit in fits if fit.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
     for run, record in enumerate(records):
         share = None if best is None else missing_share(best, record, run)
@@ -309,11 +272,7 @@ def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
 
 
 def is_stick_slip(record: Kinematics) -> bool:
-    """Return whether a record sticks and slips in turn on a belt, whatever its friction.
-
-    Its sticks fill a good part of it at one speed, and the slips lead back as far, at a changing speed, as under a
-    spring.
-    """
+    """Return whether sticks of one speed alternate with slips back, as long and at a changing speed."""
     sticks = record.sticks
     if len(sticks) < FEW or record.plateau_fraction < LEAST_SHARE:
         return False
@@ -330,7 +289,7 @@ def is_stick_slip(record: Kinematics) -> bool:
 
 
 def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
-    """Return why a record has no cycles that a law could be fitted to, or ""."""
+    """Return why no law could be fitted to the cycles of a record, or ""."""
     # Cycles at rest half the time are left out of the fit, but show as well as any other what drives the mass.
     seen = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
     if not seen:
@@ -351,11 +310,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
 
 
 def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return why no law can describe the runs, from rough fits of a few cycles, or "" once one law fits.
-
-    Real stick-slip passes with the first law: windows and levels are free enough for any of the six to reach
-    `SCREENED_ERROR`. Other records are rejected within a second. Unless ``sustained``, constant friction is tried too.
-    """
+    """Return why no law can describe the runs, from rough fits of a few cycles; "" once one law fits."""
     if not sustained and all(_is_sine_alone(run) for run in runs):
         return SINE_ALONE
     few = [replace(run, cut=replace(run.cut, cycles=_spread_out(run.cut.used))) for run in runs]
@@ -370,24 +325,18 @@ def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained
 
 
 def _spread_out(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
-    """Return at most `SCREENED_CYCLES` of the cycles, evenly spread over the record."""
+    """Return at most `SCREENED_CYCLES` cycles, evenly spread over the record."""
     places = np.unique(np.linspace(0, len(cycles) - 1, SCREENED_CYCLES).round().astype(int))
     return tuple(cycles[place] for place in places)
 
 
 def _sine_or(what: str, runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return ``what``, or that the motion is a sine without a start-up, which looks the same at any friction."""
+    """Return ``what``, or that the motion is a sine without a start-up, which is the same at any friction."""
     alone = not sustained and all(_is_sine(run.motion) and not run.cut.starts_at_rest for run in runs)
     return SINE_ALONE if what and alone else what
 
 
-def swings_alone(swings: int) -> str:
-    """Return the description of a few swings without start-up or stick."""
-    return f"{swings} whole swing{'' if swings == 1 else 's'} in it, and no stick"
-
-
 def comes_near(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Return whether one of some laws comes near the runs."""
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
     return any(fit.misfit < WORST_ERROR * longest for fit in fits)
 
@@ -413,7 +362,6 @@ def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
 
 
 def _of_motion(motion: MeasuredMotion) -> str:
-    """Return why a record without a whole cycle shows no stick-slip."""
     v = motion.velocity
     if motion.travel < BEYOND_NOISE * motion.resolution or motion.travel == 0:
         return "nothing moves beyond the noise" if motion.travel else "nothing moves"
@@ -427,10 +375,7 @@ def _of_motion(motion: MeasuredMotion) -> str:
 
 
 def _reversal(motion: MeasuredMotion, begin: Integers, end: Integers) -> float | None:
-    """Return the time of the run, s, at which the belt reverses, or None.
-
-    Sticks on a reversed belt look like slips, all of the belt's constant speed.
-    """
+    """Return the time of the run, s, at which the belt reverses: sticks on it then have the belt's constant speed."""
     middle = [motion.velocity[i + (j - i) // 4 : j - (j - i) // 4 + 1] for i, j in zip(begin, end, strict=True)]
     speed = np.array([float(np.median(v)) for v in middle]) / motion.belt_speed
     even = (np.abs(speed + 1) < ONE_SPEED) & (_speed_changes(motion, begin, end) < EVEN_SLIP)
@@ -452,7 +397,6 @@ def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Ar
 
 
 def _is_sine(motion: MeasuredMotion) -> bool:
-    """Return whether the position is a sine, to a twentieth of its amplitude."""
     return _sine_residual(motion) < SINE_DISTANCE * float(np.std(motion.position))
 
 
@@ -479,5 +423,4 @@ def dies_away(velocity: Array) -> bool:
 
 
 def _slip_length(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
-    """Return the median distance covered in a slip window, m."""
     return float(np.median([np.ptp(motion.position[slice(*cycle.slip)]) for cycle in cut.used]))

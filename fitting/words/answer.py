@@ -1,10 +1,9 @@
-"""Intervals of the rig's parameters over all laws that the record does not exclude.
+"""The answer of a ranking: its rows, intervals, sentences and warnings, from the competition of the laws.
 
 A law's interval holds if that law does.  Where several laws are compatible, the true belt speed may lie far outside the
-interval of the best one: on a ramp the mass lags behind the belt, so that a jump law, fitted to the same camera track,
-finds a belt slower by part of the ramp's width.  A law that leaves a parameter undetermined contains every value.
-
-The answer of a ranking: its rows, sentences and warnings, from the competition of the laws.
+interval of the best one: on a ramp the mass lags behind the belt, so a jump law finds a slower belt.  So intervals of
+the rig's parameters contain those of every compatible law; one that leaves a parameter undetermined contains all
+values.
 """
 
 import math
@@ -41,8 +40,7 @@ GROUPS = {group[0]: group for group in UNDETERMINED_WITH.values() if group[0] in
 def over_compatible_laws(rows: Sequence[LawResult], compatible: Collection[int | str]) -> list[LawResult]:
     """Return one run's rows; intervals of the rig's parameters contain those of every compatible law.
 
-    The standard error becomes that of the longer half of the interval. What a compatible law leaves undetermined is
-    withheld, with what is known only together with it. Rows outside the set do not change.
+    The standard error becomes that of the longer half of the interval. Rows outside the set do not change.
     """
     others = [row.parameters for row in rows if row.law in compatible]
     withheld = {name for lead, _ in _undetermined(rows, compatible) for name in GROUPS[lead]}
@@ -75,7 +73,7 @@ def law_dependent(rows: Sequence[LawResult], compatible: Collection[int | str]) 
 
 
 def _undetermined(rows: Sequence[LawResult], compatible: Collection[int | str]) -> list[tuple[str, int | str]]:
-    """Return the rig's parameters that a law of the set has and another compatible law has not, with that law."""
+    """Return the rig's parameters that one law of the set has and another compatible law has not, with that law."""
     names = {row.law: {name.split(" (")[0] for name in row.parameters} for row in rows if row.law in compatible}
     members = [row.law for row in rows if row.in_set]
     return [
@@ -104,13 +102,7 @@ def build_ranking(
     other_contact: Finding | None,
     begun: float,
 ) -> Ranking:
-    """Return the ranking.
-
-    adequacies: Of all runs together and, where there are several, of each.
-    contradicted: What of each run's calibration its record contradicts.
-    other_contact: That the runs are not of one contact.
-    begun: CPU time of the process when the ranking began, s.
-    """
+    """Return the ranking; ``adequacies`` of all runs together, then of each; ``begun`` is a CPU time, s."""
     orbits, together = [MeasuredOrbit.of(run.motion) for run in competition.runs], adequacies[0]
     of_law = (_rows_of(fit, competition, options, orbits, together) for fit in competition.fits)
     tables = list(zip(*of_law, strict=True))
@@ -140,7 +132,6 @@ def without_law(
     records: Sequence[Kinematics],
     begun: float,
 ) -> Ranking:
-    """Return the verdict on stick-slip that no law fits: no rows, and what is known without a law."""
     outcome = NONE_OF_SIX if len(options.competitors.six) == len(SIX) else NONE_FITTED
     laws = "none of the six laws" if outcome == NONE_OF_SIX else outcome
     words = verdict.name_contradictions(f"stick-slip, but {laws}: {reason}", contradicted)
@@ -217,7 +208,7 @@ def _rows_of(
 
 
 def _parameters(fit: Fit, competition: Competition, options: Options, run: int) -> dict[str, Parameter]:
-    """Return a law's parameters of a run; those that were given as they were given."""
+    """Return a law's parameters of a run, with the fixed ones as the user gave them."""
     motion = competition.runs[run].motion
     own = derived.derived_parameters(fit, motion, options.alpha, run, sustained=competition.sustained)
     trusted = competition.describes(fit.law)
@@ -240,7 +231,7 @@ def _side(
     findings: Sequence[Finding],
     adequacy: Adequacy,
 ) -> Ranking:
-    """Return one run's side, without verdict and warnings: its rows, break-aways and findings."""
+    """Return one run's rows, break-aways and findings, without verdict and warnings."""
     run, rows = competition.runs[number], tuple(over_compatible_laws(table, competition.compatible))
     events = breaks.find_break_aways(rows[0].fit, run.motion, run.cut)
     # The fitted belt speed is compared with the stated one more exactly than the sticks that smoothing found.
@@ -272,7 +263,7 @@ def _side(
 
 
 def _complete(sides: Sequence[Ranking], contradicted: Contradictions, begun: float, **of_all: Any) -> Ranking:
-    """Return the ranking of all runs, of which a single one is its own side; ``of_all`` is what they have together."""
+    """Return the ranking of all runs, of which a single one is its own side; ``of_all`` is of all together."""
     ranking, cpu_s = replace(sides[0], **of_all), clock.process_time() - begun
     if len(sides) > 1:
         records = tuple(record for side in sides for record in side.records)

@@ -24,10 +24,7 @@ SPLITS = {
 
 
 def write_verdict(ranking: Ranking, contradicted: Sequence[Sequence[Finding]]) -> str:
-    """Return the verdict: the law, or the compatible laws, and why; else what is known where no law describes the runs.
-
-    contradicted: What of each run's calibration its record contradicts.
-    """
+    """Return the law, or the compatible laws, and why; else what is known where no law describes the runs."""
     if ranking.members:
         return name_contradictions(_compatible(ranking), contradicted)
     cause = next((finding.text for finding in ranking.findings if finding.code == "not-one-contact"), "")
@@ -38,7 +35,7 @@ def write_verdict(ranking: Ranking, contradicted: Sequence[Sequence[Finding]]) -
 
 
 def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:
-    """Return a verdict with the calibrations that its law contradicts, each once."""
+    """Add the calibrations that the law contradicts, each once."""
     clauses = {}
     for one in (one for own in contradicted for one in own):
         unit, name = UNITS[one.code], one.code.replace("-", " ")
@@ -71,7 +68,6 @@ def _cycles(ranking: Ranking) -> str:
 
 
 def _of_six(ranking: Ranking) -> str:
-    """Return the verdict on the six, of which some are in the set."""
     best, cycles = ranking.best, _cycles(ranking)
     members = [row for row in ranking.rows if row.in_set and isinstance(row.law, int)]
     fit = f"{cycles} fit to {format_length(best.rms_m)} rms"
@@ -98,7 +94,6 @@ def _of_six(ranking: Ranking) -> str:
 
 
 def _behind(best: LawResult, other: LawResult) -> str:
-    """Return the lead over the next law in words."""
     ratio = other.rms_m / best.rms_m
     if ratio > 1.2:
         return f"the next best, {other.label}, has {ratio:.3g} times the error"
@@ -120,13 +115,12 @@ def _constant_friction(ranking: Ranking) -> str:
 
 
 def _gives(ranking: Ranking) -> bool:
-    """Return whether the best law was fitted on a belt that slows under load, which no counts of the belt showed."""
+    """Whether the best law was fitted on a belt that slows under load, though not measured."""
     measured = all(side.motion.belt_measured for side in ranking.sides)
     return not measured and Global.COMPLIANCE in ranking.best.fit.places
 
 
 def _of_formula(ranking: Ranking) -> str:
-    """Return the verdict where a law given as a formula is the best."""
     best, six = ranking.best, [row for row in ranking.rows if isinstance(row.law, int)]
     head = f"{best.called}: {_cycles(ranking)} fit to {format_length(best.rms_m)} rms, {best.shown}"
     others = [row for row in ranking.rows if row.in_set and row is not best]
@@ -144,7 +138,6 @@ def _of_formula(ranking: Ranking) -> str:
 
 
 def _no_law(ranking: Ranking, cause: str) -> str:
-    """Return the verdict on a record that no law describes, with its cause, and how far off the laws are."""
     rows, adequacy = ranking.rows, ranking.adequacy
     asked = [row for row in rows if row.asked]
     if len(asked) == 1:
@@ -157,7 +150,6 @@ def _no_law(ranking: Ranking, cause: str) -> str:
 
 
 def _instead(adequacy: Adequacy) -> str:
-    """Return what the record shows instead of a law."""
     if adequacy.departures:
         first = adequacy.departures[0]
         size = f"{first.parameter} = {first.value:.3g} +- {first.stderr:.2g} {first.unit}"
@@ -173,7 +165,6 @@ def _instead(adequacy: Adequacy) -> str:
 
 
 def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
-    """Return the distance of the best law from the record in words."""
     named = f"{best.called}, the closest," if laws > 1 else "it"
     left = f"{named} leaves residuals of {format_length(best.rms_m)} rms"
     found, outside = adequacy.goodness, best.outside_band

@@ -13,7 +13,7 @@ POOR_ERROR = 0.003  # error over the motion's range: five times what 12 % scatte
 
 
 def warnings(run: Ranking, others: Sequence[str], together: Adequacy) -> tuple[str, ...]:
-    """Return the warnings of one run's side, with ``others`` of its laws; ``together`` is known of all runs."""
+    """Return one run's warnings, with ``others`` of its laws; ``together`` is of all runs."""
     findings = [finding.text for finding in run.findings]
     of_record = (*_of_record(run), *others, *not_judged(run.adequacy), *level_of_curve(together))
     return (*_of_fit(run), *findings, *of_record)
@@ -108,7 +108,7 @@ def _hidden_ramp(side: Ranking) -> float | None:
 
 
 def not_judged(adequacy: Adequacy) -> tuple[str, ...]:
-    """Return the warnings of what the goodness of fit does not judge: some cycles, or the whole record."""
+    """Warn of what the goodness of fit does not judge: some cycles, or the whole record."""
     found = adequacy.goodness
     if found is None:
         return ()
@@ -123,7 +123,7 @@ def not_judged(adequacy: Adequacy) -> tuple[str, ...]:
 
 
 def level_of_curve(adequacy: Adequacy) -> tuple[str, ...]:
-    """Return the warning that the record does not determine the level of the measured curve, if so."""
+    """Warn where the record does not determine the level of the measured curve."""
     curve = adequacy.curve
     if curve is None or curve.level_known:
         return ()
