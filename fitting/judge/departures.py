@@ -62,19 +62,9 @@ class FittedDeparture:
     refitted: bool = True  # no other departure is reported
 
     def as_json(self) -> dict[str, Any]:
-        row: dict[str, Any] = {
-            "name": self.name,
-            "sigmas": self.sigmas,
-            "parameter": self.parameter,
-            "value": self.value,
-            "stderr": self.stderr,
-            "unit": self.unit,
-            "text": self.text,
-            "explained": self.explained,
-            "refitted": self.refitted,
-            "law": self.law,
-            "parameters": {name: item.as_json() for name, item in self.parameters.items()},
-        }
+        names = ("name", "sigmas", "parameter", "value", "stderr", "unit", "text", "explained", "refitted", "law")
+        row = {name: getattr(self, name) for name in names}
+        row["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
         if self.scale is not None:
             row["scale"] = vars(self.scale)
         return row

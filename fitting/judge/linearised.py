@@ -93,9 +93,7 @@ class LinearisedFit:
 
     def _gradients(self, columns: Iterable[Array]) -> tuple[Array, Array]:
         """Return w J'C of blocks C (rows, n) by the shared (cycles, p, n) and the cycles' unknowns (cycles, q, n)."""
-        parts = []
-        for (block, part), own in zip(self.derivatives, columns, strict=True):
-            parts.append(self._product(part, own, block))
+        parts = [self._product(part, own, block) for (block, part), own in zip(self.derivatives, columns, strict=True)]
         both, p = np.concatenate(parts), self.priors.gradient.size
         return np.ascontiguousarray(both[:, :p]), np.ascontiguousarray(both[:, p:])
 

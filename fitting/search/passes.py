@@ -18,11 +18,10 @@ from fitting import noise_levels
 from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.normal_equations import LeastSquaresProblem, cost_by_cycle
 from fitting.model import flow, unknowns
-from fitting.model import problem as starts
 from fitting.model.curves import LawCurve
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
-from fitting.model.problem import cycle_starts, thinned_to
+from fitting.model.problem import cycle_starts, thinned_to, with_static
 from fitting.model.unknowns import PER_RUN, RIPPLE, Global
 from fitting.model.windows import SampleNodes
 from fitting.search.fit import Fit, PassNoise
@@ -58,7 +57,7 @@ FOLLOWED, FORCE_PASSES, FORCE_STEPS, FORCE_SETTLED = 4, 6, 8, 1e-3
 def regressed_start(task: Task) -> FitStart:
     problem = task.problem
     windows = problem.windows(thinned=True)
-    local = starts.cycle_starts(windows, problem.motions, problem.cycles, problem.start)
+    local = cycle_starts(windows, problem.motions, problem.cycles, problem.start)
     shared = problem.start[list(task.places)]
     return FitStart(np.concatenate([shared, task.curve.start, np.zeros(task.widths[2])]), local)
 
@@ -66,7 +65,7 @@ def regressed_start(task: Task) -> FitStart:
 def restarted_windows(at: Fit) -> FitStart:
     """Restart all windows at the smoothed motion: the first shared unknowns may have led them to poor minima."""
     problem = at.task.problem
-    return FitStart(at.q, starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u))
+    return FitStart(at.q, cycle_starts(at.windows, problem.motions, problem.cycles, at.u))
 
 
 def assumed_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
@@ -163,7 +162,7 @@ def _set_static(task: Task, u: Array, level: float) -> None:
     """Change the break-away level in u, with the same friction in slip and slope in stick."""
     if isinstance(task.curve, LawCurve):
         for own in u.reshape(-1, PER_RUN):
-            own[:] = unknowns.to_array(starts.with_static(task.curve.code, unknowns.values(own), level))
+            own[:] = unknowns.to_array(with_static(task.curve.code, unknowns.values(own), level))
 
 
 def _static_gain(at: Fit) -> float:
@@ -243,7 +242,7 @@ def _started_below_belt(at: Fit, noise: PassNoise) -> Fit:
     beyond = (at.local > fastest).any(axis=1) & noise.inliers
     if curve.ramp or curve.law is None or curve.law.kind.curve == "constant" or not beyond.any():
         return at
-    fresh = starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u)
+    fresh = cycle_starts(at.windows, problem.motions, problem.cycles, at.u)
     below = np.minimum(np.where(beyond[:, None], fresh, at.local), fastest)
     found = _whole(at.task, FitStart(at.q, below), noise, None, below_belt=True)
     return found if found is not None and found.solution.cost < at.solution.cost else at
@@ -256,7 +255,7 @@ def restarted(at: Fit) -> Array:
     if part is None:
         return at.local
     problem = at.task.problem
-    fresh = starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u)[cycles]
+    fresh = cycle_starts(at.windows, problem.motions, problem.cycles, at.u)[cycles]
     found = levenberg_marquardt.minimise(part, np.empty(0), fresh, **CYCLE_RESTART)
     held = part.evaluate(part.prior, at.local[cycles], False)
     if found is None or held is None:
