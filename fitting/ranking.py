@@ -14,7 +14,7 @@ from fitting.judge.judgement import Competition, compete
 from fitting.judge.parameters import Parameter
 from fitting.model.problem import Run
 from fitting.options import Options
-from fitting.record import motion as frame
+from fitting.record.motion import from_kinematics
 from fitting.result import Ranking
 from fitting.search.fit import Unfitted
 from fitting.words import answer
@@ -89,7 +89,7 @@ def _cut(records: Sequence[Kinematics], rigs: Sequence[Rig], options: Options) -
     runs, rest = [], options.competitors.fix.get("x0")
     for record, rig in zip(records, rigs, strict=True):
         known = rig if rest is None else rig.resting_at(Measured(rest, 0.0))
-        motion = frame.from_kinematics(record, known, options.belt_speed)
+        motion = from_kinematics(record, known, options.belt_speed)
         screening.refuse_few_samples(motion, record)
         runs.append(law_fits.cut_run(motion, frozenset(options.excluded)))
         found = runs[-1].cut

@@ -12,12 +12,11 @@ from fitting.laws import Law
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.normal_equations import Block, Derivatives, LeastSquaresProblem, SchurComplement
 from fitting.model import unknowns
-from fitting.model import windows as wear
 from fitting.model.path import Curve, FrictionSpline, Path, positions
 from fitting.model.predict import FitStart, Model, Task
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import NUISANCE, PER_RUN, Global, PerCycle
-from fitting.model.windows import ShootingWindows
+from fitting.model.windows import ShootingWindows, Wear, level_trend, of_cycles
 from fitting.record.cycles import Cycle
 from stickslip.compute.arrays import Array, Mask, autocorrelation_time
 from stickslip.units import Measured
@@ -64,7 +63,7 @@ class PassNoise:
             table = windows.table
             own = (table[:, 1] == 0) & (table[:, 5] == run) & self.inliers[table[:, 0]]
             levels = np.exp(local[table[own, 0], PerCycle.LEVEL])
-            trend = wear.level_trend(windows.level_epoch[own], levels)
+            trend = level_trend(windows.level_epoch[own], levels)
             lost = DEFAULT_FADE_SD / motion.slip_s if trend is None else math.hypot(trend.rate.value, trend.rate.sd)
             sd.append(max(lost, LEAST_FADE_SD / motion.slip_s))
         return replace(self, fade_sd=np.array(sd))
@@ -283,8 +282,8 @@ class Fit:
         found = None if curve is None else positions(windows, curve, self.u, local)
         return None if found is None else found - windows.position
 
-    def level_trend(self, run: int = 0) -> wear.Wear | None:
-        return wear.of_cycles(self.windows, self.inlier_cycles, self.local, run)
+    def level_trend(self, run: int = 0) -> Wear | None:
+        return of_cycles(self.windows, self.inlier_cycles, self.local, run)
 
     def for_run(self, run: int) -> "Fit":
         """Return the cycles, residuals and unknowns of one run; the solution stays that of all."""

@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 
 from fitting.judge import breaks
-from fitting.judge import parameters as derived
 from fitting.judge.adequacy import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.judge.fluctuation import find_other_break_away
 from fitting.judge.friction import mass, unit
 from fitting.judge.judgement import Competition
 from fitting.judge.orbit import MeasuredOrbit
-from fitting.judge.parameters import UNDETERMINED_WITH, Parameter
+from fitting.judge.parameters import RUNS_OWN, UNDETERMINED_WITH, Parameter, break_away_level_error, derived_parameters
 from fitting.laws import SIX
 from fitting.model.problem import Run
 from fitting.options import Options
@@ -178,9 +177,9 @@ def _rows_of(
     distances = [orbit.distance(part) for part, orbit in zip(parts, orbits, strict=True)]
     motions = [run.motion for run in runs]
     if len(runs) > 1:
-        together = {name: item for name, item in parameters[0].items() if name not in derived.RUNS_OWN}
+        together = {name: item for name, item in parameters[0].items() if name not in RUNS_OWN}
         for number, own in enumerate(parameters, start=1):
-            together |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
+            together |= {f"{name} ({number})": own[name] for name in RUNS_OWN if name in own}
         parts, parameters, motions = [*parts, fit], [*parameters, together], [*motions, motions[0]]
         distances.append(math.sqrt(float(np.mean(np.square(distances)))))
     return [
@@ -210,7 +209,7 @@ def _rows_of(
 def _parameters(fit: Fit, competition: Competition, options: Options, run: int) -> dict[str, Parameter]:
     """Return a law's parameters of a run, with the fixed ones as the user gave them."""
     motion = competition.runs[run].motion
-    own = derived.derived_parameters(fit, motion, options.alpha, run, sustained=competition.sustained)
+    own = derived_parameters(fit, motion, options.alpha, run, sustained=competition.sustained)
     trusted = competition.describes(fit.law)
     found = {name: replace(item, trusted=trusted and item.trusted) for name, item in own.items()}
     for name, value in options.fixed(fit.law).items():
@@ -239,7 +238,7 @@ def _side(
     # a mass that merely grazes the belt does not break away from rest
     if competition.sustained and competition.described:
         level = rows[0].fit.values.F * mass(run.motion, rows[0].fit)
-        error = derived.break_away_level_error(competition.best, run.motion, number)
+        error = break_away_level_error(competition.best, run.motion, number)
         findings += find_other_break_away(events, run.cut, Measured(level, error * level), unit(run.motion))
     return Ranking(
         verdict="",
