@@ -26,7 +26,7 @@ from fitting.record.motion import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, Measur
 from stickslip.compute.arrays import Array, Mask, runs
 
 # Times below are in slips (`MeasuredMotion.slip_s`).
-BEFORE_BREAK_AWAY = 0.1  # time in which a smoothed corner is random, as in camera tracks
+BEFORE_BREAK_AWAY = 0.1  # left out before a break-away, where a smoothed corner is random in camera tracks
 LEFT_BELT_BY = 0.05  # speed below the belt's, over it, at which a slip's window begins
 OVERTAKES_BY = 0.02  # speed above the plateau, over the belt's, at which the mass overtakes it
 LONGEST_TURN = 1.0  # time at rest: for longer, a mass stands on a belt that stands; a sliding mass only turns there
@@ -36,7 +36,7 @@ REST_SPEED_ERRORS = 4.0  # slope of that line, in standard errors, that is still
 WIDEST_SLACK = 0.25  # error of that slope, over the belt's speed, from which it shows nothing
 SCATTER_AT_REST = 2.0  # scatter about that line over the noise: more is motion
 SUSTAINED_SHARE = 0.15  # share of the record in plateaus: below it the mass only grazes the belt
-SLIP_DECELERATION = 4.0  # deceleration over that of a mass that still sticks; dragged from rest on a ramp it has 3
+SLIP_DECELERATION = 4.0  # over the deceleration in stick: dragged on a ramp a mass has up to 3, in a slip 5
 MOST_CYCLES = 200  # cycles fitted; with as many the errors of calibrations are usually larger than those of the fit
 STILL_ACCELERATION = 0.05  # acceleration over a slip's: with less the mass sticks, or crosses the top of a sine
 

@@ -123,7 +123,7 @@ def slip_duration(time: Array, position: Array, noise: float) -> float:
 
 
 def harmonic_share(ratio: float) -> float:
-    """Return the belt's speed over the highest of a harmonic motion, at most 1.
+    """Return the belt's speed over the highest speed of a harmonic motion, at most 1.
 
     ``ratio`` is the belt's travel, while the motion is slower than half the belt, over the motion's height.
     """
@@ -134,6 +134,7 @@ def harmonic_share(ratio: float) -> float:
 
 
 def _way(y: Array, least: float, way: int) -> list[tuple[int, int]]:
+    """Return first and last sample of each rise (``way`` 1) or fall (-1) between turns deeper than ``least``."""
     turns = _turns(way * y, least)
     return [(i, j) for (i, top), (j, _) in pairwise(turns) if not top]
 
@@ -185,6 +186,8 @@ GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a ga
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMotion:
+    """The measurement in the fit's frame; n is the number of samples that are not faults."""
+
     # (n,) s since `begin`; measured position (counted, m); smoothed position, velocity and acceleration (m, m/s, m/s^2)
     time: Array
     measured: Array
