@@ -200,7 +200,6 @@ class SlipBins:
         return np.asarray(np.add.reduceat(binned, self._edges, axis=0))
 
     def per_phase(self, binned: Array) -> Array:
-        """Sum the bins (occupied bins, B) of each phase, shape (phases met, B)."""
         order, edges = self._by_phase
         return np.asarray(np.add.reduceat(binned[order], edges, axis=0))
 
@@ -275,8 +274,6 @@ class GoodnessOfFit:
 
 @dataclass(frozen=True, eq=False)
 class RunSlips:
-    """Noise and slips of a run, and their statistics in the record and in the repetitions."""
-
     noise: PositionNoise
     noise_m: float  # standard deviation of one position, m
     bins: SlipBins

@@ -204,7 +204,6 @@ def refuse_wrong_times(record: Kinematics) -> None:
 
 
 def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
-    """Raise DataError, with its finding, for fewer than `FEWEST_SAMPLES` in the usual slip."""
     samples_per_slip, slip_s = _slip(motion, record)
     samples = round(samples_per_slip)
     if samples >= FEWEST_SAMPLES:
@@ -240,7 +239,6 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
-    """Raise DataError where the residual of the best finished fit shows lost or doubled frames."""
     best = min((fit for fit in fits if fit.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
     for run, record in enumerate(records):
         share = None if best is None else missing_share(best, record, run)

@@ -45,7 +45,7 @@ CORRECTED_GAIN = 1e-4  # gain over the cost, of a step that was led back: with l
 LARGEST_DAMPING, LEAST_DAMPING = 1e10, 1e-12
 LEAST_CHANGE = 1e-12  # change over the cost: less is rounding
 FAILED_SHARE = 0.1  # share of the rise of the cost where a step fails: a cycle with more is fitted anew
-ANEW: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": 1e-6}
+ANEW: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": 1e-6}  # how failed cycles are fitted anew
 ROUNDED = 1e-13  # eigenvalue over the largest: weaker directions are rounding
 LARGEST_ACCELERATION = 0.75  # twice the acceleration over the step: with more the step is too long
 
@@ -257,10 +257,7 @@ def _accelerated_step(problem: LeastSquaresProblem, at: Point, damping: float) -
 
 
 def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Array, gl: Array) -> Step:
-    """Return the step down the gradients, within the bounds.
-
-    An unknown that would cross its bound moves onto it, and the others' step is computed again.
-    """
+    """Return the step down the gradients; unknowns that would cross a bound move onto it, and the others step anew."""
     pull = damped.local_step(gl)
     g = damped.reduced_gradient(g, pull)
     step = np.zeros_like(u)

@@ -43,10 +43,7 @@ def first_of(rows: Sequence[slice]) -> Integers:
 
 
 class Derivatives:
-    """The derivatives of residuals, made block by block: of a long record they are many.
-
-    ``derive`` returns those of a block, (n, p + q); None where the motion cannot be followed.
-    """
+    """Derivatives of residuals, block by block; ``derive`` returns (n, p + q), None if unfollowable."""
 
     def __init__(self, blocks: Sequence[Block], derive: "Callable[[Block], Array | None]") -> None:
         self.blocks, self.derive = blocks, derive
@@ -66,12 +63,9 @@ class Derivatives:
             yield block, part
 
     def columns(self, unknowns: slice = slice(None)) -> Array:
-        """Return the derivatives (N, k) by some of the unknowns."""
         return np.concatenate([part[:, unknowns] for _, part in self])
 
     def changed(self, change: Callable[[Array], Array]) -> "Derivatives":
-        """Return the same with each block's derivatives changed."""
-
         def derive(block: Block) -> Array | None:
             part = self.derive(block)
             return None if part is None else change(part)
@@ -208,10 +202,7 @@ def normal_equations(
 
 
 class SchurComplement:
-    """The normal equations with the cycles' own unknowns eliminated.
-
-    ``damping`` raises the curvatures by that part; ``held`` (cycles, q) unknowns do not move.
-    """
+    """The normal equations with the cycles' own unknowns eliminated; ``held`` (cycles, q) ones do not move."""
 
     def __init__(self, blocks: NormalEquations, damping: float = 0.0, held: Mask | None = None) -> None:
         c, q = blocks.gl.shape

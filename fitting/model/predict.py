@@ -152,10 +152,7 @@ def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -
 
 
 class Model:
-    """A task's predictions in windows.
-
-    A force by the mass's velocity acts along the motion itself, others along an earlier path, `near`.
-    """
+    """A task's predictions; a force by velocity acts along the motion itself, others along an earlier path, `near`."""
 
     def __init__(
         self,

@@ -63,7 +63,6 @@ class CycleSegmentation:
 
     @property
     def sustained(self) -> bool:
-        """Whether the sticks continue over the whole record."""
         return self.plateau_fraction >= SUSTAINED_SHARE
 
     @property
@@ -77,7 +76,6 @@ class CycleSegmentation:
 
     @property
     def surplus(self) -> int:
-        """How many cycles are not used, because others are enough (`MOST_CYCLES`)."""
         return sum(cycle.flag == "surplus" for cycle in self.cycles)
 
     @property
@@ -160,7 +158,6 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
 
 
 def _spread(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
-    """Return the cycles, of which `MOST_CYCLES` are used, evenly spread from the first to the last."""
     used = [k for k, cycle in enumerate(cycles) if not cycle.flag]
     kept = {used[k] for k in np.linspace(0, len(used) - 1, min(MOST_CYCLES, len(used))).round().astype(int)}
     return tuple(cycle if cycle.flag or k in kept else replace(cycle, flag="surplus") for k, cycle in enumerate(cycles))

@@ -232,10 +232,7 @@ def _offsets(motion: MeasuredMotion) -> Array:
 def _gains(
     motion: MeasuredMotion, own: NDArray[np.int64], before: float, after: float, slopes: OwnSlopes | None
 ) -> bool:
-    """Return whether a harmonic explains more than the best of as many frequencies explains in noise.
-
-    ``before`` and ``after`` are mean squares without and with it, (m/s)^2.
-    """
+    """Return whether a harmonic explains more than the best one explains in noise; mean squares in (m/s)^2."""
     window = max(2 * motion.half_window, SETTLING_TIME * motion.slip_s)
     samples = np.bincount(own)
     lengths = samples[samples > 0] * float(np.median(np.diff(motion.time)))
