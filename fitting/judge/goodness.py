@@ -43,12 +43,9 @@ from stickslip.compute.arrays import Array, Integers, Mask
 # Order of differences, and their weights (1, 4, 6, 4, 1) squared and summed.
 DIFFERENCE_ORDER, SQUARED_WEIGHTS = 4, 70.0
 ROUNDED_TWICE = 0.1  # pitches: counts printed with a few decimals are that near whole multiples of the pitch
-# Distance from the belt's speed, over it, of readings left out where counts are rounded: in sticks rounding errors
-# alternate or stay the same, and their differences are not white.
-STEADY_SPEED = 0.1
+STEADY_SPEED = 0.1  # from the belt's speed, over it: nearer, in stick, rounding errors are not white
 FASTEST_PATTERN = 0.8  # pitches a sample: slower readings repeat patterns, whose differences are not white
-# Least variance of white noise over that of rounding; encoders without noise give up to 0.3.
-LEAST_WHITE_NOISE = 0.5
+LEAST_WHITE_NOISE = 0.5  # least variance of white noise over rounding's; encoders without noise give up to 0.3
 JITTER_SHOWN = 4.0  # variance of the jitter, in its standard errors, that is shown
 FEWEST_DIFFERENCES = 50  # differences from which noise is estimated
 ROUNDING = 1e-9  # distance over the range of the readings: nearer ones are the same
@@ -65,7 +62,6 @@ class PositionNoise:
         return np.asarray(self.pitch**2 / 12 + self.white**2 + (self.jitter * velocity) ** 2)
 
     def sd(self, velocity: Array) -> float:
-        """Rms over the velocities, m."""
         return math.sqrt(float(np.mean(self.variance(velocity))))
 
     @property
@@ -73,7 +69,7 @@ class PositionNoise:
         return self.white == self.jitter == 0
 
     def draw(self, position: Array, velocity: Array, rng: np.random.Generator, shift: float) -> Array:
-        """Draw position minus reading (n,), m, on a grid moved by ``shift`` pitches: repeated motion rounds alike."""
+        """Draw position minus reading (n,), m, on a grid moved by ``shift`` pitches."""
         spread = np.sqrt(self.white**2 + (self.jitter * velocity) ** 2)
         error = 0.0 if self.rounded_alone else spread * rng.standard_normal(position.size)
         if self.pitch == 0:
@@ -85,7 +81,6 @@ class PositionNoise:
 def estimate_noise(
     windows: ShootingWindows, residual: Array, inliers: Mask, motion: MeasuredMotion, run: int = 0
 ) -> PositionNoise:
-    """Estimate the noise of a run from the residual (N,), m, of its inlier cycles; windows are those of all runs."""
     pitch = reading_pitch(motion.measured)
     rounding = pitch**2 / 12
     interval = float(np.median(np.diff(motion.time)))
@@ -116,7 +111,7 @@ def estimate_noise(
 
 
 def reading_pitch(reading: Array) -> float:
-    """Return the pitch to which readings (n,) are rounded, m, even one finer than the printed step; 0 without one."""
+    """Return the pitch to which readings are rounded, m, even one finer than the printed step; 0 without one."""
     values = np.unique(reading)
     gaps = np.diff(values)
     apart = gaps[gaps > ROUNDING * (values[-1] - values[0])]
@@ -139,12 +134,10 @@ FEWEST_SLIPS = 2  # at least: what repeats needs two
 
 
 class Statistics(NamedTuple):
-    """Statistics of B sets of residuals of a run's judged cycles, each (B,); 0 without slips to judge but for `rms`."""
+    """Statistics of B sets of residuals of a run's judged cycles, each (B,); 0 without slips but for `rms`."""
 
-    # share of the binned residuals' variance that repeats from slip to slip, without bias: 0 for noise, at most 1
-    repeat: Array
-    # variance of the binned residuals over that of white noise of the same rms; median over the slips
-    smooth: Array
+    repeat: Array  # share of the binned variance that repeats from slip to slip, without bias: 0 for noise
+    smooth: Array  # variance of the binned residuals over that of white noise of the same rms; median
     worst: Array  # largest mean square of a cycle, over the median
     rms: Array  # of all cycles, equally weighted, m
 
@@ -194,7 +187,7 @@ class SlipBins:
         return cls(np.concatenate(rows), starts, occupied // bins, occupied % bins, count.astype(float), slips, bins)
 
     def sums(self, values: Array, block: Block | None = None) -> Array:
-        """Return the sum of values (N, B) in each bin, shape (occupied bins, B); of a block, those of its bins."""
+        """Return the sum of values (N, B) in each bin, or in those of a block."""
         if block is None:
             return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
         first, last = np.searchsorted(self.rows, (block.rows.start, block.rows.stop))
@@ -204,11 +197,9 @@ class SlipBins:
         return np.asarray(np.add.reduceat(values[self.rows[first:last] - block.rows.start], starts - first, axis=0))
 
     def per_slip(self, binned: Array) -> Array:
-        """Sum the bins (occupied bins, B) of each slip, shape (slips, B)."""
         return np.asarray(np.add.reduceat(binned, self._edges, axis=0))
 
     def per_phase(self, binned: Array) -> Array:
-        """Sum the bins (occupied bins, B) of each phase, shape (phases met, B)."""
         order, edges = self._by_phase
         return np.asarray(np.add.reduceat(binned[order], edges, axis=0))
 
@@ -218,13 +209,11 @@ class SlipBins:
 
     @cached_property
     def _by_phase(self) -> tuple[Integers, Integers]:
-        """Occupied bins in order of phase, and the first of each phase."""
         order = np.argsort(self.phase, kind="stable")
         return order, np.unique(self.phase[order], return_index=True)[1]
 
     @cached_property
     def residuals_and_bins(self) -> tuple[Array, Array]:
-        """Residuals and occupied bins of each slip, shapes (slips, 1)."""
         return self.per_slip(self.count[:, None]), self.per_slip(np.ones((self.slip.size, 1)))
 
     def lag1(self, residual: Array) -> float:
@@ -235,7 +224,6 @@ class SlipBins:
         return self.combine(self.sums(residuals), self.sums(residuals**2), squares)
 
     def combine(self, sums: Array, squared: Array, squares: Array) -> Statistics:
-        """Return the statistics from the sums of residuals and of their squares in each bin."""
         rms = np.asarray(np.sqrt(np.sum(squares, axis=0) / max(squares.shape[0], 1)))
         if not self.judged:
             nothing = np.zeros(rms.size)
@@ -286,8 +274,6 @@ class GoodnessOfFit:
 
 @dataclass(frozen=True, eq=False)
 class RunSlips:
-    """Noise and slips of a run, and their statistics in the record and in the repetitions."""
-
     noise: PositionNoise
     noise_m: float  # standard deviation of one position, m
     bins: SlipBins
@@ -299,8 +285,6 @@ class RunSlips:
 
 
 class Repetitions:
-    """Draws of a run's noise, repeated block by block of its samples: the same each time."""
-
     def __init__(self, noise: PositionNoise, rng: np.random.Generator, samples: int) -> None:
         self.noise, self.begin = noise, rng.bit_generator.state
         for first in range(0, 0 if noise.rounded_alone else samples, MOST_AT_ONCE):
@@ -342,8 +326,8 @@ def judge(
 ) -> tuple[RunSlips, ...]:
     """Return the statistics of each run's slips with their null distribution.
 
-    Residual and ``refit`` are of a fit without the cycles ``left_out``, which would pull at the shared parameters;
-    ``windows`` replace the fit's where the residual is of others.
+    Residual and ``refit`` are of a fit without the cycles ``left_out``; ``windows`` replace the fit's where the
+    residual is of others.
     """
     windows = fit.windows if windows is None else windows
     owner = np.repeat(windows.table[:, 5], windows.table[:, 3])
@@ -423,7 +407,6 @@ def probability(slips: RunSlips) -> float | None:
 
 
 def _corrected(found: Sequence[float | None], tests: int) -> float | None:
-    """Return the least probability, corrected for the number of tests; None without one."""
     judged = [p for p in found if p is not None]
     return min(1.0, tests * min(judged)) if judged else None
 
@@ -441,9 +424,7 @@ def tail(value: float, null: Array) -> float | None:
 
 
 TIMES_TRIED = 40  # times of a step that are tried in a slip and in a stick
-# Share of a cycle's excess mean square that a step must explain: steps of 5 to 20 mm/s explain 0.97 or more, an unseen
-# overtaking 0.77.
-LEAST_EXPLAINED = 0.9
+LEAST_EXPLAINED = 0.9  # share of a cycle's excess mean square that a step must explain
 # Other cycles of a run, and their share, that may fit badly by chance: a touch of a hand, an unseen overtaking.
 MOST_ODD, MOST_ODD_SHARE = 1, 0.1
 
@@ -529,14 +510,14 @@ def _position_steps(path: Path, landing: float, cycle: int) -> Array:
     return found
 
 
-PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameters make up for nearly all
+PERIODS = (1.0, 2.0)  # over the slip speeds; the law's parameters make up for less than one
 PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spring makes up for most
 
 
 def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
     """Return for each run the wave amplitude that half of its repetitions detect, % of Fs; median over the waves.
 
-    None where no slip is judged, the motion cannot be followed, or even an amplitude of Fs would not be detected.
+    None where no slip is judged, the motion cannot be followed, or even Fs would not be detected.
     """
     waves = departure_waves(fit, linearised.derivatives.blocks)
     if waves is None:

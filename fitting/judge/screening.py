@@ -4,12 +4,10 @@ Frames.  A lost (or doubled) frame moves all later positions by v dt.  The resid
 random walk, whose variance grows by p (v dt)^2 a sample when a share p of the frames is missing.  The residual is cut
 into pieces, each less a cubic and the mean over the cycles, which removes the misfit of a wrong law, a ripple or wear;
 the squared modes of the walk are regressed on the variances that noise and walk give to each.  Noise may be correlated
-over three samples; where rounding dominates it, nothing is tested.  `processing.defects.frames` counts the frames where
-single ones are clear of the noise.
+over three samples; where rounding dominates it, nothing is tested.
 
-Stick-slip.  A record without cycles, or one that no law fits roughly in a few cycles or at all, is refused; what the
-motion shows explains why.  One fact decides alone, since only fits to such records are costly: a spring accelerates the
-mass between its sticks.
+Stick-slip.  A record without cycles, or one that no law fits roughly, is refused; what the motion shows explains why.
+One fact decides alone, since fits to such records are costly: a spring accelerates the mass between its sticks.
 """
 
 import math
@@ -37,13 +35,11 @@ from stickslip.compute.arrays import Array, Integers
 from stickslip.errors import DataError, InputError
 from stickslip.units import Measured
 
-# Samples of a piece: the shortest that determines the share to `SHARE_ERROR`, or the last.
-PIECE_SAMPLES = (16, 32, 64, 128, 192, 256)
+PIECE_SAMPLES = (16, 32, 64, 128, 192, 256)  # of a piece: the shortest that gives `SHARE_ERROR`, or the last
 TREND_DEGREE = 3  # degree of the polynomial taken off each piece
 NOISE_LAGS = 3  # samples over which noise may be correlated
 SHARE_ERROR = 0.005  # standard error of the share without lost frames: 5 % lost are ten errors
-# Share of lost frames in standard errors where losses are possible, and sure; between them longer pieces decide.  40
-# sound tracks have at most 2.1, 24 that miss 5 % of their frames at least 10.
+# Share of lost frames in standard errors where losses are possible, and sure; between them longer pieces decide.
 POSSIBLE_ERRORS, SURE_ERRORS = 3.0, 6.0
 LEAST_SHARE_LOST = 0.01  # less moves parameters by less than 1 %
 ERRORS_BETWEEN_CYCLES = 2.5  # share in standard errors by the scatter between cycles, which the walk makes large
@@ -93,10 +89,7 @@ def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None
 
 
 def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
-    """Return squared modes (k, m), m^2, mean square step (k,), m^2, and cycle (k,) of every piece.
-
-    The mean of the modes over the cycles is subtracted: lost frames do not repeat, a wrong law's misfit does.
-    """
+    """Return squared modes (k, m), m^2, mean square step (k,), m^2, and cycle of every piece, less the cycles' mean."""
     modes, steps, cycles, places = [], [], [], []
     windows = fit.windows
     model, vectors = fit.residual + windows.position, piece_modes(n).vectors
@@ -127,7 +120,7 @@ def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
 def _regressed(
     squares: Array, steps: Array, cycle: Integers, modes: PieceModes, certain: float
 ) -> tuple[Measured, float] | None:
-    """Return the share, and its error without lost frames; None where the latter is larger than ``certain``."""
+    """Return the share, and its error without lost frames; None where the latter is above ``certain``."""
     noise = np.broadcast_to(modes.noise[:, None, :], (NOISE_LAGS + 1, *squares.shape))
     columns = np.concatenate((noise, (steps[:, None] * modes.walk)[None]))
     level = float(np.mean(squares[:, : squares.shape[1] // 2]))  # of the modes that the walk hardly has
@@ -151,22 +144,18 @@ def _regressed(
     return Measured(float(found[-1]), spread), null
 
 
-# Difference over the usual stick's speed: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1.
-ONE_SPEED = 0.2
+ONE_SPEED = 0.2  # difference over the usual stick's speed; on a wide ramp scatter moves a stick by 0.1
 FEWEST_STICKS = 2  # sticks to distinguish one speed from several
 FEWEST_SAMPLES = 8  # samples in the usual slip, chosen: with 4, wrong laws win
 ENOUGH_SAMPLES = 20  # samples in the usual slip, chosen: with fewer, a refusal advises a higher rate
 BEYOND_NOISE = 20.0  # way in standard deviations of a position: a mass that moves by less does not move
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
 SINE_DISTANCE = 0.05  # distance from a sine over its amplitude: closer, a motion is one
-# Least change of velocity in the middle half of a slip, over the slip speed: spring and mass make 0.3 or more, a
-# triangular wave 0.000.
-EVEN_SLIP = 0.1
+EVEN_SLIP = 0.1  # change of velocity in the middle half of a slip, over its speed; a spring makes 0.3 or more
 DIES_AWAY = 0.7  # speed in the last third over that at first, of a motion that dies away
 WORST_ERROR = 0.02  # error over a slip's length: a best law that usually errs by more describes something else
 LEAST_FRICTION = 1e-3  # friction over the spring's pull in a slip: with less, nothing holds the mass
-# Error of a rough fit over a slip's length: stick-slip leaves at most 0.004, noise, drives and hands 0.04 to 0.4.
-SCREENED_ERROR = 0.03
+SCREENED_ERROR = 0.03  # error of a rough fit over a slip's length; stick-slip leaves at most 0.004
 SCREENED_CYCLES = 8  # cycles of the record, evenly spread
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
 WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
@@ -215,7 +204,6 @@ def refuse_wrong_times(record: Kinematics) -> None:
 
 
 def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
-    """Raise DataError, with its finding, for fewer than `FEWEST_SAMPLES` in the usual slip."""
     samples_per_slip, slip_s = _slip(motion, record)
     samples = round(samples_per_slip)
     if samples >= FEWEST_SAMPLES:
@@ -231,7 +219,6 @@ def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def _slip(motion: MeasuredMotion, record: Kinematics) -> tuple[float, float]:
-    """Return the samples in the usual slip, and its duration, s."""
     return motion.samples_per_slip, motion.samples_per_slip * float(np.median(np.diff(record.time)))
 
 
@@ -241,7 +228,6 @@ def _rounded_up(rate: float) -> float:
 
 
 def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
-    """Raise InputError for a spring at rest beyond the end of the travel to which the belt runs."""
     if motion.datum_prior is None:
         return
     rest = replace(motion.datum_prior, value=motion.sign * motion.datum_prior.value)
@@ -253,7 +239,6 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
-    """Raise DataError where the residual of the best finished fit shows lost or doubled frames."""
     best = min((fit for fit in fits if fit.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
     for run, record in enumerate(records):
         share = None if best is None else missing_share(best, record, run)
@@ -325,7 +310,6 @@ def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained
 
 
 def _spread_out(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
-    """Return at most `SCREENED_CYCLES` cycles, evenly spread over the record."""
     places = np.unique(np.linspace(0, len(cycles) - 1, SCREENED_CYCLES).round().astype(int))
     return tuple(cycles[place] for place in places)
 
@@ -342,7 +326,6 @@ def comes_near(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
 
 
 def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return why no fit describes the runs, or ""."""
     return _sine_or(_misfit(fits, runs, sustained=sustained), runs, sustained=sustained)
 
 
@@ -375,7 +358,7 @@ def _of_motion(motion: MeasuredMotion) -> str:
 
 
 def _reversal(motion: MeasuredMotion, begin: Integers, end: Integers) -> float | None:
-    """Return the time of the run, s, at which the belt reverses: sticks on it then have the belt's constant speed."""
+    """Return the time, s, at which the belt reverses: sticks on it then have the belt's constant speed."""
     middle = [motion.velocity[i + (j - i) // 4 : j - (j - i) // 4 + 1] for i, j in zip(begin, end, strict=True)]
     speed = np.array([float(np.median(v)) for v in middle]) / motion.belt_speed
     even = (np.abs(speed + 1) < ONE_SPEED) & (_speed_changes(motion, begin, end) < EVEN_SLIP)
@@ -390,7 +373,7 @@ def _reversal(motion: MeasuredMotion, begin: Integers, end: Integers) -> float |
 
 
 def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Array:
-    """Return the change of velocity in the middle half of each slip, over the mean slip speed there (slips,)."""
+    """Return the change of velocity in the middle half of each slip, over the mean slip speed there."""
     quarter = (end - begin) // 4
     middles = [motion.velocity[i : j + 1] for i, j in zip(begin + quarter, end - quarter, strict=True)]
     return np.array([np.ptp(v) / max(abs(float(np.mean(v)) - motion.belt_speed), 1e-9) for v in middles])

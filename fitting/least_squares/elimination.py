@@ -1,14 +1,11 @@
-"""Kernels: sums over the residuals of each cycle, elimination of a cycle's own unknowns, and a symmetric eigenproblem.
+"""Kernels: sums over each cycle's residuals, elimination of its own unknowns, eigenvalues, linear least squares.
 
 BLAS and LAPACK add in a processor-dependent order, and the last bit of a sum can lead a search to another minimum.
-These matrices are tiny: plain loops cost next to nothing and add in one order everywhere.
+These matrices are tiny: plain loops cost next to nothing and add in one order everywhere.  Every kernel runs as written
+or compiled (`stickslip.compute.compile`).
 
-Every function runs as written or compiled (`stickslip.compute.compile`). Source: G. Golub, C. Van Loan, Matrix
-Computations, 4th ed., 4.2 (Cholesky) and 8.5 (cyclic Jacobi).
-
-Linear least squares without BLAS: LAPACK adds in another order on every processor, these sums in one everywhere.
-
-Source: A. Bjorck, Numerical Methods for Least Squares Problems, 2.4 (modified Gram-Schmidt, backward stable).
+Sources: G. Golub, C. Van Loan, Matrix Computations, 4th ed., 4.2 (Cholesky) and 8.5 (cyclic Jacobi); A. Bjorck,
+Numerical Methods for Least Squares Problems, 2.4 (modified Gram-Schmidt, backward stable).
 """
 
 import math
@@ -23,10 +20,7 @@ TINY = 1e-200  # least curvature: its inverse stays a number
 
 
 def sum_products(jacobian: Array, residual: Array, first: Integers, square: Array, gradient: Array) -> None:
-    """Add J'J to ``square`` (c, m, m) and J'r to ``gradient`` (c, m), cycle by cycle.
-
-    ``first`` (c + 1,) are the first rows of the cycles, and the number of rows.
-    """
+    """Add J'J to ``square`` (c, m, m) and J'r to ``gradient`` (c, m); ``first`` (c + 1,) are the cycles' first rows."""
     cycles, m = gradient.shape
     for k in range(cycles):
         for row in range(first[k], first[k + 1]):
@@ -41,7 +35,7 @@ def sum_products(jacobian: Array, residual: Array, first: Integers, square: Arra
 
 
 def sum_gradients(jacobian: Array, residual: Array, first: Integers, gradient: Array) -> None:
-    """Add J'r to ``gradient`` (c, m), cycle by cycle; shapes as for `sum_products`."""
+    """Add J'r to ``gradient`` (c, m), cycle by cycle."""
     cycles, m = gradient.shape
     for k in range(cycles):
         for row in range(first[k], first[k + 1]):
@@ -50,7 +44,7 @@ def sum_gradients(jacobian: Array, residual: Array, first: Integers, gradient: A
 
 
 def sum_cross(left: Array, right: Array, first: Integers, out: Array) -> None:
-    """Add L'R to ``out`` (c, m, n), cycle by cycle; L (N, m), R (N, n), ``first`` as for `sum_products`."""
+    """Add L'R to ``out`` (c, m, n), cycle by cycle; L (N, m), R (N, n)."""
     cycles, m, n = out.shape
     for k in range(cycles):
         for row in range(first[k], first[k + 1]):
@@ -83,10 +77,7 @@ def along(jacobian: Array, first: Integers, step: Array, out: Array) -> None:
 
 
 def invert(matrices: Array, inverse: Array) -> None:
-    """Store the inverses of positive definite matrices (c, q, q), by Cholesky in units of the diagonal.
-
-    Only the lower triangle is read; a pivot lost to rounding counts as `LEAST_PIVOT`.
-    """
+    """Store the inverses of positive definite matrices (c, q, q), of which only the lower triangle is read."""
     cycles, q, _ = matrices.shape
     for k in range(cycles):
         a = inverse[k]
@@ -123,10 +114,7 @@ def invert(matrices: Array, inverse: Array) -> None:
 
 
 def eliminate(cross: Array, inverse: Array, reduced: Array, follow: Array) -> None:
-    """Subtract cross inverse cross' of the cycles' own unknowns from the shared curvatures ``reduced`` (p, p).
-
-    ``follow`` (c, q, p) is filled with inverse cross', by which a cycle's unknowns follow the shared ones.
-    """
+    """Subtract cross inverse cross' from ``reduced`` (p, p), and fill ``follow`` (c, q, p) with inverse cross'."""
     cycles, p, q = cross.shape
     for k in range(cycles):
         for i in range(q):

@@ -4,12 +4,11 @@ Minimises  1/2 sum_c w_c |r_c(u, l_c)|^2 + 1/2 sum ((u - u0)/sd)^2 + 1/2 sum_c s
 over the shared unknowns u (p of them, within bounds) and the q unknowns l_c of each cycle c.  Each cycle's
 normal equations are q x q, so the cost grows with the number of cycles, not with its cube.
 
-The valley of a friction law is long and bent (its curve's shape, level, damping and datum trade against each other),
-and a straight step along it soon leaves its floor.  So each step is bent: the second derivative of the residuals
-along it, one evaluation more, gives the acceleration with which a geodesic would follow the floor (Transtrum & Sethna,
-arXiv:1201.5885).  Where a step fails because of a few cycles (a kick, a corner on the wrong side, a valley of their own
-that bends more), their own unknowns are fitted anew beside the shared ones that the step leads to.
-Where the valley bends more than the acceleration says, a step may be led back across it by the derivatives at hand.
+The valley of a friction law is long and bent (its curve's shape, level, damping and datum trade against each other).
+So each step is bent: the second derivative of the residuals along it, one evaluation more, gives the acceleration with
+which a geodesic would follow the floor (Transtrum & Sethna, arXiv:1201.5885).  Where a step fails because of a few
+cycles, their own unknowns are fitted anew beside the shared ones that the step leads to.  Where the valley bends more
+than the acceleration says, a step may be led back across it by the derivatives at hand.
 """
 
 import math
@@ -37,25 +36,18 @@ from fitting.least_squares.normal_equations import (
 )
 from stickslip.compute.arrays import Array
 
-# Chosen by trial; the objective does not depend on them.  With half and twice of each, true laws end at the same
-# minima on 26 records (all laws, cameras, other scales), wrong ones at 0.26 to 1.3 times the error.
+# Chosen by trial; the objective does not depend on them.
 FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # of the curvatures; factors after a step taken, refused
 CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
 PROBE_STEP = 0.1  # share of the step: where the second derivative along it is measured
-# Of a step back onto the floor of a valley: at less it moves along the valley too, which may bend there.  At half and
-# twice the laws end at the same minima on 26 records; at twice a logarithmic curve of one of them does not.
-CORRECTION_DAMPING = 1e-6
-# Gain over the cost, of a step that was led back: with less a shorter one may gain more, and small gains end a search.
-CORRECTED_GAIN = 1e-4
+CORRECTION_DAMPING = 1e-6  # of a step back onto the floor of a valley: with less it moves along the valley too
+CORRECTED_GAIN = 1e-4  # gain over the cost, of a step that was led back: with less a shorter one may gain more
 LARGEST_DAMPING, LEAST_DAMPING = 1e10, 1e-12
 LEAST_CHANGE = 1e-12  # change over the cost: less is rounding
-# Share of the rise of the cost where a step fails: a cycle with more is fitted anew.  0.03 does the same.
-FAILED_SHARE = 0.1
-ANEW: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": 1e-6}  # three or five steps gain no more
-# Eigenvalue over the largest: weaker directions are rounding.  Half and twice change no law on 26 records.
-ROUNDED = 1e-13
-# Length over the step: twice the acceleration may be as long, else the step is too long for it.
-LARGEST_ACCELERATION = 0.75
+FAILED_SHARE = 0.1  # share of the rise of the cost where a step fails: a cycle with more is fitted anew
+ANEW: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": 1e-6}  # how failed cycles are fitted anew
+ROUNDED = 1e-13  # eigenvalue over the largest: weaker directions are rounding
+LARGEST_ACCELERATION = 0.75  # twice the acceleration over the step: with more the step is too long
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +80,6 @@ class Point(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """The end of a step, and its cost."""
-
     u: Array
     local: Array
     cost: float
@@ -108,10 +98,8 @@ def minimise(
 ) -> Solution | None:
     """Minimise from u (p,) and local (cycles, q); None where the start cannot be followed.
 
-    ``tolerance`` is the relative gain of a step (twice in a row), or the absolute gain, that ends the search, unless
-    the weighted rms changes by more than ``steady`` of itself: under large noise the cost is nearly all priors.
-    ``damping`` is that of the first step; ``corrections`` limits how often a step off the floor of a bent valley is led
-    back by the same derivatives, which pays where derivatives cost more than residuals.
+    ``tolerance`` is the gain of a step, relative or absolute, that ends the search when met twice in a row, unless the
+    weighted rms changes by more than ``steady`` of itself; ``corrections`` limits how often a step is led back.
     """
     u, local = np.clip(u, problem.lower, problem.upper), np.minimum(local, problem.local_upper)
     at = linearise(problem, u, local)
@@ -148,10 +136,7 @@ def minimise(
 
 
 def last_step(problem: LeastSquaresProblem, near: Solution) -> Solution | None:
-    """Return the end of one step from the end of a similar problem's search, or that end where the cost does not fall.
-
-    None where it cannot be followed.
-    """
+    """Return the end of one step from a similar problem's solution; None where it cannot be followed."""
     at = linearise(problem, near.u, near.local)
     if at is None:
         return None
@@ -165,12 +150,10 @@ def last_step(problem: LeastSquaresProblem, near: Solution) -> Solution | None:
 
 
 def _rms(problem: LeastSquaresProblem, at: Point) -> float:
-    """Return the root of the weighted sum of squares of the residuals."""
     return math.sqrt(float(np.sum(problem.weights * np.add.reduceat(at.residual**2, problem.starts))))
 
 
 def linearise(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None:
-    """Return the point, or None where it or its neighbourhood cannot be followed."""
     found = problem.evaluate(u, local, True)
     residual, derivatives = found or (None, None)
     if residual is None or derivatives is None:
@@ -211,7 +194,7 @@ def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections:
 
 
 def _corrected(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> tuple[Trial, Array] | None:
-    """Return the trial corrected across the valley by the previous derivatives, and its residuals, or None."""
+    """Return the trial led back across the valley by the derivatives at hand, and its residuals."""
     p = at.u.size
     gradient = sum_gradients(problem.first, residual * problem.weight, at.derivatives, p + trial.local.shape[1])
     g = gradient[:, :p].sum(axis=0) + problem.precision * (trial.u - problem.prior)
@@ -225,10 +208,7 @@ def _corrected(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: 
 
 
 def _with_failed_cycles_anew(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> Trial:
-    """Return a failed step with the own unknowns of the few cycles that made it fail fitted again.
-
-    Each starts from its old values or those of the step, whichever costs less.
-    """
+    """Return a failed step with the own unknowns of the few cycles that made it fail fitted again."""
     by_cycle = cost_by_cycle(problem, trial.local, residual)
     rise = by_cycle - cost_by_cycle(problem, at.local, at.residual)
     cycles = np.flatnonzero(rise > FAILED_SHARE * np.sum(np.maximum(rise, 0.0)))
@@ -277,11 +257,7 @@ def _accelerated_step(problem: LeastSquaresProblem, at: Point, damping: float) -
 
 
 def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Array, gl: Array) -> Step:
-    """Return the step down the gradients g and gl, within the bounds.
-
-    An unknown pushed outward on its bound stays; one that would cross its bound moves onto it, and the others' step is
-    computed again: merely cut off, a search next to a bound would stop where no step helps.
-    """
+    """Return the step down the gradients; unknowns that would cross a bound move onto it, and the others step anew."""
     pull = damped.local_step(gl)
     g = damped.reduced_gradient(g, pull)
     step = np.zeros_like(u)
@@ -300,10 +276,7 @@ def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Ar
 
 
 def _solve(H: Array, target: Array) -> Array:
-    """Return x of H x = target, H (n, n) positive semidefinite, without directions below rounding.
-
-    These fade out gradually. An unknown without curvature after elimination does not move.
-    """
+    """Return x of H x = target, H (n, n) positive semidefinite; directions below rounding fade out."""
     curvature = np.diag(H)
     held = curvature > 0
     scale = np.where(held, 1 / np.sqrt(np.where(held, curvature, 1.0)), 0.0)

@@ -1,6 +1,7 @@
-"""A least-squares problem of unknowns that all cycles share and of each cycle's own, and its objective.
+"""A least-squares problem of unknowns that all cycles share and of each cycle's own, and its normal equations.
 
-The normal equations of a least-squares problem, and the same with the cycles' own unknowns eliminated.
+The cycles' own unknowns are eliminated from these (Schur complement), in plain loops
+(`fitting.least_squares.elimination`).
 """
 
 import math
@@ -31,7 +32,6 @@ class Block(NamedTuple):
 
 
 def blocks_of(rows: Sequence[slice]) -> tuple[Block, ...]:
-    """Divide cycles with residuals ``rows`` into blocks of about `MOST_AT_ONCE` residuals."""
     stop = np.array([own.stop for own in rows])
     edges = [0, *(np.flatnonzero(np.diff((stop - 1) // MOST_AT_ONCE)) + 1).tolist(), stop.size]
     return tuple(Block(slice(a, b), slice(rows[a].start, rows[b - 1].stop)) for a, b in pairwise(edges))
@@ -43,10 +43,7 @@ def first_of(rows: Sequence[slice]) -> Integers:
 
 
 class Derivatives:
-    """The derivatives of residuals by the shared and own unknowns, made block by block: of a long record they are many.
-
-    ``derive`` returns those of a block, (n, p + q), or None where the motion cannot be followed.
-    """
+    """Derivatives of residuals, block by block; ``derive`` returns (n, p + q), None if unfollowable."""
 
     def __init__(self, blocks: Sequence[Block], derive: "Callable[[Block], Array | None]") -> None:
         self.blocks, self.derive = blocks, derive
@@ -66,12 +63,9 @@ class Derivatives:
             yield block, part
 
     def columns(self, unknowns: slice = slice(None)) -> Array:
-        """Return the derivatives (N, k) by some of the unknowns."""
         return np.concatenate([part[:, unknowns] for _, part in self])
 
     def changed(self, change: Callable[[Array], Array]) -> "Derivatives":
-        """Return the same with each block's derivatives changed."""
-
         def derive(block: Block) -> Array | None:
             part = self.derive(block)
             return None if part is None else change(part)
@@ -94,14 +88,12 @@ class LeastSquaresProblem:
     precision: Array
     local_prior: Array  # (cycles, q) the same for the cycles' own unknowns
     local_precision: Array
-    # (cycles, q) upper bounds of the cycles' own unknowns, to which a longer step is cut
-    local_upper: Array | float = math.inf
-    # ``some(u, cycles)`` returns ``evaluate(nothing, l, derivatives)`` of these cycles alone, u held.  Without it no
-    # cycle is followed by itself.
+    local_upper: Array | float = math.inf  # (cycles, q) of the cycles' own unknowns
+    # ``some(u, cycles)`` returns ``evaluate(nothing, l, derivatives)`` of these cycles alone, u held
     some: Callable[[Array, Integers], Evaluate] | None = None
 
     def of_cycles(self, u: Array, cycles: Integers) -> "LeastSquaresProblem | None":
-        """Return the problem of these cycles (indices) alone, u (p,) held; None of no cycles, or without ``some``."""
+        """Return the problem of these cycles alone, u held; None of no cycles, or without ``some``."""
         if self.some is None or not cycles.size:
             return None
         nothing = np.empty(0)
@@ -120,17 +112,14 @@ class LeastSquaresProblem:
 
     @cached_property
     def starts(self) -> NDArray[np.int64]:
-        """First residual of each cycle; the cycles' rows are contiguous."""
         return self.first[:-1]
 
     @cached_property
     def first(self) -> Integers:
-        """First residual of each cycle, and their number, shape (cycles + 1,)."""
         return first_of(self.rows)
 
     @property
     def weight(self) -> Array:
-        """Weight (N,) of each residual."""
         return np.repeat(self.weights, np.diff(self.first))
 
 
@@ -162,7 +151,7 @@ class NormalEquations:
     cycle_curvature: Array  # (c, p, p): each cycle's share of H, likewise
 
     def moved(self, step: Array, own: Array) -> "NormalEquations":
-        """Return the same after steps of the shared (p,) and own unknowns (c, q), with the same curvatures."""
+        """Return the same after steps (p,) and (c, q), with the same curvatures."""
         by_own = np.einsum("cpq,cq->cp", self.cross, own)
         return replace(
             self,
@@ -213,11 +202,7 @@ def normal_equations(
 
 
 class SchurComplement:
-    """The normal equations with the cycles' own unknowns eliminated.
-
-    ``damping`` raises the curvatures by that part; ``held`` (cycles, q) unknowns do not move; H (p, p) is the
-    information on the shared ones.
-    """
+    """The normal equations with the cycles' own unknowns eliminated; ``held`` (cycles, q) ones do not move."""
 
     def __init__(self, blocks: NormalEquations, damping: float = 0.0, held: Mask | None = None) -> None:
         c, q = blocks.gl.shape
@@ -249,15 +234,14 @@ class SchurComplement:
         return np.asarray(np.einsum("cij,cj...->ci...", self._inverse, gl))
 
     def reduced_gradient(self, g: Array, pull: Array) -> Array:
-        """Return the gradient (p,) or (p, n) with the cycles' unknowns eliminated; ``pull`` is their `local_step`."""
         return np.asarray(g - np.einsum("cpq,cq...->p...", self._cross, pull))
 
     def reduced_gradients(self, cycle_g: Array, pull: Array) -> Array:
-        """Return each cycle's share of the reduced gradient, (cycles, p) or (cycles, p, n), without the priors of u."""
+        """Return each cycle's share of the reduced gradient, without the priors of u."""
         return np.asarray(cycle_g - np.einsum("cpq,cq...->cp...", self._cross, pull))
 
     def newton_step(self, g: Array, gl: Array) -> tuple[Array, Array]:
-        """Return the step of the shared (p,) and of the cycles' own unknowns (cycles, q); or with one axis more."""
+        """Return the step of the shared (p,) and own unknowns (cycles, q); or with one axis more."""
         pull = self.local_step(gl)
         step = -np.einsum("ij,j...->i...", self.covariance, self.reduced_gradient(g, pull))
         return step, self.back_substitute(step, pull)
@@ -268,17 +252,15 @@ class SchurComplement:
 
 
 def eigen(matrix: Array) -> tuple[Array, Array]:
-    """Return the eigenvalues (n,) of a symmetric matrix, in any order, and its eigenvectors as columns."""
     turned, vectors = matrix.copy(), np.empty(matrix.shape)  # one layout: compiled once
     kernel(elimination.eigen)(turned, vectors)
     return np.diag(turned).copy(), vectors
 
 
 def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
-    """Return units (p,) of the parameters and the inverse (p, p) of reduced curvatures in these units.
+    """Return units (p,) from the curvatures ``raw`` before elimination, and H's inverse in these units.
 
-    The units, from the curvatures ``raw`` (p,) before elimination, avoid overflow for unconstrained unknowns. A
-    direction below rounding gets a prior's variance: it must neither make the inverse fail nor pass for a known one.
+    A direction below rounding gets a prior's variance: it must not pass for a known one.
     """
     scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * raw, 1e-100)))
     size, axes = eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge

@@ -1,16 +1,11 @@
-"""Coordinates of the curve's coefficients in which their prior is independent: second differences and the two ends.
+"""The friction of a fit: one of the six laws, or a curve followed through a spline.
 
-The prior says that a second difference of neighbouring coefficients is of the order of half the friction; it decides
-only where the data do not.  In these coordinates Levenberg-Marquardt needs no other form of a prior.
+A curve has ``size`` parameters theta, with bounds and priors; ``beside`` are the shared unknowns fitted with it.
 
-The data determine K datum + friction only.  So the coordinates are those of a curve that follows the datum: a datum's
-remaining effect is then a small number, not the difference of two large ones, and an unknown datum keeps its whole
-interval.
-
-The friction of a fit: one of the six laws, or a curve followed through a spline.
-
-A curve has ``size`` parameters theta, with bounds and priors; ``beside`` are the shared unknowns fitted with it.  It
-gives the friction along a path and the derivatives of the positions.
+A free curve's theta are second differences of its coefficients and the two ends: in them its prior, a second
+difference of the order of half the friction, is independent, and Levenberg-Marquardt needs no other form of a prior.
+The data determine K datum + friction only, so these are coordinates of a curve that follows the datum: a datum's
+remaining effect is then a small number, not the difference of two large ones.
 """
 
 from abc import ABC, abstractmethod
@@ -27,9 +22,7 @@ from fitting.model.unknowns import PER_RUN
 from rig_sim.friction.curve import magnitude
 from stickslip.compute.arrays import Array
 
-# Standard deviation of a second difference, over the middle coefficient.  Twice or half of it moves curves of the rig
-# scene by less than a tenth of their band.
-BEND_SD = 0.5
+BEND_SD = 0.5  # standard deviation of a second difference, over the middle coefficient
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +37,6 @@ class CurveCoordinates:
 
     @classmethod
     def around(cls, coefficients: Array, offset: Array, start: Array) -> "CurveCoordinates":
-        """Scale the coordinates by the middle of these coefficients (n,)."""
         n, size = coefficients.size, abs(float(np.median(coefficients)))
         if not size > 0:
             raise ValueError(f"middle coefficient is {size}; friction must not vanish")
@@ -62,7 +54,7 @@ class CurveCoordinates:
 
     @property
     def slopes(self) -> Array:
-        """Derivatives (n, p + n) of the coefficients by the unknowns: those outside the curve, then its coordinates."""
+        """Derivatives (n, p + n) of the coefficients by the unknowns outside the curve, then its coordinates."""
         return np.hstack([np.broadcast_to(self.offset, (self.precision.size, self.offset.size)), self.matrix])
 
     @property
@@ -77,7 +69,7 @@ class CurveCoordinates:
         return np.asarray(np.einsum("ij,j->i", self.matrix, unknowns[p:]) + moved)
 
     def unknowns(self, beside: Array, coefficients: Array) -> Array:
-        """Return all unknowns (p + n,) from those outside the curve (p,) and its coefficients (n,)."""
+        """Return all unknowns (p + n,) from those beside the curve and its coefficients."""
         moved = float(np.sum(self.offset * (beside - self.start)))
         return np.concatenate((beside, np.einsum("ij,j->i", self.inverse, coefficients - moved)))
 
@@ -117,7 +109,6 @@ class FrictionCurve(ABC):
         return self.law is not None and other.law is not None and self.law.is_ramp_of(other.law)
 
     def contains(self, other: "FrictionCurve") -> bool:
-        """Return whether the other curve is a limit of this one."""
         return self.law is not None and other.law is not None and self.law.contains(other.law)
 
 
@@ -148,10 +139,7 @@ class LawCurve(FrictionCurve):
 
 
 class FreeCurve(FrictionCurve):
-    """A free spline of ``knots`` (n + 1,), m/s, and ``coefficients`` (n + 3,), m/s^2; theta are `CurveCoordinates`.
-
-    The whole curve moves by ``offset`` (p,) with the unknowns ``beside`` (p,).
-    """
+    """A free spline of ``knots`` (n + 1,), m/s, and ``coefficients`` (n + 3,), m/s^2, in `CurveCoordinates`."""
 
     def __init__(self, knots: Array, *, ramp: bool, coefficients: Array, offset: Array, beside: Array) -> None:
         self.spline, self.ramp, self.size = FrictionSpline.over(knots), ramp, coefficients.size
@@ -172,5 +160,4 @@ class FreeCurve(FrictionCurve):
         return self.spline.with_coefficients(self.coefficients(theta, beside)[0])(s)
 
     def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:
-        """Return the spline's coefficients (n,), m/s^2, and their derivatives (n, beside + size)."""
         return self.basis.coefficients(np.concatenate([beside, theta])), self.basis.slopes

@@ -1,10 +1,7 @@
-"""Kernel: an oscillator on a moving base, followed as one pole in the complex plane.
+"""Departures: assumptions of the fit that may break, and their forces.
 
-The fitted motion as departures read it: at the stage points of every window, in the fit's frame.
-
-A departure: from a fitted motion to its effect, to first order in its parameters.
-
-A departure as a force of a fit: its coefficients, and its scale if scanned, are unknowns.
+A departure maps a fitted motion, read at the stage points of every window, to its effect, to first order in its
+parameters.  As a `Force` of a fit its coefficients, and its scale if it has one, are unknowns.
 """
 
 import math
@@ -40,10 +37,8 @@ class FittedMotion:
     time: Array  # (M,) s, m, m/s
     position: Array
     velocity: Array
-    # (M,) of the belt by the unknowns of the fit, without what a departure adds, m/s and m; the position's origin is
-    # arbitrary
-    belt_speed: Array
-    belt_position: Array
+    belt_speed: Array  # (M,) m/s, without what a departure adds
+    belt_position: Array  # (M,) m, from any origin
     friction: Array  # (M,) force of the belt on the mass per unit mass, positive where it pulls towards +x, m/s^2
     stretch: Array  # (M,) of the spring, m
     elapsed: Array  # (M,) since the middle of the run, s
@@ -61,7 +56,6 @@ class FittedMotion:
     def from_path(
         cls, path: Path, records: Sequence[MeasuredMotion], residual: Array, revolution: float | None = None
     ) -> "FittedMotion":
-        """Read a path along the windows of ``records``, with ``residual`` (N,) at its samples."""
         runs = [unknowns.values(of_run) for of_run in path.u.reshape(-1, PER_RUN)]
         belt, speed, middle = np.empty((3, path.time.size))
         for number, (p, record) in enumerate(zip(runs, records, strict=True)):
@@ -96,46 +90,34 @@ class FittedMotion:
 
     @property
     def slip_s(self) -> float:
-        """Approximate duration of a slip of the slowest run, s."""
         return max(record.slip_s for record in self.records)
 
     @property
     def samples_per_slip(self) -> float:
-        """Largest of the runs."""
         return max(record.time.size / record.span * record.slip_s for record in self.records)
 
     @cached_property
     def rows_of_runs(self) -> tuple[Mask, ...]:
-        """The stage points of each run."""
         return tuple(self.run == number for number in range(len(self.records)))
 
     @property
     def belt_way(self) -> float:
-        """Travel of the belt in the longest run, m."""
         return max(float(np.ptp(self.belt_position[run])) for run in self.rows_of_runs)
 
 
-# Velocity, over the largest, within which a drag may jump at rest.  Without the drag in the motion a sample's change of
-# velocity is 1 %, so a narrower turn is none that a step sees; ten times as wide, the kink by which a guide is
-# recognised is lost.
+# Velocity, over the largest, within which a drag may jump at rest: a sample's change of velocity is 1 %.
 TURN_IN_COLUMN = 0.005
-# The same where the motion is followed with the drag, in steps as short as the turn.  At 0.005 the friction of a strong
-# guide comes out 0.6 % too large.
-TURN_IN_MOTION = 0.0005
-# A drag's table: up to how far, of the largest velocity; how close its rows are about rest; how many they are.  They
-# are a fifteenth of `TURN_IN_MOTION` apart there, and 0.03 at that velocity, where a square errs by 2e-4; half as many
-# rows err by four times as much.
+TURN_IN_MOTION = 0.0005  # the same where the motion is followed with the drag, in steps as short as the turn
+# A drag's table: its reach over the largest velocity, how much closer its rows are about rest, and their number.
 TABLE_REACH, TABLE_CONTRAST, TABLE_ROWS = 1.5, 8.0, 801
 
 
 class Forcing(NamedTuple):
     """The effect of a departure with parameters of 1; k columns, one a parameter, or None."""
 
-    # (M, k) force on the mass per unit mass at the stage points of the trajectory, m/s^2 per unit of the parameter
-    acceleration: Array | None = None
-    belt_speed: Array | None = None  # (M, k) change of the belt's speed there, m/s per unit of the parameter
-    # (N, k) change of the position that is read at the samples, m per unit of the parameter
-    reading: Array | None = None
+    acceleration: Array | None = None  # (M, k) force per unit mass at the stage points, m/s^2
+    belt_speed: Array | None = None  # (M, k) change of the belt's speed there, m/s
+    reading: Array | None = None  # (N, k) change of the position read at the samples, m
 
 
 @dataclass(frozen=True)
@@ -144,8 +126,7 @@ class Departure:
 
     name: str
     text: str  # what it says of the rig, to stand in a sentence after the best law's name
-    # symbol and unit of its size: of the coefficient where there is one column, of the amplitude where there are two, a
-    # sine and a cosine
+    # symbol and unit of its size: of the coefficient of one column, or the amplitude of two, a sine and a cosine
     parameter: str
     unit: str
     # ``forcing(trajectory, scale)``; ``scale`` is NaN for a departure that has none
@@ -153,19 +134,14 @@ class Departure:
     columns: int = 1  # 1 or 2
     scale: str = ""  # what else it depends on, such as a frequency: scanned
     scale_unit: str = ""
-    # ``scales(trajectory)``: the values to scan, rising, at most half a resolution apart
-    scales: Callable[[FittedMotion], Array] | None = None
-    # (str, str) symbol and unit of the size times the mass, where the mass is known
-    with_mass: tuple[str, str] | None = None
-    # the same of a record that no encoder counted, where it then is another thing; else empty
-    text_of_positions: str = ""
-    # ``drag(velocity, turn)``: a force by the mass's own velocity alone, (n,) in m/s^2 per unit of the parameter, of a
-    # departure that is nothing else (`by_velocity`).  Where it jumps at rest, it may do so within ``turn``, m/s. It is
-    # followed together with the motion, any other force along the path before.
+    scales: Callable[[FittedMotion], Array] | None = None  # to scan, rising, at most half a resolution apart
+    with_mass: tuple[str, str] | None = None  # symbol and unit of the size times the mass
+    text_of_positions: str = ""  # ``text`` of a record that no encoder counted, where it differs
+    # ``drag(velocity, turn)``: a force by the mass's velocity alone, m/s^2 per unit of the parameter, which may jump at
+    # rest within ``turn``, m/s.  It is followed with the motion, any other force along the path before.
     drag: Callable[[Array, float], Array] | None = None
 
     def says(self, *, counted: bool) -> str:
-        """Return its statement about the rig, by whether an encoder counted."""
         return self.text if counted or not self.text_of_positions else self.text_of_positions
 
     def drag_table(self, fastest: float) -> Drag:
@@ -183,8 +159,6 @@ class Departure:
 
 
 def by_velocity(drag: Callable[[Array, float], Array]) -> Callable[[FittedMotion, float], Forcing]:
-    """Return the forcing of a force by the mass's velocity alone."""
-
     def forcing(trajectory: FittedMotion, _: float) -> Forcing:
         turn = TURN_IN_COLUMN * float(np.max(np.abs(trajectory.velocity)))
         return Forcing(acceleration=drag(trajectory.velocity, turn)[:, np.newaxis])
@@ -193,7 +167,6 @@ def by_velocity(drag: Callable[[Array, float], Array]) -> Callable[[FittedMotion
 
 
 def harmonic(phase: Array, factor: Array | float = 1.0) -> Array:
-    """Return sine and cosine of ``phase`` (n,) as columns (n, 2), times ``factor``."""
     return np.asarray(np.c_[factor * np.sin(phase), factor * np.cos(phase)])
 
 
@@ -209,15 +182,12 @@ def speed_of_wave(length: float) -> float:
     return 2 * math.pi / length
 
 
-# Relative step of the derivative by a scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path.
-SCALE_STEP = 1e-4
+SCALE_STEP = 1e-4  # relative step of the derivative by a scale
 SCALE_RANGE = 0.15  # relative range of a scale: how far a scale may move from where the scan found it
 
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """A force in addition to the law."""
-
     departure: Departure
     scale: float = math.nan  # its first scale (a frequency, a wavelength); NaN for a departure without one
 
@@ -242,7 +212,6 @@ class Force:
 
     @property
     def upper(self) -> Array:
-        """Upper bounds (width,)."""
         return np.array([np.inf] * self.departure.columns + [SCALE_RANGE] * self.scanned)
 
     def coefficients(self, size: Array) -> Array:
@@ -252,7 +221,6 @@ class Force:
         return self.scale * (1 + float(size[-1])) if self.scanned else self.scale
 
     def forcing(self, motion: FittedMotion, size: Array) -> Forcing:
-        """Return the effect of a unit of each coefficient along a motion."""
         return self.departure.forcing(motion, self.scale_of(size))
 
     def derivatives(self, motion: FittedMotion, size: Array) -> list[Forcing]:

@@ -1,7 +1,4 @@
-"""Tasks: what is fitted to which runs; those of the six laws and of a free curve.
-
-Positions that a task predicts in windows, and their derivatives: what a least-squares problem evaluates.
-"""
+"""Tasks (what is fitted to which runs, for a law or a free curve), and the positions and derivatives they predict."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,10 +22,9 @@ from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import ShootingWindows
 from stickslip.compute.arrays import Array, Integers
 
-PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where friction falls; 22 pieces widen the band
+PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where friction falls
 FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot lies
-# Weight of a second difference of a regressed curve's coefficients, over that of a typical slip sample times the root
-# of their number: at half the curve follows the smoothing's noise at low speed, at twice it begins to lose its bend.
+# Weight of a second difference of a regressed curve's coefficients, over a slip sample's times the root of their count.
 SMOOTHNESS = 0.03
 LOW_SPEED = 0.06  # speed over the last knot's: regressed slips show little below
 OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a curve of its own has no use for
@@ -52,7 +48,6 @@ class Task:
 
     @property
     def widths(self) -> tuple[int, int, int]:
-        """Numbers of shared, curve and force unknowns."""
         return len(self.places), self.curve.size, sum(force.width for force in self.forces)
 
     def split(self, q: Array) -> tuple[Array, Array, Array]:
@@ -68,12 +63,10 @@ class Task:
 
     @property
     def resolution(self) -> float:
-        """The coarsest resolution of the runs, m."""
         return max(motion.resolution for motion in self.problem.motions)
 
     @property
     def with_static(self) -> "Task":
-        """The same with a separate break-away level, where it is a ramp that can have one."""
         free = Global.STATIC in self.problem.active and Global.STATIC not in self.places
         return replace(self, places=tuple(sorted((*self.places, int(Global.STATIC))))) if free else self
 
@@ -111,7 +104,7 @@ def regress(
 ) -> tuple[Array, float]:
     """Regress the smoothed slips, acceleration = -K (x - rest) + columns(s) c; return K with c, and the squares left.
 
-    ``columns`` maps slip speeds (k,) to (k, n); ``held`` (r, n) are rows of c with prior 0.
+    ``held`` (r, n) are rows of c with prior 0.
     """
     samples = [starts.slip_samples(run.motion, run.cut) for run in runs]
     x, s, a = (np.concatenate([getattr(own, name) for own in samples]) for name in ("x", "s", "a"))
@@ -125,10 +118,7 @@ def regress(
 
 
 def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coefficients: Array) -> Task:
-    """Return the task of a free curve on the contact of a problem, in coordinates about u (13 runs,).
-
-    Moving the curve and the rest position together does not change the motion.
-    """
+    """Return the task of a free curve about u (13 runs,); curve and rest position move together."""
     places = tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW)
     beside = u[list(places)]
     datums = np.array([place % PER_RUN == Global.DATUM for place in places])
@@ -142,8 +132,7 @@ def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coeffici
 def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -> tuple[float, Array] | None:
     """Return K and the coefficients of a free curve by regression of the smoothed slips; None if absurd.
 
-    At low speed, where slips show little, the curve begins with the load at the break-aways: with more friction the
-    mass sticks in every window, with far less it slips too early.
+    At low speed, where slips show little, the curve begins with the load at the break-aways.
     """
     spline = FrictionSpline.over(knots)
     held = SMOOTHNESS * np.diff(np.eye(spline.coefficients.size), 2, axis=0)
@@ -163,11 +152,7 @@ def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -
 
 
 class Model:
-    """A task's predictions in windows.
-
-    A force by the mass's velocity acts along the motion itself, others along an earlier path, `near`, which `settle`
-    updates.
-    """
+    """A task's predictions; a force by velocity acts along the motion itself, others along an earlier path, `near`."""
 
     def __init__(
         self,
@@ -198,7 +183,6 @@ class Model:
             self.near, self._last = found, None
 
     def path(self, q: Array, local: Array) -> Path | None:
-        """Return the motion with all that tangents need; None where it cannot be followed."""
         u, theta, sizes = self.task.split(q)
         curve = self._curve(q, theta)
         if curve is None:
@@ -242,7 +226,6 @@ class Model:
         return evaluate
 
     def path_in(self, block: Block, q: Array, local: Array) -> Path | None:
-        """Return the motion in a block of cycles; of all cycles where a force acts along an earlier path."""
         if self.along or block.rows == slice(0, self.windows.time.size):
             return self.path(q, local)
         cycles = np.arange(block.cycles.start, block.cycles.stop)
@@ -289,7 +272,6 @@ class Model:
         return self._along[1]
 
     def _forcings(self, path: Path, sizes: Array) -> list[Forcing]:
-        """Return the effect of a unit of each force unknown along a path."""
         if not self.task.forces:
             return []
         motion = self._motion(path)

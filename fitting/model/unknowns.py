@@ -1,8 +1,7 @@
 """Parameters of a fit: those that all cycles of a run share, and each cycle's own.
 
-A run has thirteen global ones.  Several runs of one contact have thirteen each, end to end: `SHARED_BY_RUNS` are one
-number for all, standing first and copied to every run, the others are each run's own.  A *place* counts through all
-runs; a *slot* is a place within its run.
+Several runs of one contact have thirteen shared ones each, end to end: `SHARED_BY_RUNS` are one number for all, copied
+from the first run to the others.  A *place* counts through all runs; a *slot* is a place within its run.
 """
 
 import math
@@ -44,7 +43,7 @@ class PerCycle(IntEnum):
 
 
 class Values(NamedTuple):
-    """One run's global parameters by name, for formulas; units as in `Global`, F = Fs/m in m/s^2."""
+    """One run's parameters by name; units as in `Global`, F = Fs/m in m/s^2."""
 
     K: float
     F: float
@@ -68,11 +67,7 @@ NUISANCE = (Global.DATUM, Global.DAMPING, Global.FADE, Global.COMPLIANCE, *RIPPL
 
 
 def active_places(kind: Law, compliant: Sequence[bool], rippled: Sequence[bool]) -> tuple[int, ...]:
-    """Return the places of a law's parameters.
-
-    Each run's belt may slow under load (``compliant``) or ripple; on a compliant belt a ramp's break-away level is that
-    of slip (`rig_sim.flow.flow.validate`).
-    """
+    """Return the places of a law's parameters; a ramp on a compliant belt breaks away at the level of slip."""
     shape = () if kind.curve == "constant" else (Global.SHAPE,)
     ramp = () if kind.contact == "jump" else (Global.D,) if any(compliant) else (Global.D, Global.STATIC)
     found = [int(slot) for slot in (Global.K, Global.LOG_F, *shape, *ramp, Global.DAMPING)]
@@ -89,7 +84,6 @@ def values(u: Array) -> Values:
 
 
 def to_array(p: Values) -> Array:
-    """Return one run's global parameters (13,) in the order and units of `Global`."""
     return np.array([p.K, math.log(p.F), *p[2:]])
 
 

@@ -26,24 +26,18 @@ from fitting.record.motion import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, Measur
 from stickslip.compute.arrays import Array, Mask, runs
 
 # Times below are in slips (`MeasuredMotion.slip_s`).
-# At half the smoothed corner is still random in camera tracks; twice loses the end of short sticks.
-BEFORE_BREAK_AWAY = 0.1
+BEFORE_BREAK_AWAY = 0.1  # left out before a break-away, where a smoothed corner is random in camera tracks
 LEFT_BELT_BY = 0.05  # speed below the belt's, over it, at which a slip's window begins
 OVERTAKES_BY = 0.02  # speed above the plateau, over the belt's, at which the mass overtakes it
 LONGEST_TURN = 1.0  # time at rest: for longer, a mass stands on a belt that stands; a sliding mass only turns there
-# Rounding of times over the usual interval: 1e-6 after a week at 10 kHz; a tenth is the jitter of a board.
-ROUNDING = 1e-3
+ROUNDING = 1e-3  # rounding of times over the usual interval: 1e-6 after a week at 10 kHz
 FEWEST_AT_REST = 8  # samples of a line that shows rest
 REST_SPEED_ERRORS = 4.0  # slope of that line, in standard errors, that is still rest
 WIDEST_SLACK = 0.25  # error of that slope, over the belt's speed, from which it shows nothing
 SCATTER_AT_REST = 2.0  # scatter about that line over the noise: more is motion
 SUSTAINED_SHARE = 0.15  # share of the record in plateaus: below it the mass only grazes the belt
-# Deceleration over that of a mass that still sticks, from which it slips: while the belt drags it from rest on a ramp,
-# 0.3 of the belt's speed wide, it is slowed down by 3 times as much; in the first half of a slip by 5 times and more.
-SLIP_DECELERATION = 4.0
-# Most cycles that are fitted.  Memory and time grow with their number; with 200 the errors of calibrations are usually
-# larger than those of the fit.
-MOST_CYCLES = 200
+SLIP_DECELERATION = 4.0  # over the deceleration in stick: dragged on a ramp a mass has up to 3, in a slip 5
+MOST_CYCLES = 200  # cycles fitted; with as many the errors of calibrations are usually larger than those of the fit
 STILL_ACCELERATION = 0.05  # acceleration over a slip's: with less the mass sticks, or crosses the top of a sine
 
 
@@ -56,27 +50,19 @@ class Cycle:
     landing: float
     stick: tuple[int, int]  # (first, end) samples of window B (before the break-away) and window A (after it)
     slip: tuple[int, int]
-    # whether the mass overtakes the belt after landing: a slip that returns with more load than the belt can hold
-    overtakes: bool = False
-    # "" or why the cycle is not used: "gap", "rest" (the belt stood during the slip), "excluded", "short", or "surplus"
-    # (`MOST_CYCLES`)
-    flag: str = ""
+    overtakes: bool = False  # after landing: a slip that returns with more load than the belt can hold
+    flag: str = ""  # why it is not used: "gap", "rest" (the belt stood), "excluded", "short", "surplus"; or ""
 
 
 @dataclass(frozen=True)
 class CycleSegmentation:
-    """A record divided into cycles."""
-
     cycles: tuple[Cycle, ...]  # in order of time, used or not
     plateau_fraction: float  # share of the record spent in stick, the drag of the start-up and rests left out
     starts_at_rest: bool  # whether the record begins before the belt does
-    # (first, end) samples of the start-up drag, from shortly after the first landing to a tenth of a slip before the
-    # first break-away; empty when the record does not begin at rest
-    drag: tuple[int, int]
+    drag: tuple[int, int]  # (first, end) samples of the start-up drag; empty when the record does not begin at rest
 
     @property
     def sustained(self) -> bool:
-        """Whether the sticks continue over the whole record."""
         return self.plateau_fraction >= SUSTAINED_SHARE
 
     @property
@@ -90,7 +76,6 @@ class CycleSegmentation:
 
     @property
     def surplus(self) -> int:
-        """How many cycles are not used, because others are enough (`MOST_CYCLES`)."""
         return sum(cycle.flag == "surplus" for cycle in self.cycles)
 
     @property
@@ -100,10 +85,7 @@ class CycleSegmentation:
 
 
 def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset()) -> CycleSegmentation:
-    """Divide a record into cycles, none where the mass never falls below half the belt's speed.
-
-    Cycles ``excluded`` by number stay in the list, flagged.
-    """
+    """Divide a record into cycles, none where the mass never falls below half the belt's speed."""
     time, v, a = motion.time, motion.velocity, motion.acceleration
     n = time.size
     shortest = max(3, round(SHORTEST_PHASE * motion.slip_s / float(np.median(np.diff(time)))))
@@ -176,7 +158,6 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
 
 
 def _spread(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
-    """Return the cycles, of which `MOST_CYCLES` are used, evenly spread from the first to the last."""
     used = [k for k, cycle in enumerate(cycles) if not cycle.flag]
     kept = {used[k] for k in np.linspace(0, len(used) - 1, min(MOST_CYCLES, len(used))).round().astype(int)}
     return tuple(cycle if cycle.flag or k in kept else replace(cycle, flag="surplus") for k, cycle in enumerate(cycles))
@@ -188,10 +169,7 @@ def _sample_from(motion: MeasuredMotion, time: float) -> int:
 
 
 def _rests(motion: MeasuredMotion, end: int) -> bool:
-    """Return whether a line through the first positions is flat to within its error, and that small against the belt.
-
-    ``end``, in samples, ends the first slow stretch.
-    """
+    """Return whether a line through the first positions, up to sample ``end`` at most, is flat within its error."""
     last = min(_sample_from(motion, motion.time[0] + 0.5 * LONGEST_TURN * motion.slip_s), end)
     if last < FEWEST_AT_REST:
         return False
@@ -223,7 +201,7 @@ def _sticking(motion: MeasuredMotion, middle: int, last: int) -> int:
 
 
 def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
-    """Return whether the velocity peaks above the plateau after the landing by more than smoothing explains."""
+    """Return whether the velocity after the landing peaks above the plateau by more than smoothing explains."""
     early = _sample_from(motion, motion.time[landing] + 2 * motion.half_window)
     settled = motion.velocity[(early + end) // 2 : end]
     if settled.size < 3 or early >= end:
@@ -233,10 +211,7 @@ def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
 
 
 def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> float:
-    """Return the deceleration of the mass while the belt drags it from rest to ``begin``, m/s^2.
-
-    On a wide ramp it increases with the load from the first. 0 below ``still``, or where it is that of a slip.
-    """
+    """Return the deceleration, m/s^2, while the belt drags the mass from rest to ``begin``; 0 where it is a slip's."""
     first = _sample_from(motion, motion.time[landing] + max(SHORTEST_PHASE * motion.slip_s, motion.half_window))
     part = motion.acceleration[first : (first + begin) // 2]
     slowing = -float(np.median(part)) if part.size else 0.0

@@ -1,28 +1,18 @@
-"""Belt speed without load, compliance and remaining variation of the belt, estimated from belt counts.
+"""The measured motion as the fit sees it, and what the record shows of belt speed, compliance and slip duration.
 
-A belt that slows in proportion to its load loses ``compliance`` metres a second per metre of spring extension.  In
-stick the load is the spring force, so the belt's measured velocity against the mass's position is a straight line of
-slope -compliance, whatever the friction law: this calibration does not depend on the fit, which uses it as a prior.  In
-the flow it is droop = compliance Fs/k (`rig_sim.flow.flow.Flow`).
+Frame: metres, seconds from the record's first sample, a belt that runs towards +x.  A record of a backward belt is
+mirrored; the physics is odd, so the same fit serves both.  Samples that the smoothing left out as faults of the sensor
+are not in it, and steps of the position that it found are taken out.
 
-Samples within half a smoothing window of a stick's ends are left out, where slip is blurred into it.  The error of the
-line is the larger of two: for residuals that are correlated within a smoothing window, and for residuals that are
-correlated within a stick (ripple, a joint).
+Belt line.  A belt that slows in proportion to its load loses ``compliance`` metres a second per metre of spring
+extension.  In stick the load is the spring force, so the belt's velocity against the mass's position is a line of slope
+-compliance, whatever the friction law; the fit uses it as a prior.  Its error is the larger of two: for residuals
+correlated within a smoothing window, and within a stick.  Not modelled: a compliance that is not proportional to the
+load, or lags it.
 
-How long a slip lasts, from break-away to landing, as the readings show it: also of so few that no smoothing does.
-
-Seen from a frame that moves at half the belt's speed, a stick rises and a slip falls.  From the top to the foot of a
-fall the mass is slower than half the belt's speed; the slip is longer than that by what a harmonic motion of the same
-height takes between that speed and the belt's.  Turns, not velocities, are looked for, so that one sample in a stick
-and four in a slip are enough, and the noise of finely sampled readings makes no turn.
-
-The measured motion as the fit sees it: metres, seconds from the record's first sample, a belt that runs towards +x.
-
-The time of fading levels and of a belt that ripples is counted from there: when the record began does not matter.
-A record of a backward belt is mirrored (x -> -x, v -> -v) on the way in; the physics is odd, so the same fit serves
-both and only the signs of datum and belt speed are turned back in the result.  Samples that the smoothing left out as
-faults of the sensor are not in it: what stands there is an estimate, and no data.  Steps of the position that the
-smoothing found (lost counts, a datum that moved) are taken out, whether or not the run's position was repaired.
+Slip duration.  Seen from a frame that moves at half the belt's speed, a stick rises and a slip falls.  The slip is
+longer than the fall by what a harmonic motion of the same height takes between that speed and the belt's.  Turns, not
+velocities, are looked for, so that one sample in a stick and four in a slip are enough.
 """
 
 import math
@@ -64,17 +54,14 @@ class BeltLine:
         return self.speed_variation > LEAST_VARIATION * abs(self.speed.value)
 
     def speed_without_load(self, rest: Measured) -> Measured:
-        """Return the belt's speed where the spring is relaxed (``rest``, m), with its error."""
+        """Return the belt's speed where the spring is relaxed (``rest``, m)."""
         reach = rest.value - self.middle
         value = self.speed.value + self.slope.value * reach
         return Measured(value, math.hypot(self.speed.sd, math.hypot(self.slope.sd * reach, self.slope.value * rest.sd)))
 
 
 def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
-    """Fit the belt's line; None where the belt was not counted or no stick is long enough.
-
-    Not modelled: a belt whose compliance is not proportional to the load, or lags it.
-    """
+    """Fit the belt's line; None where the belt was not counted or no stick is long enough."""
     velocity, errors = kinematics.belt_velocity, kinematics.belt_velocity_errors
     if velocity is None or errors is None:
         return None
@@ -99,32 +86,26 @@ def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
 
 
 def _alike_in_windows(columns: Array, rest: Array, window: int) -> Array:
-    """Return a line's standard errors for residuals correlated over ``window`` samples; orthogonal columns."""
+    """Return standard errors for residuals correlated over ``window`` samples; orthogonal columns."""
     square = float(np.sum(rest**2)) / max(rest.size / window - 2, 1)
     return np.asarray(np.sqrt(square / np.sum(columns**2, axis=0)))
 
 
 def _alike_in_sticks(columns: Array, rest: Array, parts: list[NDArray[np.int64]]) -> Array:
-    """Return a line's standard errors for residuals correlated within a stick; orthogonal columns."""
+    """Return standard errors for residuals correlated within a stick; orthogonal columns."""
     ends = np.cumsum([part.size for part in parts])[:-1]
     pushes = np.array([np.sum(part, axis=0) for part in np.split(columns * rest[:, None], ends)])
     few = len(parts) / max(len(parts) - 1, 1)
     return np.asarray(np.sqrt(few * np.sum(pushes**2, axis=0)) / np.sum(columns**2, axis=0))
 
 
-# Size of a turn, in standard deviations of the difference of two readings: a smaller one is none.  With half of it the
-# noise of 1,000 samples in a stick makes turns; with twice, readings of four samples a slip, whose motion itself counts
-# as noise, lose theirs.
+# Standard deviations of the difference of two readings: noise of 1,000 samples in a stick makes no turn as large.
 TURN_ABOVE_NOISE = 6.0
 ITERATIONS = 30  # towards the fixed point in `harmonic_share`: two gain a digit
 
 
 def slip_duration(time: Array, position: Array, noise: float) -> float:
-    """Return the usual duration of a slip, s; the whole record's without one.
-
-    In 39 contacts of all kinds that stick, with 4 to 14 samples a slip, it is 0.87 to 1.13 times the true duration; in
-    11 that merely graze the belt it is 0.78 to 0.97 of a natural period. The belt runs towards +x; ``noise`` is in m.
-    """
+    """Return the usual duration of a slip, s; the whole record's without one.  ``noise`` is in m."""
     least = TURN_ABOVE_NOISE * math.sqrt(2) * noise
     rises = _way(position, least, 1)
     if not rises:
@@ -180,7 +161,6 @@ def _turns(y: Array, least: float) -> list[tuple[int, bool]]:
 
 
 def _middle_speed(time: Array, position: Array) -> float:
-    """Return the mean speed over the middle half of a rise's height, m/s: the belt's in stick."""
     height = np.maximum.accumulate(position)
     ends = []
     for part in (0.25, 0.75):
@@ -200,9 +180,7 @@ def _middle_mean(values: Array) -> float:
 SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
 REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest
 FEWEST_STICKS = 4  # whose median is the belt's speed; of fewer one misplaced stick moves it
-# Length of the shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a hole as long may hide one.  At half noise
-# beside a corner is a stick, twice is half a stick at the end of stick-slip.
-SHORTEST_PHASE = 0.06
+SHORTEST_PHASE = 0.06  # shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a hole as long may hide one
 GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a gap
 
 
@@ -216,12 +194,9 @@ class MeasuredMotion:
     position: Array
     velocity: Array
     acceleration: Array
-    # (n,) true at a sample that does not follow the one before it: a gap, a new segment, or a hole left by faults that
-    # is as long as the smoothing does not cross
-    broken: NDArray[np.bool_]
+    broken: NDArray[np.bool_]  # (n,) true where a sample does not follow the one before: gap, new segment or hole
     belt_speed: float  # m/s, > 0: a first value; the fit finds its own
-    # m/s, in the record's own sign: what the caller or the calibration states, whether used or not
-    stated_speed: Measured | None
+    stated_speed: Measured | None  # m/s, in the record's own sign, whether used or not
     # what the calibration knows: belt speed (m/s), spring's rest position in this record (m), damping c (N s/m)
     belt_prior: Measured | None
     datum_prior: Measured | None
@@ -229,19 +204,16 @@ class MeasuredMotion:
     mass: Measured | None  # kg, N/m
     stiffness: Measured | None
     sign: float  # -1.0 where the record was mirrored, else 1.0
-    # standard deviation of one measured position, m: of a counter its rounding, else the noise that the record shows
-    resolution: float
+    resolution: float  # standard deviation of one measured position, m: rounding or noise
     step: float  # smallest change of a measured position, m: one count, or the last printed decimal
     velocity_error: float  # standard error of the smoothed velocity, m/s; median over the record
     half_window: float  # half of the smoothing window, s: how far a corner is blurred
     slip_s: float  # about how long a slip lasts, s, a power of two (`rounded_slip`): the unit of all times in the fit
     samples_per_slip: float  # of the usual slip, from break-away to landing (`fitting.record.motion`)
     length_error: float = 0.0  # relative standard error of every length: that of the metres per count
-    # belt speed lost per metre of spring stretch, 1/s, where the belt's own counts show that it slows under load
-    compliance: Measured | None = None
+    compliance: Measured | None = None  # belt speed lost per metre of spring stretch, 1/s, from the belt's counts
     belt_measured: bool = False  # whether the belt's own counts are used: then a ramp cannot be a belt that slows
-    # m/s rms: variation of the measured belt speed that load does not explain; 0 where it is not significant
-    speed_variation: float = 0.0
+    speed_variation: float = 0.0  # m/s rms that load does not explain; 0 where not significant
     counted: bool = False  # whether an encoder counted the positions; else a camera or another sensor measured them
     rest_stated_as: str = "datum"  # what a stated rest position was stated as: "x0" or "datum"
     begin: float = 0.0  # s; time of the record's first sample, as the record tells time
@@ -263,9 +235,7 @@ class MeasuredMotion:
 def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | float | str | None) -> MeasuredMotion:
     """Bring a smoothed record into the fit's frame.
 
-    A stated ``belt_speed`` (m/s, signed) precedes the belt's counts, which "channel" requires; without both,
-    calibration and sticks give it. Raises InputError for a record in counts, a belt at rest or missing belt counts, and
-    DataError where nothing moves.
+    A stated ``belt_speed`` (m/s, signed) precedes the belt's counts, which "channel" requires.
     """
     recording = kinematics.recording
     source = recording.where
@@ -355,16 +325,11 @@ def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
 
 
 def rounded_slip(usual: float) -> float:
-    """Return a power of two, 0.55 to 1.1 times the usual duration of a slip, s.
-
-    A power of two scales times without rounding: a record in slow motion gives the same answer. Slips of the six laws
-    last 1.05 to 1.3 half periods of the mass on its spring; rounded after pi/4, they give the same number.
-    """
+    """Return a power of two, 0.55 to 1.1 times the usual slip, s: it scales times without rounding."""
     return math.ldexp(1.0, round(math.log2(usual * math.pi / 4)))
 
 
 def _kept(kinematics: Kinematics) -> NDArray[np.bool_]:
-    """Return the samples that are data: neither faults of the sensor nor within a step of the position."""
     kept = ~kinematics.missing
     for step in kinematics.losses:
         kept[step.first : step.last] = False
@@ -382,7 +347,7 @@ def _broken(kinematics: Kinematics, usual: float, slip: float) -> NDArray[np.boo
 
 
 def _channel(kinematics: Kinematics, belt_speed: Measured | str | None) -> BeltLine | None:
-    """Return the belt's line from its counts, or None where they are not used or too few."""
+    """Return the belt's line; None where its counts are not used or too few."""
     if isinstance(belt_speed, str) and belt_speed != "channel":
         raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give channel, or a speed in m/s")
     if belt_speed == "channel" and kinematics.belt_velocity is None:
@@ -402,10 +367,7 @@ def _length_error(rig: Rig) -> float:
 
 
 def _resolution(kinematics: Kinematics) -> tuple[float, float]:
-    """Return the standard deviation of a position and the smallest step between two, m.
-
-    A counter's is its rounding; other sensors' noise is estimated from the record, not from the printed decimals.
-    """
+    """Return the standard deviation of a position (a counter's is its rounding) and its smallest step, m."""
     recording = kinematics.recording
     count = recording.rig.metres_per_count
     if recording.count is not None and count is not None:
@@ -445,11 +407,7 @@ def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, 
 
 
 def _rest_position(rig: Rig, recorded: Rig) -> Measured | None:
-    """Return the spring's rest in the recorded positions, m.
-
-    A datum was added to the readings, so that positions count from the rest; a better datum moves the rest by the
-    difference.
-    """
+    """Return the spring's rest in the recorded positions, m; a stated datum was added to the readings."""
     if rig.datum is None:
         return rig.x0
     return Measured(recorded.offset - rig.datum.value, rig.datum.sd)

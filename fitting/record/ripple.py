@@ -1,10 +1,9 @@
 """Ripple: a belt whose speed oscillates at one frequency, found in the sticks.
 
-In stick the mass moves as the belt does, so its velocity, less a straight line against its position (a ramp's, or a
-belt's compliance), is the belt's ripple seen through the windows of the sticks.  Its strongest harmonic is looked
-for on a grid by a Fourier transform with zeros where the mass slips, and settled by least squares on the samples
-themselves.  In the fit amplitude, phase and frequency are unknowns, with
-what the sticks show as a wide prior.
+In stick the mass moves as the belt does: its velocity, less a straight line against its position (a ramp's, or a
+belt's compliance), is the belt's ripple seen through the windows of the sticks.  Its strongest harmonic is looked for
+by a Fourier transform with zeros where the mass slips, and settled by least squares.  In the fit amplitude, phase and
+frequency are unknowns, with what the sticks show as a wide prior.
 
 On a ramp the mass creeps in proportion to load over friction level, and the level is drawn anew at each landing: then
 each stick has a slope of its own, and all lines pass through the belt's speed at the spring's rest position.
@@ -26,24 +25,18 @@ from stickslip.compute.arrays import Array
 
 VARIANCE_LEFT = 0.45  # share of the velocity's variance in stick that a ripple leaves at the most
 SMALLEST_AMPLITUDE = 2e-3  # amplitude over the belt's speed: less is none
-# Amplitude over the step that positions are rounded to, of the strongest harmonic of the rounding error of a uniform
-# motion: a sawtooth (W. R. Bennett, Bell System Technical Journal 27 (1948) 446).  Sampling folds it to any frequency,
-# and cycles that hardly scatter repeat it: a ripple in position that is no larger may be that.
+# Amplitude over the step of positions, of the strongest harmonic of the rounding error of a uniform motion, a sawtooth
+# (W. R. Bennett, Bell System Technical Journal 27 (1948) 446): a ripple that is no larger may be that.
 ROUNDING_WAVE = 1 / math.pi
-# Share of the amplitude that the lines do not take up.  True ripples show 0.28 to 1.0 of theirs; one that ageing sticks
-# of a steady belt seemed to have, slower than a stick is long, 0.17.
-AMPLITUDE_BESIDE_LINES = 0.25
+AMPLITUDE_BESIDE_LINES = 0.25  # share of the amplitude that the lines do not take up; of true ripples 0.28 to 1.0
 # Periods in a slip (`MeasuredMotion.slip_s`).  Slower, or below `SLOWEST_OF_FEW` with fewer periods, it may be wear or
-# a drift; faster, smoothing has taken it away.  When 0.1 was the slowest, a ripple of half of it was missed, or taken
-# for one that the sticks meet at the same phases.
+# a drift; faster, smoothing has taken it away.
 SLOWEST, SLOWEST_OF_FEW, FASTEST = 0.025, 0.1, 12.5
 FEWEST_PERIODS = 2.0  # periods in the time that the sticks span: a single one cannot be distinguished from a drift
 GRID_SAMPLES = 50.0  # samples a slip of the thinned record that is transformed: four of the fastest period
 GRID_REFINEMENT = 4  # frequencies looked at for each of the transform's own
 CANDIDATES = 5  # frequencies tried: the gaps between sticks make false peaks beside the true one
-# Mean square in stick over what the likeliest frequency leaves: a frequency that leaves more is not tried in its place.
-# Over sticks of a fifth of each cycle the other frequencies of a cycle leave 1.0 to 1.3 times as much.
-RIVAL_VARIANCE = 2.0
+RIVAL_VARIANCE = 2.0  # mean square over what the likeliest frequency leaves, at which another is no longer tried
 OUTLIER_ABOVE = 4.0  # distance in robust standard deviations: further off are corners that the cut left in
 FEWEST_LONG_STICKS = 4  # sticks longer than the smoothing blurs: of fewer, none is used
 LOG_ODDS = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
@@ -53,27 +46,20 @@ FALLING_STICKS = 0.9  # share of sticks whose velocity falls: on a ramp all but 
 POINTS_TRIED = 41  # places, over twice the travel, first tried for the point that lines of own slopes share
 HALVINGS = 9  # steps of frequency and point, each half the last: to 1e-3 of a turn over the record
 SETTLING_TIME = 0.04  # least time after a landing that is left out, in slips
-# Share of a stick that is left out at the most at an end, for the times above and before a break-away.  Of a stick
-# of a tenth of a slip they left nothing, and the ripple went unseen: a true law was "none of the six", or another's.
-LEFT_OUT_OF_STICK = 1 / 6
+LEFT_OUT_OF_STICK = 1 / 6  # share of a stick left out at the most at an end; else short sticks show no ripple
 
 
 @dataclass(frozen=True)
 class Ripple:
-    """A ripple of the belt's speed, ``cosine`` cos(omega t) + ``sine`` sin(omega t), in m/s, omega in rad/s.
+    """A ripple of the belt's speed, ``cosine`` cos(omega t) + ``sine`` sin(omega t)."""
 
-    ``seen_s`` is the time from the first to the last sample that shows it, s, which limits the resolution of its
-    frequency; inf where it is given.
-    """
-
-    cosine: float
+    cosine: float  # m/s
     sine: float
-    omega: float
-    seen_s: float = math.inf
+    omega: float  # rad/s; 0 without one
+    seen_s: float = math.inf  # s from the first to the last sample that shows it; inf where it is given
 
     @property
     def amplitude(self) -> float:
-        """m/s."""
         return math.hypot(self.cosine, self.sine)
 
     def removed(self, motion: MeasuredMotion) -> MeasuredMotion:
@@ -91,15 +77,11 @@ class Ripple:
 
 
 def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None:
-    """Return the likeliest ripple of `find_ripples`; None without one."""
     return next(iter(find_ripples(motion, cut)), None)
 
 
 def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]:
-    """Return the ripples that the sticks, or the start-up drag of a grazing mass, may show; likeliest first.
-
-    Short sticks, one in each cycle, show a frequency and its sum or difference with that of the cycles nearly alike.
-    """
+    """Return the ripples that the sticks, or the start-up drag of a grazing mass, may show; likeliest first."""
     sticks = _in_stick(motion, cut)
     drag = [np.arange(*cut.drag)] if not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0] else []
     if not sticks:
@@ -151,7 +133,7 @@ class OwnSlopes:
 
     @classmethod
     def fitted(cls, stuck: InStick, motion: MeasuredMotion) -> "OwnSlopes":
-        """Return the lines whose common point, near the spring's rest, minimises the residual velocities."""
+        """Return the lines whose common point, near the spring's rest, leaves least."""
         middle = 0.5 * float(motion.position.max() + motion.position.min())
 
         def left(place: float) -> float:
@@ -160,7 +142,6 @@ class OwnSlopes:
         return cls(stuck.x - min(middle + _offsets(motion), key=left), stuck.own)
 
     def left(self, v: Array) -> Array:
-        """Return the residual of velocities v (n,) about the lines and a common level."""
         return least_squares(self.removed(np.ones_like(v))[:, None], self.removed(v))[1]
 
     def removed(self, values: Array) -> Array:
@@ -185,10 +166,7 @@ class OwnSlopes:
 
 
 def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) -> list[Ripple]:
-    """Return the significant harmonics of the velocities in stick, fitted together with their lines.
-
-    The common point of ``slopes`` is searched anew: without the harmonic it moves to where the lines absorb most of it.
-    """
+    """Return the significant harmonics of the velocities in stick; the point of ``slopes`` is searched anew."""
     rest, peaks = stuck.rest, _peaks(stuck.time, stuck.rest, motion.slip_s)
     if slopes is not None:
         rest = slopes.left(stuck.v)
@@ -254,11 +232,7 @@ def _offsets(motion: MeasuredMotion) -> Array:
 def _gains(
     motion: MeasuredMotion, own: NDArray[np.int64], before: float, after: float, slopes: OwnSlopes | None
 ) -> bool:
-    """Return whether a harmonic explains more than the best of as many frequencies explains in noise.
-
-    ``own`` (n,) is each sample's stick; ``before`` and ``after`` are mean squares without and with it, (m/s)^2.
-    Velocities are independent over a smoothing window; a shorter stick counts once.
-    """
+    """Return whether a harmonic explains more than the best one explains in noise; mean squares in (m/s)^2."""
     window = max(2 * motion.half_window, SETTLING_TIME * motion.slip_s)
     samples = np.bincount(own)
     lengths = samples[samples > 0] * float(np.median(np.diff(motion.time)))
@@ -275,10 +249,7 @@ def _gains(
 
 
 def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np.int64]]:
-    """Return the samples of each stick, well away from corners; none where few sticks are long.
-
-    A shorter stick may be the top of a sine, as of a mass that merely grazes the belt.
-    """
+    """Return the samples of each stick, well away from corners; none where few sticks are long."""
     parts, long = [], 0
     for before, after in zip(cut.cycles[:-1], cut.cycles[1:], strict=True):
         stick_s = max(after.break_away - before.landing, 0.0)
@@ -293,10 +264,7 @@ def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np
 
 
 def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: float, count: int) -> tuple[Array, float]:
-    """Return the strongest frequencies of the residual in stick, Hz, in descending order, and their resolution, Hz.
-
-    At most ``count``, none below ``slowest``, Hz; ``slip_s`` is the usual duration of a slip, s.
-    """
+    """Return at most ``count`` frequencies, Hz, strongest first, and their resolution, Hz; ``slowest`` is in Hz."""
     grid = np.bincount(((time - time[0]) * (GRID_SAMPLES / slip_s)).astype(np.int64), weights=rest)
     size = GRID_REFINEMENT * grid.size
     power = np.abs(np.fft.rfft(grid, size)) ** 2
@@ -311,7 +279,6 @@ def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: floa
 
 
 def _peaks(time: Array, rest: Array, slip_s: float) -> list[float]:
-    """Return the strongest frequencies of the residual in stick, Hz."""
     slowest = min(max(SLOWEST / slip_s, FEWEST_PERIODS / (time[-1] - time[0])), SLOWEST_OF_FEW / slip_s)
     found, _ = strongest_frequencies(time, rest, slip_s, slowest, CANDIDATES)
     return [float(hertz) for hertz in found]
