@@ -236,14 +236,15 @@ class Model:
 
     def derivatives(self, q: Array, local: Array, columns: Callable[[Path], Array]) -> Derivatives:
         """Return the derivatives of the positions, ``columns`` (n, k) of the path of each block."""
-
-        def derive(block: Block) -> Array | None:
-            path = self.path_in(block, q, local)
-            part = None if path is None else columns(path)
-            return part if part is None or self._size is None else part * self._size[block.rows, None]
-
         whole = Block(slice(0, len(self.windows.rows)), slice(0, self.windows.time.size))
-        return Derivatives((whole,) if self.along else self.windows.blocks, derive)
+        return Derivatives(
+            (whole,) if self.along else self.windows.blocks, partial(self._derive_block, q, local, columns)
+        )
+
+    def _derive_block(self, q: Array, local: Array, columns: Callable[[Path], Array], block: Block) -> Array | None:
+        path = self.path_in(block, q, local)
+        part = None if path is None else columns(path)
+        return part if part is None or self._size is None else part * self._size[block.rows, None]
 
     def _columns(self, path: Path, q: Array) -> Array:
         _, theta, sizes = self.task.split(q)
