@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig_sim.flow.flow import Flow
+from rig_sim.flow.memory import MemoryFlow
 from rig_sim.motion.trajectory import Trajectory
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.sections import Belt, Drive
@@ -56,7 +57,7 @@ class BeltEncoder:
         counts: NDArray[np.int64] = np.floor(travel[path.samples] / self.delta).astype(np.int64) - self._origin
         return counts
 
-    def _travel_steps(self, flow: Flow, t: Array, x: Array, v: Array) -> Array:
+    def _travel_steps(self, flow: Flow | MemoryFlow, t: Array, x: Array, v: Array) -> Array:
         """Return the travel of the belt (m) from node to node under one flow."""
         h = np.diff(t)
         steps: Array = flow.v_belt * h

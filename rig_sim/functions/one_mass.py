@@ -50,6 +50,13 @@ class Cycle(Result, limit_cycle.Orbit):
         ax.set(xlabel=f"x {UNIT}", ylabel=f"v {UNIT}", title=f"{self.name}: {self.outcome}")
         if self.period is None or self.x_slip is None or self.scene is None:
             return
+        if self.scene.has_memory():
+            from rig_sim.dynamics.limit_cycles.memory_cycle import memory_cycle
+
+            _, motion = memory_cycle(self.scene.memory_flow())
+            ax.plot(motion.x, motion.v, color=STABLE)
+            ax.axhline(self.scene.memory_flow().v_belt, color=PALE, lw=0.8, ls="--")
+            return
         flow = self.scene.flow()
         edge = -math.copysign(flow.d, flow.v_belt) if flow.ramp else 0.0
         mode = NEGATIVE if flow.v_belt > 0.0 else POSITIVE
@@ -143,6 +150,10 @@ def cycle(scene: SceneLike) -> Cycle:
     ('cycle', 'NS', 6.338)
     """
     loaded = load_scene(scene)
+    if loaded.has_memory():
+        from rig_sim.dynamics.limit_cycles.memory_cycle import memory_cycle
+
+        return Cycle(**vars(memory_cycle(loaded.memory_flow())[0]), name=loaded.name, scene=loaded)
     return Cycle(**vars(limit_cycle.cycle(loaded)), name=loaded.name, scene=loaded)
 
 
@@ -173,6 +184,10 @@ def fixed_point(scene: SceneLike) -> FixedPoint | TwoMassFixedPoint:
     (True, -0.0337)
     """
     loaded = load_scene(scene)
+    if loaded.has_memory():
+        from rig_sim.dynamics.limit_cycles.memory_cycle import memory_fixed_point
+
+        return FixedPoint(**vars(memory_fixed_point(loaded.memory_flow())), name=loaded.name)
     if loaded.coupling is None:
         return FixedPoint(**vars(fixed.fixed_point(loaded.flow())), name=loaded.name)
     return TwoMassFixedPoint(**vars(fixed.two_mass_fixed_point(loaded.two_mass_flow())), name=loaded.name)

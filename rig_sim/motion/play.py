@@ -26,10 +26,12 @@ from typing import TYPE_CHECKING, Any
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, steepest_fall
+from rig_sim.flow.memory import MemoryFlow
 from rig_sim.friction.curve import MEASURED
+from rig_sim.integrate import memory
 from rig_sim.integrate.events import EventList, list_events
 from rig_sim.integrate.phases import Samples, State, sample_phase
-from rig_sim.integrate.work import new_work
+from rig_sim.integrate.work import Buffer, new_work
 from rig_sim.scenes.model import Scene
 from stickslip.errors import InputError
 
@@ -83,15 +85,18 @@ class ScenePlayer:
 
     def __init__(self, scene: Scene, *, max_steps: float = math.inf, phases: SamplePhase = sample_phase) -> None:
         self.scene = scene
-        self._phases = phases
         self.t = 0.0  # s
         self.outcome: modes.Outcome = modes.OUTCOMES[modes.COMPLETED]
         self.events: list[Event] | None = None  # set to a list to collect the events
-        self.flow: Flow = scene.flow(belt_running=not (scene.belt and scene.belt.start > 0))
+        self._has_memory = scene.has_memory()
+        self._make_flow = scene.memory_flow if self._has_memory else scene.flow
+        self._phases: SamplePhase = memory.sample_memory_phase if self._has_memory else phases
+        self.flow: Flow | MemoryFlow = self._make_flow(belt_running=not (scene.belt and scene.belt.start > 0))
         self._belt_waits = scene.belt is not None and scene.belt.start > 0
         self._swing: SwingingBelt | None = None
         self._store_state(float(scene.start.x), float(scene.start.v))
-        self._flows: list[tuple[int, Flow]] = []  # of this stretch, each with the number of corners before it
+        # Of this stretch, each with the number of corners before it
+        self._flows: list[tuple[int, Flow | MemoryFlow]] = []
         self._kicks = 0
         self._scatter = None
         if scene.scatter is not None:
@@ -99,8 +104,8 @@ class ScenePlayer:
 
             self._scatter = ScatteredLevel(scene.scatter.Fs, scene.seed)
         self._landings_matter = scene.wear is not None or scene.scatter is not None
-        self._work = new_work(max_steps)
-        self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
+        self._work: Any = memory.new_memory_work(max_steps) if self._has_memory else new_work(max_steps)
+        self._mode = self._classify()
 
     @property
     def x(self) -> float:
@@ -112,6 +117,13 @@ class ScenePlayer:
         """Velocity of the mass, m/s."""
         v = self._w + self.flow.v_belt
         return v if self._swing is None else v + self._swing.speed(self.t)
+
+    def _classify(self) -> int:
+        """Return the mode of the present state."""
+        v = self._w + self.flow.v_belt
+        if isinstance(self.flow, MemoryFlow):
+            return memory.initial_mode(self.flow, v)
+        return initial_mode(self.flow, self._xi, v, self.t)
 
     def _store_state(self, x: float, v: float) -> None:
         """Store the state in the coordinates of the present flow: on a belt that ripples, those that swing with it.
@@ -171,21 +183,23 @@ class ScenePlayer:
         corners: list[tuple[int, float, float, float]],
         *,
         forces: bool = False,
-    ) -> tuple[list[float], list[float], list[float], int]:
+    ) -> tuple[Buffer, Buffer, Buffer, int]:
         """Play through ``times``; return x, v, F there and how many were reached.
 
         Each event appends (number of times before it, t, x, v) to ``corners``; a kick appends two.
         """
         n = len(times)
-        x, v, F = [0.0] * n, [0.0] * n, [0.0] * n
-        samples, reached = Samples(times, x, v, [0.0] * n, n), 0
+        samples, reached = Samples(times, [0.0] * n, [0.0] * n, [0.0] * n, n), 0
         while self.outcome.name == modes.OUTCOMES[modes.COMPLETED].name:
             end = min(times[-1], self._next_change())
+            if self._has_memory and self.steps > INTERPRETED_STEPS and isinstance(samples.x, list):
+                self._phases, self._work, samples = memory.compile_phases(self._work, samples)
             first, previous_mode = reached, self._mode
+            x, v, F = samples.x, samples.v, samples.mode
             state = State(previous_mode, self._xi, self._w, self.t)
             kind, state, reached = self._phases(self.flow, state, end, samples, reached, self._work)
             self._mode, self._xi, self._w, self.t, _ = state
-            if forces:
+            if forces and isinstance(self.flow, Flow):
                 for i in range(first, reached):
                     F[i] = force(self.flow, previous_mode, x[i], v[i] - self.flow.v_belt, times[i])
             if self._swing is not None:
@@ -204,7 +218,7 @@ class ScenePlayer:
                 self._apply_change(reached, corners)
             elif reached == n:
                 break
-        return x, v, F, reached
+        return samples.x, samples.v, samples.mode, reached
 
     def _next_change(self) -> float:
         """Return the time (s) of the belt's start or of the joint's next passage."""
@@ -234,7 +248,7 @@ class ScenePlayer:
             self._w += self.scene.joint.kick
             corners.append((reached, self.t, self.x, self.v))
             self._record_event("kick")
-        self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
+        self._mode = self._classify()
         if modes.LETTERS[self._mode] != modes.LETTERS[previous_mode]:
             self._record_event(f"{modes.LETTERS[previous_mode]}>{modes.LETTERS[self._mode]}")
 
@@ -248,7 +262,7 @@ class ScenePlayer:
     def _set_flow(self, factor: float) -> None:
         """Build the flow with this factor; a shaker that cannot be tuned to it ends the motion."""
         try:
-            self.flow = self.scene.flow(belt_running=not self._belt_waits, factor=factor)
+            self.flow = self._make_flow(belt_running=not self._belt_waits, factor=factor)
         except ValueError as error:
             self.outcome = modes.Outcome("shaker out of tune", f"{error}: lower shaker.a, wear or scatter")
 
@@ -271,6 +285,9 @@ class ScenePlayer:
         """Return the spacing of nodes (s) at which the cubic between them is much finer than an encoder's count."""
         if self.scene.encoder is None:
             return math.inf
+        if isinstance(self.flow, MemoryFlow):  # a jump of the force within a node's step moves x by a 64th of a count
+            jump = math.sqrt(self.scene.encoder.metres_per_count * self.flow.m / max(self.flow.Fs, self.flow.F0))
+            return min(0.05 * math.sqrt(self.flow.m / self.flow.k), jump)
         rate = math.sqrt(self.flow.k / self.flow.m) + (self.flow.gamma * self.flow.Fs + self.flow.G_slip) / self.flow.m
         if self.flow.curve == MEASURED:
             rate += steepest_fall(self.flow) * self.flow.Fs / self.flow.m
@@ -341,4 +358,4 @@ def is_flow_constant(scene: Scene) -> bool:
     """Return whether nothing changes the flow between events: one call of the integrator then plays the whole run."""
     effects = (scene.wear, scene.scatter, scene.joint)
     belt_changes = scene.belt is not None and (scene.belt.start > 0 or bool(scene.belt.ripple))
-    return all(effect is None for effect in effects) and not belt_changes
+    return all(effect is None for effect in effects) and not belt_changes and not scene.has_memory()

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from rig_sim.flow.flow import Flow
+from rig_sim.flow.memory import MemoryFlow
 from stickslip.compute.arrays import Array, Integers
 
 
@@ -26,4 +27,4 @@ class Trajectory:
     nodes: Nodes
     samples: Integers  # (s,) indices of the requested times; fewer where the motion ended early
     F: Array  # (s,) friction force on the mass at these times, N; empty unless requested
-    flows: tuple[tuple[int, Flow], ...]  # each flow with its first node; the first from node 0
+    flows: tuple[tuple[int, Flow | MemoryFlow], ...]  # each flow with its first node; the first from node 0

@@ -7,6 +7,7 @@ from rig_sim.friction.spline import find_problem
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Friction
 from stickslip.errors import InputError, nearest
+from stickslip.units import si_unit
 
 MOST_POINTS = 1000  # points of a measured curve: a fit gives about 16
 OWN_KEYS = {  # of the section friction, reserved: no parameter of a formula has such a name (Fs, G_slip and gamma may)
@@ -45,13 +46,16 @@ def check_together(scene: Scene, where: str) -> None:
             raise InputError("friction has both G_stick and d", where, "keep one: G_stick = -static Fs/d")
         if friction.formula is not None:
             _check_formula(friction, where)
+        elif friction.memory_law() is not None:
+            _check_memory(scene, friction, where)
         elif friction.law is None:
             do = "give it, or --set friction.law=..., or friction.formula"
             python = "write rig_sim.scene(..., **{'friction.law': 5}), or give friction.formula"
             raise InputError("friction.law is missing", where, do, python=python)
         else:
             _check_curve(friction, where)
-        for key in friction.law_record().parameters if friction.formula is None else ():
+        is_speed_law = friction.formula is None and friction.memory_law() is None
+        for key in friction.law_record().parameters if is_speed_law else ():
             if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
                 name = "G_stick or d" if key == "d" else key
                 raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
@@ -106,6 +110,33 @@ def _check_curve(friction: Friction, where: str) -> None:
             raise InputError(f"friction.curve holds {number:g}", where, "choose other units")
     if friction.contact == "ramp" and friction.d is None and friction.G_stick is None:
         raise InputError("friction.d is missing, which a ramp needs", where, "give d, or drop friction.contact")
+
+
+def _check_memory(scene: Scene, friction: Friction, where: str) -> None:
+    """Refuse a law with memory without its parameters, or together with what is not modelled for it."""
+    law = friction.memory_law()
+    if law is None:
+        raise ValueError("friction has no memory")
+    parameters = friction.memory_parameters()
+    if missing := [name for name, value in parameters.items() if value is None]:
+        units = ", ".join(f"{name} in {si_unit(law.parameters[name].dimension)}" for name in missing)
+        raise InputError(f"friction.{missing[0]} is missing, which law {friction.law} needs", where, f"give {units}")
+    for name, value in parameters.items():
+        parameter = law.parameters[name]
+        if value is None or not math.isfinite(value) or value < 0.0 or (value == 0.0 and not parameter.may_be_zero):
+            at_least = "0 or more" if parameter.may_be_zero else "above 0"
+            raise InputError(f"friction.{name} is {value:g}", where, f"give a number {at_least}")
+    if scene.belt is None or scene.belt.speed == 0.0:
+        raise InputError(f"friction.law {friction.law} without a moving belt", where, "set belt.speed")
+    for section in ("coupling", "shaker", "droop"):
+        if getattr(scene, section) is not None:
+            raise InputError(f"{section} beside law {friction.law} is not modelled", where, f"drop {section}")
+    for key in ("contact", "curve"):
+        if getattr(friction, key) is not None:
+            raise InputError(f"friction.{key} beside law {friction.law}", where, f"drop {key}, or take law 0")
+    if friction.static != 1.0:
+        problem = f"friction.static beside law {friction.law}, whose break-away follows from its memory"
+        raise InputError(problem, where, "drop static")
 
 
 def _check_formula(friction: Friction, where: str) -> None:

@@ -1,10 +1,11 @@
 """The model of a scene: its sections, and the equation of motion that they make.  Keys: `rig_sim.scenes.scene`."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from rig_sim.flow.flow import Flow
+from rig_sim.flow.memory import MemoryFlow, make_memory_flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.friction.curve import CONSTANT
@@ -60,7 +61,23 @@ class Scene(Section):
             do = "drop the section coupling, or use events, run, fixed-point, map, sweep, basins or lyapunov"
             python = "use rig_sim.events, run, fixed_point, continue_, map, sweep, basins or lyapunov"
             raise InputError("has two masses, and this is for one", f"scene {self.name}", do, python=python)
+        if self.has_memory():
+            problem = "has a friction law with memory, and this is for laws without"
+            do = "use run, events or cycle, or take law 1 to 6"
+            raise InputError(problem, f"scene {self.name}", do, python="use rig_sim.run, events or cycle")
         return self._one_mass_flow(belt_running=belt_running, factor=factor)
+
+    def has_memory(self) -> bool:
+        return self.friction is not None and self.friction.memory_law() is not None
+
+    def memory_flow(self, *, belt_running: bool = True, factor: float = 1.0) -> MemoryFlow:
+        """Return the equation of motion of a scene whose friction law has a memory; parameters as of `flow`."""
+        law = self.friction.memory_law() if self.friction else None
+        if self.friction is None or law is None or self.belt is None:
+            raise ValueError("needs a belt and a law with memory")
+        flow = self._one_mass_flow(belt_running=belt_running, factor=factor)
+        values = {name: value for name, value in self.friction.memory_parameters().items() if value is not None}
+        return make_memory_flow(flow, law.code, float(self.belt.speed), values)
 
     def two_mass_flow(self) -> TwoMassFlow:
         """Return the equations of motion of two masses; raises InputError of a scene with one mass."""
@@ -87,7 +104,9 @@ class Scene(Section):
         )
 
     def _one_mass_flow(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
-        none = {"curve": CONSTANT, "ramp": 0, "Fs": 0.0, "G_slip": 0.0, "gamma": 0.0, "d": 0.0}
+        friction: dict[str, Any] = {"curve": CONSTANT, "ramp": 0, "Fs": 0.0, "G_slip": 0.0, "gamma": 0.0, "d": 0.0}
+        if self.friction and not self.has_memory():
+            friction |= self.friction.flow_fields(self._largest_slip_speed())
         flow = Flow(
             m=float(self.mass.m),
             k=float(self.spring.k),
@@ -95,7 +114,7 @@ class Scene(Section):
             c=float(self.damper.c) if self.damper else 0.0,
             v_belt=float(self.belt.speed) if self.belt and belt_running else 0.0,
             factor=factor,
-            **(none | self.friction.flow_fields(self._largest_slip_speed()) if self.friction else none),
+            **friction,
             u0=float(self.drive.u0) if self.drive else 0.0,
             omega=float(self.drive.omega) if self.drive else 0.0,
             phase=0.0,

@@ -8,7 +8,7 @@ spring    k, x0 = 0                             required; x0: the spring's rest 
 belt      speed, start = 0, length, ripple,    at rest before ``start``, then at ``speed``, which swings by ``ripple``;
           ripple_hz, channel                    one turn is ``length``; channel = true: the board sends its counts too
 friction  law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
-          static = 1
+          static = 1                            ("lugre", "dahl", "ageing", "slip": `rig_sim.friction.memory`)
           curve, contact = "jump"               of law 0: [[slip speed, friction], ...] from speed 0; or "ramp", with d
           formula, and its parameters           instead of law: "Fc + (Fs - Fc)*exp(-s/v_s)", s the slip speed; with d
                                                 or G_stick behind a ramp, unless contact = "jump"
@@ -51,13 +51,16 @@ from typing import Any
 from pydantic import ValidationError
 
 from rig_sim.friction.formula import Formula
+from rig_sim.friction.memory import MEMORY_LAWS
 from rig_sim.scenes.checks import check_magnitudes, check_together
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Section
+from stickslip import units
 from stickslip.errors import InputError, nearest
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 FRICTION_IS = ("friction.law", "friction.formula")
+MEMORY_PARAMETERS = {name: item for law in MEMORY_LAWS.values() for name, item in law.parameters.items()}
 OLD_NAMES = {"tell": "output"}  # old names of sections, still accepted
 FORM = "write section.key=value"
 IN_PYTHON = "write rig_sim.scene('rig', **{'section.key': value})"
@@ -214,17 +217,21 @@ def apply_change(content: dict[str, Any], dotted: str, value: object, where: str
 
 
 def _replace_law(friction: dict[str, Any], key: str) -> None:
-    """Drop the parameters of the previous law or formula: a formula's parameters are its own."""
-    if key == "formula":
-        for other in ("law", "curve", "contact", "G_stick", "d"):
-            friction.pop(other, None)
-    elif friction.pop("formula", None) is not None:
-        for other in [name for name in friction if name not in list_keys("friction")]:
-            del friction[other]
+    """Drop the parameters of the previous law or formula: those of a formula or a memory are its own."""
+    are_others = has_memory(friction) if key == "formula" else "formula" in friction or not has_memory(friction)
+    for other in ("law", "curve", "contact", "G_stick", "d") if key == "formula" else ("formula",):
+        friction.pop(other, None)
+    for other in [name for name in friction if name not in list_keys("friction")] if are_others else ():
+        del friction[other]
+
+
+def has_memory(friction: Mapping[str, Any]) -> bool:
+    return str(friction.get("law")) in MEMORY_LAWS
 
 
 def validate_content(content: dict[str, Any], where: str) -> Scene:
     _refuse_unknown(content, where)
+    _convert_quantities(content, where)
     name = str(content.get("name", ""))
     try:
         validated = Scene.model_validate(content)
@@ -260,11 +267,22 @@ def _refuse_unknown(content: Mapping[str, Any], where: str) -> None:
         if not isinstance(keys, dict):
             continue
         known_keys = list_keys(section)
-        if section == "friction" and isinstance(keys.get("formula"), str):
-            known_keys = list(dict.fromkeys([*_formula_parameters(keys["formula"], where), *known_keys]))
+        if section == "friction":
+            others = _formula_parameters(text, where) if isinstance(text := keys.get("formula"), str) else ()
+            known_keys = list(dict.fromkeys([*others, *known_keys, *(MEMORY_PARAMETERS if has_memory(keys) else ())]))
         for key in keys:
             if key not in known_keys:
                 raise InputError(f"unknown key '{section}.{key}'", where, nearest(key, known_keys))
+
+
+def _convert_quantities(content: dict[str, Any], where: str) -> None:
+    """Replace parameters beside a law with memory that are texts with a unit, such as '20 um', by numbers in SI."""
+    friction = content.get("friction")
+    if not isinstance(friction, dict) or not has_memory(friction):
+        return
+    for name, parameter in MEMORY_PARAMETERS.items():
+        if isinstance(friction.get(name), str):
+            friction[name] = units.quantity(friction[name], parameter.dimension, f"{where}: friction.{name}")
 
 
 def _formula_parameters(text: str, where: str) -> tuple[str, ...]:

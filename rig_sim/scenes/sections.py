@@ -10,6 +10,7 @@ from rig_sim.friction.curve import CONSTANT, LINEAR
 from rig_sim.friction.formula import Formula
 from rig_sim.friction.formula_curve import formula_curve
 from rig_sim.friction.law import LAWS, Law, law_or_curve
+from rig_sim.friction.memory import MEMORY_LAWS, MemoryLaw
 from rig_sim.friction.spline import spline_table
 
 if TYPE_CHECKING:
@@ -20,15 +21,16 @@ NotNegative = Annotated[float, Field(ge=0)]
 Negative = Annotated[float, Field(lt=0)]
 
 
-def validate_law(value: object) -> int:
-    """Return the number of a law; refuse others, also true and false, which Python takes for 1 and 0."""
-    law = next((number for number in (0, *LAWS) if number == value and not isinstance(value, bool)), None)
+def validate_law(value: object) -> int | str:
+    """Return the number or name of a law; refuse others, also true and false, which Python takes for 1 and 0."""
+    laws: tuple[int | str, ...] = (0, *LAWS, *MEMORY_LAWS)
+    law = next((name for name in laws if name == value and not isinstance(value, bool)), None)
     if law is None:
-        raise PydanticCustomError("law", f"input should be {', '.join(map(str, (0, *LAWS)[:-1]))} or {max(LAWS)}")
+        raise PydanticCustomError("law", f"input should be {', '.join(map(str, laws[:-1]))} or {laws[-1]}")
     return law
 
 
-LawNumber = Annotated[int, BeforeValidator(validate_law)]
+LawName = Annotated[int | str, BeforeValidator(validate_law)]
 LARGEST_FORCE_SAMPLES = 129  # slip speeds at which the largest friction is sought; it sets how far the curve must reach
 EventRate = Annotated[float, Field(gt=0, le=1000)]  # per second
 
@@ -74,15 +76,15 @@ class Belt(Section):
 
 
 class Friction(Section):
-    """Law 1 to 6, 0 for a measured curve, or a formula, and all known parameters; the law takes those it needs.
+    """Law 1 to 6, 0 for a measured curve, a law with memory, or a formula; the law takes the parameters it needs.
 
-    Other keys are parameters of the formula: numbers, in ``model_extra``.
+    Other keys are parameters of the formula or of laws with memory: numbers, in ``model_extra``.
     """
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, float] = Field(init=False)
 
-    law: LawNumber | None = None
+    law: LawName | None = None
     Fs: NotNegative | None = None  # largest static force, N; a measured curve has its first force instead
     G_slip: NotNegative | None = None  # slope of the linear curve, N s/m
     gamma: NotNegative | None = None  # rate of the hyperbolic curve, s/m
@@ -100,7 +102,20 @@ class Friction(Section):
 
     def law_record(self) -> Law:
         """Return the law; `MEASURED_CURVE` for points and for a formula, whose contact is in ``contact`` and ``d``."""
-        return law_or_curve(self.law or 0)
+        return law_or_curve(self.law if isinstance(self.law, int) else 0)
+
+    def memory_law(self) -> MemoryLaw | None:
+        """Return the law with memory; None for any other."""
+        return MEMORY_LAWS[self.law] if isinstance(self.law, str) else None
+
+    def memory_parameters(self) -> dict[str, float | None]:
+        """Return the parameters of the law with memory, by name; None where the scene must give one and does not."""
+        law = self.memory_law()
+        parameters = law.parameters.items() if law is not None else ()
+        return {
+            name: parameter.default if (value := getattr(self, name, None)) is None else float(value)
+            for name, parameter in parameters
+        }
 
     def parse_formula(self) -> Formula | None:
         """Return the formula; None for a law."""
@@ -135,7 +150,7 @@ class Friction(Section):
 
     def parameters(self) -> dict[str, float]:
         """Return Fs and the parameters that this law needs, by name; empty for a measured curve or a formula."""
-        names = self.law_record().parameters if self.law else ()
+        names = self.law_record().parameters if self.law and self.memory_law() is None else ()
         return {key: self.ramp_width() if key == "d" else float(getattr(self, key)) for key in names}
 
     def largest_force(self, speed: float) -> float:
