@@ -35,7 +35,12 @@ FIRST_STEP = 1e-6  # x sqrt(m/k); the next are chosen by their errors
 TRIALS = 100  # of a step, each at most half as long
 # Largest errors of a step, where these are smaller than what the tolerance allows: of the bristles' deflection over
 # Fc/s0, of y and of the memory of rate and state.
-DEFLECTION_ERROR, FORCE_ERROR, MEMORY_ERROR = 1e-5, 1e-2, 1e-3
+DEFLECTION_ERROR, FORCE_ERROR, MEMORY_ERROR = 1e-6, 1e-2, 1e-3
+# The deflection's error need not be smaller than these: over the tolerance, and over Fc/s0.
+SMALL, SMALL_DEFLECTION = 1e-3, 1e-2
+ROUNDING = 1.0 + 1e-5  # of the largest deflection
+BEYOND = 100.0  # error of a step that ends beyond it
+LARGEST_CHANGE = 10.0  # of velocity and slip speed within a step, over the larger of those at its ends
 BISECTIONS = 50  # of a step, for an event
 
 # The coefficients of RODAS: of the stages, of their rates over the step, of their times and of the drive's slope.
@@ -140,7 +145,12 @@ def relative_error(flow: MemoryFlow, state: Vector, end: Vector, error: Vector) 
     allowed = flow.tolerance
     speed = allowed * math.sqrt(flow.k / flow.m)
     if flow.law == BRISTLE:
-        deflection = min(allowed, DEFLECTION_ERROR * flow.Fc / flow.s0)
+        # In a stick, slip is so slow that a step may jump over the break-away, to bristles bent further than they can.
+        presliding = flow.Fc / flow.s0
+        if abs(end[2]) > max(abs(state[2]), ROUNDING * flow.factor * max(flow.Fs, flow.Fc) / flow.s0):
+            return BEYOND
+        least = min(SMALL * allowed, SMALL_DEFLECTION * presliding)
+        deflection = min(allowed, max(DEFLECTION_ERROR * presliding, least))
         return max(abs(error[0]) / allowed, abs(error[1]) / speed, abs(error[2]) / deflection)
     steepness = max(slip(flow, state[1], state[2])[1], slip(flow, end[1], end[2])[1])
     force = max(steepness / speed, 1.0 / FORCE_ERROR)
@@ -148,9 +158,15 @@ def relative_error(flow: MemoryFlow, state: Vector, end: Vector, error: Vector) 
     return max(abs(error[0]) / allowed, abs(error[1]) * force, abs(error[2]) * memory)
 
 
-def motion_within(h: float, s: float, start: Vector, end: Vector) -> Vector:
-    """Return position, velocity and acceleration at the share s of a step, from those at its ends."""
+def motion_within(flow: MemoryFlow, h: float, s: float, start: Vector, end: Vector) -> Vector:
+    """Return position, velocity and acceleration at the share s of a step, from those at its ends.
+
+    Where the mass follows the belt, or the spring's end, its acceleration is a small difference of large forces, and
+    wrong; a right one changes neither the velocity nor the slip speed by many times the larger of its two ends.
+    """
     (x0, v0, a0), (x1, v1, a1) = start, end
+    largest = LARGEST_CHANGE / h * min(max(abs(v0 - flow.v_belt), abs(v1 - flow.v_belt)), max(abs(v0), abs(v1)))
+    a0, a1 = min(max(a0, -largest), largest), min(max(a1, -largest), largest)
     r = 1.0 - s
     rise = s * s * s * (1.0 + 3.0 * r * (1.0 + 2.0 * r))
     x = x0 + (x1 - x0) * rise
@@ -170,7 +186,7 @@ def store_motion(flow: MemoryFlow, t: float, h: float, start: Vector, end: Vecto
     """
     while i < samples.n and samples.t[i] <= t + h:
         at = max(samples.t[i], t)
-        x, v, a = motion_within(h, (at - t) / h, start, end)
+        x, v, a = motion_within(flow, h, (at - t) / h, start, end)
         samples.x[i] = x
         samples.v[i] = v
         samples.mode[i] = flow.m * a + flow.c * v + flow.k * (x - flow.x0) - drive(flow, at)
@@ -193,7 +209,7 @@ def event_share(flow: MemoryFlow, mode: int, h: float, start: Vector, end: Vecto
     inside, outside = 0.0, 1.0
     for _i in range(BISECTIONS):
         s = 0.5 * (inside + outside)
-        if entered_mode(flow, mode, motion_within(h, s, start, end)[1] - flow.v_belt) == mode:
+        if entered_mode(flow, mode, motion_within(flow, h, s, start, end)[1] - flow.v_belt) == mode:
             inside = s
         else:
             outside = s
