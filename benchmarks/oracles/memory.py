@@ -65,7 +65,7 @@ def bristle_rates(case: Setting, t: float, state: Any) -> list[float]:
 def rate_and_state_rates(case: Setting, t: float, state: Any) -> list[float]:
     p = case.parameters
     x, log_e, psi = state
-    e = math.exp(log_e)
+    e = float(np.exp(log_e))
     theta = p["D"] / p["v0"] * math.exp(psi)
     if case.law == "ageing":
         dtheta = 1.0 - e * theta / p["D"]
@@ -109,16 +109,17 @@ def solve(case: Setting, times: Any, rtol: float = 1e-9) -> tuple[Any, float]:
 
         falls.terminal, falls.direction = True, -1.0
         rises.terminal, rises.direction = True, 1.0
-        found = solve_ivp(
-            lambda tau, y, start=t: rate_and_state_rates(case, start + tau, y),
-            (0.0, times[-1] - t),
-            state,
-            method="Radau",
-            rtol=rtol,
-            atol=0.1 * rtol * scales,
-            events=[falls] if level == 1 else [falls, rises],
-            dense_output=True,
-        )
+        with np.errstate(all="ignore"):  # trial steps that are rejected
+            found = solve_ivp(
+                lambda tau, y, start=t: rate_and_state_rates(case, start + tau, y),
+                (0.0, times[-1] - t),
+                state,
+                method="Radau",
+                rtol=rtol,
+                atol=0.1 * rtol * scales,
+                events=[falls] if level == 1 else [falls, rises],
+                dense_output=True,
+            )
         if found.status < 0:
             raise RuntimeError(found.message)
         here = (times >= t) & (times <= t + found.t[-1])
@@ -173,11 +174,11 @@ def state_settings(law: str) -> list[Setting]:
     """Ten settings: D from 2 um to 5 mm."""
     return [
         Setting(law, **RIG, speed=0.22, until=8.0, parameters=AGEING, x=0.1),
-        Setting(law, **RIG, speed=0.22, until=8.0, parameters=relate(AGEING, D=2e-6), x=0.1),
+        Setting(law, **RIG, speed=0.22, until=8.0, parameters=relate(AGEING, D=2e-6, b=0.09), x=0.1),
         Setting(law, **RIG, speed=0.22, until=8.0, parameters=relate(AGEING, D=2e-5), x=0.1),
         Setting(law, **RIG, speed=0.22, until=8.0, parameters=relate(AGEING, D=5e-3), x=0.1),
         Setting(law, **RIG, speed=0.05, until=12.0, parameters=relate(AGEING, D=1e-3, a=0.06, b=0.135), x=0.1),
-        Setting(law, **RIG, speed=0.02, until=30.0, parameters=relate(AGEING, D=1e-3), x=0.1),
+        Setting(law, **RIG, speed=0.02, until=30.0, parameters=relate(AGEING, D=1e-3, b=0.08), x=0.1),
         Setting(law, **SERVO, parameters=STATE_SERVO, x=9e-4),
         Setting(law, **RUBBER, parameters=STATE_RUBBER, x=6e-3),
         Setting(law, **ROCK, speed=1e-6, until=2000.0, parameters=STATE_ROCK, x=5.5e-3),

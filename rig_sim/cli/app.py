@@ -12,7 +12,7 @@ from stickslip.errors import InputError
 
 app = application.application(
     "rig-sim",
-    "The stick-slip rig in software: exact motion between events, six friction laws.",
+    "The stick-slip rig in software: exact motion between events, six friction laws, four with memory.",
     "rig-sim cycle base --set friction.law=3",
 )
 

@@ -80,6 +80,8 @@ def compare(
     for method in methods:
         if method not in METHODS:
             raise InputError(f"unknown method {method!r}", "methods", f"take some of {', '.join(METHODS)}")
+    if scene.has_memory():
+        scene.flow()  # says what covers such a scene
     swing = 2.0 * math.pi * math.sqrt(scene.mass.m / scene.spring.k)
     if until > LONGEST * swing:
         problem = f"is {until:g}, {until / swing:.3g} periods of the mass: every method would step through all of them"

@@ -127,9 +127,6 @@ class _Player(Protocol):
 
 def make_player(scene: Scene, phases: SamplePhase, max_steps: int) -> _Player:
     if scene.coupling is None:
-        if scene.has_memory() and phases is not sample_phase:
-            problem = "plays friction laws without memory alone"
-            raise InputError(problem, "--method", "a law with memory has the method exact")
         return ScenePlayer(scene, max_steps=max_steps, phases=phases)
     if phases is not sample_phase:
         raise InputError("plays one mass alone", "--method", "two masses have the method exact")

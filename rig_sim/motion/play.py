@@ -89,6 +89,9 @@ class ScenePlayer:
         self.outcome: modes.Outcome = modes.OUTCOMES[modes.COMPLETED]
         self.events: list[Event] | None = None  # set to a list to collect the events
         self._has_memory = scene.has_memory()
+        if self._has_memory and phases is not sample_phase:
+            problem = "has a friction law with memory, which this method does not cover"
+            raise InputError(problem, f"scene {scene.name}", "use the method exact")
         self._make_flow = scene.memory_flow if self._has_memory else scene.flow
         self._phases: SamplePhase = memory.sample_memory_phase if self._has_memory else phases
         self.flow: Flow | MemoryFlow = self._make_flow(belt_running=not (scene.belt and scene.belt.start > 0))

@@ -62,9 +62,10 @@ class Scene(Section):
             python = "use rig_sim.events, run, fixed_point, continue_, map, sweep, basins or lyapunov"
             raise InputError("has two masses, and this is for one", f"scene {self.name}", do, python=python)
         if self.has_memory():
-            problem = "has a friction law with memory, and this is for laws without"
-            do = "use run, events or cycle, or take law 1 to 6"
-            raise InputError(problem, f"scene {self.name}", do, python="use rig_sim.run, events or cycle")
+            problem = "has a friction law with memory, which this analysis does not cover"
+            do = "use run, events, cycle or fixed-point, or take law 1 to 6"
+            python = "use rig_sim.run, events, cycle or fixed_point"
+            raise InputError(problem, f"scene {self.name}", do, python=python)
         return self._one_mass_flow(belt_running=belt_running, factor=factor)
 
     def has_memory(self) -> bool:

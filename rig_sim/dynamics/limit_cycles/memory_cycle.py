@@ -24,7 +24,9 @@ from rig_sim.integrate.phases import Samples, State
 
 TURNS = 100
 STEPS = 200_000  # of the search
-WAITED = 100.0  # natural periods after which a mass that slips has no stick before it
+# A mass that slips, or sticks, for longer goes on so: in natural periods, and in times that the belt takes to stretch
+# the spring to the level of friction.
+WAITED, LOADED = 100.0, 3.0
 CLOSED = 1e-6  # of the stretch, and of the period: what two turns may differ by
 POINTS = 20_001  # of an orbit, for its extremes
 
@@ -54,7 +56,7 @@ def memory_cycle(flow: MemoryFlow) -> tuple[Orbit, Samples]:
     work = new_memory_work(STEPS)
     state = State(modes.STICK, flow.x0, 0.0, 0.0)
     reach = flow.tolerance / RELATIVE_TOLERANCE
-    wait = WAITED * 2.0 * math.pi * math.sqrt(flow.m / flow.k) + reach / abs(flow.v_belt)
+    wait = WAITED * 2.0 * math.pi * math.sqrt(flow.m / flow.k) + LOADED * reach / abs(flow.v_belt)
     phases: list[tuple[int, State]] = []  # of this turn: the mode, and the state at its end
     slip = before = state  # where this turn and the turn before began
     for _ in range(20 * TURNS):

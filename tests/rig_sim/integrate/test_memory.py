@@ -54,7 +54,7 @@ def follow(
     [pytest.param(*case, marks=() if case in FAST else pytest.mark.slow) for case in ALL],
 )
 def test_the_motion_is_that_of_scipy(monkeypatch, law, number):
-    """Within 0.5 um rms and 3e-6 of the travel; scipy at rtol 1e-9, bristles at 1e-11."""
+    """Within 0.5 um rms and 1e-5 of the travel; scipy at rtol 1e-9, bristles at 1e-11."""
     monkeypatch.syspath_prepend(BENCHMARKS)
     from oracles import memory  # type: ignore[import-not-found]
 
@@ -63,7 +63,7 @@ def test_the_motion_is_that_of_scipy(monkeypatch, law, number):
     t, x, _, _ = player.columns(np.linspace(0.0, case.until, 2001))
     expected, _ = memory.solve(case, t)
     assert player.outcome.name == "completed"
-    assert np.sqrt(np.mean((x - expected) ** 2)) < min(0.5e-6, 3e-6 * np.ptp(expected))
+    assert np.sqrt(np.mean((x - expected) ** 2)) < min(0.5e-6, 1e-5 * np.ptp(expected))
 
 
 @pytest.mark.parametrize("law", ["ageing", "slip"])

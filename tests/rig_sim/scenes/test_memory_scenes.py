@@ -1,0 +1,170 @@
+"""Scenes whose friction has a memory: played, counted by the board, and refused where they cannot be."""
+
+import contextlib
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rig_sim
+from rig_sim.board.board import SimulatedBoard
+from rig_sim.cli.app import app
+from rig_sim.motion import play
+from rig_sim.motion.play import ScenePlayer
+from rig_sim.scenes.model import Scene
+from rig_sim.scenes.scene import parse_changes, scene
+from stickslip.console import application
+from stickslip.errors import InputError
+
+LUGRE = ["friction.law=lugre", "friction.s0=15 N/mm", "friction.s1=60", "friction.Fc=600 mN", "friction.v_s=10 cm/s"]
+STATE = ["friction.F0=1.2 N", "friction.a=0.03", "friction.b=0.105", "friction.D=2 mm", "friction.v0=0.1"]
+LAWS = {
+    "lugre": LUGRE,
+    "dahl": [*LUGRE, "friction.law=dahl"],
+    "ageing": ["friction.law=ageing", *STATE],
+    "slip": ["friction.law=slip", *STATE],
+}
+
+
+def rig(law: str, *more: str) -> Scene:
+    return scene("rig", **parse_changes([*LAWS[law], *more]))
+
+
+def test_parameters_have_units():
+    friction = rig("lugre").friction
+    assert friction.memory_parameters() == {
+        "s0": 15e3,
+        "s1": 60.0,
+        "s2": 0.0,
+        "Fc": 0.6,
+        "Fs": pytest.approx(1.379, abs=1e-3),
+        "v_s": 0.1,
+    }
+    assert rig("ageing").friction.memory_parameters()["D"] == 2e-3
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["friction.law=lugre"], "friction.s0 is missing, which law lugre needs; give s0 in N/m, Fc in N, v_s in m/s"),
+        (["friction.law=lugra"], "'lugra'; it should be 0, 1, 2, 3, 4, 5, 6, lugre, dahl, ageing or slip"),
+        ([*LUGRE, "friction.s0=0"], "friction.s0 is 0; give a number above 0"),
+        ([*LUGRE, "friction.s1=-1"], "friction.s1 is -1; give a number 0 or more"),
+        ([*LUGRE, "friction.s0=3 mm"], "friction.s0: 'mm' is not a unit of stiffness"),
+        ([*LUGRE, "friction.so=3"], "unknown key 'friction.so'"),
+        ([*LUGRE, "belt.speed=0"], "without a moving belt; set belt.speed"),
+        ([*LUGRE, "friction.static=1.2"], "friction.static beside law lugre"),
+        ([*LUGRE, "friction.contact=jump"], "friction.contact beside law lugre"),
+        ([*LUGRE, "droop.fraction=0.1"], "droop beside law lugre"),
+        ([*LUGRE, "shaker.a=1", "shaker.phi=0"], "shaker beside law lugre"),
+        (["friction.v_s=0.1"], "unknown key 'friction.v_s'"),
+    ],
+)
+def test_what_is_wrong_is_said(changes, said):
+    with pytest.raises(InputError) as caught:
+        scene("rig", **parse_changes(changes))
+    assert said in f"{caught.value.where}: {caught.value.what}; {caught.value.do}"
+
+
+def test_another_law_drops_the_parameters_of_a_memory():
+    changed = scene(rig("lugre"), **{"friction.law": 5})
+    assert changed.friction.model_extra == {}
+    formula = scene(rig("lugre"), **{"friction.formula": "Fs - b*s", "friction.b": 0.1})
+    assert formula.friction.model_extra == {"b": 0.1}
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "floquet",
+        "compare --until 3",
+        "continue --over friction.Fc=0.5:0.6",
+        "sweep --over belt.speed=0.1:0.2:2",
+        "lyapunov",
+        "quench",
+        "lock --period 1 --budget 0.1",
+        "run --until 1 --rate 10 --method dop853 -o x.csv",
+    ],
+)
+def test_commands_that_do_not_cover_a_memory_say_so(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    name, *flags = command.split()
+    changes = [*LUGRE, "drive.u0=0.1", "drive.omega=2"]
+    settings = [word for change in changes for word in ("--set", change)]
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        code = application.run(app, [name, "rig", *flags, *settings, "--json"])
+    error = json.loads(printed.getvalue())["error"]
+    assert code == 2
+    assert "memory" in error["what"]
+    assert "\n" not in error["what"] + error["do"]
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("speed", [0.22, -0.22])
+def test_the_cycle_is_the_one_that_a_long_motion_settles_on(law, speed):
+    changed = scene(rig(law, "belt.start=0"), scatter=None, **{"belt.speed": speed})
+    orbit = rig_sim.cycle(changed)
+    late = [event for event in rig_sim.events(changed, 25.0).events if event.t > 15.0]
+    slips = [event for event in late if event.kind[0] == "S"]
+    assert orbit.outcome == "cycle"
+    assert orbit.sequence == ("NS" if speed > 0 else "PS")
+    assert orbit.period == pytest.approx(slips[-1].t - slips[-2].t, rel=1e-4)
+    assert orbit.t_stick + orbit.t_slip == pytest.approx(orbit.period)
+    assert orbit.x_slip == pytest.approx(slips[-1].x, abs=1e-5)
+    motion = rig_sim.run(changed, 25.0, 500)
+    last = motion.x[motion.t > 25.0 - orbit.period]
+    assert (orbit.x_min, orbit.x_max) == pytest.approx((last.min(), last.max()), abs=2e-5)
+
+
+@pytest.mark.parametrize("law", ["ageing", "slip"])
+@pytest.mark.parametrize(("m", "speed"), [(0.3, 0.22), (1e-6, 1e-3), (2.0, 0.01)])
+def test_steady_sliding_loses_its_stability_at_the_critical_stiffness(law, m, speed):
+    """k_c = (b - a)/D (1 + m v^2/(a D)): J. Rice, A. Ruina, J. Appl. Mech. 50 (1983) 343, eq. 23."""
+    critical = (0.105 - 0.03) / 2e-3 * (1.0 + m * speed**2 / (0.03 * 2e-3))
+    for share, stable in ((0.999, False), (1.001, True)):
+        changes = {"mass.m": m, "belt.speed": speed, "spring.k": share * critical}
+        assert rig_sim.fixed_point(scene(rig(law), **changes)).stable is stable
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(0.8, "cycle"), (1.25, "fixed point")])
+def test_a_spring_stiffer_than_the_critical_one_ends_stick_slip(share, outcome):
+    changes = {"mass.m": 0.001, "belt.speed": 1e-3, "spring.k": share * 37.5, "friction.F0": 12.0}
+    assert rig_sim.cycle(scene(rig("slip"), **changes)).outcome == outcome
+
+
+def test_the_board_counts_the_motion_and_sends_the_truth():
+    changed = rig("ageing", "belt.channel=true", "output.truth=true", "scatter.Fs=0.05")
+    board = SimulatedBoard(changed)
+    board.write(b"R 1000\nS\n")
+    assert len(board.samples(3000)) > 30_000
+    player = ScenePlayer(changed)
+    path = player.follow(np.arange(3000) / 1000.0, forces=True)
+    nodes, samples = path.nodes, path.samples
+    assert len(samples) == 3000
+    assert len({flow.factor for _, flow in path.flows}) > 2
+    accelerations = np.gradient(nodes.v[samples], nodes.t[samples])
+    balance = changed.mass.m * accelerations + changed.spring.k * nodes.x[samples]
+    assert np.median(np.abs(path.F - balance)) < 1e-4
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_long_motion_goes_on_in_compiled_code(monkeypatch, law):
+    expected = rig_sim.run(rig(law), 4.0, 200)
+    monkeypatch.setattr(play, "INTERPRETED_STEPS", 300)
+    found = rig_sim.run(rig(law), 4.0, 200)
+    assert found.x == pytest.approx(expected.x, abs=1e-9)
+    assert found.F == pytest.approx(expected.F, abs=1e-6)
+    assert len(rig_sim.events(rig(law), 4.0).events) >= 4
+
+
+def test_a_scene_file_is_played(tmp_path: Path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        '[mass]\nm = 1.0\n[spring]\nk = 1.0\n[belt]\nspeed = 0.5\n[friction]\nlaw = "lugre"\ns0 = "100 N/m"\ns1 = 1.0\n'
+        "Fc = 0.5\nFs = 1.0\nv_s = 0.2\n"
+    )
+    motion = rig_sim.run(path, 20.0, 10.0)
+    assert motion.outcome == "completed"
+    assert 0.9 < motion.F.max() < 1.1
