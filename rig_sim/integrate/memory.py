@@ -5,7 +5,7 @@ L-stable and stiffly accurate, so that a stick whose rates reach 1e20/s is follo
 Between the ends of a step x is the quintic through position, velocity and acceleration there.
 
 The contact sticks from a slip slower than ``flow.edge`` until one `BREAK_AWAY` times as fast: events end their phase
-as those of a law without memory do.  `rosenbrock_step` and `store_motion` know neither events nor errors: steps that
+as those of a law without memory do.  `rosenbrock_step` and `motion_within` know neither events nor errors: steps that
 were chosen once may be repeated with other parameters, for derivatives of the motion.
 """
 
@@ -179,19 +179,12 @@ def motion_within(flow: MemoryFlow, h: float, s: float, start: Vector, end: Vect
     return x, v, a
 
 
-def store_motion(flow: MemoryFlow, t: float, h: float, start: Vector, end: Vector, samples: Samples, i: int) -> int:
-    """Store the samples of a step of h from t on, from the i-th one; return the first one beyond.
-
-    In place of the mode it stores friction (N).
-    """
-    while i < samples.n and samples.t[i] <= t + h:
-        at = max(samples.t[i], t)
-        x, v, a = motion_within(flow, h, (at - t) / h, start, end)
-        samples.x[i] = x
-        samples.v[i] = v
-        samples.mode[i] = flow.m * a + flow.c * v + flow.k * (x - flow.x0) - drive(flow, at)
-        i += 1
-    return i
+def store_sample(flow: MemoryFlow, motion: Vector, samples: Samples, i: int) -> None:
+    """Store a position, its velocity, and friction (N) in place of the mode."""
+    x, v, a = motion
+    samples.x[i] = x
+    samples.v[i] = v
+    samples.mode[i] = flow.m * a + flow.c * v + flow.k * (x - flow.x0) - drive(flow, samples.t[i])
 
 
 def entered_mode(flow: MemoryFlow, mode: int, w: float) -> int:
@@ -200,8 +193,8 @@ def entered_mode(flow: MemoryFlow, mode: int, w: float) -> int:
         if abs(w) < BREAK_AWAY * flow.edge:
             return mode
         return modes.NEGATIVE if w < 0.0 else modes.POSITIVE
-    slip = -w if mode == modes.NEGATIVE else w
-    return modes.STICK if slip < flow.edge else mode
+    speed = -w if mode == modes.NEGATIVE else w
+    return modes.STICK if speed < flow.edge else mode
 
 
 def event_share(flow: MemoryFlow, mode: int, h: float, start: Vector, end: Vector) -> float:
@@ -229,6 +222,9 @@ def sample_memory_phase(
     if work.step == 0.0:
         work.step = FIRST_STEP * math.sqrt(flow.m / flow.k)
     start = motion_of(flow, t, u)
+    while i < samples.n and samples.t[i] <= t:
+        store_sample(flow, start, samples, i)
+        i += 1
     kind, trials = modes.COMPLETED, 0
     while t < t_max and kind == modes.COMPLETED:
         if work.steps >= work.steps_allowed:
@@ -255,7 +251,9 @@ def sample_memory_phase(
             end = motion_of(flow, t + h, after)
             kind = 4 * mode + entered
             mode = entered
-        i = store_motion(flow, t, h, start, end, samples, i)
+        while i < samples.n and samples.t[i] <= t + h:
+            store_sample(flow, motion_within(flow, h, (samples.t[i] - t) / h, start, end), samples, i)
+            i += 1
         t = t_max if h == t_max - t else t + h
         u, start = after, end
     work.y, work.z, work.w = u[1], u[2], -slip(flow, u[1], u[2])[0]

@@ -185,7 +185,8 @@ def test_the_package_imports_nothing_until_asked() -> None:
 @pytest.mark.parametrize(
     ("arguments", "what", "do"),
     [
-        (["cycle", "base", "--set", "friction.law=true"], "friction.law is True", "it should be 0, 1, 2, 3, 4, 5, 6, lugre, dahl, ageing or slip"),
+        (["cycle", "base", "--set", "friction.law=true"], "friction.law is True",
+         "it should be 0, 1, 2, 3, 4, 5, 6, lugre, dahl, ageing or slip"),
         (["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "dop853", "--rtol", "1"], "is 1",
          "give at least 2.3e-14 and less than 1, such as 1e-9"),
         (["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "rk4-henon", "--step", "100"],

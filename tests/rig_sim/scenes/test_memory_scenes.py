@@ -159,6 +159,12 @@ def test_a_long_motion_goes_on_in_compiled_code(monkeypatch, law):
     assert len(rig_sim.events(rig(law), 4.0).events) >= 4
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_a_motion_of_one_sample_ends(law):
+    """It was played for ever: a phase of no time stored no sample."""
+    assert rig_sim.run(rig(law), 0.001, 100).samples == 1
+
+
 def test_a_scene_file_is_played(tmp_path: Path):
     path = tmp_path / "mine.toml"
     path.write_text(
