@@ -124,8 +124,8 @@ class FloquetOrbit(Result, multipliers.FloquetOrbit):
 def cycle(scene: SceneLike) -> Cycle:
     """Find the periodic orbit that is reached from the slip point: ``rig-sim cycle``.
 
-    The scene's start, ``belt.start`` and its random sections are ignored.  Under a law with memory the search starts with
-    a mass that the belt carries from the spring's rest.
+    The scene's start, ``belt.start`` and its random sections are ignored.  Under a law with memory the search starts
+    with a mass that the belt carries from the spring's rest.
 
     Parameters
     ----------
