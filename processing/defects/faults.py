@@ -353,8 +353,9 @@ class _Search:
     def _judge_places(self) -> list[_Place]:
         """Return the places that are faults, the largest first."""
         if self._fault_places is None:
-            faults = [fault for place in self._find_places() if (fault := self._classify(place)) is not None]
-            self._fault_places = faults
+            self._fault_places = [
+                fault for place in self._find_places() if (fault := self._classify(place)) is not None
+            ]
         return self._fault_places
 
     def _classify(self, place: _Place) -> _Place | None:
@@ -381,8 +382,7 @@ class _Search:
         """Return the places with large statistics, the largest first, each without smaller ones nearby."""
         suspects = np.flatnonzero(self._squares.max(axis=0) > LOOKED_AT)
         suspects = suspects[~self._mask_blind()[suspects]]
-        squares = self._squares[:, suspects]
-        squares = squares / self._scale(suspects)
+        squares = self._squares[:, suspects] / self._scale(suspects)
         best = squares.max(axis=0)
         large = np.flatnonzero(best >= NEAR_OUTLIER**2)
         large = large[np.argsort(-best[large], kind="stable")]

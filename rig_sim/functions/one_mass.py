@@ -53,9 +53,10 @@ class Cycle(Result, limit_cycle.Orbit):
         if self.scene.has_memory():
             from rig_sim.dynamics.limit_cycles.memory_cycle import memory_cycle
 
-            _, motion = memory_cycle(self.scene.memory_flow())
+            memory_flow = self.scene.memory_flow()
+            _, motion = memory_cycle(memory_flow)
             ax.plot(motion.x, motion.v, color=STABLE)
-            ax.axhline(self.scene.memory_flow().v_belt, color=PALE, lw=0.8, ls="--")
+            ax.axhline(memory_flow.v_belt, color=PALE, lw=0.8, ls="--")
             return
         flow = self.scene.flow()
         edge = -math.copysign(flow.d, flow.v_belt) if flow.ramp else 0.0

@@ -276,7 +276,7 @@ def _refuse_unknown(content: Mapping[str, Any], where: str) -> None:
 
 
 def _convert_quantities(content: dict[str, Any], where: str) -> None:
-    """Replace parameters beside a law with memory that are texts with a unit, such as '20 um', by numbers in SI."""
+    """Convert parameters of a law with memory that are text with a unit, such as '20 um', to numbers in SI."""
     friction = content.get("friction")
     if not isinstance(friction, dict) or not has_memory(friction):
         return

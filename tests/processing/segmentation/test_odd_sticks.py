@@ -1,4 +1,4 @@
-"""Sticks that do not fit, overtaking landings, and sticks or slips cut short leave the rest of a record its corners."""
+"""Sticks that do not fit, and sticks or slips that a record cuts short, leave the rest of it its corners."""
 
 from dataclasses import replace
 

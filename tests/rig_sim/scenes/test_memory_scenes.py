@@ -1,4 +1,4 @@
-"""Scenes whose friction has a memory: played, counted by the board, and refused where they cannot be."""
+"""Scenes with friction laws with memory: their motion, the counts of the board, and errors for what is not modelled."""
 
 import contextlib
 import io
