@@ -7,7 +7,7 @@ The cycles' own unknowns are eliminated from these (Schur complement), in plain 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -66,11 +66,14 @@ class Derivatives:
         return np.concatenate([part[:, unknowns] for _, part in self])
 
     def changed(self, change: Callable[[Array], Array]) -> "Derivatives":
-        def derive(block: Block) -> Array | None:
-            part = self.derive(block)
-            return None if part is None else change(part)
+        return Derivatives(self.blocks, partial(_change_part, self.derive, change))
 
-        return Derivatives(self.blocks, derive)
+
+def _change_part(
+    derive: Callable[[Block], Array | None], change: Callable[[Array], Array], block: Block
+) -> Array | None:
+    part = derive(block)
+    return None if part is None else change(part)
 
 
 class UnfollowableError(ArithmeticError):
