@@ -265,7 +265,10 @@ def with_indistinct_contacts(
     *,
     sustained: bool,
 ) -> ModelSet:
-    """Add a jump, or its ramp, to the set where the other is in it and a belt under load may explain the difference."""
+    """Add to the set a jump law on a belt that slows under load beside its ramp law, or a ramp law beside its jump law.
+
+    A ramp law joins where the jump law slows under load, or where the record allows a wider ramp than a belt explains.
+    """
     members = list(chosen.members)
     pairs = [(jump, ramp) for jump in fits.values() for ramp in fits.values() if ramp.law.is_ramp_of(jump.law)]
     for jump, ramp in pairs:
@@ -274,7 +277,8 @@ def with_indistinct_contacts(
         member, other = (jump, ramp) if jump.law in members else (ramp, jump)
         if float(np.mean(errors[other.law] - errors[member.law])) > SAME_ERROR:
             continue
-        if slows_under_load(jump) or _width(ramp, runs, alpha, sustained=sustained)[1] > WIDEST_BELT_LOSS:
+        undetermined = other is ramp and _width(ramp, runs, alpha, sustained=sustained)[1] > WIDEST_BELT_LOSS
+        if slows_under_load(jump) or undetermined:
             place = 0 if other is jump and members[0] == ramp.law else len(members)
             members.insert(place, other.law)
     return replace(chosen, members=tuple(members))
