@@ -4,7 +4,7 @@ first pass   of every task, from the regression
 settle       of those within `GIVEN_UP_BEYOND_BEST` times the best
 exchange     a task that fits worse than a neighbour starts again from that one's fit
 overtaking   of cycles in which the mass overtakes the belt
-level        of a ramp's break-away, where it has a separate one
+level        of a ramp's break-away, where it has a separate one; then one exchange
 finish       with every sample, of those within `FINISHED_NEAR_BEST` times the best; then one exchange
 """
 
@@ -118,8 +118,8 @@ def fit_all(
     fits = fit_first_passes(tasks, each, progress)
     fits = improve_near_best(fits, settle_lower, GIVEN_UP_BEYOND_BEST, each)
     fits = exchange_starts(tasks, fits, each)
-    fits = exchange_starts(tasks, mark_overtaking(fits, each), each, tried=fits)
-    fits = improve_near_best(fits, with_own_static, FAR_BEYOND_BEST, each)
+    levelled = improve_near_best(mark_overtaking(fits, each), with_own_static, FAR_BEYOND_BEST, each)
+    fits = exchange_starts(tasks, levelled, each, tried=fits)
     for fit in fits:
         if fit is not None:
             logger.debug("settled: law %s, %.4g um", fit.law.name, 1e6 * fit.geometric_mean_rms)
