@@ -196,7 +196,7 @@ def exchange_starts(
 
 
 def list_better_neighbours(task: Task, fit: Fit | None, others: Sequence[Fit], limit: float) -> list[Fit]:
-    """Return better fits: of a curve contained or of its ramp, and below the ``limit`` also on the contact and of all."""
+    """Return better fits: of a curve contained or of its ramp; below the ``limit`` also on the contact and of all."""
     ranked = sorted((other for other in others if fits_worse(fit, other)), key=lambda other: other.geometric_mean_rms)
     best = [other for other in ranked if task.curve.contains(other.task.curve)][:1]
     best += [other for other in ranked if other.task.curve.is_ramp_of(task.curve)]  # a closed ramp is the jump
