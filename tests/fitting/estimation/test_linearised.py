@@ -69,7 +69,7 @@ def test_a_refit_leaves_what_dense_least_squares_leave(problem):
 
 @pytest.mark.parametrize("apart", [1e-7, 1e-9, 1e-11, 0.0])
 def test_unknowns_that_rounding_hides_do_not_spoil_a_refit(problem, apart):
-    """A level that a rest position hides took steps of 1e5 at an eigenvalue of -5e-12: all residuals passed as noise."""
+    """A level that a rest position hides took steps of 1e5 at an eigenvalue of -5e-12, and any residual was noise."""
     found, further, dense = problem
     columns = np.concatenate([part for _, part in found.derivatives])
     columns[:, 2] = columns[:, 0] + columns[:, 1] + apart * columns[:, 2]
