@@ -28,8 +28,8 @@ from fitting.result import LawResult, Ranking, UnfittedLaw
 from fitting.search.fit import Fit
 from fitting.words import verdict
 from fitting.words import warnings as verdict_warnings
-from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
+from processing.record.motion import Finding
 from stickslip.units import Measured
 
 RIG = ("k/m", "v_dr", "x0", "c/m", "k", "c", "m")  # the others are parameters of a law, each with a meaning in it alone

@@ -10,7 +10,7 @@ from fitting.judge.goodness import REJECTED
 from fitting.laws import ALL_LAWS
 from fitting.model.unknowns import Global
 from fitting.result import LawResult, Ranking
-from processing.record.finding import Finding
+from processing.record.motion import Finding
 from stickslip.output.lengths import format_length
 
 OTHER_SPEEDS = " or runs at other belt speeds"
