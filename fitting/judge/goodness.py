@@ -320,14 +320,12 @@ def judge(
     fit: Fit,
     motions: Sequence[MeasuredMotion],
     left_out: Mask,
-    windows: ShootingWindows | None = None,
 ) -> tuple[RunSlips, ...]:
     """Return the statistics of each run's slips with their null distribution.
 
-    Residual and ``refit`` are of a fit without the cycles ``left_out``; ``windows`` replace the fit's where the
-    residual is of others.
+    Residual and ``refit`` are of a fit without the cycles ``left_out``.
     """
-    windows = fit.windows if windows is None else windows
+    windows = fit.windows
     owner = np.repeat(windows.table[:, 5], windows.table[:, 3])
     position = windows.position + residual
     velocity = np.empty_like(position)
