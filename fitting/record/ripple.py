@@ -25,7 +25,7 @@ from fitting.record.motion import MeasuredMotion
 from stickslip.compute.arrays import Array
 
 VARIANCE_LEFT = 0.35  # share of the velocity's variance in stick that a ripple leaves at the most; true ones leave 0.32
-AMPLITUDE_BESIDE_LINES = 0.25  # share of the amplitude that the lines do not take up; of true ripples 0.28 to 1.0
+AMPLITUDE_BESIDE_LINES = 0.27  # share of the amplitude that the lines do not take up; of true ripples 0.28 to 1.0
 # Periods in a slip (`MeasuredMotion.slip_s`).  Slower, or below `SLOWEST_OF_FEW` with fewer periods, it may be wear or
 # a drift; faster, smoothing has taken it away.
 SLOWEST, SLOWEST_OF_FEW, FASTEST = 0.025, 0.1, 12.5
