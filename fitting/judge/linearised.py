@@ -9,6 +9,7 @@ of each cycle are eliminated by the same `SchurComplement`.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,23 +35,12 @@ Repeat = Callable[[Sequence[Block]], Iterable[Array]]
 WEIGHT_LEFT = 1e-6  # share of its weight left to a cycle that does not count: its own unknowns stay determined
 
 
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """Gradient and curvature of the cost in d more unknowns; without a cycle its score and information are missing."""
+class Scores(NamedTuple):
+    """Gradient and curvature of the cost in d more unknowns, with all others fitted again."""
 
-    score: Array  # (cycles, d) each cycle's gradient
-    information: Array  # (cycles, d, d) each cycle's curvature
-    prior_score: Array  # (d,) the same of the priors of the shared unknowns
-    prior_information: Array
+    gradient: Array  # (d,)
+    information: Array  # (d, d)
     raw: Array  # (d,) curvature before elimination; the share that is left says how distinguishable an unknown is
-
-    @property
-    def total(self) -> Array:
-        return np.asarray(self.score.sum(axis=0) + self.prior_score)
-
-    @property
-    def total_information(self) -> Array:
-        return np.asarray(self.information.sum(axis=0) + self.prior_information)
 
 
 def cut(columns: Array, blocks: Sequence[Block]) -> Iterator[Array]:
@@ -108,11 +98,6 @@ class LinearisedFit:
     def reduced(self) -> SchurComplement:
         """The problem with the cycles' unknowns eliminated: ``H`` is the information on the shared ones."""
         return SchurComplement(self.blocks)
-
-    @cached_property
-    def information(self) -> Array:
-        """Each cycle's information on the shared unknowns, (cycles, p, p)."""
-        return self.reduced.by_cycle(self.blocks.cycle_curvature)
 
     @property
     def covariance(self) -> Array:
@@ -182,22 +167,21 @@ class LinearisedFit:
         """Return gradient and curvature in unknowns with position derivatives ``columns`` (N, d)."""
         columns = np.ascontiguousarray(columns)
         to_shared, to_local = self._gradients(cut(columns, self.derivatives.blocks))
-        parts = [(block, columns[block.rows]) for block in self.derivatives.blocks]
-        raw = np.concatenate([self._product(part, part, block) for block, part in parts])
         pull = self.reduced.local_step(to_local)
-        beside = self.reduced.reduced_gradients(to_shared, pull)
-        own = raw - np.einsum("cqd,cqe->cde", to_local, pull)
-        residual = self.residual[:, None]
-        gradient = np.concatenate([self._product(part, residual[block.rows], block) for block, part in parts])[:, :, 0]
-        gradient -= np.einsum("cqd,cq->cd", to_local, self._pull)
-        follow = np.einsum("ij,jd->id", self.covariance, beside.sum(axis=0))
-        back = np.einsum("id,cie->cde", follow, beside)
-        own += np.einsum("id,cij,je->cde", follow, self.information, follow, optimize=True)
-        own -= back + np.swapaxes(back, 1, 2)
+        beside = self.reduced.reduced_gradients(to_shared, pull).sum(axis=0)
+        follow = np.einsum("ij,jd->id", self.covariance, beside)
+        square, gradient = (
+            sum(
+                self._product(columns[block.rows], other[block.rows], block).sum(axis=0)
+                for block in self.derivatives.blocks
+            )
+            for other in (columns, self.residual[:, None])
+        )
+        shared = self.gradients.sum(axis=0) + self.priors.gradient
         return Scores(
-            score=gradient - np.einsum("id,ci->cd", follow, self.gradients),
-            information=own,
-            prior_score=-np.einsum("id,i->d", follow, self.priors.gradient),
-            prior_information=np.einsum("id,ij,je->de", follow, self.priors.precision, follow),
-            raw=np.einsum("cdd->d", raw),
+            gradient=gradient[:, 0]
+            - np.einsum("cqd,cq->d", to_local, self._pull)
+            - np.einsum("id,i->d", follow, shared),
+            information=square - np.einsum("cqd,cqe->de", to_local, pull) - np.einsum("id,ie->de", follow, beside),
+            raw=np.diag(square),
         )
