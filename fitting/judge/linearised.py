@@ -117,45 +117,39 @@ class LinearisedFit:
     def refit(self, residuals: Repeat) -> Iterator[tuple[Block, Array]]:
         """Yield the residuals of B records after a linear fit from its true unknowns, block by block.
 
-        Unchanged where the step would raise the cost: at a jump of the motion the derivatives fail.
+        Unchanged where the step raises the cost: at a jump of the motion the derivatives fail, and along what the
+        unknowns hardly change the step is rounding.
         """
         shared, own = self._gradients(residuals(self.derivatives.blocks))
-        step, local = self.reduced.newton_step(shared.sum(axis=0), own)
-        lower = self._change(shared.sum(axis=0), own, step, local) <= 0
-        steps = self._steps(step, local)
+        steps = self._steps(*self.reduced.newton_step(shared.sum(axis=0), own))
+        weights = np.repeat(self.weights, np.diff(self.first))
+        rise = sum(weights[block.rows] @ (moved**2 - drawn**2) for block, drawn, moved in self._move(residuals, steps))
+        for block, drawn, moved in self._move(residuals, steps):
+            yield block, np.where(rise <= 0, moved, drawn)
+
+    def _move(self, residuals: Repeat, steps: Array) -> Iterator[tuple[Block, Array, Array]]:
+        """Yield the residuals (n, B) of each block before and after steps (cycles, p + q, B)."""
         for (block, part), drawn in zip(self.derivatives, residuals(self.derivatives.blocks), strict=True):
-            yield block, np.where(lower, self._moved(block, part, drawn, steps), drawn)
+            moved = np.array(drawn, order="C")
+            kernel(elimination.add_along)(part, first_rows(self.first, block), steps[block.cycles], moved)
+            yield block, drawn, moved
 
     def refit_columns(self, residuals: Array) -> Array:
         return np.concatenate([left for _, left in self.refit(partial(cut, residuals))])
-
-    def _change(self, g: Array, gl: Array, step: Array, local: Array) -> Array:
-        """Return the changes (B,) of the weighted sums of squares with gradients g (p, B) and gl (cycles, q, B)."""
-        at, own = self.blocks, self.blocks.Hl - self.priors.local_precision[:, :, None] * np.eye(gl.shape[1])
-        slope = 2 * np.einsum("pb,pb->b", g, step) + 2 * np.einsum("cqb,cqb->b", gl, local)
-        bend = np.einsum("pb,pr,rb->b", step, at.H - self.priors.precision, step)
-        bend += 2 * np.einsum("pb,cpq,cqb->b", step, at.cross, local, optimize=True)
-        return np.asarray(slope + bend + np.einsum("cqb,cqr,crb->b", local, own, local, optimize=True))
 
     def without(self, spoilt: Mask) -> "LinearisedFit":
         """Return the fit after a Gauss-Newton step without some cycles, or as it was if that is worse."""
         weights = np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights)
         others = self.of(self.derivatives, self.residual, self.rows, weights, self.priors)
         step, own = others.reduced.newton_step(others.blocks.g, others.blocks.gl)
-        steps, residual = self._steps(step[:, None], own[:, :, None]), self.residual[:, None]
-        moved = [self._moved(block, part, residual[block.rows], steps) for block, part in self.derivatives]
-        found = replace(others, residual=np.concatenate(moved)[:, 0], blocks=others.blocks.moved(step, own))
+        steps = self._steps(step[:, None], own[:, :, None])
+        moved = [after[:, 0] for _, _, after in self._move(partial(cut, self.residual[:, None]), steps)]
+        found = replace(others, residual=np.concatenate(moved), blocks=others.blocks.moved(step, own))
         return found if found.cost <= others.cost else self
 
     def _steps(self, step: Array, own: Array) -> Array:
         """Return steps (cycles, p + q, B) of all unknowns from those of the shared (p, B) and (cycles, q, B)."""
         return np.concatenate([np.broadcast_to(step, (len(self.rows), *step.shape)), own], axis=1)
-
-    def _moved(self, block: Block, part: Array, residuals: Array, steps: Array) -> Array:
-        """Return residuals (n, B) of a block after steps (cycles, p + q, B)."""
-        out = np.array(residuals, order="C")
-        kernel(elimination.add_along)(part, first_rows(self.first, block), steps[block.cycles], out)
-        return out
 
     @property
     def cost(self) -> float:
