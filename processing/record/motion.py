@@ -1,4 +1,4 @@
-"""Values computed from a record: motion, switching times, phases, the motion of the belt, velocity steps and findings."""
+"""Values computed from a record: motion, switching times, phases, motion of the belt, velocity steps and findings."""
 
 import math
 from collections.abc import Iterable
