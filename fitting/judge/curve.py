@@ -31,7 +31,7 @@ from fitting.judge.parameters import STATED_ERROR, Parameter
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.path import Curve, FrictionSpline
-from fitting.model.predict import KNOT_POWER, FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
+from fitting.model.predict import FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
 from fitting.model.problem import EstimationProblem, Run
 from fitting.model.unknowns import PER_RUN, Global, PerCycle
 from fitting.search.exchange import best_end
@@ -258,20 +258,16 @@ def _problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
     return replace(problem, prior=prior, precision=precision, lower=lower, upper=upper, start=start)
 
 
-GRID_SPEEDS = 300  # speeds at which a formula is compared with the measured curve, as dense as the knots
-
-
 def curve_target(curve: MeasuredCurve) -> tuple[Target, float]:
     """Return the measured curve with its band as a target of formulas, and the standard deviation of its level, m/s^2.
 
-    A formula that stays within the band has a misfit below `GRID_SPEEDS`.
+    A formula that stays within the band has a misfit below the number of speeds.
     """
-    fit = curve.spline_fit
-    speeds = np.asarray(float(fit.spline.knots[-1]) * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER)
-    band = np.interp(speeds, curve.speed - curve.ramp, curve.shape_half)
-    level_sd = 0.0 if fit.held_rest is None else fit.values.K * fit.held_rest.sd
-    friction = fit.spline(speeds)
-    return Target(speeds, np.diag(1 / band), friction / band, float(np.median(friction))), level_sd
+    rest, friction = curve.spline_fit.held_rest, curve.friction
+    target = Target(
+        curve.speed - curve.ramp, np.diag(1 / curve.shape_half), friction / curve.shape_half, float(np.median(friction))
+    )
+    return target, 0.0 if rest is None else curve.spline_fit.values.K * rest.sd
 
 
 SPEEDS = 200  # speeds of the curve: the band is smooth between them

@@ -19,7 +19,7 @@ import numpy as np
 
 from fitting import noise_levels
 from fitting.judge.calibrations import formula_given
-from fitting.judge.curve import GRID_SPEEDS, MeasuredCurve, curve_target, seen_speeds
+from fitting.judge.curve import MeasuredCurve, curve_target, seen_speeds
 from fitting.laws import PUBLISHED, Competitors, Law, natural_size
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
 from fitting.model.problem import EstimationProblem
@@ -30,6 +30,7 @@ from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_star
 from fitting.search.passes import finish
 from stickslip.errors import InputError
 
+GRID_SPEEDS = 300  # speeds at which a formula is compared with a fitted law, as dense as the curve's knots
 CONSTANT_LEFT = 1e-6  # share of a constant not spanned by the derivatives of a formula that has one
 START_MISFIT = 4.0  # distance squared over that of the nearest minimum, up to which others are starts
 
@@ -45,7 +46,7 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     beside = start_beside(task, host)
     starts = []
     for start in curve.starts:
-        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, GRID_SPEEDS):
+        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, target.speeds.size):
             theta = curve.theta_at(start.values)
             friction = curve.at_speeds(theta, target.speeds)
             rise = target.constant_beside(friction, level_sd) / host.u[Global.K]
