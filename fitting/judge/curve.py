@@ -84,6 +84,7 @@ class MeasuredCurve:
 # 2.5 travels. Only the band and the intervals depend on it.
 REST_SD = 3.0
 SCATTER_SHOWN = 4.0  # variance of the levels over that by noise, from which they separate datum and friction
+HIDDEN_STEP = 1e-3  # relative change of friction at rest, of the derivative by a hidden move: it is linear
 NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
 
 
@@ -145,12 +146,11 @@ def unseen(places: Sequence[int], curve: Curve, u: Array) -> Array:
     """Return the moves of the unknowns at ``places`` (p,) that hide a move of the first run's rest position."""
     if curve.spline is None:
         raise ValueError("this is a law's curve: its level is not free")
-    K, D, compliance = (float(u[slot]) for slot in (Global.K, Global.D, Global.COMPLIANCE))
-    wider = -K * D / float(curve.spline.coefficients[0]) if curve.ramp else 0.0
-    moves = {Global.DATUM: 1.0, Global.D: wider, Global.V_DR: wider - compliance}
-    found = np.array([moves.get(Global(place % PER_RUN), 0.0) for place in places])
-    found[list(places).index(Global.DATUM)] = 0.0
-    return found
+    step = HIDDEN_STEP * curve.spline.coefficients[0] / u[Global.K]
+    moved, _ = moved_to(u, curve.spline.coefficients, Measured(u[Global.DATUM] + step, 0.0), ramp=curve.ramp)
+    moves = (moved - u)[list(places)] / step
+    moves[list(places).index(Global.DATUM)] = 0.0
+    return np.asarray(moves)
 
 
 def linearised(fit: Fit) -> LinearisedFit:
@@ -259,10 +259,7 @@ def _problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
 
 
 def curve_target(curve: MeasuredCurve) -> tuple[Target, float]:
-    """Return the measured curve with its band as a target of formulas, and the standard deviation of its level, m/s^2.
-
-    A formula that stays within the band has a misfit below the number of speeds.
-    """
+    """Return the measured curve in its band as a target of formulas, and the standard deviation of its level, m/s^2."""
     rest, friction = curve.spline_fit.held_rest, curve.friction
     target = Target(
         curve.speed - curve.ramp, np.diag(1 / curve.shape_half), friction / curve.shape_half, float(np.median(friction))

@@ -46,7 +46,7 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     beside = start_beside(task, host)
     starts = []
     for start in curve.starts:
-        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, target.speeds.size):
+        if start.misfit <= START_MISFIT * curve.starts[0].misfit:
             theta = curve.theta_at(start.values)
             friction = curve.at_speeds(theta, target.speeds)
             rise = target.constant_beside(friction, level_sd) / host.u[Global.K]
