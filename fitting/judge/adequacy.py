@@ -141,15 +141,15 @@ def assess(
     laws: int,
     revolution: float | None = None,
     *,
+    rejected: bool,
     explain: bool = True,
 ) -> list[Adequacy]:
-    """Return whether the first of the ``ranked`` laws describes the runs, and what else acts where it does not.
+    """Return how well the first of the ``ranked`` laws describes the runs, and what else acts where it is ``rejected``.
 
     The first result is of all runs together; of several runs one follows for each, without curve and departures.
     ``nearest`` are the fits to try departures with, best first; ``laws`` is how many of the six were requested; without
     ``explain`` the cause is known already; a ``revolution`` (encoder travel, m) of None is scanned for.
     """
-    rejected = chosen.together.rejected
     curve_goodness = None
     if curve is not None and (rejected or curve.chi > noise_levels.CLEARLY_ABOVE):
         curve_goodness = _judge_curve(curve, motions)

@@ -123,7 +123,10 @@ class LinearisedFit:
         shared, own = self._gradients(residuals(self.derivatives.blocks))
         steps = self._steps(*self.reduced.newton_step(shared.sum(axis=0), own))
         weights = np.repeat(self.weights, np.diff(self.first))
-        rise = sum(weights[block.rows] @ (moved**2 - drawn**2) for block, drawn, moved in self._move(residuals, steps))
+        rise = sum(
+            np.einsum("n,nb->b", weights[block.rows], moved**2 - drawn**2)
+            for block, drawn, moved in self._move(residuals, steps)
+        )
         for block, drawn, moved in self._move(residuals, steps):
             yield block, np.where(rise <= 0, moved, drawn)
 

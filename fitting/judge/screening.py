@@ -28,8 +28,8 @@ from fitting.record.cycles import Cycle, CycleSegmentation
 from fitting.record.motion import REST_SPEED, SLIP_SPEED, MeasuredMotion
 from fitting.search.fit import Fit
 from fitting.search.passes import first_pass, regressed_start
-from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
+from processing.record.motion import Finding
 from processing.record.noise import DITHERED
 from stickslip.compute.arrays import Array, Integers
 from stickslip.errors import DataError, InputError

@@ -66,6 +66,22 @@ def test_a_refit_leaves_what_dense_least_squares_leave(problem):
     assert found.refit_columns(further) == pytest.approx(further + dense[:, :-MORE] @ step)
 
 
+@pytest.mark.parametrize("apart", [1e-7, 1e-9, 1e-11, 0.0])
+def test_unknowns_that_rounding_hides_do_not_spoil_a_refit(problem, apart):
+    """A level that a rest position hides took steps of 1e5 at an eigenvalue of -5e-12, and any residual was noise."""
+    found, further, dense = problem
+    columns = np.concatenate([part for _, part in found.derivatives])
+    columns[:, 2] = columns[:, 0] + columns[:, 1] + apart * columns[:, 2]
+    flat = found.priors._replace(precision=np.zeros((SHARED, SHARED)), gradient=np.zeros(SHARED))
+    blocks = Derivatives(found.derivatives.blocks, lambda block: columns[block.rows])
+    alike = LinearisedFit.of(blocks, found.residual, found.rows, found.weights, flat)
+    two = [column for column in range(SHARED + CYCLES * LOCAL) if column != 2]
+    H, _ = curvature(replace(found, priors=flat), dense[:, :-MORE])
+    weighted = np.repeat(found.weights, SAMPLES)[:, None] * further
+    step = -np.linalg.solve(H[np.ix_(two, two)], dense[:, two].T @ weighted)
+    assert alike.refit_columns(further) == pytest.approx(further + dense[:, two] @ step, abs=1e-5)
+
+
 def test_without_a_cycle_the_others_are_fitted_by_themselves(problem):
     found, _, dense = problem
     spoilt = np.array([False, True, False, False])
