@@ -168,8 +168,9 @@ def _find_harmonic(motion: MeasuredMotion, every: Sticks, peaks: list[float]) ->
         for _ in range(STEPS):
             rest = harmonic(at)[1]
             slopes = [(harmonic(at + SLOPE_STEP * along)[1] - rest) / SLOPE_STEP for along in directions]
-            step = np.clip(least_squares(np.stack(slopes, axis=1), -rest)[0], -1.0, 1.0) @ directions
-            at = min((at + share * step for share in (1.0, 0.3, 0.1, 0.0)), key=left)
+            share = np.clip(least_squares(np.stack(slopes, axis=1), -rest)[0], -1.0, 1.0)
+            step = np.einsum("i,ij->j", share, directions)
+            at = min((at + part * step for part in (1.0, 0.3, 0.1, 0.0)), key=left)
         return at
 
     def information(variance: float) -> float:
