@@ -59,7 +59,10 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     best = min(others, key=lambda one: one.geometric_mean_rms, default=None)
     inner = min((one.geometric_mean_rms for one in others if contained(law, one.law)), default=math.inf)
     least = math.inf if best is None else best.geometric_mean_rms
-    settled = best_end(task, [(start, host.noise.without_fade) for start in starts], noise, least)
+    tried = [(start, host.noise.without_fade) for start in starts]
+    if best is not None and law.name not in PUBLISHED:  # it may be the best law, written in another way
+        tried = [(start, best.noise.without_fade) for start in _at_end_of(task, best)] + tried
+    settled = best_end(task, tried, noise, least)
     again: list[tuple[FitStart, PassNoise | None]] = []
     if not hopeless and (settled is None or WORSE * least < settled.geometric_mean_rms < noise_levels.LOST * least):
         again += [(start, None) for start in starts]
