@@ -31,7 +31,7 @@ from fitting.judge.parameters import STATED_ERROR, Parameter
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.path import Curve, FrictionSpline
-from fitting.model.predict import KNOT_POWER, FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
+from fitting.model.predict import FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
 from fitting.model.problem import EstimationProblem, Run
 from fitting.model.unknowns import PER_RUN, Global, PerCycle
 from fitting.search.exchange import best_end
@@ -84,6 +84,7 @@ class MeasuredCurve:
 # 2.5 travels. Only the band and the intervals depend on it.
 REST_SD = 3.0
 SCATTER_SHOWN = 4.0  # variance of the levels over that by noise, from which they separate datum and friction
+HIDDEN_STEP = 1e-3  # relative change of friction at rest, of the derivative by a hidden move: it is linear
 NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
 
 
@@ -145,12 +146,11 @@ def unseen(places: Sequence[int], curve: Curve, u: Array) -> Array:
     """Return the moves of the unknowns at ``places`` (p,) that hide a move of the first run's rest position."""
     if curve.spline is None:
         raise ValueError("this is a law's curve: its level is not free")
-    K, D, compliance = (float(u[slot]) for slot in (Global.K, Global.D, Global.COMPLIANCE))
-    wider = -K * D / float(curve.spline.coefficients[0]) if curve.ramp else 0.0
-    moves = {Global.DATUM: 1.0, Global.D: wider, Global.V_DR: wider - compliance}
-    found = np.array([moves.get(Global(place % PER_RUN), 0.0) for place in places])
-    found[list(places).index(Global.DATUM)] = 0.0
-    return found
+    step = HIDDEN_STEP * curve.spline.coefficients[0] / u[Global.K]
+    moved, _ = moved_to(u, curve.spline.coefficients, Measured(u[Global.DATUM] + step, 0.0), ramp=curve.ramp)
+    moves = (moved - u)[list(places)] / step
+    moves[list(places).index(Global.DATUM)] = 0.0
+    return np.asarray(moves)
 
 
 def linearised(fit: Fit) -> LinearisedFit:
@@ -258,20 +258,13 @@ def _problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
     return replace(problem, prior=prior, precision=precision, lower=lower, upper=upper, start=start)
 
 
-GRID_SPEEDS = 300  # speeds at which a formula is compared with the measured curve, as dense as the knots
-
-
 def curve_target(curve: MeasuredCurve) -> tuple[Target, float]:
-    """Return the measured curve with its band as a target of formulas, and the standard deviation of its level, m/s^2.
-
-    A formula that stays within the band has a misfit below `GRID_SPEEDS`.
-    """
-    fit = curve.spline_fit
-    speeds = np.asarray(float(fit.spline.knots[-1]) * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER)
-    band = np.interp(speeds, curve.speed - curve.ramp, curve.shape_half)
-    level_sd = 0.0 if fit.held_rest is None else fit.values.K * fit.held_rest.sd
-    friction = fit.spline(speeds)
-    return Target(speeds, np.diag(1 / band), friction / band, float(np.median(friction))), level_sd
+    """Return the measured curve in its band as a target of formulas, and the standard deviation of its level, m/s^2."""
+    rest, friction = curve.spline_fit.held_rest, curve.friction
+    target = Target(
+        curve.speed - curve.ramp, np.diag(1 / curve.shape_half), friction / curve.shape_half, float(np.median(friction))
+    )
+    return target, 0.0 if rest is None else curve.spline_fit.values.K * rest.sd
 
 
 SPEEDS = 200  # speeds of the curve: the band is smooth between them

@@ -19,17 +19,18 @@ import numpy as np
 
 from fitting import noise_levels
 from fitting.judge.calibrations import formula_given
-from fitting.judge.curve import GRID_SPEEDS, MeasuredCurve, curve_target, seen_speeds
+from fitting.judge.curve import MeasuredCurve, curve_target, seen_speeds
 from fitting.laws import PUBLISHED, Competitors, Law, natural_size
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, select_better, start_beside
-from fitting.search.fit import Fit, Unfitted
+from fitting.search.fit import Fit, PassNoise, Unfitted
 from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.passes import finish
 from stickslip.errors import InputError
 
+GRID_SPEEDS = 300  # speeds at which a formula is compared with a fitted law, as dense as the curve's knots
 CONSTANT_LEFT = 1e-6  # share of a constant not spanned by the derivatives of a formula that has one
 START_MISFIT = 4.0  # distance squared over that of the nearest minimum, up to which others are starts
 
@@ -45,7 +46,7 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     beside = start_beside(task, host)
     starts = []
     for start in curve.starts:
-        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, GRID_SPEEDS):
+        if start.misfit <= START_MISFIT * curve.starts[0].misfit:
             theta = curve.theta_at(start.values)
             friction = curve.at_speeds(theta, target.speeds)
             rise = target.constant_beside(friction, level_sd) / host.u[Global.K]
@@ -55,16 +56,20 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     # On one contact no law is nearer to the record than the free curve.
     hopeless = seen.chi > noise_levels.LOST
     starts = starts[:1] if hopeless else starts
-    nearest = min(others, key=attrgetter("geometric_mean_rms"), default=None)
-    least = math.inf if nearest is None else nearest.geometric_mean_rms
-    inner = min((one.geometric_mean_rms for one in others if contained(law, one.law)), default=math.inf)
-    found = best_end(task, [(start, host.noise.without_fade) for start in starts], noise, least)
+    by_error = attrgetter("geometric_mean_rms")
+    nearest = min(others, key=by_error)
+    inner = min((one for one in others if contained(law, one.law)), key=by_error, default=None)
+    least = nearest.geometric_mean_rms
+    tried = [(start, host.noise.without_fade) for start in starts]
+    if law.name not in PUBLISHED:  # it may be the nearest law, written in another way
+        tried = [*_starts_beside(task, nearest), *tried]
+    found = best_end(task, tried, noise, least)
     error = math.inf if found is None else found.geometric_mean_rms
-    behind = found is None or error > WORSE * inner
-    if not hopeless:
-        behind |= WORSE * least < error < FAR_BEYOND_BEST * least
-    if nearest is not None and behind and error > noise_levels.DESCRIBES * position:
-        again = [(start, nearest.noise.without_fade) for start in _starts_beside(task, nearest)]
+    limited = inner is not None and error > WORSE * inner.geometric_mean_rms
+    behind = not hopeless and WORSE * least < error < FAR_BEYOND_BEST * least
+    if (found is None or limited or behind) and error > noise_levels.DESCRIBES * position:
+        neighbours = dict.fromkeys([inner, nearest] if inner is not None and limited else [nearest])
+        again = [start for neighbour in neighbours for start in _starts_beside(task, neighbour)]
         found = select_better(found, best_end(task, again, noise, least))
     limit = min(noise_levels.LOST * position, noise_levels.NEAR * max(least, position))
     if found is not None and found.geometric_mean_rms < limit:
@@ -77,8 +82,8 @@ def contained(law: Law, other: Law) -> bool:
     return (law.contains(other) or other.number == 1) and not (other.number and other.ramp)
 
 
-def _starts_beside(task: Task, neighbour: Fit) -> list[FitStart]:
-    """Return starts nearest to another law's friction, at the assumed rest position."""
+def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise]]:
+    """Return starts nearest to another law's friction, at the assumed rest position, with its noise."""
     curve, knots = task.curve, np.linspace(0.0, 1.0, GRID_SPEEDS)
     if not isinstance(curve, FormulaCurve):
         raise TypeError("not the task of a formula")
@@ -96,7 +101,8 @@ def _starts_beside(task: Task, neighbour: Fit) -> list[FitStart]:
     except InputError:
         return []
     shared = beside.q[: len(task.places)]
-    return [beside._replace(q=np.concatenate([shared, curve.theta_at(start.values)])) for start in nearest]
+    noise = neighbour.noise.without_fade
+    return [(beside._replace(q=np.concatenate([shared, curve.theta_at(start.values)])), noise) for start in nearest]
 
 
 def _is_free_rest(problem: EstimationProblem, place: int) -> bool:

@@ -33,7 +33,6 @@ FEWEST_PERIODS = 2.0  # periods in the time that the sticks span: a single one c
 GRID_SAMPLES = 50.0  # samples a slip of the record that is transformed: four of the fastest period
 GRID_REFINEMENT = 4  # frequencies looked at for each of the transform's own
 CANDIDATES = 5  # frequencies tried: the gaps between sticks make false peaks beside the true one
-RIVAL_VARIANCE = 2.0  # mean square over what the likeliest frequency leaves, at which another is no rival
 OUTLIER_ABOVE = 4.0  # distance in robust standard deviations: further off are corners that the cut left in
 FEWEST_LONG_STICKS = 4  # sticks longer than the smoothing blurs: of fewer, none is used
 LOG_ODDS = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
@@ -74,20 +73,18 @@ class Ripple:
 
 
 def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None:
-    return next(iter(find_ripples(motion, cut)), None)
-
-
-def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]:
-    """Return the ripples that the sticks, or the start-up drag of a grazing mass, may show; likeliest first."""
+    """Return the ripple that the sticks, or the start-up drag of a grazing mass, show."""
     # Among a few short sticks several frequencies do equally well; the drag is longer than all of them.
     drag = [np.arange(*cut.drag)] if not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0] else []
     parts = [*drag, *_in_stick(motion, cut)]
     if not parts:
-        return []
+        return None
     own = Sticks.selected(motion, parts)
     both = replace(own, line=np.zeros_like(own.line)), own
     peaks = sorted({peak for sticks in both for peak in _peaks(motion, sticks)})
-    return min((_harmonics(motion, sticks, peaks) for sticks in both), key=itemgetter(0))[1]
+    if not peaks:
+        return None
+    return min((_find_harmonic(motion, sticks, peaks) for sticks in both), key=itemgetter(0))[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +150,8 @@ def _peaks(motion: MeasuredMotion, sticks: Sticks) -> list[float]:
     return [float(hertz) for hertz in peaks]
 
 
-def _harmonics(motion: MeasuredMotion, every: Sticks, peaks: list[float]) -> tuple[float, list[Ripple]]:
-    """Return the significant harmonics, and the information criterion of the likeliest; inf without one."""
+def _find_harmonic(motion: MeasuredMotion, every: Sticks, peaks: list[float]) -> tuple[float, Ripple | None]:
+    """Return the likeliest harmonic and its information criterion; inf and None unless it is significant."""
     sticks = every.thinned(motion.slip_s)
     time, seen_s = sticks.time, float(sticks.time[-1] - sticks.time[0])
     origin = 0.5 * (time[0] + time[-1])  # far from it phase and frequency would trade against each other
@@ -171,8 +168,9 @@ def _harmonics(motion: MeasuredMotion, every: Sticks, peaks: list[float]) -> tup
         for _ in range(STEPS):
             rest = harmonic(at)[1]
             slopes = [(harmonic(at + SLOPE_STEP * along)[1] - rest) / SLOPE_STEP for along in directions]
-            step = np.clip(least_squares(np.stack(slopes, axis=1), -rest)[0], -1.0, 1.0) @ directions
-            at = min((at + share * step for share in (1.0, 0.3, 0.1, 0.0)), key=left)
+            share = np.clip(least_squares(np.stack(slopes, axis=1), -rest)[0], -1.0, 1.0)
+            step = np.einsum("i,ij->j", share, directions)
+            at = min((at + part * step for part in (1.0, 0.3, 0.1, 0.0)), key=left)
         return at
 
     def information(variance: float) -> float:
@@ -181,25 +179,18 @@ def _harmonics(motion: MeasuredMotion, every: Sticks, peaks: list[float]) -> tup
         return (count - sticks.lines - HARMONIC_UNKNOWNS) * math.log(whole / count)
 
     needed = 2 * (math.log((FASTEST - SLOWEST) / motion.slip_s * motion.span) + LOG_ODDS)
-    ends = [settled(min((np.array([peak, point]) for point in sticks.points(motion)), key=left)) for peak in peaks]
-    ripples: list[Ripple] = []
-    least = math.inf
-    for end in sorted(ends, key=left):
-        after, before = left(end), float(np.mean(sticks.fit(end[1])[1] ** 2))
-        even, odd = harmonic(end)[0]
-        omega = 2 * math.pi * float(end[0])
-        seen = (
-            after <= min(VARIANCE_LEFT * before, RIVAL_VARIANCE * least)
-            and 2 * (before - after) >= (AMPLITUDE_BESIDE_LINES * math.hypot(even, odd)) ** 2
-            and information(before) - information(after) > needed
-        )
-        if not seen and not ripples:
-            break
-        if seen and all(abs(omega - ripple.omega) * seen_s >= 2 * math.pi for ripple in ripples):
-            cos, sin = math.cos(omega * origin), math.sin(omega * origin)
-            ripples.append(Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s))
-            least = min(least, after)
-    return (information(least) if ripples else math.inf), ripples
+    ends = (settled(min((np.array([peak, point]) for point in sticks.points(motion)), key=left)) for peak in peaks)
+    end = min(ends, key=left)
+    after, before, (even, odd) = left(end), float(np.mean(sticks.fit(end[1])[1] ** 2)), harmonic(end)[0]
+    if (
+        after > VARIANCE_LEFT * before
+        or 2 * (before - after) < (AMPLITUDE_BESIDE_LINES * math.hypot(even, odd)) ** 2
+        or information(before) - information(after) < needed
+    ):
+        return math.inf, None
+    omega = 2 * math.pi * float(end[0])
+    cos, sin = math.cos(omega * origin), math.sin(omega * origin)
+    return information(after), Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s)
 
 
 def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np.int64]]:
