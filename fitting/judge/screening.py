@@ -152,9 +152,8 @@ BEYOND_NOISE = 20.0  # way in standard deviations of a position: a mass that mov
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
 EVEN_SLIP = 0.1  # change of velocity in the middle half of a slip, over its speed; a spring makes 0.3 or more
 DIES_AWAY = 0.7  # speed in the last third over that at first, of a motion that dies away
-WORST_ERROR = 0.02  # error over a slip's length: a best law that usually errs by more describes something else
+WORST_ERROR = 0.02  # error over a slip's length: in stick-slip laws leave at most 0.004, also in a rough fit
 LEAST_FRICTION = 1e-3  # friction over the spring's pull in a slip: with less, nothing holds the mass
-SCREENED_ERROR = 0.03  # error of a rough fit over a slip's length; stick-slip leaves at most 0.004
 SCREENED_CYCLES = 8  # cycles of the record, evenly spread
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
 WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
@@ -303,7 +302,7 @@ def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained
         if law in laws or (law.kind.curve == "constant" and not sustained):
             task = law_task(law, few)
             fit = first_pass(task, regressed_start(task))
-            if fit is not None and fit.misfit < SCREENED_ERROR * longest:
+            if fit is not None and fit.misfit < WORST_ERROR * longest:
                 return ""
     return NONE_NEAR
 
