@@ -57,17 +57,17 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     hopeless = seen.chi > noise_levels.LOST
     starts = starts[:1] if hopeless else starts
     by_error = attrgetter("geometric_mean_rms")
-    nearest = min(others, key=by_error, default=None)
+    nearest = min(others, key=by_error, default=host)
     inner = min((one for one in others if contained(law, one.law)), key=by_error, default=None)
-    least = math.inf if nearest is None else nearest.geometric_mean_rms
+    least = nearest.geometric_mean_rms
     tried = [(start, host.noise.without_fade) for start in starts]
-    if nearest is not None and law.name not in PUBLISHED:  # it may be the nearest law, written in another way
+    if law.name not in PUBLISHED:  # it may be the nearest law, written in another way
         tried = [*_starts_beside(task, nearest), *tried]
     found = best_end(task, tried, noise, least)
     error = math.inf if found is None else found.geometric_mean_rms
     limited = inner is not None and error > WORSE * inner.geometric_mean_rms
     behind = not hopeless and WORSE * least < error < FAR_BEYOND_BEST * least
-    if nearest is not None and (found is None or limited or behind) and error > noise_levels.DESCRIBES * position:
+    if (found is None or limited or behind) and error > noise_levels.DESCRIBES * position:
         neighbours = dict.fromkeys([inner, nearest] if inner is not None and limited else [nearest])
         again = [start for neighbour in neighbours for start in _starts_beside(task, neighbour)]
         found = select_better(found, best_end(task, again, noise, least))
