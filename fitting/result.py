@@ -695,11 +695,6 @@ class Ranking:
         force : bool
             Replace a file that is no report of these runs.
 
-        Returns
-        -------
-        Path
-            The page.
-
         Raises
         ------
         InputError
@@ -723,11 +718,6 @@ class Ranking:
             The scene.
         force : bool
             Replace an existing file.
-
-        Returns
-        -------
-        Path
-            The scene.
 
         Raises
         ------

@@ -24,7 +24,7 @@ from fitting.laws import PUBLISHED, Competitors, Law, natural_size
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import PER_RUN, Global
-from fitting.search.exchange import WORSE, best_end, start_beside
+from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, select_better, start_beside
 from fitting.search.fit import Fit, PassNoise, Unfitted
 from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.passes import finish
@@ -56,25 +56,24 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     # On one contact no law is nearer to the record than the free curve.
     hopeless = seen.chi > noise_levels.LOST
     starts = starts[:1] if hopeless else starts
-    best = min(others, key=lambda one: one.geometric_mean_rms, default=None)
-    inner = min((one.geometric_mean_rms for one in others if contained(law, one.law)), default=math.inf)
-    least = math.inf if best is None else best.geometric_mean_rms
+    by_error = attrgetter("geometric_mean_rms")
+    nearest = min(others, key=by_error, default=host)
+    inner = min((one for one in others if contained(law, one.law)), key=by_error, default=None)
+    least = nearest.geometric_mean_rms
     tried = [(start, host.noise.without_fade) for start in starts]
-    if best is not None and law.name not in PUBLISHED:  # it may be the best law, written in another way
-        tried = [(start, best.noise.without_fade) for start in _at_end_of(task, best)] + tried
-    settled = best_end(task, tried, noise, least)
-    again: list[tuple[FitStart, PassNoise | None]] = []
-    if not hopeless and (settled is None or WORSE * least < settled.geometric_mean_rms < noise_levels.LOST * least):
-        again += [(start, None) for start in starts]
-    if best is not None and (settled is None or settled.geometric_mean_rms > WORSE * inner):
-        again += [(start, best.noise.without_fade) for start in _at_end_of(task, best)]
-    if again and not (settled and settled.geometric_mean_rms < noise_levels.DESCRIBES * position):
-        ends = (settled, best_end(task, again, noise, least))
-        settled = min((end for end in ends if end), key=attrgetter("geometric_mean_rms"), default=None)
-    found = settled
+    if law.name not in PUBLISHED:  # it may be the nearest law, written in another way
+        tried = [*_starts_beside(task, nearest), *tried]
+    found = best_end(task, tried, noise, least)
+    error = math.inf if found is None else found.geometric_mean_rms
+    limited = inner is not None and error > WORSE * inner.geometric_mean_rms
+    behind = not hopeless and WORSE * least < error < FAR_BEYOND_BEST * least
+    if (found is None or limited or behind) and error > noise_levels.DESCRIBES * position:
+        neighbours = dict.fromkeys([inner, nearest] if inner is not None and limited else [nearest])
+        again = [start for neighbour in neighbours for start in _starts_beside(task, neighbour)]
+        found = select_better(found, best_end(task, again, noise, least))
     limit = min(noise_levels.LOST * position, noise_levels.NEAR * max(least, position))
-    if settled is not None and settled.geometric_mean_rms < limit:
-        found = finish(settled, noise) or settled
+    if found is not None and found.geometric_mean_rms < limit:
+        found = finish(found, noise) or found
     return found if found is not None and found.can_be_followed else None
 
 
@@ -83,8 +82,8 @@ def contained(law: Law, other: Law) -> bool:
     return (law.contains(other) or other.number == 1) and not (other.number and other.ramp)
 
 
-def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:
-    """Return starts nearest to another law's friction, at the assumed rest position."""
+def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise]]:
+    """Return starts nearest to another law's friction, at the assumed rest position, with its noise."""
     curve, knots = task.curve, np.linspace(0.0, 1.0, GRID_SPEEDS)
     if not isinstance(curve, FormulaCurve):
         raise TypeError("not the task of a formula")
@@ -102,7 +101,8 @@ def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:
     except InputError:
         return []
     shared = beside.q[: len(task.places)]
-    return [beside._replace(q=np.concatenate([shared, curve.theta_at(start.values)])) for start in nearest]
+    noise = neighbour.noise.without_fade
+    return [(beside._replace(q=np.concatenate([shared, curve.theta_at(start.values)])), noise) for start in nearest]
 
 
 def _is_free_rest(problem: EstimationProblem, place: int) -> bool:

@@ -49,8 +49,7 @@ WORSE = 1.0005  # error over a neighbour's, from which a task starts again from 
 
 
 def fit_from(task: Task, start: FitStart, noise: PassNoise) -> Fit | None:
-    first = first_pass(task, start, noise)
-    settled = None if first is None else settle(first)
+    settled = best_end(task, [(start, noise)])
     return None if settled is None else finish(settled) or settled
 
 
@@ -79,9 +78,7 @@ def best_end(
     for first in tried:
         if best is not None and first.geometric_mean_rms > FAR_BEYOND_BEST * best.geometric_mean_rms:
             break
-        settled = settle(first, noise_m)
-        if settled is not None and (best is None or settled.geometric_mean_rms < best.geometric_mean_rms):
-            best = settled
+        best = select_better(best, settle(first, noise_m))
         if best is not None and best.geometric_mean_rms < reached:
             break
     return best
