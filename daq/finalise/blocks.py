@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.finalise.integrity import CheckedCounts, SegmentReason
-from daq.finalise.timeline import Piece, Samples
+from daq.finalise.timeline import Frames, Piece, Samples
 from daq.protocols import blocks
 from daq.runfile import journal
-from daq.wire.decode import Stream
 from stickslip.compute.arrays import Array, Integers
 
 COUNTER_BITS = 32  # the widest: the source has no counter that rolls over
@@ -64,14 +63,14 @@ def read_pieces(recorded: journal.Journal) -> Iterator[BlockPiece]:
 
 
 def _build_piece(time: Array, index: Integers, stamp: Integers, number: int, *, damaged: bool) -> Piece:
-    n, zero = len(time), np.zeros(len(time), np.int64)
+    zero = np.zeros(len(time), np.int64)
     samples = Samples(
         time=time,
         part=zero,
         begun_by=("reopened",),
         index=index,
         ticks=zero,
-        frame=np.full(n, number),
+        frame=np.full(len(time), number),
         stamp_ns=stamp,
         up=zero.astype(np.uint32),
         down=zero.astype(np.uint32),
@@ -79,27 +78,9 @@ def _build_piece(time: Array, index: Integers, stamp: Integers, number: int, *, 
         illegal=zero.astype(np.uint16),
         belt=None,
         edge=None,
+        place=index,
     )
-    frame = np.zeros(1, np.int64)
-    stream = Stream(
-        first=frame,
-        n=np.array([n]),
-        seq=frame,
-        ticks=frame,
-        illegal=frame,
-        stamp_ns=stamp[-1:],
-        dt=samples.illegal,
-        up=samples.up,
-        down=samples.down,
-        status=samples.status,
-        ident=None,
-        idents=zero[:0],
-        crc_frame=np.zeros(int(damaged), np.int64),
-        crc_errors=int(damaged),
-        discarded_bytes=0,
-        length=frame,
-    )
-    return Piece(samples, stream, number, index)
+    return Piece(samples, Frames(number, length=np.zeros(1, np.int64), crc_frame=np.zeros(int(damaged), np.int64)))
 
 
 def _build_counts(values: Array | Integers, lost: Integers, rate: float, *, begins: bool) -> CheckedCounts:

@@ -50,14 +50,14 @@ class PartClock:
         return self._points.compare(by_bytes=self._by_bytes)
 
     def _take_part(self, piece: Piece, span: slice) -> None:
-        samples = piece.samples
+        samples, frames = piece
         last = span.start + np.flatnonzero(np.diff(samples.frame[span], append=-1) != 0)
         frame = samples.frame[last]
         sent_s = np.zeros(len(last))
         if self._reads:
-            sent_s = piece.stream.length[frame - piece.frames] * self._byte_s
+            sent_s = frames.length[frame - frames.first] * self._byte_s
         ends = _FrameEnds(samples.stamp_ns[last], samples.time[last], frame, self._samples + last, sent_s)
-        cut_frames = piece.frames + piece.stream.part_frame if self._reads else np.empty(0, dtype=np.int64)
+        cut_frames = frames.first + frames.part_frame if self._reads else np.empty(0, dtype=np.int64)
         ends_index = np.searchsorted(frame, cut_frames)
         has_samples = (ends_index < len(frame)) & (frame[np.minimum(ends_index, len(frame) - 1)] == cut_frames)
         with_last = ends if self._last is None else joined([self._last, ends])
@@ -69,9 +69,9 @@ class PartClock:
             following += self._byte_s
         self._hold(rows(with_last, slice(-1)), following)
         if has_samples.any():
-            part_s = piece.stream.part_bytes[has_samples] * self._byte_s
+            part_s = frames.part_bytes[has_samples] * self._byte_s
             inside = replace(
-                rows(ends, ends_index[has_samples]), host_ns=piece.stream.part_stamp_ns[has_samples], sent_s=part_s
+                rows(ends, ends_index[has_samples]), host_ns=frames.part_stamp_ns[has_samples], sent_s=part_s
             )
             after = inside.time + part_s + self._byte_s if self._by_bytes else np.full(len(part_s), np.nan)
             self._hold(inside, after, kind=1)

@@ -56,8 +56,7 @@ class RunColumns:
         if not self._samples:
             self.first_ns = int(samples.stamp_ns[0])
         sent = samples.ticks if samples.time_error is None else samples.ticks + samples.time_error
-        source = np.zeros(len(samples), dtype=np.int64) if samples.source is None else samples.source
-        tick_ns, bits = self._ticks[source], self._bits[source]
+        tick_ns, bits = self._ticks[samples.source], self._bits[samples.source]
         microseconds = sent * tick_ns // 1000
         self._append("time", samples.time)
         self._append("position", position)
@@ -119,8 +118,7 @@ class RunColumns:
         shift = np.zeros(len(samples))
         for part, span in split_parts(samples):
             if part != self._part:
-                source = 0 if samples.source is None else int(samples.source[span.start])
-                device_s = samples.ticks[span.start] * int(self._ticks[source]) / 1e9
+                device_s = samples.ticks[span.start] * int(self._ticks[samples.source[span.start]]) / 1e9
                 self._part, self._shift_s = part, float(samples.time[span.start] - device_s)
             shift[span] = self._shift_s
         time, x, v, force = rows[row].T

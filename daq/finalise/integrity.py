@@ -5,7 +5,7 @@ across which the counters (the belt's, too) may have rolled over unnoticed.  In 
 of the counters: nothing is carried over or filled in.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -53,79 +53,118 @@ def check(
     """
     if len(samples) == 0:
         raise ValueError("nothing to check: there is no sample")
-    checking = CountCheck([ident], rig, rate_hz, starts_at_phase=starts_at_phase)
-    samples = replace(samples, source=None)
-    checking.survey([samples])
-    return checking.take(samples)
+    samples = replace(samples, source=np.zeros(len(samples), np.int64), place=samples.index)
+    survey = CountSurvey([ident], rig.counter_bits, rate_hz, starts_at_phase=starts_at_phase)
+    survey.take(samples)
+    return CountCheck(survey, rig).take(samples)
+
+
+class CountSurvey:
+    """What must be known of a whole run before its counts are checked; its samples come in pieces, of whole frames.
+
+    idents: The identifications that the samples so far were sent under; it grows.
+    bits: Width of the counters of a board that does not identify itself.
+    rate_hz: Nominal rate, Hz.
+    starts_at_phase: Whether an x4 counter starts at the phase of its levels, as the firmware's does.  Another sketch's
+        may start anywhere; then the offset of most samples of a segment is used.
+    """
+
+    def __init__(
+        self, idents: Sequence[frames.Ident | None], bits: int, rate_hz: float, *, starts_at_phase: bool
+    ) -> None:
+        self.idents, self.bits, self.rate_hz = idents, bits, rate_hz
+        stride = max(1, round(PEAK_OVER_S * rate_hz))
+        self._peak, self._belt_peak = _PeakRate(stride), _PeakRate(stride)
+        self._has_belt = True
+        self._starts_at_phase = starts_at_phase
+        self._last: Samples | None = None
+        self._n_pieces = 0  # stretches without a gap
+        # Of the gaps before them: the length of each, s, and whether a segment begins there in any case; of their
+        # samples: how many are off the phase of their levels by 0, 1, 2, 3.
+        self._gap_s: list[float] = []
+        self._fresh: list[bool] = []
+        self._offsets: list[NDArray[np.int64]] = []
+
+    def take(self, samples: Samples) -> None:
+        """Add the next samples."""
+        continuity = _follow(samples, self._last, self.rate_hz)
+        window, broken = continuity.window, continuity.gap | continuity.fresh
+        if not len(window):
+            return
+        bits = np.array([self.bits if ident is None else ident.counter_bits for ident in self.idents])
+        bits = bits[window.source[1:]]
+        ups, downs = (counters.diff_unsigned(column, bits) for column in (window.up, window.down))
+        self._peak.take(window, np.maximum(ups, downs), broken)
+        self._has_belt &= window.belt is not None
+        if window.belt is not None:
+            self._belt_peak.take(window, np.abs(counters.diff_signed(window.belt, bits)), broken)
+        new = slice(len(window) - len(samples), None)
+        self._n_pieces += int(np.count_nonzero(broken[new]))
+        if not self._starts_at_phase:
+            first = np.flatnonzero(broken[new])
+            self._gap_s += continuity.interval[new][first].tolist()
+            self._fresh += continuity.fresh[new][first].tolist()
+            stretch = np.cumsum(broken[new])
+            offsets = counters.phase_error(samples.up, samples.down, samples.status)
+            count = np.bincount(stretch << 2 | offsets, minlength=4 * (len(first) + 1)).reshape(-1, 4)
+            if self._offsets:
+                self._offsets[-1] += count[0]
+            self._offsets += list(count[1:])
+        self._last = window.take(np.arange(len(window)) == len(window) - 1)
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether segment numbers may take 32 bits."""
+        return self._n_pieces >= 1 << 16
+
+    def find_peak_count_rate(self, scale: NDArray[np.int64]) -> float:
+        """Return the fastest counting (`CheckedCounts`); ``scale``: counts of the run in one under each ident."""
+        return self._peak.find(scale)
+
+    def find_safe_gap_s(self, rig: Rig, edges: NDArray[np.int64], peak_count_rate: float) -> float:
+        """Return the longest gap, s, across which the counters cannot have rolled over unnoticed."""
+        safe_s = float("inf")
+        edge_rate_hz = peak_count_rate * EDGES_PER_COUNT.get(rig.decoder, 1)
+        for ident, edges_per_count in zip(self.idents, edges.tolist(), strict=True):
+            bits = rig.counter_bits if ident is None else ident.counter_bits
+            rate_hz = link_budget.peak_edge_rate_hz(ident, rig, edge_rate_hz)
+            safe_s = min(safe_s, counters.longest_gap_s(rate_hz, edges_per_count, bits))
+            if self._has_belt:
+                belt_hz = self._belt_peak.find(np.ones_like(edges))
+                safe_s = min(safe_s, counters.longest_gap_s(2 * belt_hz, 1, bits - 1))
+        return safe_s
+
+    def find_offsets(self, safe_s: float) -> NDArray[np.uint8] | None:
+        """Return the offset from the phase of the levels in each segment, (s,); None: the counters start at it."""
+        if self._starts_at_phase or not self._offsets:
+            return None
+        begins = np.array(self._fresh) | (np.array(self._gap_s) > safe_s)
+        count = np.add.reduceat(self._offsets, np.flatnonzero(begins), axis=0)
+        return np.asarray(count.argmax(axis=1), np.uint8)
 
 
 class CountCheck:
     """Unwrap the counts, cut the run into segments, and flag contradictions: piece by piece, of whole frames.
 
-    idents, rig, rate_hz: The identifications that the run was sent under, its calibration, and its nominal rate.
-    starts_at_phase: Whether an x4 counter starts at the phase of its levels, as the firmware's does.  Another sketch's
-        may start anywhere; then the offset of most samples of a segment is used.
-    peak_count_rate: Of the whole run, once it has been surveyed (`CheckedCounts`).
+    survey: Of the whole run.
+    rig: Its calibration.
+    peak_count_rate: Of the whole run (`CheckedCounts`).
     """
 
-    def __init__(
-        self, idents: Sequence[frames.Ident | None], rig: Rig, rate_hz: float, *, starts_at_phase: bool = True
-    ) -> None:
-        self.peak_count_rate = 0.0
-        self._idents, self._rig, self._rate_hz = idents, rig, rate_hz
-        self._units = connections.find_units(idents, rig)
-        self._starts_at_phase = starts_at_phase
-        self._safe_s = float("inf")
-        self._wide = False  # whether segment numbers take 32 bits
-        self._offsets: NDArray[np.uint8] | None = None  # offset of each segment
+    def __init__(self, survey: CountSurvey, rig: Rig) -> None:
+        self._idents, self._rate_hz, self._wide = survey.idents, survey.rate_hz, survey.is_wide
+        self._units = connections.find_units(survey.idents, rig)
+        self.peak_count_rate = survey.find_peak_count_rate(self._units.scale)
+        self._safe_s = survey.find_safe_gap_s(rig, self._units.edges, self.peak_count_rate)
+        self._offsets = survey.find_offsets(self._safe_s) if self._units.phase.any() else None
         self._last: Samples | None = None
         self._n_taken = self._count = self._segments = self._illegal_rise = 0
-
-    def survey(self, pieces: Iterable[Samples]) -> None:
-        """Find how long a gap the counters' speed allows, and where the counters started, in the whole run."""
-        units, edges = self._units, EDGES_PER_COUNT.get(self._rig.decoder, 1)
-        stride = max(1, round(PEAK_OVER_S * self._rate_hz))
-        peak, belt_peak = _PeakRate(stride), _PeakRate(stride)
-        self._rewind()
-        has_belt = False
-        n_segments = 1  # segments that there can be
-        for samples in pieces:
-            continuity = self._follow(samples)
-            window, broken = continuity.window, continuity.gap | continuity.fresh
-            bits, scale = (_expand(values, window)[1:] for values in (units.bits, units.scale))
-            ups, downs = (counters.diff_unsigned(column, bits) for column in (window.up, window.down))
-            peak.take(window.time, np.maximum(ups, downs) * scale, broken)
-            n_segments += int(np.count_nonzero(broken))
-            if window.belt is not None:
-                has_belt = True
-                belt_peak.take(window.time, np.abs(counters.diff_signed(window.belt, bits)), broken)
-        self._wide = n_segments > 1 << 16
-        self.peak_count_rate = peak.find()
-        self._safe_s = float("inf")
-        for ident, bits_, edges_per_count in zip(self._idents, units.bits.tolist(), units.edges.tolist(), strict=True):
-            rate_hz = link_budget.peak_edge_rate_hz(ident, self._rig, self.peak_count_rate * edges)
-            self._safe_s = min(self._safe_s, counters.longest_gap_s(rate_hz, edges_per_count, bits_))
-            if has_belt:
-                self._safe_s = min(self._safe_s, counters.longest_gap_s(2 * belt_peak.find(), 1, bits_ - 1))
-        self._rewind()
-        if units.phase.any() and not self._starts_at_phase:
-            offset_counts = np.zeros(0, dtype=np.int64)  # how often each segment is off by 0, 1, 2, 3
-            for samples in pieces:
-                segments = self.take(samples).segment
-                offsets = counters.phase_error(samples.up, samples.down, samples.status)
-                piece_counts = np.bincount(segments.astype(np.int64) << 2 | offsets)
-                offset_counts = np.pad(offset_counts, (0, max(0, len(piece_counts) - len(offset_counts))))
-                offset_counts[: len(piece_counts)] += piece_counts
-            self._offsets = (
-                np.pad(offset_counts, (0, -len(offset_counts) % 4)).reshape(-1, 4).argmax(axis=1).astype(np.uint8)
-            )
-            self._rewind()
 
     def take(self, samples: Samples) -> CheckedCounts:
         """Check the next samples; the first samples of segments are counted from the start of the run."""
         new = slice(1 if self._last is not None else 0, None)
         segments, count_before, illegal_before = self._segments, self._count, self._illegal_rise
-        continuity = self._follow(samples)
+        continuity = _follow(samples, self._last, self._rate_hz)
         window, fresh, lost, interval, gap = continuity[:5]
         bits, scale = _expand(self._units.bits, window), _expand(self._units.scale, window)
         invalid = gap & (interval > self._safe_s) & ~fresh
@@ -133,6 +172,7 @@ class CountCheck:
         n = len(window)
         if n == 0:
             return _check_nothing(self.peak_count_rate)
+        self._last = window.take(np.arange(n) == n - 1)
         first = counters.wrap_signed(window.up.astype(np.int64) - window.down, bits) * scale
         if new.start:
             begins[0], first[0] = True, count_before
@@ -186,38 +226,13 @@ class CountCheck:
             leap_s=leap_s[new][starts],
             paused=paused + self._n_taken - len(samples),
             paused_s=interval[new][paused],
-            source=_ident_of_samples(samples)[starts],
+            source=samples.source[starts],
         )
 
     def _ticks_s(self, window: Samples) -> NDArray[np.float64]:
         """Return the tick of the clock that stamped each sample, s, (k,)."""
         ticks = np.array([1000 if ident is None else ident.tick_ns for ident in self._idents])
         return np.asarray(_expand(ticks, window) / 1e9)
-
-    def _rewind(self) -> None:
-        self._last = None
-        self._n_taken = self._count = self._segments = self._illegal_rise = 0
-
-    def _follow(self, samples: Samples) -> "_Continuity":
-        """Return the next samples with the last one before them, and how each of them continues the previous one."""
-        window = samples if self._last is None else join([self._last, samples])
-        begins = np.full(len(window), _NO_START)
-        begins[:1] = _NO_START if self._last is not None else _RESTART
-        for sample in (np.flatnonzero(np.diff(window.part)) + 1).tolist():
-            reasons = samples.begun_by[window.part[sample - 1] + 1 : window.part[sample] + 1]
-            # A part without a kept sample may have begun in another way.
-            begins[sample] = max(_STARTS.get(each, _RESTART) for each in reasons)
-        fresh, restarts = begins >= _LEAP, begins == _RESTART
-        # Numbers start at 0, so samples missing there were lost, too.
-        lost = np.where(restarts, window.index, np.diff(window.index, prepend=-1) - 1)
-        interval = np.diff(window.time, prepend=window.time[:1])
-        if self._last is not None:
-            lost[0] = 0
-        if len(window):
-            self._last = window.take(np.arange(len(window)) == len(window) - 1)
-        # By its number, or by a time that is not jitter: above 30 kHz jitter alone is more than half a period.
-        gap = (lost > 0) | (interval > max(1.5 / self._rate_hz, PEAK_OVER_S))
-        return _Continuity(window, fresh, lost, interval, gap, begins)
 
 
 # What begins with a sample: nothing, or a part because the board paused, its clock leapt, or it restarted.
@@ -236,13 +251,29 @@ class _Continuity(NamedTuple):
     begins: NDArray[np.int64]  # what begins with it: `_NOTHING`, or a part
 
 
-def _ident_of_samples(samples: Samples) -> NDArray[np.int64]:
-    return np.zeros(len(samples), dtype=np.int64) if samples.source is None else samples.source
+def _follow(samples: Samples, last: Samples | None, rate_hz: float) -> _Continuity:
+    """Return the next samples with the last one before them, and how each of them continues the previous one."""
+    window = samples if last is None else join([last, samples])
+    begins = np.full(len(window), _NO_START)
+    begins[:1] = _NO_START if last is not None else _RESTART
+    for sample in (np.flatnonzero(np.diff(window.part)) + 1).tolist():
+        reasons = samples.begun_by[window.part[sample - 1] + 1 : window.part[sample] + 1]
+        # A part without a kept sample may have begun in another way.
+        begins[sample] = max(_STARTS.get(each, _RESTART) for each in reasons)
+    fresh, restarts = begins >= _LEAP, begins == _RESTART
+    # Numbers start at 0, so samples missing there were lost, too.
+    lost = np.where(restarts, window.index, np.diff(window.index, prepend=-1) - 1)
+    interval = np.diff(window.time, prepend=window.time[:1])
+    if last is not None:
+        lost[0] = 0
+    # By its number, or by a time that is not jitter: above 30 kHz jitter alone is more than half a period.
+    gap = (lost > 0) | (interval > max(1.5 / rate_hz, PEAK_OVER_S))
+    return _Continuity(window, fresh, lost, interval, gap, begins)
 
 
 def _expand(values: NDArray[Any], samples: Samples) -> NDArray[Any]:
     """Return for each sample the value of its identification."""
-    return np.asarray(values[_ident_of_samples(samples)])
+    return np.asarray(values[samples.source])
 
 
 def _check_nothing(peak_count_rate: float) -> CheckedCounts:
@@ -262,33 +293,37 @@ class _PeakRate:
         self._strides = [stride]
         while self._strides[-1] > 1:
             self._strides.append(self._strides[-1] // 2)
-        self._peak: dict[int, float] = {}
+        self._peak: dict[int, dict[int, float]] = {}  # of each stride, the fastest under each identification
         self._time, self._moved = np.empty(0), np.empty(0, dtype=np.int64)
+        self._source = np.empty(0, dtype=np.int64)
         self._broken = np.empty(0, dtype=np.bool_)
 
-    def take(self, time: NDArray[np.float64], moved: NDArray[np.int64], broken: NDArray[np.bool_]) -> None:
+    def take(self, window: Samples, moved: NDArray[np.int64], broken: NDArray[np.bool_]) -> None:
         """Add the next samples, (k,), and the moves between them, (k - 1,).
 
         The first one of them is the last one of the previous samples.
         """
+        time, source = window.time, window.source
         if len(self._time):
             time, broken = np.concatenate((self._time, time[1:])), np.concatenate((self._broken, broken[1:]))
-            moved = np.concatenate((self._moved, moved))
+            moved, source = np.concatenate((self._moved, moved)), np.concatenate((self._source, source[1:]))
         total = np.concatenate(([0], np.cumsum(moved)))[: len(time)]
         breaks = np.cumsum(broken)
         for stride in self._strides:
             unbroken = breaks[stride:] == breaks[:-stride]
             if unbroken.any():
                 rate = (total[stride:] - total[:-stride]) / (time[stride:] - time[:-stride])
-                self._peak[stride] = max(self._peak.get(stride, 0.0), float(rate[unbroken].max()))
+                peaks = self._peak.setdefault(stride, {})
+                for number in np.unique(source[stride:][unbroken]).tolist():
+                    fastest = float(rate[unbroken & (source[stride:] == number)].max())
+                    peaks[number] = max(peaks.get(number, 0.0), fastest)
             if stride in self._peak:
                 break
         n_kept = self._strides[0]
-        self._time, self._moved, self._broken = (
-            time[-n_kept:],
-            moved[max(0, len(moved) - n_kept + 1) :],
-            broken[-n_kept:],
-        )
+        self._time, self._source, self._broken = time[-n_kept:], source[-n_kept:], broken[-n_kept:]
+        self._moved = moved[max(0, len(moved) - n_kept + 1) :]
 
-    def find(self) -> float:
-        return self._peak[max(self._peak)] if self._peak else 0.0
+    def find(self, scale: NDArray[np.int64]) -> float:
+        """Return the rate in counts of the run, of which one under each identification has so many."""
+        peaks = self._peak[max(self._peak)] if self._peak else {}
+        return max((float(scale[number]) * rate for number, rate in peaks.items()), default=0.0)

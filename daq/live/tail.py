@@ -151,7 +151,7 @@ class JournalTail:
             return self._unpack_blocks(reads)
         self._reads = [*self._reads, *reads]  # a fork may have the other one
         stream = self._backend.decode(self._reads, self.header)
-        self._ident = connections.first_ident([stream]) or self._ident
+        self._ident = connections.replace_implausible(stream).ident or self._ident
         self._calibrate(stream)
         self._reads = _keep_last_lines(self._reads, self._backend.DELIMITER)
         if not len(stream.n):
@@ -265,7 +265,7 @@ class JournalTail:
     def _calibrate(self, stream: decode.Stream) -> None:
         """Read the calibration once: the one given at the start, otherwise the board's."""
         if not self._calibrated and (self._configuration or stream.configs):
-            _, self.rig, _ = read_calibration(self._configuration, [stream], self._ident)
+            _, self.rig, _ = read_calibration(self._configuration, [text for _, text in stream.configs], self._ident)
             self._calibrated = True
         elif not self._calibrated and self._ident is not None:
             self.rig = replace(self.rig, decoder=self._ident.decoder, counter_bits=self._ident.counter_bits)
