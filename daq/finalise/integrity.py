@@ -148,14 +148,16 @@ class CountCheck:
 
     survey: Of the whole run.
     rig: Its calibration.
+    safe_gap_s: Longest gap, s, that begins no segment; None: that of the survey.
     peak_count_rate: Of the whole run (`CheckedCounts`).
     """
 
-    def __init__(self, survey: CountSurvey, rig: Rig) -> None:
+    def __init__(self, survey: CountSurvey, rig: Rig, safe_gap_s: float | None = None) -> None:
         self._idents, self._rate_hz, self._wide = survey.idents, survey.rate_hz, survey.is_wide
         self._units = connections.find_units(survey.idents, rig)
         self.peak_count_rate = survey.find_peak_count_rate(self._units.scale)
-        self._safe_s = survey.find_safe_gap_s(rig, self._units.edges, self.peak_count_rate)
+        surveyed_s = survey.find_safe_gap_s(rig, self._units.edges, self.peak_count_rate)
+        self._safe_s = surveyed_s if safe_gap_s is None else safe_gap_s
         self._offsets = survey.find_offsets(self._safe_s) if self._units.phase.any() else None
         self._last: Samples | None = None
         self._n_taken = self._count = self._segments = self._illegal_rise = 0
