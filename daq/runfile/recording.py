@@ -171,19 +171,15 @@ class Recording(RunData):
         """
         from daq.runfile.in_memory import from_arrays
 
-        return from_arrays(
-            cls,
-            time,
-            position,
-            mass=mass,
-            stiffness=stiffness,
-            belt_speed=belt_speed,
-            x0=x0,
-            damping=damping,
-            metres_per_count=metres_per_count,
-            belt_position=belt_position,
-            title=title,
-        )
+        stated = {
+            "mass": mass,
+            "stiffness": stiffness,
+            "belt_speed": belt_speed,
+            "x0": x0,
+            "damping": damping,
+            "metres_per_count": metres_per_count,
+        }
+        return from_arrays(cls, time, position, stated, belt_position, title)
 
     def save(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
         """Write the run into a run file (.h5), which `daq.load` and every command read.
