@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.finalise.integrity import CheckedCounts, SegmentReason
-from daq.finalise.timeline import Frames, Piece, Samples
 from daq.protocols import blocks
 from daq.runfile import journal
+from daq.stream.integrity import CheckedCounts, SegmentReason
+from daq.stream.timeline import Frames, Piece, Samples
 from stickslip.compute.arrays import Array, Integers
 
 COUNTER_BITS = 32  # the widest: the source has no counter that rolls over

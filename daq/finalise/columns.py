@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise.connections import TICK_NS
-from daq.finalise.integrity import CheckedCounts
-from daq.finalise.timeline import Samples, TruthRows, sample_keys, split_parts
 from daq.runfile import belt_counter
 from daq.runfile.belt_counter import BeltCount
 from daq.runfile.recording import Raw, Truth
 from daq.runfile.rig import Rig
 from daq.runfile.spill import Column, Shelf, Spill
+from daq.stream.connections import TICK_NS
+from daq.stream.integrity import CheckedCounts
+from daq.stream.timeline import Samples, TruthRows, sample_keys, split_parts
 from daq.wire import frames
 
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.finalise.integrity import CheckedCounts
-from daq.finalise.timeline import Piece
 from daq.runfile.recording import EVENTS
+from daq.stream.integrity import CheckedCounts
+from daq.stream.timeline import Piece
 from daq.wire import counters
 from daq.wire import frames as wire
 from stickslip.compute.arrays import runs

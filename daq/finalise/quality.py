@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise.integrity import CheckedCounts
-from daq.finalise.timeline import Piece
 from daq.runfile import journal
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from daq.stream.integrity import CheckedCounts
+from daq.stream.timeline import Piece
 from daq.wire import counters, frames
 from daq.wire.quadrature import EDGES_PER_COUNT
 

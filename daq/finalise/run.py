@@ -13,18 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from daq.finalise import blocks, claim, connections, quality
-from daq.finalise.clock_points import PartClock
+from daq.finalise import blocks, claim, quality
 from daq.finalise.columns import RunColumns
 from daq.finalise.events import RunEvents
-from daq.finalise.integrity import CountCheck, CountSurvey
 from daq.finalise.quality import DataTotals, RecordingQuality
-from daq.finalise.timeline import StoredPieces, Timeline
 from daq.protocols import blocks as block_records
 from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import EVENT_NAMES, Recording, positions
 from daq.runfile.rig import Rig
 from daq.runfile.spill import Column, Spill
+from daq.stream import connections
+from daq.stream.clock import PartClock
+from daq.stream.integrity import CountCheck, CountSurvey
+from daq.stream.timeline import StoredPieces, Timeline
 from daq.wire import frames
 from daq.wire.roll_over import survey_roll_over
 from stickslip import toml

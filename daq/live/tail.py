@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 
 from daq import protocols
-from daq.finalise import connections, timeline
-from daq.finalise.integrity import CheckedCounts, CountCheck, CountSurvey
 from daq.finalise.run import read_calibration
 from daq.protocols import blocks
 from daq.runfile import journal, journal_header, journal_records
@@ -22,6 +20,8 @@ from daq.runfile.belt_counter import BeltCount
 from daq.runfile.journal import Record
 from daq.runfile.recording import positions
 from daq.runfile.rig import Rig
+from daq.stream import connections, timeline
+from daq.stream.integrity import CheckedCounts, CountCheck, CountSurvey
 from daq.wire import counters, decode, frames
 from stickslip.compute.arrays import Array, rows
 from stickslip.errors import InputError

@@ -6,20 +6,20 @@ of the counters: nothing is carried over or filled in.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise import connections
-from daq.finalise.timeline import PartReason, Samples, join
 from daq.protocols import link_budget
 from daq.runfile.rig import Rig
+from daq.stream import connections
+from daq.stream.timeline import PartReason, Samples, join
 from daq.wire import counters, frames
 from daq.wire.quadrature import EDGES_PER_COUNT
 
-# A segment begins with a part (`daq.finalise.timeline`), or where the counters may have rolled over unnoticed.
+# A segment begins with a part (`daq.stream.timeline`), or where the counters may have rolled over unnoticed.
 SegmentReason = PartReason | Literal["invalid"]
 PEAK_OVER_S = 1e-3  # over a shorter time, one count more or less would look like a fast motion
 
@@ -42,21 +42,6 @@ class CheckedCounts:
     paused: NDArray[np.int64]
     paused_s: NDArray[np.float64]
     source: NDArray[np.int64]  # (s,) number of the identification that each segment was sent under
-
-
-def check(
-    samples: Samples, ident: frames.Ident | None, rig: Rig, rate_hz: float, *, starts_at_phase: bool = True
-) -> CheckedCounts:
-    """Unwrap the counts of a whole run, cut it into segments, and flag contradictions (`CountCheck`).
-
-    Raises ValueError if there is no sample.
-    """
-    if len(samples) == 0:
-        raise ValueError("nothing to check: there is no sample")
-    samples = replace(samples, source=np.zeros(len(samples), np.int64), place=samples.index)
-    survey = CountSurvey([ident], rig.counter_bits, rate_hz, starts_at_phase=starts_at_phase)
-    survey.take(samples)
-    return CountCheck(survey, rig).take(samples)
 
 
 class CountSurvey:

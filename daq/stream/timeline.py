@@ -168,7 +168,7 @@ class Timeline:
 
     A piece is held back until the first seconds of its parts have come, which place them.
 
-    connections: The pieces of each connection (`daq.finalise.connections`).
+    connections: The pieces of each connection (`daq.stream.connections`).
     rate_hz: Nominal rate, Hz.
     tick_ns: Tick of the clock of a device that has not identified itself, ns.
     most: Sample periods from the start of the run after which samples are dropped.
