@@ -317,22 +317,18 @@ def _describe_outages(outages: Sequence[tuple[int, int, str]]) -> list[str]:
     return [f"the port was lost and reopened {len(outages)} times: {total_s:.3g} s are missing in all, {longest}"]
 
 
-def _list_times(times_s: Sequence[float]) -> str:
-    """Return the first few of some times as text."""
-    shown = [f"{time_s:.3f} s" for time_s in times_s[:5]]
-    return ", ".join(shown) + (f" and {len(times_s) - 5} times more" if len(times_s) > 5 else "")
-
-
-def _list_amounts(preposition: str, leaps: Sequence[tuple[float, float]]) -> str:
-    """Return the first few of some times and amounts, s, as text."""
-    shown = [f"{preposition} {amount:.3g} s at {time_s:.3f} s" for time_s, amount in leaps[:5]]
-    return ", ".join(shown) + (f" and {len(leaps) - 5} times more" if len(leaps) > 5 else "")
+def _list_first(texts: Sequence[str]) -> str:
+    """Return the first five texts, and how many more there are."""
+    return ", ".join(texts[:5]) + (f" and {len(texts) - 5} times more" if len(texts) > 5 else "")
 
 
 def _find_data_warnings(quality: RecordingQuality, totals: DataTotals, rig: Rig) -> list[str]:
     """Return one sentence for each kind of damage in the data, with its number."""
     edges = EDGES_PER_COUNT.get(rig.decoder, 1)
     reasons = "; ".join(sorted({REASONS.get(why, why) for why in totals.reasons[1:]}))
+    jumps = _list_first([f"{time_s:.3f} s" for time_s in totals.jumped_s])
+    leaps = _list_first([f"by {leap_s:.3g} s at {time_s:.3f} s" for time_s, leap_s in totals.leapt])
+    pauses = _list_first([f"for {pause_s:.3g} s at {time_s:.3f} s" for time_s, pause_s in totals.paused])
     sentences = [
         (quality.lost, f"{quality.lost} samples were lost in {totals.gaps} places"),
         (quality.crc_errors, f"{quality.crc_errors} damaged frames were thrown away"),
@@ -356,17 +352,17 @@ def _find_data_warnings(quality: RecordingQuality, totals: DataTotals, rig: Rig)
         ),
         (
             len(totals.jumped_s),
-            f"the board's sequence numbers jumped against its clock, {_list_times(totals.jumped_s)} after the first "
+            f"the board's sequence numbers jumped against its clock, {jumps} after the first "
             "sample: it was reset, or sent wrong numbers; each time a new segment begins",
         ),
         (
             len(totals.leapt),
-            f"the board's clock leapt, {_list_amounts('by', totals.leapt)}, against its sequence numbers and this "
+            f"the board's clock leapt, {leaps}, against its sequence numbers and this "
             "machine's clock; each time a new segment begins, timed by the sequence",
         ),
         (
             len(totals.paused),
-            f"the board paused, {_list_amounts('for', totals.paused)}, and its sequence numbers do not show it",
+            f"the board paused, {pauses}, and its sequence numbers do not show it",
         ),
     ]
     sentences += [(1, f"the board stopped: {text}") for text in totals.notices]

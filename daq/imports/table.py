@@ -139,7 +139,8 @@ class Table:
             values.append(np.array(numbers, np.float64).reshape(-1, len(readers)).T)
         if bad and not skip:
             do, python = _advise(self, bad, kept)
-            raise InputError(_describe_bad_lines(bad), self.locate(bad[0].line, first), do, python=python)
+            several = f"; {len(bad)} lines cannot be read: {list_lines(skipped.line for skipped in bad)}"
+            raise InputError(bad[0].what + several * (len(bad) > 1), self.locate(bad[0].line, first), do, python=python)
         good = self
         if bad:
             good = replace(self, rows=[self.rows[index] for index in kept], lines=[self.lines[index] for index in kept])
@@ -158,11 +159,6 @@ class Table:
 
 def list_lines(lines: Iterable[int]) -> str:
     return source.shorten(map(str, lines), LISTED)
-
-
-def _describe_bad_lines(bad: Sequence[Skipped]) -> str:
-    several = f"; {len(bad)} lines cannot be read: {list_lines(skipped.line for skipped in bad)}"
-    return bad[0].what + (several if len(bad) > 1 else "")
 
 
 def _advise(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> tuple[str, str]:

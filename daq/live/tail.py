@@ -158,7 +158,7 @@ class JournalTail:
         if not len(stream.n):
             return []
         tick_ns = self._ident.tick_ns if self._ident else 1000
-        samples = timeline.assemble([stream], self._rate_hz, tick_ns)
+        (samples, _), *_ = timeline.Timeline([[stream]], self._rate_hz, tick_ns)
         samples = replace(samples, source=np.zeros(len(samples), np.int64))
         n_known = self._find_last(samples) + 1
         known, new = (rows(samples, part) for part in (slice(n_known), slice(n_known, None)))

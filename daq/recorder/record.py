@@ -31,7 +31,6 @@ from daq.recorder.reader import Reader
 from daq.runfile import journal, provenance
 from daq.runfile.journal_header import MOST_SAMPLES
 from daq.runfile.rig import Rig, find_replaced
-from daq.wire import frames
 from stickslip.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
 from stickslip.output import disk
 from stickslip.units import Measured
@@ -302,7 +301,9 @@ def _make_board_header(
         "title": f"{identity.ident.name or 'stick-slip'}, {plan.rate_hz:g} Hz",
         "warnings": warnings,
     }
-    return make_header(how, request.notes, {"port": request.port, "firmware": _format_version(identity.ident)})
+    return make_header(
+        how, request.notes, {"port": request.port, "firmware": ".".join(map(str, identity.ident.firmware))}
+    )
 
 
 def make_header(how: Mapping[str, Any], notes: Mapping[str, Any], origin: Mapping[str, str]) -> dict[str, Any]:
@@ -321,10 +322,6 @@ def make_header(how: Mapping[str, Any], notes: Mapping[str, Any], origin: Mappin
         "utc_offset_s": int(offset.total_seconds()) if offset else 0,
         "provenance": provenance.collect_provenance() | dict(origin),
     }
-
-
-def _format_version(ident: frames.Ident) -> str:
-    return ".".join(str(number) for number in ident.firmware)
 
 
 def _write_records(

@@ -37,8 +37,10 @@ def decode_connections(recorded: journal.Journal) -> Iterator[Iterator[decode.St
     """
     backend = protocols.load(recorded.header["protocol"], str(recorded.path))
     rate_hz = float(recorded.header["rate_hz"])
-    for reads in _split_reads(recorded.records):
-        pieces = backend.decode_pieces(reads, recorded.header)
+    records = recorded.records
+    cuts = [number for number, kind in enumerate(records.kinds) if kind == journal.REOPENED]
+    for first, last in pairwise([0, *cuts, len(records)]):
+        pieces = backend.decode_pieces(_ConnectionReads(records, first, last), recorded.header)
         yield (cut_at_leaps(replace_implausible(stream), rate_hz) for stream in pieces)
 
 
@@ -100,11 +102,6 @@ class _ConnectionReads:
         kinds = self.records.kinds
         received = (number for number in range(self.first, self.last) if kinds[number] == journal.RECEIVED)
         return ((record.stamp_ns, record.data) for record in self.records.at(received))
-
-
-def _split_reads(records: journal.Records) -> list[_ConnectionReads]:
-    cuts = [number for number, kind in enumerate(records.kinds) if kind == journal.REOPENED]
-    return [_ConnectionReads(records, first, last) for first, last in pairwise([0, *cuts, len(records)])]
 
 
 def replace_implausible(stream: decode.Stream) -> decode.Stream:

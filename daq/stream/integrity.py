@@ -59,11 +59,11 @@ class CountSurvey:
     ) -> None:
         self.idents, self.bits, self.rate_hz = idents, bits, rate_hz
         stride = max(1, round(PEAK_OVER_S * rate_hz))
-        self._peak, self._belt_peak = _PeakRate(stride), _PeakRate(stride)
+        self.peak, self._belt_peak = _PeakRate(stride), _PeakRate(stride)
         self._has_belt = True
         self._starts_at_phase = starts_at_phase
         self._last: Samples | None = None
-        self._n_pieces = 0  # stretches without a gap
+        self.n_stretches = 0  # without a gap; there are no more segments
         # Of the gaps before them: the length of each, s, and whether a segment begins there in any case; of their
         # samples: how many are off the phase of their levels by 0, 1, 2, 3.
         self._gap_s: list[float] = []
@@ -79,12 +79,12 @@ class CountSurvey:
         bits = np.array([self.bits if ident is None else ident.counter_bits for ident in self.idents])
         bits = bits[window.source[1:]]
         ups, downs = (counters.diff_unsigned(column, bits) for column in (window.up, window.down))
-        self._peak.take(window, np.maximum(ups, downs), broken)
+        self.peak.take(window, np.maximum(ups, downs), broken)
         self._has_belt &= window.belt is not None
         if window.belt is not None:
             self._belt_peak.take(window, np.abs(counters.diff_signed(window.belt, bits)), broken)
         new = slice(len(window) - len(samples), None)
-        self._n_pieces += int(np.count_nonzero(broken[new]))
+        self.n_stretches += int(np.count_nonzero(broken[new]))
         if not self._starts_at_phase:
             first = np.flatnonzero(broken[new])
             self._gap_s += continuity.interval[new][first].tolist()
@@ -96,15 +96,6 @@ class CountSurvey:
                 self._offsets[-1] += count[0]
             self._offsets += list(count[1:])
         self._last = window.take(np.arange(len(window)) == len(window) - 1)
-
-    @property
-    def is_wide(self) -> bool:
-        """Whether segment numbers may take 32 bits."""
-        return self._n_pieces >= 1 << 16
-
-    def find_peak_count_rate(self, scale: NDArray[np.int64]) -> float:
-        """Return the fastest counting (`CheckedCounts`); ``scale``: counts of the run in one under each ident."""
-        return self._peak.find(scale)
 
     def find_safe_gap_s(self, rig: Rig, edges: NDArray[np.int64], peak_count_rate: float) -> float:
         """Return the longest gap, s, across which the counters cannot have rolled over unnoticed."""
@@ -138,12 +129,14 @@ class CountCheck:
     """
 
     def __init__(self, survey: CountSurvey, rig: Rig, safe_gap_s: float | None = None) -> None:
-        self._idents, self._rate_hz, self._wide = survey.idents, survey.rate_hz, survey.is_wide
+        self._idents, self._rate_hz = survey.idents, survey.rate_hz
+        self._wide = survey.n_stretches > 1 << 16  # whether segment numbers take 32 bits
         self._units = connections.find_units(survey.idents, rig)
-        self.peak_count_rate = survey.find_peak_count_rate(self._units.scale)
+        self.peak_count_rate = survey.peak.find(self._units.scale)
         surveyed_s = survey.find_safe_gap_s(rig, self._units.edges, self.peak_count_rate)
         self._safe_s = surveyed_s if safe_gap_s is None else safe_gap_s
         self._offsets = survey.find_offsets(self._safe_s) if self._units.phase.any() else None
+        self._ticks_ns = np.array([1000 if ident is None else ident.tick_ns for ident in survey.idents])
         self._last: Samples | None = None
         self._n_taken = self._count = self._segments = self._illegal_rise = 0
 
@@ -196,7 +189,7 @@ class CountCheck:
             "invalid" if invalid[new][s] else samples.begun_by[samples.part[s]] for s in starts
         )
         self._n_taken += len(samples)
-        tick_s = self._ticks_s(window)
+        tick_s = _expand(self._ticks_ns, window) / 1e9
         leap_s = np.diff(window.ticks, prepend=window.ticks[:1]) * tick_s - interval
         leap_s[continuity.begins != _LEAP] = 0.0
         paused = np.flatnonzero(continuity.begins[new] == _PAUSE)
@@ -215,11 +208,6 @@ class CountCheck:
             paused_s=interval[new][paused],
             source=samples.source[starts],
         )
-
-    def _ticks_s(self, window: Samples) -> NDArray[np.float64]:
-        """Return the tick of the clock that stamped each sample, s, (k,)."""
-        ticks = np.array([1000 if ident is None else ident.tick_ns for ident in self._idents])
-        return np.asarray(_expand(ticks, window) / 1e9)
 
 
 # What begins with a sample: nothing, or a part because the board paused, its clock leapt, or it restarted.

@@ -66,8 +66,6 @@ class Samples:
     source: NDArray[np.int64] = field(default_factory=_make_empty)
     # (n,) sample periods from the start of the run, lost samples and gaps included
     place: NDArray[np.int64] = field(default_factory=_make_empty)
-    # samples dropped because their time did not advance: repeated, late, or stamped wrongly by the board
-    repeated: int = 0
 
     def __len__(self) -> int:
         return len(self.time)
@@ -182,7 +180,7 @@ class Timeline:
     configs: The calibrations that the boards sent.
     truth: The exact motion.
     times_bytes: Whether the recorder knows the length of the frames on the line.
-    repeated: Samples left out because their time did not advance.
+    repeated: Samples left out because their time did not advance: repeated, late, or stamped wrongly by the board.
     missing: Optional columns that not all frames have.
     lengths: Samples in each part.
     """
@@ -403,15 +401,6 @@ class _LastFrame:
     index: int
     part: int
     keep: bool
-
-
-def assemble(streams: list[decode.Stream], rate_hz: float, tick_ns: int) -> Samples:
-    """Place the samples of all connections on one time axis; at least one of them must have samples.
-
-    ``rate_hz`` is the nominal rate, Hz; ``tick_ns`` the tick of the device's clock, ns.
-    """
-    line = Timeline([[stream] for stream in streams], rate_hz, tick_ns)
-    return replace(join([piece.samples for piece in line]), repeated=line.repeated)
 
 
 def split_parts(samples: Samples) -> Iterator[tuple[int, slice]]:
