@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from daq.runfile import belt_counter
 from daq.runfile.belt_counter import BeltCount
-from daq.runfile.recording import Raw, Truth
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import Raw, Truth
 from daq.runfile.spill import Column, Shelf, Spill
 from daq.stream.connections import TICK_NS
 from daq.stream.integrity import CheckedCounts

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.runfile.recording import EVENTS
+from daq.runfile.run_data import EVENTS
 from daq.stream.integrity import CheckedCounts
 from daq.stream.timeline import Piece
 from daq.wire import counters

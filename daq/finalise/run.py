@@ -19,8 +19,9 @@ from daq.finalise.events import RunEvents
 from daq.finalise.quality import DataTotals, RecordingQuality
 from daq.protocols import blocks as block_records
 from daq.runfile import journal, journal_header, store
-from daq.runfile.recording import EVENT_NAMES, Recording, positions
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import EVENT_NAMES, positions
 from daq.runfile.spill import Column, Spill
 from daq.stream import connections
 from daq.stream.clock import PartClock

@@ -31,9 +31,10 @@ from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
 from daq.runfile import provenance
 from daq.runfile.in_memory import add_belt, measure_rate, read_counts
-from daq.runfile.recording import FASTEST_HZ, LONGEST_S, OF_FILE, Recording, explain_impossible, positions
+from daq.runfile.recording import Recording
 from daq.runfile.rest_position import question_rest_position
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import FASTEST_HZ, LONGEST_S, OF_FILE, explain_impossible, positions
 from daq.wire.roll_over import find_roll_over, unroll
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent

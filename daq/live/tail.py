@@ -18,8 +18,8 @@ from daq.protocols import blocks
 from daq.runfile import journal, journal_header, journal_records
 from daq.runfile.belt_counter import BeltCount
 from daq.runfile.journal import Record
-from daq.runfile.recording import positions
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import positions
 from daq.stream import connections, timeline
 from daq.stream.integrity import CheckedCounts, CountCheck, CountSurvey
 from daq.wire import counters, decode, frames

@@ -34,7 +34,7 @@ from daq.recorder.record import (
     make_run,
 )
 from daq.runfile import journal
-from daq.runfile.recording import FARTHEST, LONGEST_S
+from daq.runfile.run_data import FARTHEST, LONGEST_S
 from stickslip.compute.arrays import Array, Integers, numbers
 from stickslip.errors import DataError, DeviceError, InputError
 from stickslip.text import storable

@@ -7,21 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.runfile.run_data import (
-    EVENT_NAMES,
-    EVENTS,
-    FARTHEST,
-    FASTEST_HZ,
-    LONGEST_S,
-    OF_FILE,
-    Raw,
-    RunData,
-    SentAs,
-    Truth,
-    count_lost,
-    explain_impossible,
-    positions,
-)
+from daq.runfile.run_data import OF_FILE, RunData, count_lost
 from stickslip.output.lengths import shown_length, shown_range
 from stickslip.text import storable
 
@@ -34,22 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from stickslip.units import Stated
-
-__all__ = [
-    "EVENTS",
-    "EVENT_NAMES",
-    "FARTHEST",
-    "FASTEST_HZ",
-    "LONGEST_S",
-    "OF_FILE",
-    "Raw",
-    "Recording",
-    "SentAs",
-    "Truth",
-    "count_lost",
-    "explain_impossible",
-    "positions",
-]
 
 
 @dataclass(frozen=True)

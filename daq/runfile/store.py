@@ -19,9 +19,10 @@ import h5py
 import numpy as np
 
 from daq.runfile import nexus, schema, tree, trust
-from daq.runfile.recording import Raw, Recording, SentAs, Truth, explain_impossible
+from daq.runfile.recording import Recording
 from daq.runfile.regular import open_regular
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import Raw, SentAs, Truth, explain_impossible
 from daq.runfile.write import write
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError

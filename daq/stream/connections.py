@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from daq import protocols
 from daq.runfile import journal
-from daq.runfile.recording import SentAs
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import SentAs
 from daq.wire import counters, decode
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
