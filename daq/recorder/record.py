@@ -92,15 +92,22 @@ def check_output(request: RecordRequest) -> None:
         raise journal_exists(request.part)
 
 
-def _check_again(request: RecordRequest, writer: journal.Writer) -> None:
-    """Refuse a run file that another recording has completed since `check_output`, before anything is recorded."""
+def open_journal(request: RecordRequest, header: dict[str, Any]) -> journal.Writer:
+    """Create the journal, unless another recording has completed the run file since `check_output`."""
     from stickslip.output.atomic import refuse_existing
 
+    try:
+        writer = journal.Writer(request.part, header)
+    except FileExistsError as error:
+        raise journal_exists(request.part) from error
+    except OSError as error:
+        raise disk_error(request.part, error) from error
     try:
         refuse_existing(request.output, request.force)
     except InputError:
         writer.remove()
         raise
+    return writer
 
 
 def journal_exists(part: Path) -> InputError:
@@ -142,15 +149,8 @@ def record(
     logger.info("%s at %g Hz, blocks of %d, journal %s", request.port, plan.rate_hz, plan.block, request.part)
     try:
         samples = count_samples(request.duration_s, plan.rate_hz)
-        writer = journal.Writer(request.part, _make_board_header(request, board, identity, plan, samples, warnings))
-        _check_again(request, writer)
-    except FileExistsError as error:
-        board.close()
-        raise journal_exists(request.part) from error
-    except OSError as error:
-        board.close()
-        raise disk_error(request.part, error) from error
-    except InputError:
+        writer = open_journal(request, _make_board_header(request, board, identity, plan, samples, warnings))
+    except StickslipError:
         board.close()
         raise
     if not writer.locked:
