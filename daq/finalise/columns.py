@@ -24,11 +24,9 @@ class RunColumns:
     idents: The identifications that it was sent under.
     truth: The exact motion as sent.
     spill: Storage of the columns.
-    first_ns: Host's stamp of the first sample.
     """
 
     def __init__(self, rig: Rig, idents: Sequence[frames.Ident | None], truth: Shelf[TruthRows], spill: Spill) -> None:
-        self.first_ns = 0
         self._rig, self._spill = rig, spill
         ticks: list[int] = []
         bits: list[int] = []
@@ -53,8 +51,6 @@ class RunColumns:
     def take(self, samples: Samples, checked: CheckedCounts, position: NDArray[np.float64]) -> None:
         if not len(samples):
             return
-        if not self._samples:
-            self.first_ns = int(samples.stamp_ns[0])
         sent = samples.ticks if samples.time_error is None else samples.ticks + samples.time_error
         tick_ns, bits = self._ticks[samples.source], self._bits[samples.source]
         microseconds = sent * tick_ns // 1000

@@ -154,6 +154,7 @@ class DataTotals:
     travel: tuple[float, float] = (np.inf, -np.inf)
     # sample periods from the start of the run to the first and to the last sample
     places: tuple[int, int] | None = None
+    first_ns: int = 0  # host's stamp of the first sample
     last_s: float = 0.0  # time of the last sample
     crc_errors: int = 0
     unknown: int = 0  # frames of an unknown kind or length
@@ -170,6 +171,8 @@ class DataTotals:
         self.notices += [text for _, text in piece.frames.notices]
         if not len(samples):
             return
+        if not self.samples:
+            self.first_ns = int(samples.stamp_ns[0])
         longest = int(np.argmax(lost))
         if lost[longest] > self.longest_gap:
             self.longest_gap = int(lost[longest])

@@ -93,7 +93,7 @@ def run_data(
     spill = Spill(output)
     parts = (_gather_blocks if header["protocol"] == block_records.NAME else _gather_board)(recorded, markers, spill)
     totals, rig, clocks = parts.totals, parts.rig, parts.clock.compare()
-    started, ended = _find_instants(recorded.path, header, parts.first_ns, totals.last_s)
+    started, ended = _find_instants(recorded.path, header, totals.first_ns, totals.last_s)
     sorted_events = parts.events.sort()
     run = Recording(
         title=header["title"],
@@ -133,7 +133,6 @@ class _RunParts:
     events: RunEvents
     clock: PartClock
     warnings: list[str]  # about the calibration
-    first_ns: int  # host's stamp of the first sample
 
 
 def _gather_blocks(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spill: Spill) -> _RunParts:
@@ -145,17 +144,9 @@ def _gather_blocks(recorded: journal.Journal, markers: Sequence[tuple[int, str]]
     columns = {name: Column(spill) for name in ("time", "position", "segment", *(["count"] if counted else []))}
     totals, events = DataTotals(), RunEvents(markers, float(header["rate_hz"]))
     clock = PartClock(0, None, by_bytes=False, spill=spill)
-    first_ns = 0
     for piece, checked, values in blocks.read_pieces(recorded):
         position = positions(checked.count, rig) if counted else values.astype(np.float64)
-        if len(values) and not totals.samples:
-            first_ns = int(piece.samples.stamp_ns[0])
-        values_of = {
-            "time": piece.samples.time,
-            "position": position,
-            "segment": checked.segment,
-            "count": checked.count,
-        }
+        values_of = {"time": piece.samples.time, "position": position, **vars(checked)}
         for name, column in columns.items():
             column.append(values_of[name])
         totals.take(piece, checked, position)
@@ -165,7 +156,7 @@ def _gather_blocks(recorded: journal.Journal, markers: Sequence[tuple[int, str]]
         raise _no_samples(recorded)
     warnings = [WITHOUT_PITCH] if counted and rig.metres_per_count is None else []
     all_columns = {name: column.whole() for name, column in columns.items()}
-    return _RunParts(rig, config, all_columns, totals, events, clock, warnings, first_ns)
+    return _RunParts(rig, config, all_columns, totals, events, clock, warnings)
 
 
 def _gather_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spill: Spill) -> _RunParts:
@@ -219,7 +210,7 @@ def _gather_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]],
         "truth": columns.build_truth(header["port"]),
         "sent_as": connections.build_sent_as(timeline.idents, rig, totals.segment, totals.source),
     }
-    return _RunParts(rig, config, all_columns, totals, events, clock, warnings, columns.first_ns)
+    return _RunParts(rig, config, all_columns, totals, events, clock, warnings)
 
 
 def _find_instants(path: Path, header: dict[str, Any], first_ns: int, span_s: float) -> tuple[datetime, datetime]:
