@@ -36,9 +36,9 @@ from daq.runfile.rig import Rig
 from processing import smoothing, stage
 from processing.kalman import white_jerk
 from processing.methods import registry
-from processing.methods import window_choice as windows
+from processing.methods import savgol as windows
 from processing.polynomial import savgol
-from processing.polynomial.even_fit import coefficients
+from processing.polynomial.even import coefficients
 from processing.record import series
 from processing.record.setting import Setting
 from rig_sim.motion.play import ScenePlayer

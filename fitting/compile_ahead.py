@@ -11,7 +11,7 @@ import sys
 import numpy as np
 
 from fitting.least_squares import elimination
-from fitting.model.path import FrictionSpline, Path, follow, law_curve, positions
+from fitting.model.path import Curve, FrictionSpline, Path, follow, positions
 from fitting.model.tangents import tangents
 from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.windows import ShootingWindows
@@ -40,12 +40,12 @@ def compile_arithmetic() -> None:
 
 def compile_predictions() -> None:
     windows, run, local = _imagined()
-    positions(windows, law_curve(1, ramp=False), run, local)
+    positions(windows, Curve(1, ramp=False), run, local)
 
 
 def compile_motion() -> None:
     windows, run, local = _imagined()
-    follow(windows, law_curve(1, ramp=False), run, local)
+    follow(windows, Curve(1, ramp=False), run, local)
 
 
 def compile_derivatives() -> None:
@@ -54,7 +54,7 @@ def compile_derivatives() -> None:
     begin, point = np.zeros(windows.table.shape[0] + 1, int), np.zeros(1)
     path = Path(
         windows=windows,
-        curve=law_curve(1, ramp=False),
+        curve=Curve(1, ramp=False),
         u=run,
         local=local,
         time=point,

@@ -13,10 +13,6 @@ def normal_quantile(p: float) -> float:
     return float(special.ndtri(p))
 
 
-def chi_square_quantile(p: float, freedom: float) -> float:
-    return 2 * float(special.gammaincinv(0.5 * freedom, p))
-
-
 def fisher_log_tail(value: float, numerator: float, denominator: float) -> float:
     """Return the log p-value of ``value`` under Fisher's F; -inf below the smallest number."""
     probability = float(special.fdtrc(numerator, denominator, max(value, 0.0)))

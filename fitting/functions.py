@@ -21,7 +21,7 @@ from processing.record.kinematics import Kinematics
 from stickslip import units
 from stickslip.errors import InputError, StickslipError
 from stickslip.output import suffix
-from stickslip.units import Measured, Stated
+from stickslip.units import Stated
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -219,16 +219,12 @@ def rank_each(
     ----------
     runs : iterable of paths, Recording or Kinematics
         As for `fitting.rank`, such as ``Path("monday").glob("*.h5")``.
-    laws : int, str, Law, or sequence of them
-        Which laws compete, as for `fitting.rank`.
-    rig : Rig or sequence of Rig, optional
-        The whole calibration instead of the runs' own: one for all, or one for each run.
+    laws, rig, scheduler
+        As for `fitting.rank`.
     jobs : int
         Processes to fit in, each one run at a time.
     progress : callable, optional
         Called with the number of runs done.
-    scheduler : str, optional
-        Address of a dask scheduler, ``tcp://host:8786``, whose workers fit instead of processes on this machine.
     **options
         Further keywords of `fitting.rank`, the same for every run: ``mass``, ``stiffness``, ``x0``, ``damping``,
         ``belt_speed``, ``fix``, ``bounds``, ``start``, ``begin``, ``end``, ``excluded`` and ``alpha``.
@@ -287,31 +283,17 @@ def _read_options(
     **values: Any,
 ) -> Options:
     competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
-    return Options(competitors, **{name: READ.get(name, _as_given)(value, name) for name, value in values.items()})
+    return Options(competitors, **{name: _read_option(value, name) for name, value in values.items()})
 
 
-def _as_given(value: Any, _: str) -> Any:
+def _read_option(value: Any, name: str) -> Any:
+    if name in ("begin", "end"):
+        return units.exact_in_si(value, "time", name)
+    if name in ("mass", "stiffness", "x0", "damping") or (name == "belt_speed" and value != "channel"):
+        return units.read_stated(value, name)
+    if name == "excluded":
+        return (value,) if isinstance(value, int) else tuple(value)
     return value
-
-
-def _read_time(value: float | str | None, name: str) -> float | None:
-    return units.exact_in_si(value, "time", name)
-
-
-def _read_speed(value: Stated | None, name: str) -> Measured | str | None:
-    return "channel" if value == "channel" else units.read_stated(value, name)
-
-
-def _read_cycles(value: int | Sequence[int], _: str) -> tuple[int, ...]:
-    return (value,) if isinstance(value, int) else tuple(value)
-
-
-READ: dict[str, Callable[[Any, str], Any]] = {
-    **dict.fromkeys(("mass", "stiffness", "x0", "damping"), units.read_stated),
-    **dict.fromkeys(("begin", "end"), _read_time),
-    "belt_speed": _read_speed,
-    "excluded": _read_cycles,
-}
 
 
 def _rigs(rig: Rig | Sequence[Rig] | None, count: int) -> Sequence[Rig | None]:

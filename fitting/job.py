@@ -16,8 +16,8 @@ from fitting.ranking import rank
 from fitting.report import page, stage
 from fitting.result import Ranking
 from processing import stage as smoothed_stage
-from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
+from processing.record.motion import Finding
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics, pooled
 from stickslip.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError

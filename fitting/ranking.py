@@ -55,11 +55,13 @@ def rank(
             return answer.without_law(refused.reason, contradicted, options, runs, records, begun)
         raise screening.refusal(refused.reason, contradicted, runs, records) from None
     other_contact = None
-    if not competition.described and len(runs) > 1:
+    if len(runs) > 1 and (competition.runs_differ or not competition.described):
         alone: list[Mapping[int | str, Mapping[str, Parameter]]] = []
         for record, run in zip(records, competition.runs, strict=True):
             alone.append({law: own[0] for law, own in describing([record], [run]).items()})
         other_contact = find_other_contact(alone)
+    if other_contact is not None:
+        competition = competition.undescribed
     contradicted = [[] for _ in runs]
     if other_contact is None:  # else each run is described with what was stated
         described = list(answer.describing(competition, options).values())
@@ -73,6 +75,7 @@ def rank(
         [run.motion for run in competition.runs],
         len(options.competitors.six),
         _revolution(records),
+        rejected=not competition.described,
         explain=other_contact is None and not any(contradicted),
     )
     for fit in competition.fits:
@@ -111,7 +114,7 @@ def _compete(
     direct = [fit for fit in six if fit.law in competitors.laws and competitors.by_kernel(fit.law)]
     lost = {fit.law: name_better_limit(fit, six) for fit in direct}
     fits = [*(fit for fit in direct if not lost[fit.law]), *formulas]
-    if doubt and not screening.comes_near(formulas, runs):
+    if doubt and not screening.list_near(formulas, runs):
         law_fits.refuse(doubt, records)
     if sustained:
         followed = {*lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}

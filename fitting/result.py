@@ -26,8 +26,8 @@ from fitting.laws import ABOUT, PUBLISHED
 from fitting.record.cycles import CycleSegmentation
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
-from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
+from processing.record.motion import Finding
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError, InputError, in_python
@@ -695,11 +695,6 @@ class Ranking:
         force : bool
             Replace a file that is no report of these runs.
 
-        Returns
-        -------
-        Path
-            The page.
-
         Raises
         ------
         InputError
@@ -723,11 +718,6 @@ class Ranking:
             The scene.
         force : bool
             Replace an existing file.
-
-        Returns
-        -------
-        Path
-            The scene.
 
         Raises
         ------

@@ -11,11 +11,10 @@ import numpy as np
 
 from processing.kalman import white_jerk
 from processing.methods import registry
-from processing.methods.method_model import MethodModel
+from processing.methods.registry import MethodModel
 from processing.record.motion import BeltMotion, Motion
 from processing.record.noise import position_noise
-from processing.record.series import Series
-from processing.record.units import Units
+from processing.record.series import Series, Units
 from stickslip.compute.arrays import Mask
 
 if TYPE_CHECKING:

@@ -16,34 +16,33 @@ import numpy as np
 from processing.belt_motion import BeltNoise, BeltRecord, learn_noise, smooth_belt
 from processing.defects import faults, frames
 from processing.defects.faults import CheckedRecord
-from processing.defects.findings import belt_findings, drift_finding, sensor_findings, step_findings
+from processing.defects.frames import belt_findings, drift_finding, sensor_findings, step_findings
 from processing.kalman import white_jerk
 from processing.methods import registry
-from processing.methods.method_model import MethodModel
+from processing.methods.registry import MethodModel
 from processing.model_values import values_in_si
-from processing.record.finding import Finding
 from processing.record.motion import (
     DERIVATIVES,
     BeltMotion,
     Corner,
     Fault,
+    Finding,
     Motion,
     Phase,
     PhaseSegmentation,
     VelocityStep,
 )
-from processing.record.position_steps import PositionStep
-from processing.record.series import Series
+from processing.record.series import PositionStep, Series, Units, measured_in, speed_in
 from processing.record.setting import Setting
 from processing.record.stretches import Survey, moving_samples
-from processing.record.units import Units, measured_in, speed_in
-from processing.segmentation import plateaus
-from processing.segmentation.phase_layout import segment_at_corners
+from processing.stick_slip import plateaus
+from processing.stick_slip.plateaus import segment_at_corners
 from stickslip.compute.arrays import Array, Integers
 from stickslip.units import Measured
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
+
 
 PARTS = 8  # of a block, whose means show a drift
 LONGEST = 2**16  # samples of the longest window of a smoother

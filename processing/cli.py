@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from processing.compare import MethodError
     from processing.record.kinematics import Kinematics, SmoothingSummary
 
+
 Run = Annotated[Path, Parameter(help="Run file written by daq record, import or replay.")]
 From = Annotated[
     str | None,

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from processing.kalman.stick_slip import JUMP_DERIVATIVE
-from processing.record.units import Units
+from processing.record.series import Units
 
 Model = TypeVar("Model")
 

@@ -16,6 +16,7 @@ from stickslip.output.plot import STYLE, figure
 if TYPE_CHECKING:
     from matplotlib.gridspec import GridSpecBase
 
+
 MOST_DRAWN = 500  # break-aways drawn as shapes, of some 80 bytes each; more become an image of some 15 kB
 BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
 

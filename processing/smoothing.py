@@ -21,17 +21,17 @@ from processing import belt_motion, blocks, stage
 from processing.blocks import BlockFindings, MotionModel, Stretches
 from processing.methods import registry
 from processing.model_values import restore
-from processing.record import import_grid, series
+from processing.record import series
 from processing.record.kinematics import Kinematics, SmoothingSummary
-from processing.record.series import Series
+from processing.record.series import Series, Units
 from processing.record.setting import Setting, parse_belt_speed, parse_window
 from processing.record.stretches import survey
-from processing.record.units import Units
 from stickslip.compute.arrays import Array, Integers
 from stickslip.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
+
 
 logger = logging.getLogger(__name__)
 REPAIRS = ("off", "flag", "fix")
@@ -249,7 +249,7 @@ class _Reader:
         n = run.samples
         if times == "nominal" and self._start.raw is None:
             # An import has no sample numbers, so its even grid depends on the whole record.
-            self._grid = import_grid.learn(run, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
+            self._grid = series.learn_grid(run, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
 
     def read(self, begin: int, end: int) -> "tuple[Recording, Series, int]":
         """Return samples begin..end-1 with their neighbours, and the number of the first of these."""

@@ -20,11 +20,10 @@ from daq.runfile.recording import Recording
 from daq.runfile.tree import LENGTH, Field, Group
 from processing.model_values import unit_of
 from processing.record import series
-from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics, SmoothingSummary
-from processing.record.motion import Corner, Fault, Phase, VelocityStep
+from processing.record.motion import Corner, Fault, Finding, Phase, VelocityStep
 from processing.record.noise import position_noise
-from processing.record.position_steps import PositionStep, step_offsets
+from processing.record.series import PositionStep, step_offsets
 from processing.statistics import SlipEvent, StickSlipStatistics, from_kinematics, statistics
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError

@@ -3,7 +3,7 @@
 `measure` judges the nearest of the six and measures the curve; `assess` concludes, once all laws have competed.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -26,8 +26,6 @@ from fitting.judge.goodness import (
 from fitting.judge.linearised import LinearisedFit, Repeat
 from fitting.laws import ALL_LAWS, Law
 from fitting.least_squares.normal_equations import Block
-from fitting.model.path import Path
-from fitting.model.windows import ShootingWindows
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
 from stickslip.compute.arrays import Array, Mask
@@ -115,13 +113,9 @@ class Judged:
         return np.array([own.noise_m for own in self.slips])
 
     @property
-    def linearised(self) -> LinearisedFit | None:
-        return None if self.faults is None else LinearisedFit.at(self.fit)
-
-    @property
     def usual(self) -> LinearisedFit | None:
         """The linearised fit without the spoilt cycles."""
-        linear = self.linearised
+        linear = LinearisedFit.at(self.fit)
         return None if linear is None or self.faults is None else linear.without(self.faults)
 
 
@@ -143,15 +137,15 @@ def assess(
     laws: int,
     revolution: float | None = None,
     *,
+    rejected: bool,
     explain: bool = True,
 ) -> list[Adequacy]:
-    """Return whether the first of the ``ranked`` laws describes the runs, and what else acts where it does not.
+    """Return how well the first of the ``ranked`` laws describes the runs, and what else acts where it is ``rejected``.
 
     The first result is of all runs together; of several runs one follows for each, without curve and departures.
     ``nearest`` are the fits to try departures with, best first; ``laws`` is how many of the six were requested; without
     ``explain`` the cause is known already; a ``revolution`` (encoder travel, m) of None is scanned for.
     """
-    rejected = chosen.together.rejected
     curve_goodness = None
     if curve is not None and (rejected or curve.chi > noise_levels.CLEARLY_ABOVE):
         curve_goodness = _judge_curve(curve, motions)
@@ -167,8 +161,8 @@ def assess(
     if curve is not None and rejected and explain:
         departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
-    if rejected and explain and not departures and chosen.linearised is not None:
-        base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
+    if rejected and explain and not departures:
+        base = Base.at(chosen.fit, motions, revolution)
         if base is not None:
             count_repeated, repeated = partial(_count_repeated, chosen), chosen.together.repeat
             fluctuation = fluctuation_share(base, repeated, count_repeated, float(np.max(noise)))
@@ -243,7 +237,7 @@ def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:
         faults, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
         slips = judge(fit.residual, partial(_unchanged, fit.windows.blocks), fit, motions, nowhere)
     else:
-        faults, slips = _judged_without_faults(linearised, fit.path_in, fit, fit.windows, motions)
+        faults, slips = _judged_without_faults(linearised, fit, motions)
     return Judged(fit, faults, slips, *goodness_of_fit(slips))
 
 
@@ -252,24 +246,17 @@ def _unchanged(blocks: Sequence[Block], residuals: Repeat) -> Iterator[tuple[Blo
 
 
 def _judged_without_faults(
-    linear: LinearisedFit,
-    path_in: Callable[[Block], Path | None],
-    fit: Fit,
-    windows: ShootingWindows,
-    motions: Sequence[MeasuredMotion],
+    linear: LinearisedFit, fit: Fit, motions: Sequence[MeasuredMotion]
 ) -> tuple[Mask, tuple[RunSlips, ...]]:
     """Return the cycles (cycles,) that a fault of the record spoilt, and the slips of the fit without them."""
-    spoilt = windows.spoilt(linear.residual)
     landings = np.array([cycle.landing for cycle in fit.cycles])
-    faults = left_out(path_in, linear, landings, spoilt, windows.run)
+    faults = left_out(linear, fit.windows, landings, fit.windows.spoilt(linear.residual))
     usual = linear.without(faults)
-    return faults, judge(usual.residual, usual.refit, fit, motions, faults, windows)
+    return faults, judge(usual.residual, usual.refit, fit, motions, faults)
 
 
 def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
-    fit = curve.spline_fit
-    _, slips = _judged_without_faults(curve.linear, fit.path_in, fit, fit.windows, motions)
-    return goodness_of_fit(slips)[0]
+    return goodness_of_fit(_judged_without_faults(curve.linear, curve.spline_fit, motions)[1])[0]
 
 
 def _departures(
@@ -282,8 +269,7 @@ def _departures(
     """Return the departures with which a law describes the runs; ``fits``, best first."""
 
     def describes(refit: Refit) -> bool:
-        base = refit.base
-        _, slips = _judged_without_faults(base.linear, refit.fit.path_in, refit.fit, base.path.windows, motions)
+        _, slips = _judged_without_faults(refit.base.linear, refit.fit, motions)
         return not goodness_of_fit(slips)[0].rejected
 
     return explain_misfit(fits, curve, motions, float(np.max(noise)), revolution, describes)

@@ -20,8 +20,8 @@ from fitting.laws import PER_MASS, Competitors, Given, Law
 from fitting.model.problem import GivenUnknown, Run
 from fitting.model.unknowns import Global
 from fitting.record.motion import MeasuredMotion
-from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
+from processing.record.motion import Finding
 from stickslip.errors import InputError
 from stickslip.units import Measured, with_error
 

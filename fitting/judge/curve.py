@@ -14,9 +14,6 @@ A simultaneous band holds the whole curve: its factor is the quantile of the lar
 standard deviations, from normal draws. As for the laws' parameters, the larger of two covariances counts: by the noise,
 and by the scatter of the cycles' gradients (sandwich).
 
-A formula is compared in the metric of the record: minimised is (c(formula) - c)' I (c(formula) - c), c the coefficients
-of the curve and I the information on them with everything else fitted again.
-
 Not modelled: friction that depends on anything but relative speed and its level in each cycle.
 """
 
@@ -24,7 +21,6 @@ import math
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -35,7 +31,7 @@ from fitting.judge.parameters import STATED_ERROR, Parameter
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.path import Curve, FrictionSpline
-from fitting.model.predict import KNOT_POWER, FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
+from fitting.model.predict import FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
 from fitting.model.problem import EstimationProblem, Run
 from fitting.model.unknowns import PER_RUN, Global, PerCycle
 from fitting.search.exchange import best_end
@@ -88,6 +84,7 @@ class MeasuredCurve:
 # 2.5 travels. Only the band and the intervals depend on it.
 REST_SD = 3.0
 SCATTER_SHOWN = 4.0  # variance of the levels over that by noise, from which they separate datum and friction
+HIDDEN_STEP = 1e-3  # relative change of friction at rest, of the derivative by a hidden move: it is linear
 NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
 
 
@@ -149,12 +146,11 @@ def unseen(places: Sequence[int], curve: Curve, u: Array) -> Array:
     """Return the moves of the unknowns at ``places`` (p,) that hide a move of the first run's rest position."""
     if curve.spline is None:
         raise ValueError("this is a law's curve: its level is not free")
-    K, D, compliance = (float(u[slot]) for slot in (Global.K, Global.D, Global.COMPLIANCE))
-    wider = -K * D / float(curve.spline.coefficients[0]) if curve.ramp else 0.0
-    moves = {Global.DATUM: 1.0, Global.D: wider, Global.V_DR: wider - compliance}
-    found = np.array([moves.get(Global(place % PER_RUN), 0.0) for place in places])
-    found[list(places).index(Global.DATUM)] = 0.0
-    return found
+    step = HIDDEN_STEP * curve.spline.coefficients[0] / u[Global.K]
+    moved, _ = moved_to(u, curve.spline.coefficients, Measured(u[Global.DATUM] + step, 0.0), ramp=curve.ramp)
+    moves = (moved - u)[list(places)] / step
+    moves[list(places).index(Global.DATUM)] = 0.0
+    return np.asarray(moves)
 
 
 def linearised(fit: Fit) -> LinearisedFit:
@@ -262,89 +258,13 @@ def _problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
     return replace(problem, prior=prior, precision=precision, lower=lower, upper=upper, start=start)
 
 
-GRID_SPEEDS = 300  # speeds at which a formula is projected on the spline, as dense as the knots
-LOW_COEFFICIENTS = 2  # coefficients, which act below a twentieth of the largest slip speed
-LEAST_INFORMATION = 1e-12  # information over the largest: less is rounding
-
-
-class MeasuredTarget(NamedTuple):
-    """Target in the directions of the coefficients that the record constrains, without a prior."""
-
-    alone: Target  # distances of unit variance
-    level_sd: float  # of a constant by which the whole curve may be off, m/s^2
-
-    @property
-    def near(self) -> Target:
-        return self.alone.off_by_a_constant(self.level_sd)
-
-
-def friction_target(fit: Fit) -> MeasuredTarget:
-    """Return the measured curve with equal weight on `GRID_SPEEDS`, for formulas far from it."""
-    speeds = _speeds(fit)
-    friction = fit.spline(speeds)
-    return MeasuredTarget(Target.of(speeds, friction, float(np.median(friction))), _level_sd(fit))
-
-
-def measured_target(curve: MeasuredCurve) -> MeasuredTarget:
-    """Return the measured curve as a target, in the metric of the record, of the residuals where they exceed the noise.
-
-    The lowest coefficients are fitted again with each formula, since their effect is not linear.
-    """
-    fit, linear = curve.spline_fit, curve.linear
-    basis, total = free_curve(fit.task).basis, linear.reduced.H
-    places, n = len(fit.places), basis.precision.size
-    turn = np.eye(places + n)
-    turn[places:] = basis.inverse_slopes  # from coordinates to coefficients
-    prior = np.zeros((places + n, places + n))
-    prior[places:, places:] = np.diag(basis.precision)
-    total, prior, data = (np.einsum("ki,kl,lj->ij", turn, one, turn) for one in (total, prior, total - prior))
-    gradient = linear.gradients.sum(axis=0)
-    gradient[:places] += linear.priors.gradient[:places]
-    gradient = np.einsum("ki,k->i", turn, gradient)
-    if fit.held_rest is not None:  # taken as known here: how far it may be off is `MeasuredTarget.level_sd`
-        known = fit.places.index(Global.DATUM)
-        data[known], data[:, known], prior[known, known], gradient[known] = 0.0, 0.0, 1.0, 0.0
-    first = places + LOW_COEFFICIENTS
-    others = data[:first, :first] + prior[:first, :first]
-    cross = data[first:, :first]
-    follow = followed(others, cross)
-    own = data[first:, first:] - np.einsum("ik,kj->ij", cross, follow)
-    size, axes = eigen(0.5 * (own + own.T))
-    held = np.einsum("ik,ij,jk->k", axes, prior[first:, first:], axes)
-    shown = size > np.maximum(held, LEAST_INFORMATION * size.max())
-    deviation = np.sqrt(size[shown])
-    root = np.zeros((deviation.size, n))
-    root[:, LOW_COEFFICIENTS:] = deviation[:, None] * axes[:, shown].T
-    # where the record alone would have the curve: not pulled by its prior, and at the very minimum
-    pull = gradient[first:] - np.einsum("ki,k->i", follow, gradient[:first])
-    aim = np.einsum("ki,i->k", root, fit.spline.coefficients)
-    aim -= np.einsum("ik,i->k", axes[:, shown], pull) / deviation
-    excess = max(curve.chi, 1.0)
-    speeds = _speeds(fit)
-    root = np.einsum("mn,nk->mk", root, fit.spline.projection(speeds))
-    friction = float(np.median(fit.spline.coefficients))
-    return MeasuredTarget(Target(speeds, root / excess, aim / excess, friction), _level_sd(fit))
-
-
-def _speeds(fit: Fit) -> Array:
-    return np.asarray(float(fit.spline.knots[-1]) * np.linspace(0.0, 1.0, GRID_SPEEDS) ** KNOT_POWER)
-
-
-def _level_sd(fit: Fit) -> float:
-    return 0.0 if fit.held_rest is None else fit.values.K * fit.held_rest.sd
-
-
-def followed(curvature: Array, cross: Array) -> Array:
-    """Return by how much some unknowns (p,) follow others (n,): inv(curvature) cross', shape (p, n).
-
-    By a solution: an inverse loses the weakest direction, 1e-8 of the strongest, to rounding.
-    """
-    found = np.zeros(cross.T.shape)
-    seen = np.diag(curvature) > 0
-    scale = 1 / np.sqrt(np.diag(curvature)[seen])
-    scaled = curvature[np.ix_(seen, seen)] * scale[:, None] * scale
-    found[seen] = scale[:, None] * np.linalg.solve(scaled, scale[:, None] * cross.T[seen])
-    return found
+def curve_target(curve: MeasuredCurve) -> tuple[Target, float]:
+    """Return the measured curve in its band as a target of formulas, and the standard deviation of its level, m/s^2."""
+    rest, friction = curve.spline_fit.held_rest, curve.friction
+    target = Target(
+        curve.speed - curve.ramp, np.diag(1 / curve.shape_half), friction / curve.shape_half, float(np.median(friction))
+    )
+    return target, 0.0 if rest is None else curve.spline_fit.values.K * rest.sd
 
 
 SPEEDS = 200  # speeds of the curve: the band is smooth between them
@@ -355,7 +275,7 @@ SEED = 20_240  # the draws are the same for every record
 
 def covariances(linear: LinearisedFit) -> tuple[Array, Array]:
     """Return the covariance (p, p) of the shared unknowns by the noise, and by the scatter between cycles."""
-    noise = linear.covariance
+    noise = linear.reduced.covariance
     own = linear.gradients
     cycles = own.shape[0]
     meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + linear.priors.precision

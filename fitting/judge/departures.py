@@ -1,14 +1,12 @@
 """Which assumption breaks: departures with which a law describes a record that no law describes alone.
 
-A score test on the best law and on the free curve chooses the order in which departures are tried: a law that is wrong
-by itself can hide a departure, and a free curve can take part of one up. The columns of a departure are projected off
-everything that the fit adjusts (`fitting.judge.linearised`), so one linear step gives its parameters and its gain; a
-frequency or wavelength is scanned on a thinned record. The error is a jackknife over the cycles: residuals are
-correlated within a cycle, and cycles are independent. Each departure is then fitted together with a law, whose motion
-follows it; a scanned scale is one more unknown.
+The gain of a score test on the best law and on the free curve chooses the order in which departures are tried: a law
+that is wrong by itself can hide a departure, and a free curve can take part of one up. The columns of a departure are
+projected off everything that the fit adjusts (`fitting.judge.linearised`), so one linear step gives its parameters and
+its gain; a frequency or wavelength is scanned on a thinned record. Each departure is then fitted together with a law,
+whose motion follows it; a scanned scale is one more unknown.
 
-Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests); B. Efron, C. Stein, Ann. Statist. 9
-(1981) 586 (the jackknife).
+Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests).
 """
 
 import math
@@ -115,8 +113,8 @@ class Base:
 
     def misfit_beyond_noise(self, noise: float) -> float:
         """Return the cost of the residuals above that of the noise, m."""
-        weights = np.repeat(self.linear.weights, np.diff(self.linear.first))
-        return max(0.5 * float(np.sum(weights * (self.linear.residual**2 - noise**2))), 0.0)
+        expected = 0.5 * noise**2 * float(np.sum(self.linear.weights * np.diff(self.linear.first)))
+        return max(self.linear.cost - expected, 0.0)
 
 
 def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
@@ -128,40 +126,6 @@ def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
 # quadratic drag 2e-7.
 LEAST_KEPT = 1e-9
 RIDGE = 1e-12  # added to a curvature, over it, so that two equal columns stay solvable
-
-
-@dataclass(frozen=True, eq=False)
-class Score:
-    coefficients: Array  # (k,)
-    covariance: Array  # (k, k) the jackknife's over the cycles, and at least that of the noise
-    gain: float  # by how much the cost falls
-    log_p: float  # log of the probability of as large a step by chance, from the jackknife alone
-
-
-def score(base: LinearisedFit, columns: Array) -> Score | None:
-    """Test columns (N, 1 or 2); None where the fit adjusts them already, or too few cycles show them."""
-    scores = base.scores(columns)
-    information, total = scores.information, scores.score
-    k, n = total.shape[1], int(np.sum(np.any(total != 0, axis=1)))
-    whole, gradient = scores.total_information, scores.total
-    kept = float(np.min(np.diag(whole) / np.maximum(scores.raw, 1e-300)))
-    if not kept > LEAST_KEPT or n < k + 3:
-        return None
-    coefficients = -solve(whole, gradient)
-    others = whole - information
-    if np.any(np.einsum("nii->ni", others) <= RIDGE * np.diag(whole)):
-        return None  # one cycle alone shows it: there is no other to compare with
-    steps = -solve(others, gradient - total)
-    beside = steps - steps.mean(axis=0)
-    jackknife = (n - 1) / n * np.einsum("ck,cl->kl", beside, beside)
-    noise = np.diag(solve(whole, np.eye(k)))
-    floor = np.sqrt(np.maximum(noise / np.maximum(np.diag(jackknife), 1e-300), 1.0))
-    return Score(
-        coefficients=coefficients,
-        covariance=jackknife * floor[:, np.newaxis] * floor,
-        gain=-0.5 * float(np.sum(gradient * coefficients)),
-        log_p=log_probability(coefficients, jackknife, n),
-    )
 
 
 def log_probability(coefficients: Array, covariance: Array, cycles: int) -> float:
@@ -188,7 +152,6 @@ def solve(matrix: Array, right: Array) -> Array:
 
 LEAST_SIGMAS, LEAST_GAIN = 4.0, 12.0  # of a reported departure; a true law alone allows gains of 6
 LEAST_COST_SHARE = 0.01  # gain over the whole cost: patterns of counts explain 0.4 %
-EQUAL_GAIN = 0.04  # gain short of the best, over it, of departures that explain the record equally well
 SCALES_AT_ONCE = 16  # curvatures between all columns are made, and only those of one scale used
 # Scales tried about the best of a scan, in steps between neighbours.
 STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
@@ -201,71 +164,67 @@ class Candidate:
     size: Array  # (columns,) coefficients
     explained: float  # gain of one linear step over the misfit beyond the noise
 
-    @property
-    def parameters(self) -> int:
-        return self.departure.columns + math.isfinite(self.scale)
-
 
 def rank_candidates(bases: Sequence[Base], noise: float) -> list[Candidate]:
-    """Return departures, strongest first; of those within `EQUAL_GAIN` the one with the fewest parameters is first."""
     best: dict[str, Candidate] = {}
     for candidate in (candidate for base in bases for candidate in find_candidates(base, noise)):
         name = candidate.departure.name
         if name not in best or candidate.explained > best[name].explained:
             best[name] = candidate
-    ranked = sorted(best.values(), key=lambda candidate: -candidate.explained)
-    equal = [candidate for candidate in ranked if candidate.explained > (1 - EQUAL_GAIN) * ranked[0].explained]
-    return [*sorted(equal, key=lambda candidate: candidate.parameters), *ranked[len(equal) :]]
+    return sorted(best.values(), key=lambda candidate: -candidate.explained)
 
 
 def find_candidates(base: Base, noise: float) -> list[Candidate]:
-    """Return the significant departures; a drag dissipates energy."""
+    """Return the departures that lower the cost by more than noise; a drag dissipates energy."""
     thin, least = base.thinned(), max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
     misfit = base.misfit_beyond_noise(noise)
     found = []
     for departure in DEPARTURES:
-        scale, tried = best_scale(thin, departure)
-        step = score(base.linear, base.respond([departure.forcing(base.motion, scale)])) if tried else None
-        if step is None or (departure.drag is not None and not step.coefficients[0] > 0):
+        scale = best_scale(thin, departure)
+        if scale is None:
             continue
-        if sigmas(step.log_p, tried * len(DEPARTURES)) > LEAST_SIGMAS and step.gain > least:
-            found.append(Candidate(departure, scale, step.coefficients, step.gain / max(misfit, LEAST_GAIN)))
+        size, gain = (part[0] for part in linear_steps(base, departure, np.array([scale])))
+        if gain > least and (departure.drag is None or size[0] > 0):
+            found.append(Candidate(departure, scale, size, float(gain) / max(misfit, LEAST_GAIN)))
     return found
 
 
-def best_scale(base: Base, departure: Departure) -> tuple[float, int]:
-    """Return the scale that explains most, NaN without one, and how many were tried."""
+def best_scale(base: Base, departure: Departure) -> float | None:
+    """Return the scale that explains most, NaN of a departure without one, None where the record has room for none."""
     if departure.scales is None:
-        return np.nan, 1
+        return math.nan
     scales = departure.scales(base.motion)
     if scales.size == 0:
-        return np.nan, 0
+        return None
     if scales.size == 1:
-        return float(scales[0]), 1
-    gain = gains(base, departure, scales)
+        return float(scales[0])
+    gain = linear_steps(base, departure, scales)[1]
     top = int(np.argmax(gain))
     gaps = np.abs(np.diff(np.log(scales)))
     gap = float(np.min(gaps[max(top - 1, 0) : top + 1]))
     nearer = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
-    return float(nearer[np.argmax(gains(base, departure, nearer))]), scales.size
+    return float(nearer[np.argmax(linear_steps(base, departure, nearer)[1])])
 
 
-def gains(base: Base, departure: Departure, scales: Array) -> Array:
-    """Return the decrease of the cost at each scale; 0 where the fit adjusts the departure already."""
-    found = []
-    for part in np.array_split(scales, math.ceil(scales.size / SCALES_AT_ONCE)):
-        columns = base.respond([departure.forcing(base.motion, float(scale)) for scale in part])
+def linear_steps(base: Base, departure: Departure, scales: Array) -> tuple[Array, Array]:
+    """Return coefficients (s, columns) and decrease of the cost (s,) at each scale; 0 where the fit adjusts them."""
+    coefficients, gain = np.zeros((scales.size, departure.columns)), np.zeros(scales.size)
+    for part in np.array_split(np.arange(scales.size), math.ceil(scales.size / SCALES_AT_ONCE)):
+        columns = base.respond([departure.forcing(base.motion, float(scale)) for scale in scales[part]])
         scores, shape = base.linear.scores(columns), (part.size, departure.columns)
         every = np.arange(columns.shape[1]).reshape(shape)
-        information = scores.total_information[every[:, :, np.newaxis], every[:, np.newaxis]]
-        size, raw, total = np.einsum("skk->sk", information), scores.raw.reshape(shape), scores.total.reshape(shape)
+        information = scores.information[every[:, :, np.newaxis], every[:, np.newaxis]]
+        size, raw, gradient = (
+            np.einsum("skk->sk", information),
+            scores.raw.reshape(shape),
+            scores.gradient.reshape(shape),
+        )
         # beside an unstable motion the response to a force grows beyond all numbers
-        usable = np.isfinite(raw) & np.isfinite(size) & np.isfinite(total)
+        usable = np.isfinite(raw) & np.isfinite(size) & np.isfinite(gradient)
         kept = np.all(usable & (size > LEAST_KEPT * np.where(usable, raw, 0.0)), axis=1)
-        gain = np.zeros(part.size)
-        gain[kept] = 0.5 * np.sum(total[kept] * solve(information[kept], total[kept]), axis=1)
-        found.append(gain)
-    return np.concatenate(found)
+        coefficients[part[kept]] = -solve(information[kept], gradient[kept])
+        gain[part[kept]] = -0.5 * np.sum(gradient[kept] * coefficients[part[kept]], axis=1)
+    return coefficients, gain
 
 
 # Least share of the misfit explained in one linear step by a fitted departure; true ones but drags explain 0.72 to 1.
@@ -374,7 +333,7 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
     if finished is None or base is None:
         return None
     linear = base.linear
-    before = 0.5 * float(np.sum(np.add.reduceat(fit.residual**2, linear.first[:-1]) * linear.weights))
+    before = replace(linear, residual=fit.residual).cost
     refit = Refit(without_level_errors(finished), base, before - linear.cost)
     dissipates = candidate.departure.drag is None or refit.size[0] > 0
     return refit if dissipates and refit.sigmas > LEAST_SIGMAS else None

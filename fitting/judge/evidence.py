@@ -16,6 +16,10 @@ Ramp and belt.  Without the belt's counts a ramp and a jump on a belt that slows
 (`rig_sim.flow.modes`, droop).  So the jump law of the nearest ramp also competes on a belt whose compliance is fitted,
 and pays for it as the ramp pays for its width.  Runs at several belt speeds can separate the two: a ramp has the same
 width at every speed, while each run has its own compliance.
+
+Several contacts.  Runs of two contacts may have one joint law that describes them, since each run has levels and a rest
+position of its own.  So the nearest of the six, fitted to each run by itself, competes too, and pays for the parameters
+of every run.
 """
 
 import math
@@ -227,6 +231,38 @@ def no_larger(errors: Array, best: Array, samples: float) -> bool:
     return mean <= CONTRADICTED_BY * error or 2 * max(errors.size, samples) * mean < OPEN
 
 
+def runs_differ(fits: Sequence[Fit], best: Array, runs: Sequence[Run], units: Units) -> bool:
+    """Return whether the nearest of the six, fitted to each run by itself, has more evidence than the best joint fit.
+
+    ``best`` are the penalised log errors (units,) of the latter.
+    """
+    kernels = [fit for fit in fits if fit.law.has_kernel]
+    if len(runs) == 1 or not kernels:
+        return False
+    joint = min(kernels, key=lambda fit: fit.geometric_mean_rms)
+    samples, first = max(units.samples, best.size), 0
+    cost, errors = 0.0, []
+    for number, run in enumerate(runs):
+        fit = _fit_alone(joint, number, run)
+        if fit is None:
+            return False
+        inliers = units.inliers[joint.windows.run == number]
+        count = int(inliers.sum()) if units.sustained else int(run.cut.uses_start and run.cut.drag != (0, 0))
+        own = Units(units.sustained, inliers, units.pieces[first : first + count], units.samples)
+        errors.append(unit_errors(fit, [run], own))
+        cost += fit.law_parameters * math.log(samples) + prior_misfit(fit)
+        first += count
+    return 2 * samples * float(np.mean(best) - np.mean(np.concatenate(errors))) - cost > OPEN
+
+
+def _fit_alone(joint: Fit, number: int, run: Run) -> Fit | None:
+    """Fit a run by itself, from the end of a joint fit."""
+    task, cycles = law_task(joint.law, [run]), joint.windows.run == number
+    own = joint.u[PER_RUN * number : PER_RUN * (number + 1)]
+    noise = replace(joint.noise.without_fade, sigma=joint.noise.sigma[[number]], weights=joint.noise.weights[cycles])
+    return fit_from(task, FitStart(own[list(task.places)], joint.local[cycles]), noise)
+
+
 WIDEST_BELT_LOSS = 0.03  # speed that a belt may lose under the load Fs, over its own
 SAME_ERROR = 0.05  # difference in log error, chosen: a hyperbola on a compliant belt and a ramp differ by less
 
@@ -265,7 +301,10 @@ def with_indistinct_contacts(
     *,
     sustained: bool,
 ) -> ModelSet:
-    """Add a jump, or its ramp, to the set where the other is in it and a belt under load may explain the difference."""
+    """Add to the set a jump law on a belt that slows under load beside its ramp law, or a ramp law beside its jump law.
+
+    A ramp law joins where the jump law slows under load, or where the record allows a wider ramp than a belt explains.
+    """
     members = list(chosen.members)
     pairs = [(jump, ramp) for jump in fits.values() for ramp in fits.values() if ramp.law.is_ramp_of(jump.law)]
     for jump, ramp in pairs:
@@ -274,7 +313,8 @@ def with_indistinct_contacts(
         member, other = (jump, ramp) if jump.law in members else (ramp, jump)
         if float(np.mean(errors[other.law] - errors[member.law])) > SAME_ERROR:
             continue
-        if slows_under_load(jump) or _width(ramp, runs, alpha, sustained=sustained)[1] > WIDEST_BELT_LOSS:
+        undetermined = other is ramp and _width(ramp, runs, alpha, sustained=sustained)[1] > WIDEST_BELT_LOSS
+        if slows_under_load(jump) or undetermined:
             place = 0 if other is jump and members[0] == ramp.law else len(members)
             members.insert(place, other.law)
     return replace(chosen, members=tuple(members))

@@ -19,7 +19,7 @@ from fitting.judge.parameters import BreakAway
 from fitting.model.forces import Forcing
 from fitting.record.cycles import CycleSegmentation
 from fitting.search.fit import Fit
-from processing.record.finding import Finding
+from processing.record.motion import Finding
 from stickslip.compute.arrays import Array, autocorrelation_time
 from stickslip.units import Measured
 

@@ -12,7 +12,6 @@ that one. `fitting.judge.evidence` compares them with the six.
 import logging
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
 
@@ -20,66 +19,61 @@ import numpy as np
 
 from fitting import noise_levels
 from fitting.judge.calibrations import formula_given
-from fitting.judge.curve import (
-    GRID_SPEEDS,
-    MeasuredCurve,
-    MeasuredTarget,
-    friction_target,
-    measured_target,
-    seen_speeds,
-)
+from fitting.judge.curve import MeasuredCurve, curve_target, seen_speeds
 from fitting.laws import PUBLISHED, Competitors, Law, natural_size
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import PER_RUN, Global
-from fitting.search.exchange import WORSE, best_end, start_beside
+from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, select_better, start_beside
 from fitting.search.fit import Fit, PassNoise, Unfitted
 from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.passes import finish
 from stickslip.errors import InputError
 
+GRID_SPEEDS = 300  # speeds at which a formula is compared with a fitted law, as dense as the curve's knots
 CONSTANT_LEFT = 1e-6  # share of a constant not spanned by the derivatives of a formula that has one
-# Chi square over that of the nearest minimum, up to which others are starts; over that of the curve's errors, above
-# which a formula starts where friction itself is nearest.
-START_MISFIT = 4.0
+START_MISFIT = 4.0  # distance squared over that of the nearest minimum, up to which others are starts
 
 
-def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit], target: MeasuredTarget) -> Fit | None:
+def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit | None:
     """Fit a law to the measured curve's runs, also from the end of ``others`` where it fits worse than they require."""
     host, noise = seen.spline_fit, seen.noise
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else seen.ramp))
-    curve, measured, within_errors = _started(law, fastest, target, host)
+    target, level_sd = curve_target(seen)
+    curve = FormulaCurve(law, fastest, target.off_by_a_constant(level_sd))
     problem = _problem(curve, host)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
     beside = start_beside(task, host)
     starts = []
     for start in curve.starts:
-        if start.misfit <= max(START_MISFIT * curve.starts[0].misfit, within_errors):
+        if start.misfit <= START_MISFIT * curve.starts[0].misfit:
             theta = curve.theta_at(start.values)
-            friction = curve.at_speeds(theta, measured.alone.speeds)
-            rise = measured.alone.constant_beside(friction, measured.level_sd) / host.u[Global.K]
+            friction = curve.at_speeds(theta, target.speeds)
+            rise = target.constant_beside(friction, level_sd) / host.u[Global.K]
             shared = beside.q[: len(task.places)] + [rise * _is_free_rest(problem, place) for place in task.places]
             starts.append(beside._replace(q=np.concatenate([shared, theta])))
     position = float(np.max(noise))
     # On one contact no law is nearer to the record than the free curve.
     hopeless = seen.chi > noise_levels.LOST
     starts = starts[:1] if hopeless else starts
-    best = min(others, key=lambda one: one.geometric_mean_rms, default=None)
-    inner = min((one.geometric_mean_rms for one in others if contained(law, one.law)), default=math.inf)
-    least = math.inf if best is None else best.geometric_mean_rms
-    settled = best_end(task, [(start, host.noise.without_fade) for start in starts], noise, least)
-    again: list[tuple[FitStart, PassNoise | None]] = []
-    if not hopeless and (settled is None or WORSE * least < settled.geometric_mean_rms < noise_levels.LOST * least):
-        again += [(start, None) for start in starts]
-    if best is not None and (settled is None or settled.geometric_mean_rms > WORSE * inner):
-        again += [(start, best.noise.without_fade) for start in _at_end_of(task, best)]
-    if again and not (settled and settled.geometric_mean_rms < noise_levels.DESCRIBES * position):
-        ends = (settled, best_end(task, again, noise, least))
-        settled = min((end for end in ends if end), key=attrgetter("geometric_mean_rms"), default=None)
-    found = settled
+    by_error = attrgetter("geometric_mean_rms")
+    nearest = min(others, key=by_error, default=host)
+    inner = min((one for one in others if contained(law, one.law)), key=by_error, default=None)
+    least = nearest.geometric_mean_rms
+    tried = [(start, host.noise.without_fade) for start in starts]
+    if law.name not in PUBLISHED:  # it may be the nearest law, written in another way
+        tried = [*_starts_beside(task, nearest), *tried]
+    found = best_end(task, tried, noise, least)
+    error = math.inf if found is None else found.geometric_mean_rms
+    limited = inner is not None and error > WORSE * inner.geometric_mean_rms
+    behind = not hopeless and WORSE * least < error < FAR_BEYOND_BEST * least
+    if (found is None or limited or behind) and error > noise_levels.DESCRIBES * position:
+        neighbours = dict.fromkeys([inner, nearest] if inner is not None and limited else [nearest])
+        again = [start for neighbour in neighbours for start in _starts_beside(task, neighbour)]
+        found = select_better(found, best_end(task, again, noise, least))
     limit = min(noise_levels.LOST * position, noise_levels.NEAR * max(least, position))
-    if settled is not None and settled.geometric_mean_rms < limit:
-        found = finish(settled, noise) or settled
+    if found is not None and found.geometric_mean_rms < limit:
+        found = finish(found, noise) or found
     return found if found is not None and found.can_be_followed else None
 
 
@@ -88,8 +82,8 @@ def contained(law: Law, other: Law) -> bool:
     return (law.contains(other) or other.number == 1) and not (other.number and other.ramp)
 
 
-def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:
-    """Return starts nearest to another law's friction, at the assumed rest position."""
+def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise]]:
+    """Return starts nearest to another law's friction, at the assumed rest position, with its noise."""
     curve, knots = task.curve, np.linspace(0.0, 1.0, GRID_SPEEDS)
     if not isinstance(curve, FormulaCurve):
         raise TypeError("not the task of a formula")
@@ -107,26 +101,8 @@ def _at_end_of(task: Task, neighbour: Fit) -> list[FitStart]:
     except InputError:
         return []
     shared = beside.q[: len(task.places)]
-    return [beside._replace(q=np.concatenate([shared, curve.theta_at(start.values)])) for start in nearest]
-
-
-def _started(
-    law: Law, fastest: float, measured: MeasuredTarget, host: Fit
-) -> tuple[FormulaCurve, MeasuredTarget, float]:
-    """Return the formula with its starts, their target (friction itself if far off), and the misfit of its errors."""
-    curve, within_errors = None, float(measured.alone.aim.size)
-    try:
-        curve = FormulaCurve(law, fastest, measured.near)
-    except InputError as error:
-        refused = error
-    if curve is not None and curve.starts[0].misfit <= START_MISFIT * within_errors:
-        return curve, measured, within_errors
-    nearest = friction_target(host)
-    with suppress(InputError):
-        return FormulaCurve(law, fastest, nearest.near), nearest, 0.0
-    if curve is None:
-        raise refused
-    return curve, measured, within_errors
+    noise = neighbour.noise.without_fade
+    return [(beside._replace(q=np.concatenate([shared, curve.theta_at(start.values)])), noise) for start in nearest]
 
 
 def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
@@ -170,12 +146,11 @@ def fit_formulas(
     fits: list[Fit] = []
     missing: list[Unfitted] = []
     warned: list[str] = []
-    target = None if curve is None else measured_target(curve)
     for law in _candidates(competitors, curve, six):
         asked = competitors.asks(law)
         fit: Fit | str = "the friction curve could not be measured"
-        if curve is not None and target is not None:
-            fit = _fit(law, curve, target, [*six, *fits], asked=asked)
+        if curve is not None:
+            fit = _fit(law, curve, [*six, *fits], asked=asked)
         if isinstance(fit, str):
             missing.append(Unfitted(law, fit, asked))
             logger.info("law %s was not fitted: %s", law.name, fit)
@@ -196,7 +171,7 @@ def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequ
     yield from (replace(law, ramp=ramp) for law in PUBLISHED.values() if not competitors.asks(law))
 
 
-def _fit(law: Law, curve: MeasuredCurve, target: MeasuredTarget, others: Sequence[Fit], *, asked: bool) -> Fit | str:
+def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) -> Fit | str:
     """Fit one formula, or return why it is not fitted."""
     if not asked:
         host = curve.spline_fit
@@ -208,7 +183,7 @@ def _fit(law: Law, curve: MeasuredCurve, target: MeasuredTarget, others: Sequenc
             if law.contains(other.law) and gain < worth:
                 return f"it contains law {other.law.name}, which no curve fits better: the record cannot exclude it"
     try:
-        fit = fit_formula(law, curve, others=others, target=target)
+        fit = fit_formula(law, curve, others=others)
     except InputError as error:
         return error.what.removeprefix(f"law {law.name} is ")
     if fit is None:

@@ -5,8 +5,8 @@ the error of the time.  All three are estimated from fourth differences of the r
 cancels.  Not modelled: noise that is correlated over several samples, as after a low-pass filter.
 
 Statistics.  Each slip, from its window's start to the landing, is cut into bins of its phase, and the residual is
-averaged in them: a wrong law leaves a residual that is smooth over a bin and repeats from slip to slip.  Two more are
-of whole cycles, sticks included: the largest mean square over the median, and the rms of all.
+averaged in them: a wrong law leaves a residual that is smooth over a bin and repeats from slip to slip.  One more
+is of whole cycles, sticks included: the rms of all.
 
 Null distribution.  The fitted motion is measured repeatedly with the record's noise, all unknowns are fitted again,
 linearly, and the statistics are taken of the residual.  Rounding makes patterns that repeat from cycle to cycle; the
@@ -33,8 +33,8 @@ from fitting.distributions import gamma_tail, gamma_upper_quantile
 from fitting.judge.linearised import LinearisedFit, Repeat
 from fitting.least_squares.normal_equations import MOST_AT_ONCE, Block, UnfollowableError
 from fitting.model.path import Path
-from fitting.model.tangents import local_tangents, tangents
-from fitting.model.unknowns import PER_RUN, Global
+from fitting.model.tangents import tangents
+from fitting.model.unknowns import PER_RUN, Global, PerCycle
 from fitting.model.windows import SPOILT, ShootingWindows
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
@@ -138,7 +138,6 @@ class Statistics(NamedTuple):
 
     repeat: Array  # share of the binned variance that repeats from slip to slip, without bias: 0 for noise
     smooth: Array  # variance of the binned residuals over that of white noise of the same rms; median
-    worst: Array  # largest mean square of a cycle, over the median
     rms: Array  # of all cycles, equally weighted, m
 
 
@@ -227,7 +226,7 @@ class SlipBins:
         rms = np.asarray(np.sqrt(np.sum(squares, axis=0) / max(squares.shape[0], 1)))
         if not self.judged:
             nothing = np.zeros(rms.size)
-            return Statistics(nothing, nothing, nothing, rms)
+            return Statistics(nothing, nothing, rms)
         number, occupied = self.residuals_and_bins
         square = np.maximum(self.per_slip(squared) / number, 1e-300)
         binned = self.per_slip(sums**2 / self.count[:, None]) / occupied
@@ -238,7 +237,6 @@ class SlipBins:
         return Statistics(
             repeat=(np.sum(together**2, axis=0) - each) / np.maximum((self.slips - 1) * each, 1e-300),
             smooth=np.median(binned / square, axis=0),
-            worst=np.max(squares, axis=0) / np.maximum(np.median(squares, axis=0), 1e-300),
             rms=rms,
         )
 
@@ -246,7 +244,7 @@ class SlipBins:
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13  # seed of the repetitions: the same for every record
 REJECTED = 1e-6  # p-value below which noise is rejected: five standard deviations, since the gamma tails are rough
-TESTS = 4  # what repeats, what is smooth, the worst cycle, and the size of all
+TESTS = 3  # what repeats, what is smooth, and the size of all
 NOISE_KNOWN = 1.2  # rms of all judged cycles over that of the repetitions, at most; true laws leave 0.97 to 1.04
 
 
@@ -322,14 +320,12 @@ def judge(
     fit: Fit,
     motions: Sequence[MeasuredMotion],
     left_out: Mask,
-    windows: ShootingWindows | None = None,
 ) -> tuple[RunSlips, ...]:
     """Return the statistics of each run's slips with their null distribution.
 
-    Residual and ``refit`` are of a fit without the cycles ``left_out``; ``windows`` replace the fit's where the
-    residual is of others.
+    Residual and ``refit`` are of a fit without the cycles ``left_out``.
     """
-    windows = fit.windows if windows is None else windows
+    windows = fit.windows
     owner = np.repeat(windows.table[:, 5], windows.table[:, 3])
     position = windows.position + residual
     velocity = np.empty_like(position)
@@ -396,11 +392,10 @@ def probability(slips: RunSlips) -> float | None:
     if not slips.bins.judged:
         return None
     begin, null = least(slips.bins), slips.null
-    repeat, smooth, worst, rms = (float(seen[0]) for seen in slips.seen)
+    repeat, smooth, rms = (float(seen[0]) for seen in slips.seen)
     found = (
         tail(repeat - begin, null.repeat - begin),
         tail(smooth, null.smooth),
-        tail(worst, null.worst) if worst > SPOILT else None,
         tail(rms / NOISE_KNOWN, null.rms),
     )
     return _corrected(found, TESTS)
@@ -423,54 +418,57 @@ def tail(value: float, null: Array) -> float | None:
     return gamma_tail(value, mean, spread) if mean > 0 and spread > ROUNDING * mean else None
 
 
-TIMES_TRIED = 40  # times of a step that are tried in a slip and in a stick
+TIMES_TRIED = 120  # times of a step that are tried in a cycle
 LEAST_EXPLAINED = 0.9  # share of a cycle's excess mean square that a step must explain
 # Other cycles of a run, and their share, that may fit badly by chance: a touch of a hand, an unseen overtaking.
 MOST_ODD, MOST_ODD_SHARE = 1, 0.1
 
 
-def left_out(
-    path_in: Callable[[Block], Path | None], linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers
-) -> Mask:
+def left_out(linear: LinearisedFit, windows: ShootingWindows, landings: Array, spoilt: Mask) -> Mask:
     """Return which spoilt cycles (cycles,) to leave out: those struck, and others where they are few."""
     if not spoilt.any():
         return spoilt
-    struck = _struck(path_in, linear, landings, spoilt, run)
+    struck = _struck(linear, windows, landings, spoilt)
     odd = spoilt & ~struck
-    for one in np.unique(run[odd]):
-        own = odd & (run == one)
-        if own.sum() > max(MOST_ODD, MOST_ODD_SHARE * np.sum(run == one)):
-            odd &= ~own
+    for run in np.unique(windows.run[odd]):
+        cycles = windows.run == run
+        if np.sum(odd & cycles) > max(MOST_ODD, MOST_ODD_SHARE * np.sum(cycles)):
+            odd &= ~cycles
     return np.asarray(struck | odd)
 
 
-def _struck(
-    path_in: Callable[[Block], Path | None], linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers
-) -> Mask:
-    """Return the spoilt cycles whose excess residual one velocity step explains nearly in full."""
+def _struck(linear: LinearisedFit, windows: ShootingWindows, landings: Array, spoilt: Mask) -> Mask:
+    """Return the spoilt cycles whose excess residual one step explains nearly in full."""
     square = cycle_squares(linear.residual[:, np.newaxis], linear.rows)[:, 0]
-    found = np.zeros_like(spoilt)
-    for k in np.flatnonzero(spoilt).tolist():
-        rows = linear.rows[k]
-        path = path_in(Block(slice(k, k + 1), rows))
-        if path is None:
-            continue
-        at = k if len(path.windows.rows) == spoilt.size else 0
-        usual = float(np.median(square[run == run[k]]))
-        left = square[k] - _best_gain(linear, k, path, at, float(landings[k])) / (rows.stop - rows.start)
-        found[k] = left < SPOILT * usual or left - usual < (1 - LEAST_EXPLAINED) * (square[k] - usual)
-    return found
+    struck = np.zeros_like(spoilt)
+    stick = np.repeat(windows.table[:, 1] == 1, windows.table[:, 3])
+    for block, part in linear.derivatives:
+        for k in block.cycles.start + np.flatnonzero(spoilt[block.cycles]):
+            rows = linear.rows[k]
+            own = part[rows.start - block.rows.start : rows.stop - block.rows.start, linear.priors.gradient.size :]
+            phase = np.where(stick[rows], 0, 1 + (windows.time[rows] >= landings[k]))
+            steps = _steps(own[:, PerCycle.X_SLIP], own[:, PerCycle.V_SLIP], phase)
+            excess = square[k] - float(np.median(square[windows.run == windows.run[k]]))
+            usual, left = square[k] - excess, square[k] - _best_gain(linear, k, own, steps) / phase.size
+            struck[k] = left < SPOILT * usual or left - usual < (1 - LEAST_EXPLAINED) * excess
+    return struck
 
 
-def _best_gain(linear: LinearisedFit, k: int, path: Path, at: int, landing: float) -> float:
-    """Return by how much the best step lowers a cycle's sum of squares with its own unknowns free."""
-    rows = path.windows.rows[at]
-    columns = np.hstack([tangents(path, _impulses(path, landing, at)), _position_steps(path, landing, at)])[rows]
-    local, residual, q = (
-        local_tangents(path)[rows],
-        linear.residual[linear.rows[k]],
-        linear.priors.local_gradient.shape[1],
-    )
+def _steps(x: Array, v: Array, phase: Integers) -> Array:
+    """Return the response (n, TIMES_TRIED) to steps of the velocity in slip, of the position in the other phases.
+
+    ``x`` and ``v`` (n,) are the responses to where and how fast the slip started: a step of the velocity is followed by
+    the combination of both that is 0 at the step.
+    """
+    at = np.linspace(1, phase.size - 1, TIMES_TRIED).round().astype(np.int64)
+    later = np.arange(phase.size)[:, np.newaxis] >= at
+    velocity = np.outer(v, x[at]) - np.outer(x, v[at])
+    return np.asarray(later * np.where(phase[at] == 1, velocity, phase[:, np.newaxis] == phase[at]))
+
+
+def _best_gain(linear: LinearisedFit, k: int, local: Array, columns: Array) -> float:
+    """Return by how much the best column lowers a cycle's sum of squares with its own unknowns free."""
+    residual, q = linear.residual[linear.rows[k]], local.shape[1]
     prior = np.diag(np.sqrt(linear.priors.local_precision[k] / max(linear.weights[k], 1e-300)))
     scale = np.sqrt(np.maximum(np.sum(local**2, axis=0) + np.diag(prior) ** 2, 1e-300))
     own = np.linalg.qr(np.vstack([local, prior]) / scale)[0]
@@ -479,35 +477,6 @@ def _best_gain(linear: LinearisedFit, k: int, path: Path, at: int, landing: floa
     square = np.sum(both[:, 1:] ** 2, axis=0)
     seen = square > 1e-9 * np.sum(columns**2, axis=0)
     return float(np.max((both[:, 1:].T @ both[:, 0]) ** 2 / np.where(seen, square, np.inf), initial=0.0))
-
-
-def _impulses(path: Path, landing: float, cycle: int) -> Array:
-    """Return accelerations (M, TIMES_TRIED) that change the velocity by about 1 m/s in one step of a cycle's slip."""
-    found = np.zeros((path.time.size, TIMES_TRIED))
-    table = path.windows.table
-    for row in np.flatnonzero((table[:, 1] == 0) & (table[:, 0] == cycle)):
-        first = path.steps[path.first_step[row] : path.first_step[row + 1], 0]
-        length = path.time[first + 2] - path.time[first]
-        slips = (path.time[first] < landing) & (length > 0)
-        first, length = first[slips], length[slips]
-        if first.size:
-            chosen = np.round(np.linspace(0, first.size - 1, TIMES_TRIED)).astype(np.int64)
-            # a step's middle counts four times as much as its ends, which belong to its neighbours too
-            found[first[chosen] + 1, np.arange(TIMES_TRIED)] = 1.5 / length[chosen]
-    return found
-
-
-def _position_steps(path: Path, landing: float, cycle: int) -> Array:
-    """Return steps of the position (N, 2 TIMES_TRIED) in a cycle's stick and after its landing."""
-    windows = path.windows
-    found = np.zeros((windows.time.size, 2 * TIMES_TRIED))
-    for _, stick, first, count, _, _ in windows.table[windows.table[:, 0] == cycle]:
-        own = slice(first, first + count)
-        begin = windows.time[first] if stick else landing
-        times = np.linspace(begin, windows.time[first + count - 1], TIMES_TRIED + 1)[:-1]
-        place = slice(0, TIMES_TRIED) if stick else slice(TIMES_TRIED, 2 * TIMES_TRIED)
-        found[own, place] = windows.time[own, np.newaxis] >= times
-    return found
 
 
 PERIODS = (1.0, 2.0)  # over the slip speeds; the law's parameters make up for less than one

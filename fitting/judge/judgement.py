@@ -1,7 +1,7 @@
 """The one competition of all laws: which describe the record, and which of these it cannot distinguish."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ class Competition:
     curve: MeasuredCurve | None = None  # friction without a law, per unit mass
     noise: Array = field(default_factory=lambda: np.empty(0))  # (runs,) standard deviation of one position, m
     six: tuple[Fit, ...] = ()  # all of the six that were fitted, requested or not
+    runs_differ: bool = False  # whether a law describes each run better by itself than any law does all of them
     unfitted: tuple[Unfitted, ...] = ()
     warnings: tuple[str, ...] = ()  # about formulas that could not be fitted, or not in all their parameters
 
@@ -51,9 +52,14 @@ class Competition:
     def described(self) -> bool:
         return bool(self.chosen.members)
 
+    @property
+    def undescribed(self) -> "Competition":
+        """The same where no law describes the runs together."""
+        return replace(self, chosen=ModelSet((), {}, {}, {}), not_excluded=())
+
     def describes(self, law: Law) -> bool:
         """Whether a law describes the record, as far as that can be judged."""
-        return law in self.judged and not self.judged[law].together.rejected
+        return self.described and law in self.judged and not self.judged[law].together.rejected
 
 
 def compete(
@@ -101,6 +107,7 @@ def compete(
         chosen,
         misfit,
         tuple(sorted(equal, key=lambda law: law.contains(first))),
+        runs_differ=evidence.runs_differ([by_law[law] for law in judged], penalised[first], runs, units),
     )
 
 

@@ -24,7 +24,6 @@ from stickslip.errors import DataError, InputError
 # to 79, three parameters without meaning 1.2.
 STEADY_DRAG_ERROR = 1.3
 CONSTANT = (SIX[1], SIX[2])  # laws of constant friction, which alone make a mass graze the belt
-MOST_OTHERS = 3  # ripples tried instead of the likeliest: each costs another fit of all laws
 
 
 class NoLawError(Exception):
@@ -51,13 +50,10 @@ def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
 
 
 def _with_ripple(run: Run) -> Run:
-    """Return a run with the ripple that its sticks show, if any."""
+    """Return a run with the ripple that its sticks show, if any, cut as on a steady belt."""
     found = ripple.find_ripple(run.motion, run.cut)
-    return run if found is None else _rippled(run, found)
-
-
-def _rippled(run: Run, found: ripple.Ripple) -> Run:
-    """Return a run with a ripple, cut as on a steady belt."""
+    if found is None:
+        return run
     return replace(run, cut=cycles.segment_cycles(found.removed(run.motion), _excluded(run)), ripple=found)
 
 
@@ -85,8 +81,6 @@ def fit_runs(
     fit_to = partial(_fit_laws, jobs=options.jobs, progress=progress, scheduler=options.scheduler)
     if sustained:
         fits = fit_to(laws, runs)
-        if len(runs) == 1 and runs[0].ripple is not None and fits and not is_described(fits, runs):
-            fits, runs = _fit_other_ripples(laws, runs[0], fits, fit_to)
     else:
         fits, runs, sustained = _fit_grazing(laws, runs, fit_to)
     fits = [fit for fit in fits if fit.law in laws]
@@ -98,7 +92,7 @@ def fit_runs(
         )
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
     doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
-    if not fits or doubt == screening.SINE_ALONE:
+    if not fits:
         refuse(doubt, records)
     if not doubt:
         screening.refuse_missing_frames(fits, records)
@@ -115,29 +109,8 @@ def _fit_laws(
     return [without_level_errors(one) for one in exchange.fit_laws(laws, runs, among, **how)]
 
 
-def _fit_other_ripples(
-    laws: Sequence[Law], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
-) -> tuple[list[Fit], Sequence[Run]]:
-    """Fit the laws with other possible ripples, until one describes the run; return the best fits."""
-    best = fits, run
-    least = min(fit.geometric_mean_rms for fit in fits)
-    for trial in _other_ripples(run):
-        fits = fit_to(laws, [trial])
-        error = min((fit.geometric_mean_rms for fit in fits), default=math.inf)
-        if error < least:
-            best, least = (fits, trial), error
-            if is_described(fits, [trial]):
-                break
-    return best[0], [best[1]]
-
-
 def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
     return describes([min(fits, key=lambda fit: fit.geometric_mean_rms)], [run.motion for run in runs])
-
-
-def _other_ripples(run: Run) -> list[Run]:
-    likely = ripple.find_ripples(run.motion, cycles.segment_cycles(run.motion, _excluded(run)))
-    return [_rippled(run, other) for other in likely[1 : 1 + MOST_OTHERS]]
 
 
 def _fit_grazing(
@@ -158,11 +131,8 @@ def _fit_grazing(
     for fits, runs in tried:
         if not _more_than_constant(fits, runs):
             return fits, runs, False
-    choices = [runs for _, runs in tried]
-    if len(tried) > 1 and len(steady) == 1:
-        choices += [[other] for other in _other_ripples(steady[0])]
     found = []
-    for choice in choices:
+    for _, choice in tried:
         fits = fit_to(laws, choice)
         if fits and is_described(fits, choice):
             return fits, choice, True

@@ -9,6 +9,7 @@ of each cycle are eliminated by the same `SchurComplement`.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,23 +35,12 @@ Repeat = Callable[[Sequence[Block]], Iterable[Array]]
 WEIGHT_LEFT = 1e-6  # share of its weight left to a cycle that does not count: its own unknowns stay determined
 
 
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """Gradient and curvature of the cost in d more unknowns; without a cycle its score and information are missing."""
+class Scores(NamedTuple):
+    """Gradient and curvature of the cost in d more unknowns, with all others fitted again."""
 
-    score: Array  # (cycles, d) each cycle's gradient
-    information: Array  # (cycles, d, d) each cycle's curvature
-    prior_score: Array  # (d,) the same of the priors of the shared unknowns
-    prior_information: Array
+    gradient: Array  # (d,)
+    information: Array  # (d, d)
     raw: Array  # (d,) curvature before elimination; the share that is left says how distinguishable an unknown is
-
-    @property
-    def total(self) -> Array:
-        return np.asarray(self.score.sum(axis=0) + self.prior_score)
-
-    @property
-    def total_information(self) -> Array:
-        return np.asarray(self.information.sum(axis=0) + self.prior_information)
 
 
 def cut(columns: Array, blocks: Sequence[Block]) -> Iterator[Array]:
@@ -110,16 +100,6 @@ class LinearisedFit:
         return SchurComplement(self.blocks)
 
     @cached_property
-    def information(self) -> Array:
-        """Each cycle's information on the shared unknowns, (cycles, p, p)."""
-        return self.reduced.by_cycle(self.blocks.cycle_curvature)
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance (p, p) of the shared unknowns for white noise."""
-        return self.reduced.covariance
-
-    @cached_property
     def _pull(self) -> Array:
         """The step (cycles, q) by the gradients of the cycles' unknowns alone."""
         return self.reduced.local_step(self.blocks.gl)
@@ -132,45 +112,42 @@ class LinearisedFit:
     def refit(self, residuals: Repeat) -> Iterator[tuple[Block, Array]]:
         """Yield the residuals of B records after a linear fit from its true unknowns, block by block.
 
-        Unchanged where the step would raise the cost: at a jump of the motion the derivatives fail.
+        Unchanged where the step raises the cost: at a jump of the motion the derivatives fail, and along what the
+        unknowns hardly change the step is rounding.
         """
         shared, own = self._gradients(residuals(self.derivatives.blocks))
-        step, local = self.reduced.newton_step(shared.sum(axis=0), own)
-        lower = self._change(shared.sum(axis=0), own, step, local) <= 0
-        steps = self._steps(step, local)
+        steps = self._steps(*self.reduced.newton_step(shared.sum(axis=0), own))
+        weights = np.repeat(self.weights, np.diff(self.first))
+        rise = sum(
+            np.einsum("n,nb->b", weights[block.rows], moved**2 - drawn**2)
+            for block, drawn, moved in self._move(residuals, steps)
+        )
+        for block, drawn, moved in self._move(residuals, steps):
+            yield block, np.where(rise <= 0, moved, drawn)
+
+    def _move(self, residuals: Repeat, steps: Array) -> Iterator[tuple[Block, Array, Array]]:
+        """Yield the residuals (n, B) of each block before and after steps (cycles, p + q, B)."""
         for (block, part), drawn in zip(self.derivatives, residuals(self.derivatives.blocks), strict=True):
-            yield block, np.where(lower, self._moved(block, part, drawn, steps), drawn)
+            moved = np.array(drawn, order="C")
+            kernel(elimination.add_along)(part, first_rows(self.first, block), steps[block.cycles], moved)
+            yield block, drawn, moved
 
     def refit_columns(self, residuals: Array) -> Array:
         return np.concatenate([left for _, left in self.refit(partial(cut, residuals))])
-
-    def _change(self, g: Array, gl: Array, step: Array, local: Array) -> Array:
-        """Return the changes (B,) of the weighted sums of squares with gradients g (p, B) and gl (cycles, q, B)."""
-        at, own = self.blocks, self.blocks.Hl - self.priors.local_precision[:, :, None] * np.eye(gl.shape[1])
-        slope = 2 * np.einsum("pb,pb->b", g, step) + 2 * np.einsum("cqb,cqb->b", gl, local)
-        bend = np.einsum("pb,pr,rb->b", step, at.H - self.priors.precision, step)
-        bend += 2 * np.einsum("pb,cpq,cqb->b", step, at.cross, local, optimize=True)
-        return np.asarray(slope + bend + np.einsum("cqb,cqr,crb->b", local, own, local, optimize=True))
 
     def without(self, spoilt: Mask) -> "LinearisedFit":
         """Return the fit after a Gauss-Newton step without some cycles, or as it was if that is worse."""
         weights = np.where(spoilt, WEIGHT_LEFT * self.weights, self.weights)
         others = self.of(self.derivatives, self.residual, self.rows, weights, self.priors)
         step, own = others.reduced.newton_step(others.blocks.g, others.blocks.gl)
-        steps, residual = self._steps(step[:, None], own[:, :, None]), self.residual[:, None]
-        moved = [self._moved(block, part, residual[block.rows], steps) for block, part in self.derivatives]
-        found = replace(others, residual=np.concatenate(moved)[:, 0], blocks=others.blocks.moved(step, own))
+        steps = self._steps(step[:, None], own[:, :, None])
+        moved = [after[:, 0] for _, _, after in self._move(partial(cut, self.residual[:, None]), steps)]
+        found = replace(others, residual=np.concatenate(moved), blocks=others.blocks.moved(step, own))
         return found if found.cost <= others.cost else self
 
     def _steps(self, step: Array, own: Array) -> Array:
         """Return steps (cycles, p + q, B) of all unknowns from those of the shared (p, B) and (cycles, q, B)."""
         return np.concatenate([np.broadcast_to(step, (len(self.rows), *step.shape)), own], axis=1)
-
-    def _moved(self, block: Block, part: Array, residuals: Array, steps: Array) -> Array:
-        """Return residuals (n, B) of a block after steps (cycles, p + q, B)."""
-        out = np.array(residuals, order="C")
-        kernel(elimination.add_along)(part, first_rows(self.first, block), steps[block.cycles], out)
-        return out
 
     @property
     def cost(self) -> float:
@@ -182,22 +159,21 @@ class LinearisedFit:
         """Return gradient and curvature in unknowns with position derivatives ``columns`` (N, d)."""
         columns = np.ascontiguousarray(columns)
         to_shared, to_local = self._gradients(cut(columns, self.derivatives.blocks))
-        parts = [(block, columns[block.rows]) for block in self.derivatives.blocks]
-        raw = np.concatenate([self._product(part, part, block) for block, part in parts])
         pull = self.reduced.local_step(to_local)
-        beside = self.reduced.reduced_gradients(to_shared, pull)
-        own = raw - np.einsum("cqd,cqe->cde", to_local, pull)
-        residual = self.residual[:, None]
-        gradient = np.concatenate([self._product(part, residual[block.rows], block) for block, part in parts])[:, :, 0]
-        gradient -= np.einsum("cqd,cq->cd", to_local, self._pull)
-        follow = np.einsum("ij,jd->id", self.covariance, beside.sum(axis=0))
-        back = np.einsum("id,cie->cde", follow, beside)
-        own += np.einsum("id,cij,je->cde", follow, self.information, follow, optimize=True)
-        own -= back + np.swapaxes(back, 1, 2)
+        beside = self.reduced.reduced_gradients(to_shared, pull).sum(axis=0)
+        follow = np.einsum("ij,jd->id", self.reduced.covariance, beside)
+        square, gradient = (
+            sum(
+                self._product(columns[block.rows], other[block.rows], block).sum(axis=0)
+                for block in self.derivatives.blocks
+            )
+            for other in (columns, self.residual[:, None])
+        )
+        shared = self.gradients.sum(axis=0) + self.priors.gradient
         return Scores(
-            score=gradient - np.einsum("id,ci->cd", follow, self.gradients),
-            information=own,
-            prior_score=-np.einsum("id,i->d", follow, self.priors.gradient),
-            prior_information=np.einsum("id,ij,je->de", follow, self.priors.precision, follow),
-            raw=np.einsum("cdd->d", raw),
+            gradient=gradient[:, 0]
+            - np.einsum("cqd,cq->d", to_local, self._pull)
+            - np.einsum("id,i->d", follow, shared),
+            information=square - np.einsum("cqd,cqe->de", to_local, pull) - np.einsum("id,ie->de", follow, beside),
+            raw=np.diag(square),
         )

@@ -224,6 +224,14 @@ class SchurComplement:
         scale, inverse = scaled_inverse(self.H, self._raw)
         return np.asarray(inverse * scale[:, None] * scale)
 
+    @cached_property
+    def _step_inverse(self) -> Array:
+        """The inverse (p, p) without directions that are lost in rounding: a step along them is random."""
+        scale, size, axes = scaled_axes(self.H, self._raw)
+        lost = ROUNDING * np.sum(np.abs(axes) * (np.sqrt(self._raw) * scale)[:, None], axis=0) ** 2
+        half = axes * scale[:, None] / np.sqrt(np.where(size > lost, size, np.inf))
+        return np.asarray(np.einsum("ik,jk->ij", half, half))
+
     def by_cycle(self, cycle_curvature: Array) -> Array:
         """Return each cycle's information (c, p, p) on the shared unknowns, its own eliminated."""
         return np.asarray(cycle_curvature - np.einsum("cpq,cqr->cpr", self._cross, self._spread))
@@ -246,7 +254,7 @@ class SchurComplement:
     def newton_step(self, g: Array, gl: Array) -> tuple[Array, Array]:
         """Return the step of the shared (p,) and own unknowns (cycles, q); or with one axis more."""
         pull = self.local_step(gl)
-        step = -np.einsum("ij,j...->i...", self.covariance, self.reduced_gradient(g, pull))
+        step = -np.einsum("ij,j...->i...", self._step_inverse, self.reduced_gradient(g, pull))
         return step, self.back_substitute(step, pull)
 
     def back_substitute(self, step: Array, pull: Array) -> Array:
@@ -260,13 +268,18 @@ def eigen(matrix: Array) -> tuple[Array, Array]:
     return np.diag(turned).copy(), vectors
 
 
+def scaled_axes(H: Array, raw: Array) -> tuple[Array, Array, Array]:
+    """Return units (p,) from the curvatures ``raw`` before elimination, and H's eigenvalues and axes in these units."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * raw, 1e-100)))
+    return scale, *eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
+
+
 def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
-    """Return units (p,) from the curvatures ``raw`` before elimination, and H's inverse in these units.
+    """Return units (p,), and H's inverse in these units.
 
     A direction below rounding gets a prior's variance: it must not pass for a known one.
     """
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * raw, 1e-100)))
-    size, axes = eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
+    scale, size, axes = scaled_axes(H, raw)
     half = axes / np.sqrt(np.maximum(size, 1e-15))
     return scale, np.asarray(np.einsum("ik,jk->ij", half, half))
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from fitting.laws import Law, Undetermined
 from fitting.model import unknowns
-from fitting.model.path import Curve, FrictionSpline, Path, law_curve, spline_curve
+from fitting.model.path import Curve, FrictionSpline, Path, spline_curve
 from fitting.model.tangents import shared_tangents, spline_tangents
 from fitting.model.unknowns import PER_RUN
 from rig_sim.friction.curve import magnitude
@@ -123,7 +123,7 @@ class LawCurve(FrictionCurve):
         self.start = self.prior = self.precision = self.lower = self.upper = np.empty(0)
 
     def on_path(self, theta: Array, beside: Array) -> Curve:
-        return law_curve(self.code, self.ramp)
+        return Curve(self.code, self.ramp)
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
         return shared_tangents(path, places)

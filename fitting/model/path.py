@@ -1,15 +1,12 @@
-"""A friction curve as a cubic B-spline of the slip speed: its knots, its pieces as polynomials, its basis.
+"""The motion along the windows of a fit, and a friction curve as a cubic B-spline of the slip speed.
 
-The path: the motion along the windows, at the stage points of the integration of tangents.
-
-Positions along the windows alone, by the same steps as `fitting.model.flow` with nothing stored for tangents.
-
-The steps are as long as the motion allows, whatever the samples: between two ends of a step a position is that of
-Hermite's cubic.  A search asks for positions alone three times for each time that it asks for tangents too.
+`follow` returns a path: the motion at the stage points of the integration of tangents.  `positions` takes the same
+steps with nothing stored for tangents, as long as the motion allows, whatever the samples: between two ends of a step a
+position is that of Hermite's cubic.  A search asks for positions three times for each time that it asks for tangents.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,12 +14,13 @@ import numpy as np
 
 from fitting.least_squares.normal_equations import scaled_inverse
 from fitting.model import flow
-from fitting.model import flow as rates
 from fitting.model.flow import (
     CREEP,
+    LOG_F,
     LONGEST_STEP,
     MOST_EVENTS,
     SPLINE,
+    Drag,
     Extra,
     Window,
     at_level,
@@ -195,13 +193,7 @@ def fill_nearest(
         coefficients[i] /= band[i, 0]
 
 
-KERNELS = (
-    "rig_sim.friction.curve",
-    "rig_sim.friction.spline",
-    "fitting.model.flow",
-    "fitting.model.flow",
-    "fitting.model.flow",
-)
+KERNELS = ("rig_sim.friction.curve", "rig_sim.friction.spline", "fitting.model.flow")
 # A motion of more steps, 230 bytes each, is not followed.  Trial splines that were too steep took 1200 a sample, and
 # 21 GB of memory; motions that a fit accepted took 16 a sample at most.
 MOST_STEPS, MOST_STEPS_A_SAMPLE = 1_000_000, 32
@@ -212,7 +204,7 @@ STEPS_A_SAMPLE = 1.2, 2.2
 # number.
 FARTHEST = 1e9
 NO_SPLINE, NOTHING, NO_FORCES = np.zeros(1), np.zeros(0), np.zeros((1, 0))
-NO_DRAG = rates.Drag(NOTHING, NOTHING, 0.0)
+NO_DRAG = Drag(NOTHING, NOTHING, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,7 +277,7 @@ class Path:
     @property
     def stuck(self) -> Mask:
         """Where the mass moves with the belt or creeps on it, without its own acceleration, shape (M,)."""
-        return np.asarray((self.mode == STICK) | (self.mode == rates.CREEP))
+        return np.asarray((self.mode == STICK) | (self.mode == CREEP))
 
     @cached_property
     def side(self) -> Array:
@@ -308,8 +300,8 @@ def follow(
     along: Path | None = None,
     acceleration: Array | None = None,
     belt_speed: Array | None = None,
-    drag: rates.Drag = NO_DRAG,
-    longest_step: float = flow.LONGEST_STEP,
+    drag: Drag = NO_DRAG,
+    longest_step: float = LONGEST_STEP,
 ) -> Path | None:
     """Follow all windows; None where the motion cannot be followed, or only in too many steps.
 
@@ -380,19 +372,19 @@ def kernel_arguments(
     along: Path | None,
     acceleration: Array | None,
     belt_speed: Array | None,
-    drag: rates.Drag,
+    drag: Drag,
 ) -> tuple[Any, ...]:
     """Return the first arguments of a kernel that follows windows, from the parameters of `follow`."""
     spline = curve.spline
     unknowns = np.array(u, float).reshape(-1, PER_RUN)
     if spline is not None:
-        unknowns[:, rates.LOG_F] = 0.0
+        unknowns[:, LOG_F] = 0.0
     first, acting, force, belt = np.zeros(1, np.int64), NO_FORCES, 0, 0
     if along is not None:
         given = [part for part in (acceleration, belt_speed) if part is not None]
         first, acting = along.first_point, np.stack((along.time, *given))
         force, belt = int(acceleration is not None), 0 if belt_speed is None else len(given)
-    extra = rates.Extra(first, acting, force, belt, np.stack((drag.velocity, drag.acceleration)), drag.turn)
+    extra = Extra(first, acting, force, belt, np.stack((drag.velocity, drag.acceleration)), drag.turn)
     return (
         curve.code,
         unknowns,
@@ -408,20 +400,8 @@ def kernel_arguments(
     )
 
 
-def law_curve(code: int, ramp: bool) -> Curve:
-    return Curve(code, ramp)
-
-
 def spline_curve(spline: FrictionSpline, ramp: bool) -> Curve:
-    """Return a spline as the curve, with or without a ramp."""
     return Curve(SPLINE, ramp, spline)
-
-
-def with_coefficients(curve: Curve, coefficients: Array) -> Curve:
-    """Return a spline curve with other coefficients, m/s^2."""
-    if curve.spline is None:
-        raise ValueError("this curve is a law's: it has no coefficients")
-    return replace(curve, spline=curve.spline.with_coefficients(coefficients))
 
 
 # Longest step over that of a path.  The cubic between its ends errs by the fourth power: by 1e-9 m in slips of the rig
@@ -438,7 +418,7 @@ def positions(
     along: Path | None = None,
     acceleration: Array | None = None,
     belt_speed: Array | None = None,
-    drag: flow.Drag = NO_DRAG,
+    drag: Drag = NO_DRAG,
     longest_step: float = LONGEST_STEP,
 ) -> Array | None:
     """Return the position at every sample, m, shape (N,); None where it cannot be followed.  Arguments of `follow`."""

@@ -11,12 +11,11 @@ import numpy as np
 from fitting.laws import Law
 from fitting.least_squares.elimination import least_squares
 from fitting.least_squares.normal_equations import Block, Derivatives, Evaluate
-from fitting.model import problem as starts
 from fitting.model import unknowns
 from fitting.model.curves import FreeCurve, FrictionCurve, LawCurve
 from fitting.model.forces import FittedMotion, Force, Forcing
 from fitting.model.path import Curve, FrictionSpline, Path, follow, positions
-from fitting.model.problem import EstimationProblem, Run
+from fitting.model.problem import EstimationProblem, Run, break_away_position, slip_samples
 from fitting.model.tangents import local_tangents, tangents
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import ShootingWindows
@@ -106,7 +105,7 @@ def regress(
 
     ``held`` (r, n) are rows of c with prior 0.
     """
-    samples = [starts.slip_samples(run.motion, run.cut) for run in runs]
+    samples = [slip_samples(run.motion, run.cut) for run in runs]
     x, s, a = (np.concatenate([getattr(own, name) for own in samples]) for name in ("x", "s", "a"))
     matrix, target = np.c_[rest - x, columns(s)], a
     if held is not None:
@@ -142,8 +141,7 @@ def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -
         return None
     if d == 0.0:
         loads = [
-            K * (starts.break_away_position(run.motion, run.cut) - own[Global.DATUM])
-            + own[Global.DAMPING] * own[Global.V_DR]
+            K * (break_away_position(run.motion, run.cut) - own[Global.DATUM]) + own[Global.DAMPING] * own[Global.V_DR]
             for run, own in zip(runs, start.reshape(-1, PER_RUN), strict=True)
         ]
         low = max(3, int(np.sum(knots < LOW_SPEED * knots[-1])) + 1)

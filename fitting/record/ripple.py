@@ -1,18 +1,19 @@
 """Ripple: a belt whose speed oscillates at one frequency, found in the sticks.
 
 In stick the mass moves as the belt does: its velocity, less a straight line against its position (a ramp's, or a
-belt's compliance), is the belt's ripple seen through the windows of the sticks.  Its strongest harmonic is looked for
-by a Fourier transform with zeros where the mass slips, and settled by least squares.  In the fit amplitude, phase and
-frequency are unknowns, with what the sticks show as a wide prior.
+belt's compliance), is the belt's ripple seen through the windows of the sticks.  The strongest harmonics are looked for
+by a Fourier transform with zeros where the mass slips, and settled by least squares together with the line.  In the fit
+amplitude, phase and frequency are unknowns, with what the sticks show as a wide prior.
 
 On a ramp the mass creeps in proportion to load over friction level, and the level is drawn anew at each landing: then
-each stick has a slope of its own, and all lines pass through the belt's speed at the spring's rest position.
+each stick has a slope of its own, and all lines pass through the belt's speed at the spring's rest position.  Both
+are tried, and compared by an information criterion (G. Schwarz, Ann. Statist. 6 (1978) 461).
 
 Not modelled: a second harmonic, a frequency that drifts.
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from operator import itemgetter
 
 import numpy as np
@@ -23,28 +24,23 @@ from fitting.record.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.record.motion import MeasuredMotion
 from stickslip.compute.arrays import Array
 
-VARIANCE_LEFT = 0.45  # share of the velocity's variance in stick that a ripple leaves at the most
-SMALLEST_AMPLITUDE = 2e-3  # amplitude over the belt's speed: less is none
-# Amplitude over the step of positions, of the strongest harmonic of the rounding error of a uniform motion, a sawtooth
-# (W. R. Bennett, Bell System Technical Journal 27 (1948) 446): a ripple that is no larger may be that.
-ROUNDING_WAVE = 1 / math.pi
-AMPLITUDE_BESIDE_LINES = 0.25  # share of the amplitude that the lines do not take up; of true ripples 0.28 to 1.0
+VARIANCE_LEFT = 0.35  # share of the velocity's variance in stick that a ripple leaves at the most; true ones leave 0.32
+AMPLITUDE_BESIDE_LINES = 0.27  # share of the amplitude that the lines do not take up; of true ripples 0.28 to 1.0
 # Periods in a slip (`MeasuredMotion.slip_s`).  Slower, or below `SLOWEST_OF_FEW` with fewer periods, it may be wear or
 # a drift; faster, smoothing has taken it away.
 SLOWEST, SLOWEST_OF_FEW, FASTEST = 0.025, 0.1, 12.5
 FEWEST_PERIODS = 2.0  # periods in the time that the sticks span: a single one cannot be distinguished from a drift
-GRID_SAMPLES = 50.0  # samples a slip of the thinned record that is transformed: four of the fastest period
+GRID_SAMPLES = 50.0  # samples a slip of the record that is transformed: four of the fastest period
 GRID_REFINEMENT = 4  # frequencies looked at for each of the transform's own
 CANDIDATES = 5  # frequencies tried: the gaps between sticks make false peaks beside the true one
-RIVAL_VARIANCE = 2.0  # mean square over what the likeliest frequency leaves, at which another is no longer tried
 OUTLIER_ABOVE = 4.0  # distance in robust standard deviations: further off are corners that the cut left in
 FEWEST_LONG_STICKS = 4  # sticks longer than the smoothing blurs: of fewer, none is used
 LOG_ODDS = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
-LEFT_ABOVE_NOISE = 1.5  # rms that a harmonic may leave where values are few, over the noise of a velocity
+NOISE_VALUES = 10.0  # values that the known noise of a velocity counts as: beside few others it decides
 HARMONIC_UNKNOWNS = 3  # unknowns: amplitude, phase and frequency
-FALLING_STICKS = 0.9  # share of sticks whose velocity falls: on a ramp all but those that noise hides, else half
+ENOUGH_SAMPLES = 5_000  # samples from which frequencies are settled
 POINTS_TRIED = 41  # places, over twice the travel, first tried for the point that lines of own slopes share
-HALVINGS = 9  # steps of frequency and point, each half the last: to 1e-3 of a turn over the record
+STEPS, SLOPE_STEP = 6, 1e-3  # Gauss-Newton steps in frequency and point, and the step, over the first, of their slopes
 SETTLING_TIME = 0.04  # least time after a landing that is left out, in slips
 LEFT_OUT_OF_STICK = 1 / 6  # share of a stick left out at the most at an end; else short sticks show no ripple
 
@@ -77,175 +73,124 @@ class Ripple:
 
 
 def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None:
-    return next(iter(find_ripples(motion, cut)), None)
-
-
-def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]:
-    """Return the ripples that the sticks, or the start-up drag of a grazing mass, may show; likeliest first."""
-    sticks = _in_stick(motion, cut)
+    """Return the ripple that the sticks, or the start-up drag of a grazing mass, show."""
+    # Among a few short sticks several frequencies do equally well; the drag is longer than all of them.
     drag = [np.arange(*cut.drag)] if not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0] else []
-    if not sticks:
-        return _harmonics(motion, InStick.selected(motion, drag), None) if drag else []
-    stuck = InStick.selected(motion, sticks)
-    slopes = OwnSlopes.fitted(stuck, motion)
-    if slopes.falling(stuck.v) > FALLING_STICKS:
-        ripples = _harmonics(motion, stuck, slopes)
-        if ripples:
-            return ripples
-    elif drag:
-        # Among a few short sticks several frequencies do equally well; the drag is longer than all of them.
-        stuck = InStick.selected(motion, [*drag, *sticks])
-    return _harmonics(motion, stuck, None)
+    parts = [*drag, *_in_stick(motion, cut)]
+    if not parts:
+        return None
+    own = Sticks.selected(motion, parts)
+    both = replace(own, line=np.zeros_like(own.line)), own
+    peaks = sorted({peak for sticks in both for peak in _peaks(motion, sticks)})
+    if not peaks:
+        return None
+    return min((_find_harmonic(motion, sticks, peaks) for sticks in both), key=itemgetter(0))[1]
 
 
 @dataclass(frozen=True, eq=False)
-class InStick:
+class Sticks:
+    """Velocities in stick, and lines against the position through one point: of one slope, or of one each."""
+
     time: Array  # (n,) s, m, m/s
-    x: Array
+    lever: Array  # position from the point
     v: Array
-    own: NDArray[np.int64]  # (n,) which stick a sample is in
-    columns: Array  # (n, 2) of one line for all sticks
-    rest: Array  # (n,) what that line leaves, m/s
+    line: NDArray[np.int64]  # (n,) which line a sample is on
+    values: float  # number of independent samples
 
     @classmethod
-    def selected(cls, motion: MeasuredMotion, sticks: list[NDArray[np.int64]]) -> "InStick":
-        """Return the samples of the sticks, without those off the others' line."""
+    def selected(cls, motion: MeasuredMotion, sticks: list[NDArray[np.int64]]) -> "Sticks":
+        """Return the samples of the sticks but those off the others' common line, with a line of each stick."""
         index = np.concatenate(sticks)
-        x, v = motion.position[index], motion.velocity[index]
-        own = np.repeat(np.arange(len(sticks)), [stick.size for stick in sticks])
-        columns = np.c_[np.ones_like(x), x - x.mean()]
+        line = np.repeat(np.arange(len(sticks)), [stick.size for stick in sticks])
+        lever = motion.position[index] - 0.5 * float(motion.position.max() + motion.position.min())
+        v, columns = motion.velocity[index], np.c_[np.ones_like(lever), lever]
         kept = np.abs(v - np.median(v)) < 0.5 * motion.belt_speed
         for _ in range(3):
             rest = v - np.sum(columns * least_squares(columns[kept], v[kept])[0], axis=1)
             kept = np.abs(rest) <= OUTLIER_ABOVE * 1.4826 * np.median(np.abs(rest[kept]))
-        return cls(motion.time[index][kept], x[kept], v[kept], own[kept], columns[kept], rest[kept])
+        samples = np.bincount(line[kept])
+        window = max(2 * motion.half_window, SETTLING_TIME * motion.slip_s) / float(np.median(np.diff(motion.time)))
+        values = float(np.sum(np.maximum(samples[samples > 0] / window, 1.0)))
+        return cls(motion.time[index][kept], lever[kept], v[kept], line[kept], values)
 
-    def thinned(self, thin: slice) -> "InStick":
-        return InStick(*(getattr(self, field.name)[thin] for field in fields(self)))
+    @property
+    def lines(self) -> int:
+        """Number of unknowns of the lines."""
+        return max(np.unique(self.line).size, 2)
 
+    def thinned(self, slip_s: float) -> "Sticks":
+        interval = float(np.median(np.diff(self.time)))
+        thin = slice(None, None, max(1, int(slip_s / GRID_SAMPLES / interval), self.time.size // ENOUGH_SAMPLES))
+        return Sticks(self.time[thin], self.lever[thin], self.v[thin], self.line[thin], self.values)
 
-@dataclass(frozen=True, eq=False)
-class OwnSlopes:
-    """Lines through one point with a separate slope in each stick."""
+    def points(self, motion: MeasuredMotion) -> Array:
+        """Return the displacements of the lines' common point to try, m; a single line goes through any."""
+        return np.linspace(-1.0, 1.0, POINTS_TRIED) * motion.travel if self.line[-1] else np.zeros(1)
 
-    lever: Array  # (n,) position from the point, m
-    own: NDArray[np.int64]  # (n,) which stick a sample is in
+    def fit(self, offset: float, *waves: Array) -> tuple[Array, Array]:
+        """Fit waves and lines through the point ``offset`` m further; return the waves' coefficients and the rest."""
+        lever = self.lever - offset
+        square = np.maximum(np.bincount(self.line, lever**2), 1e-300)
 
-    @classmethod
-    def fitted(cls, stuck: InStick, motion: MeasuredMotion) -> "OwnSlopes":
-        """Return the lines whose common point, near the spring's rest, leaves least."""
-        middle = 0.5 * float(motion.position.max() + motion.position.min())
+        def remove_slopes(values: Array) -> Array:
+            slope = np.bincount(self.line, lever * values) / square
+            return np.asarray(values - lever * slope[self.line])
 
-        def left(place: float) -> float:
-            return float(np.sum(cls(stuck.x - place, stuck.own).left(stuck.v) ** 2))
-
-        return cls(stuck.x - min(middle + _offsets(motion), key=left), stuck.own)
-
-    def left(self, v: Array) -> Array:
-        return least_squares(self.removed(np.ones_like(v))[:, None], self.removed(v))[1]
-
-    def removed(self, values: Array) -> Array:
-        """Return values (n,) less a multiple of the lever fitted in each stick."""
-        square = np.bincount(self.own, self.lever**2)
-        slope = np.bincount(self.own, self.lever * values) / np.maximum(square, 1e-300)
-        return np.asarray(values - self.lever * slope[self.own])
-
-    def falling(self, v: Array) -> float:
-        """Return the share of the sticks in which velocities v (n,) fall with the position."""
-        level = self.removed(np.ones_like(v))
-        square = max(float(np.sum(level**2)), 1e-300)
-        rest = v - float(np.sum(level * self.removed(v))) / square
-        products = np.bincount(self.own, self.lever * rest)
-        return float(np.mean(products[np.bincount(self.own) > 0] < 0))
-
-    def thinned(self, thin: slice) -> "OwnSlopes":
-        return OwnSlopes(self.lever[thin], self.own[thin])
-
-    def moved(self, offset: float) -> "OwnSlopes":
-        return OwnSlopes(self.lever - offset, self.own)
+        shapes = np.stack([remove_slopes(shape) for shape in (np.ones_like(lever), *waves)], axis=1)
+        coefficients, rest = least_squares(shapes, remove_slopes(self.v))
+        return coefficients[1:], rest
 
 
-def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) -> list[Ripple]:
-    """Return the significant harmonics of the velocities in stick; the point of ``slopes`` is searched anew."""
-    rest, peaks = stuck.rest, _peaks(stuck.time, stuck.rest, motion.slip_s)
-    if slopes is not None:
-        rest = slopes.left(stuck.v)
-        peaks += _peaks(stuck.time, rest, motion.slip_s)
-    thin = slice(None, None, max(1, int(motion.time.size / motion.span * motion.slip_s / GRID_SAMPLES)))
-    every, stuck, before = stuck, stuck.thinned(thin), float(np.mean(rest[thin] ** 2))
-    time, v = stuck.time, stuck.v
-    slopes = None if slopes is None else slopes.thinned(thin)
+def _peaks(motion: MeasuredMotion, sticks: Sticks) -> list[float]:
+    """Return the strongest frequencies, Hz, of what the lines leave."""
+    few, span = sticks.thinned(motion.slip_s), float(sticks.time[-1] - sticks.time[0])
+    point = min(sticks.points(motion), key=lambda point: float(np.sum(few.fit(point)[1] ** 2)))
+    slowest = min(max(SLOWEST / motion.slip_s, FEWEST_PERIODS / span), SLOWEST_OF_FEW / motion.slip_s)
+    peaks, _ = strongest_frequencies(sticks.time, sticks.fit(point)[1], motion.slip_s, slowest, CANDIDATES)
+    return [float(hertz) for hertz in peaks]
+
+
+def _find_harmonic(motion: MeasuredMotion, every: Sticks, peaks: list[float]) -> tuple[float, Ripple | None]:
+    """Return the likeliest harmonic and its information criterion; inf and None unless it is significant."""
+    sticks = every.thinned(motion.slip_s)
+    time, seen_s = sticks.time, float(sticks.time[-1] - sticks.time[0])
     origin = 0.5 * (time[0] + time[-1])  # far from it phase and frequency would trade against each other
+    directions = np.diag([0.5 / seen_s, motion.travel / POINTS_TRIED])[: sticks.points(motion).size]
 
-    def harmonic(hertz: float, offset: float) -> tuple[float, Array]:
-        omega = 2 * math.pi * hertz
-        waves = (np.cos(omega * (time - origin)), np.sin(omega * (time - origin)))
-        if slopes is None:
-            coefficients, left = least_squares(np.c_[stuck.columns, *waves], v)
-        else:
-            lines = slopes.moved(offset)
-            shapes = [lines.removed(shape) for shape in (np.ones_like(v), *waves)]
-            coefficients, left = least_squares(np.stack(shapes, axis=1), lines.removed(v))
-        return float(np.mean(left**2)), coefficients[-2:]
+    def harmonic(at: Array) -> tuple[Array, Array]:
+        turns = 2 * math.pi * at[0] * (time - origin)
+        return sticks.fit(at[1], np.cos(turns), np.sin(turns))
 
-    def settled(hertz: float, offset: float) -> tuple[float, float]:
-        width, step = 0.5 / (time[-1] - time[0]), motion.travel / POINTS_TRIED
-        for _ in range(HALVINGS):
-            hertz = min((hertz - width, hertz, hertz + width), key=lambda near: harmonic(near, offset)[0])
-            if slopes is not None:
-                offset = min((offset - step, offset, offset + step), key=lambda place: harmonic(hertz, place)[0])
-            width, step = width / 2, step / 2
-        return hertz, offset
+    def left(at: Array) -> float:
+        return float(np.mean(harmonic(at)[1] ** 2))
 
-    offsets = np.zeros(1) if slopes is None else _offsets(motion)
-    starts = [min(((harmonic(peak, place)[0], peak, place) for place in offsets), key=itemgetter(0)) for peak in peaks]
-    ripples: list[Ripple] = []
-    least = math.inf
-    for left, peak, place in sorted(starts, key=itemgetter(0)):
-        if left > RIVAL_VARIANCE * least:
-            break
-        hertz, offset = settled(peak, place)
-        after, (even, odd) = harmonic(hertz, offset)
-        omega, amplitude = 2 * math.pi * hertz, math.hypot(even, odd)
-        seen = (
-            after <= min(VARIANCE_LEFT * before, RIVAL_VARIANCE * least)
-            and amplitude >= max(SMALLEST_AMPLITUDE * motion.belt_speed, omega * ROUNDING_WAVE * motion.step)
-            and 2 * (before - after) >= (AMPLITUDE_BESIDE_LINES * amplitude) ** 2
-            and _gains(motion, every.own, before, after, slopes)
-        )
-        if not ripples and not seen:
-            return []
-        if not seen or any(abs(omega - one.omega) * one.seen_s < 2 * math.pi for one in ripples):
-            continue
-        cos, sin = math.cos(omega * origin), math.sin(omega * origin)
-        seen_s = float(time[-1] - time[0])
-        ripples.append(Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s))
-        least = min(least, after)
-    return ripples
+    def settled(at: Array) -> Array:
+        for _ in range(STEPS):
+            rest = harmonic(at)[1]
+            slopes = [(harmonic(at + SLOPE_STEP * along)[1] - rest) / SLOPE_STEP for along in directions]
+            share = np.clip(least_squares(np.stack(slopes, axis=1), -rest)[0], -1.0, 1.0)
+            step = np.einsum("i,ij->j", share, directions)
+            at = min((at + part * step for part in (1.0, 0.3, 0.1, 0.0)), key=left)
+        return at
 
+    def information(variance: float) -> float:
+        count = sticks.values + NOISE_VALUES
+        whole = sticks.values * variance + NOISE_VALUES * motion.velocity_error**2
+        return (count - sticks.lines - HARMONIC_UNKNOWNS) * math.log(whole / count)
 
-def _offsets(motion: MeasuredMotion) -> Array:
-    """Return the displacements of the lines' common point to try, m."""
-    return np.linspace(-1.0, 1.0, POINTS_TRIED) * motion.travel
-
-
-def _gains(
-    motion: MeasuredMotion, own: NDArray[np.int64], before: float, after: float, slopes: OwnSlopes | None
-) -> bool:
-    """Return whether a harmonic explains more than the best one explains in noise; mean squares in (m/s)^2."""
-    window = max(2 * motion.half_window, SETTLING_TIME * motion.slip_s)
-    samples = np.bincount(own)
-    lengths = samples[samples > 0] * float(np.median(np.diff(motion.time)))
-    independent = float(np.sum(np.maximum(lengths / window, 1.0)))
-    lines = 2 if slopes is None else lengths.size
     needed = 2 * (math.log((FASTEST - SLOWEST) / motion.slip_s * motion.span) + LOG_ODDS)
-    noise = motion.velocity_error**2
-    if independent * (before - after) <= needed * noise:
-        return False
-    if (independent - lines - HARMONIC_UNKNOWNS) * math.log(before / max(after, 1e-300)) > needed:
-        return True
-    # Few values, but the harmonic leaves no more of them than their noise.
-    return after < LEFT_ABOVE_NOISE**2 * noise
+    ends = (settled(min((np.array([peak, point]) for point in sticks.points(motion)), key=left)) for peak in peaks)
+    end = min(ends, key=left)
+    after, before, (even, odd) = left(end), float(np.mean(sticks.fit(end[1])[1] ** 2)), harmonic(end)[0]
+    if (
+        after > VARIANCE_LEFT * before
+        or 2 * (before - after) < (AMPLITUDE_BESIDE_LINES * math.hypot(even, odd)) ** 2
+        or information(before) - information(after) < needed
+    ):
+        return math.inf, None
+    omega = 2 * math.pi * float(end[0])
+    cos, sin = math.cos(omega * origin), math.sin(omega * origin)
+    return information(after), Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s)
 
 
 def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np.int64]]:
@@ -276,9 +221,3 @@ def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: floa
         strongest.append(float(hertz[top]))
         power[max(top - GRID_REFINEMENT, 0) : top + GRID_REFINEMENT + 1] = 0.0
     return np.array(strongest), float(hertz[1])
-
-
-def _peaks(time: Array, rest: Array, slip_s: float) -> list[float]:
-    slowest = min(max(SLOWEST / slip_s, FEWEST_PERIODS / (time[-1] - time[0])), SLOWEST_OF_FEW / slip_s)
-    found, _ = strongest_frequencies(time, rest, slip_s, slowest, CANDIDATES)
-    return [float(hertz) for hertz in found]

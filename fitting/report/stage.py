@@ -23,7 +23,7 @@ from fitting.judge.friction import friction_at, speeds_of_all, unit
 from fitting.judge.parameters import RUNS_OWN, Parameter
 from fitting.report.symbols import formula
 from fitting.result import LawResult, Ranking
-from processing import stage as smoothed_stage
+from processing import stage
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 from stickslip.output import atomic
@@ -187,7 +187,7 @@ def save(ranking: Ranking, *, force: bool = False) -> None:
 
     def write(entry: h5py.Group) -> None:
         raw = nexus.read_text(entry, "provenance/sha256_raw", path) if "provenance/sha256_raw" in entry else ""
-        digests = (raw, recordings[0].digest), (smoothed_stage.digest(entry), ranking.stages[0])
+        digests = (raw, recordings[0].digest), (stage.digest(entry), ranking.stages[0])
         for (now, before), done in zip(digests, ("recorded", "smoothed"), strict=True):
             if now != before:
                 what = f"it was {done} anew while it was fitted; the fit was not stored"

@@ -4,7 +4,7 @@ first pass   of every task, from the regression
 settle       of those within `GIVEN_UP_BEYOND_BEST` times the best
 exchange     a task that fits worse than a neighbour starts again from that one's fit
 overtaking   of cycles in which the mass overtakes the belt
-level        of a ramp's break-away, where it has a separate one
+level        of a ramp's break-away, where it has a separate one; then one exchange
 finish       with every sample, of those within `FINISHED_NEAR_BEST` times the best; then one exchange
 """
 
@@ -49,8 +49,7 @@ WORSE = 1.0005  # error over a neighbour's, from which a task starts again from 
 
 
 def fit_from(task: Task, start: FitStart, noise: PassNoise) -> Fit | None:
-    first = first_pass(task, start, noise)
-    settled = None if first is None else settle(first)
+    settled = best_end(task, [(start, noise)])
     return None if settled is None else finish(settled) or settled
 
 
@@ -79,9 +78,7 @@ def best_end(
     for first in tried:
         if best is not None and first.geometric_mean_rms > FAR_BEYOND_BEST * best.geometric_mean_rms:
             break
-        settled = settle(first, noise_m)
-        if settled is not None and (best is None or settled.geometric_mean_rms < best.geometric_mean_rms):
-            best = settled
+        best = select_better(best, settle(first, noise_m))
         if best is not None and best.geometric_mean_rms < reached:
             break
     return best
@@ -118,8 +115,8 @@ def fit_all(
     fits = fit_first_passes(tasks, each, progress)
     fits = improve_near_best(fits, settle_lower, GIVEN_UP_BEYOND_BEST, each)
     fits = exchange_starts(tasks, fits, each)
-    fits = exchange_starts(tasks, mark_overtaking(fits, each), each, tried=fits)
-    fits = improve_near_best(fits, with_own_static, FAR_BEYOND_BEST, each)
+    levelled = improve_near_best(mark_overtaking(fits, each), with_own_static, FAR_BEYOND_BEST, each)
+    fits = exchange_starts(tasks, levelled, each, tried=fits)
     for fit in fits:
         if fit is not None:
             logger.debug("settled: law %s, %.4g um", fit.law.name, 1e6 * fit.geometric_mean_rms)
@@ -196,9 +193,10 @@ def exchange_starts(
 
 
 def list_better_neighbours(task: Task, fit: Fit | None, others: Sequence[Fit], limit: float) -> list[Fit]:
-    """Return better fits: of a curve contained, and below the ``limit`` also on the contact and of all."""
+    """Return better fits: of a curve contained or of its ramp; below the ``limit`` also on the contact and of all."""
     ranked = sorted((other for other in others if fits_worse(fit, other)), key=lambda other: other.geometric_mean_rms)
     best = [other for other in ranked if task.curve.contains(other.task.curve)][:1]
+    best += [other for other in ranked if other.task.curve.is_ramp_of(task.curve)]  # a closed ramp is the jump
     if fit is None or not (fit.whole or fit.geometric_mean_rms > limit):
         best += [other for other in ranked if other.task.curve.ramp == task.curve.ramp][:1]
         best += ranked[:1]

@@ -28,8 +28,8 @@ from fitting.result import LawResult, Ranking, UnfittedLaw
 from fitting.search.fit import Fit
 from fitting.words import verdict
 from fitting.words import warnings as verdict_warnings
-from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
+from processing.record.motion import Finding
 from stickslip.units import Measured
 
 RIG = ("k/m", "v_dr", "x0", "c/m", "k", "c", "m")  # the others are parameters of a law, each with a meaning in it alone
@@ -237,9 +237,7 @@ def _side(
     findings = [*(finding for finding in record.findings if finding.code != "belt-speed"), *findings]
     # a mass that merely grazes the belt does not break away from rest
     if competition.sustained and competition.described:
-        level = rows[0].fit.values.F * mass(run.motion, rows[0].fit)
-        error = break_away_level_error(competition.best, run.motion, number)
-        findings += find_other_break_away(events, run.cut, Measured(level, error * level), unit(run.motion))
+        findings += _other_break_away(competition, number)
     return Ranking(
         verdict="",
         members=tuple(law.key for law in competition.members),
@@ -259,6 +257,18 @@ def _side(
         not_excluded=tuple(law.key for law in competition.not_excluded),
         sustained=competition.sustained,
     )
+
+
+def _other_break_away(competition: Competition, number: int) -> list[Finding]:
+    """Return that the break-aways of a run disagree with friction at rest under every law that is not excluded."""
+    run, found = competition.runs[number], []
+    for fit in competition.fits:
+        if fit.law.key in competition.compatible:
+            level = fit.values.F * mass(run.motion, fit.for_run(number))
+            rest = Measured(level, level * break_away_level_error(fit, run.motion, number))
+            events = breaks.find_break_aways(fit.for_run(number), run.motion, run.cut)
+            found.append(find_other_break_away(events, run.cut, rest, unit(run.motion)))
+    return found[0] if all(found) else []
 
 
 def _complete(sides: Sequence[Ranking], contradicted: Contradictions, begun: float, **of_all: Any) -> Ranking:

@@ -10,7 +10,7 @@ from fitting.judge.goodness import REJECTED
 from fitting.laws import ALL_LAWS
 from fitting.model.unknowns import Global
 from fitting.result import LawResult, Ranking
-from processing.record.finding import Finding
+from processing.record.motion import Finding
 from stickslip.output.lengths import format_length
 
 OTHER_SPEEDS = " or runs at other belt speeds"
@@ -27,11 +27,10 @@ def write_verdict(ranking: Ranking, contradicted: Sequence[Sequence[Finding]]) -
     """Return the law, or the compatible laws, and why; else what is known where no law describes the runs."""
     if ranking.members:
         return name_contradictions(_compatible(ranking), contradicted)
-    cause = next((finding.text for finding in ranking.findings if finding.code == "not-one-contact"), "")
-    if not cause and not any(contradicted):
-        cause = _instead(ranking.adequacy)
-    words = _no_law(ranking, cause)
-    return name_contradictions(words, contradicted)
+    for finding in ranking.findings:
+        if finding.code == "not-one-contact":
+            return finding.text
+    return name_contradictions(_no_law(ranking, "" if any(contradicted) else _instead(ranking.adequacy)), contradicted)
 
 
 def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:

@@ -33,8 +33,7 @@ from processing.defects.residual_kernel import CORNER, ENDS, KICK, OUTLIER, STEP
 from processing.kalman import white_jerk
 from processing.record.motion import Fault, VelocityStep
 from processing.record.noise import position_noise, reading_step
-from processing.record.position_steps import PositionStep, step_offsets, step_profile, without_steps
-from processing.record.series import Series
+from processing.record.series import PositionStep, Series, step_offsets, step_profile, without_steps
 from stickslip.compute.arrays import Array, Integers, Mask, runs
 from stickslip.compute.compile import compiled
 

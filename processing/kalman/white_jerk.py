@@ -1,11 +1,12 @@
 """Fixed-interval smoothing of a motion of white jerk, on the recorded times, its noise levels by likelihood.
 
 The jerk is taken for white noise of one density q over the whole record and the readings for independent, of one
-variance r; both are those under which the record is most likely.  Every sample then is estimated from all others, with
-standard errors that are larger at the ends.  Equivalent to the quintic smoothing spline, and to a Savitzky-Golay
-window of `Motion.window` samples where times are even.
+variance r; both are those under which the record is most likely.  Every sample is estimated from all others, with
+standard errors that are larger at the ends.  The first state is that of the first nine readings, with everything but
+their speed unknown.  Equivalent to the quintic smoothing spline, and to a Savitzky-Golay window of `Motion.window`
+samples where times are even.
 
-Not modelled: corners of the velocity (they raise q for the whole record; `processing.segmentation.smoother` models
+Not modelled: corners of the velocity (they raise q for the whole record; `processing.stick_slip.smoother` models
 them), and counts that hardly change (the errors of the readings are then correlated).
 
 Source: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965) 1445.
@@ -19,14 +20,42 @@ from functools import cached_property
 import numpy as np
 
 from processing.kalman import motion_kernel
-from processing.kalman.first_state import first_state
-from processing.polynomial import uneven
+from processing.kalman.motion_kernel import state_size
+from processing.polynomial import savgol
 from processing.record.motion import Motion
 from processing.record.noise import reading_step
 from processing.record.series import Series, computed_once
 from processing.record.stretches import representative_stretches
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
+
+FIRST = 8  # samples after the first one
+
+
+def first_state(time: Array, position: Array, variance: float, derivatives: int) -> Array:
+    """Return the state before the first sample, the upper triangle of its covariance by rows, and its time, s.
+
+    ``derivatives`` is 2 for x, v, a (`white_jerk`), 3 for x, v, a, j (`stick_slip`) and 1 for x, v and zeros there.  At
+    least two readings are not NaN.
+    """
+    t, x = time[: FIRST + 1].tolist(), position[: FIRST + 1].tolist()  # so few are faster as plain numbers
+    if math.isnan(sum(x)):
+        readings = np.flatnonzero(~np.isnan(position))[: FIRST + 1]
+        t, x = time[readings].tolist(), position[readings].tolist()
+    k = len(x) - 1
+    h = (t[k] - t[0]) / k
+    slope = (x[k] - x[0]) / (t[k] - t[0])
+    speeds = [(x[i + 1] - x[i]) / (t[i + 1] - t[i]) for i in range(k)]
+    spread = 2 * max(math.sqrt(variance) / h, max(speeds) - slope, slope - min(speeds))
+    size = 3 if derivatives == 2 else 4
+    state = np.zeros(state_size(size))
+    state[0], state[1], state[-1] = x[0] + slope * (time[0] - t[0]), slope, time[0]
+    diagonal = size
+    for d in range(derivatives + 1):
+        state[diagonal] = (spread * h ** (1 - d)) ** 2
+        diagonal += size - d
+    return state
+
 
 KERNELS = ("processing.kalman.motion_kernel",)
 JERK = (0.0, 0.0, 0.0)  # order of the motion: x, v, a
@@ -311,7 +340,7 @@ def fit_parabola(time: Array, position: Array, variance: float) -> Array:
     present = ~np.isnan(position)
     n = int(np.count_nonzero(present))
     degree = min(2, n - 1)
-    values, norms = uneven.fit(time[present], position[present], n, degree)
+    values, norms = savgol.fit_uneven(time[present], position[present], n, degree)
     norms[degree + 1 :] = np.inf
     rows = np.concatenate((values, variance * norms**2))
     if present.all():

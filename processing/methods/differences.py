@@ -7,7 +7,7 @@ a piece repeats the one before it.  One count over one interval is already pitch
 import numpy as np
 
 from processing.kalman import white_jerk
-from processing.methods.method_model import MethodModel
+from processing.methods.registry import MethodModel
 from processing.record.motion import Motion
 from processing.record.series import Series
 from processing.record.setting import Setting, reject_window

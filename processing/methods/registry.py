@@ -3,24 +3,44 @@
 A method is a module with ``learn(method, series, setting, noise) -> MethodModel`` and ``apply(series, model) ->
 Motion``.  The model learned from a record, or from stretches that represent it, is applied to all of it, in one block
 or in many.  To add a method, add its line to `METHODS`.
+
 Every method must satisfy one contract (tests/processing/methods/test_methods.py): shapes are kept, zero gives zero, a
 straight line is reproduced exactly, nothing crosses a gap, and errors are positive; bad samples are rejected before it,
 by index.
 """
 
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Protocol, cast
 
 import numpy as np
 
 from processing.kalman import white_jerk
-from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
 from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import Setting
 from processing.record.stretches import LEAST, MOST, survey
+from processing.stick_slip.plateaus import PlateauRule
+from processing.stick_slip.smoother import FirstPass, StickSlip
 from stickslip.errors import InputError, nearest
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MethodModel:
+    """The method that runs, and its learned parameters."""
+
+    method: str  # never "auto"
+    noise: float  # standard deviation of a position, m
+    jerk: white_jerk.Noise  # of the record as a motion of white jerk, also used where readings are missing
+    window: int = 0  # of Savitzky-Golay; 0 for the others
+    order: int = 0
+    rule: PlateauRule | None = None  # for finding sticks in the motion smoothed with ``jerk``; None without sticks
+    sticks: StickSlip | None = None  # how the record sticks and slips; None if it does not, or for other methods
+    stated: float | None = None  # belt speed that a person stated, m/s, signed
+    # results of learning that are reused for the same series; not stored
+    first_pass: FirstPass | None = field(default=None, metadata={"stored": False})
+
 
 METHODS = {
     "auto": "processing.methods.smoothers",

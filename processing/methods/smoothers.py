@@ -1,17 +1,17 @@
 """The smoothers, which need no window: "rts" smooths all motion in one way, "segment" sticks and slips separately.
 
 "auto", the default, is "segment" if the record clearly contains sticks, else "rts".  A stick is clear if it raises the
-log likelihood of the record by 1.5 ln n for each of its corners (`processing.segmentation.model_selection`).
+log likelihood of the record by 1.5 ln n for each of its corners (`processing.stick_slip.accept`).
 """
 
 from dataclasses import replace
 
 from processing.kalman import white_jerk
-from processing.methods.method_model import MethodModel
+from processing.methods.registry import MethodModel
 from processing.record.motion import Motion
 from processing.record.series import Series
 from processing.record.setting import Setting, reject_window
-from processing.segmentation import smoother
+from processing.stick_slip import smoother
 
 
 def learn(method: str, series: Series, setting: Setting, noise: float) -> MethodModel:

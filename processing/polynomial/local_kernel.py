@@ -1,6 +1,6 @@
 """Kernel: least-squares polynomials on the sample times of each window, `LANES` windows side by side.
 
-The recurrence is that of `processing.polynomial.uneven`.  Windows lie in the fast index of every array: vector
+The recurrence is that of `processing.polynomial.savgol`.  Windows lie in the fast index of every array: vector
 instructions then process several at once, and no sum depends on how many.
 
 Runs as written or compiled (`stickslip.compute.compile`).

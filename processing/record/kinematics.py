@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from processing.polynomial.even_grid import is_even
-from processing.record.finding import Finding
-from processing.record.motion import Corner, Fault, Phase, VelocityStep, mask_ranges
-from processing.record.position_steps import PositionStep, step_offsets
+from processing.polynomial.even import is_even
+from processing.record.motion import Corner, Fault, Finding, Phase, VelocityStep, mask_ranges
+from processing.record.series import PositionStep, step_offsets
 from stickslip.compute.arrays import Array, Mask
 from stickslip.output.lengths import format_length, shown_speed
 from stickslip.text import printable
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 
     from daq.runfile.recording import Recording
     from processing.record.plot import DrawnMotion
+
 
 DERIVATIVES = {"position": "", "velocity": "_per_s", "acceleration": "_per_s2"}
 

@@ -1,4 +1,4 @@
-"""Values computed from a record: its motion, switching times, phases, the belt's motion, and steps of the velocity."""
+"""Values computed from a record: motion, switching times, phases, motion of the belt, velocity steps and findings."""
 
 import math
 from collections.abc import Iterable
@@ -9,6 +9,16 @@ import numpy as np
 
 from processing.record.series import Series
 from stickslip.compute.arrays import Array, Mask
+
+
+@dataclass(frozen=True)
+class Finding:
+    code: str  # name for programs, in words joined by hyphens: "belt-speed", "spikes"
+    text: str  # a sentence for a person, with both numbers and their unit
+    value: float = math.nan  # what the record shows, in SI units; NaN without a number
+    expected: float = math.nan  # what was stated or would be sound
+    sigmas: float = math.nan  # standard deviations between both; NaN without a scatter
+
 
 DERIVATIVES = ("position", "velocity", "acceleration")
 ROWS = (*DERIVATIVES, *(f"{name}_errors" for name in DERIVATIVES))

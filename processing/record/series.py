@@ -1,12 +1,21 @@
-"""A record prepared for smoothing: positions relative to the first sample, on the chosen time axis, cut at its gaps.
+"""A record prepared for smoothing: its units, its pieces, steps of its position, and the even grid of a long import.
 
-Rules: counts are subtracted as whole numbers before they become metres, so an offset of 2^60 costs no digit; a hole
+Units.  Positions and times are scaled before smoothing and back to SI units after it.  In between no second, hertz or
+metre exists: a threshold is a number of samples, of standard deviations of the noise, of slips, or a ratio.  Both units
+are powers of two, so that the scaling rounds nothing, and a record whose positions or times are multiplied by a power
+of two gives the same scaled numbers, bit for bit.  The unit of length is negative where slips run towards +x: a
+mirrored record gives the same numbers, too.
+
+Pieces.  Counts are subtracted as whole numbers before they become metres, so an offset of 2^60 costs no digit.  A hole
 of more than `HOLE` (`stickslip.compute.arrays`) sample intervals ends a piece, and so does a new segment; nothing is
-ever smoothed across a cut.
-A shorter hole (a lost sample or two) stays inside its piece: the recorded times say where the neighbours lie.
+smoothed across a cut.  A shorter hole stays inside its piece: the recorded times say where the neighbours lie.
+
+Grid.  An import has no sample numbers: intervals are multiples of the usual one, and the grid runs from the first time
+to the last.  It is learned in one pass over the times, equal to that of `nominal_times`.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
 from itertools import pairwise
@@ -14,13 +23,40 @@ from typing import TYPE_CHECKING, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
-from processing.record.units import Units
 from stickslip.compute.arrays import HOLE, Array, Integers, Mask, pieces
 from stickslip.errors import InputError
+from stickslip.units import Measured
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
+    from daq.runfile.store import RunReader
+
+
+@dataclass(frozen=True)
+class Units:
+    length_unit: float = 1.0  # m (or counts), signed: about the travel of the record
+    time_unit: float = 1.0  # s: about its sample interval
+    start: float = 0.0  # s: the time at which that of the record is 0
+
+    def of(self, length: int, time: int) -> float:
+        """Return the signed unit, in SI units, of a quantity with these powers of length and time."""
+        return self.length_unit**length * self.time_unit**time
+
+
+def power_of_two(size: float) -> float:
+    """Return the power of two above a size, 1 for size 0."""
+    return math.ldexp(1.0, math.frexp(size)[1]) if size > 0 else 1.0
+
+
+def speed_in(units: Units, speed: float | None) -> float | None:
+    return None if speed is None else speed / units.of(1, -1)
+
+
+def measured_in(units: Units, speed: Measured | None) -> Measured | None:
+    unit = units.of(1, -1)
+    return None if speed is None else Measured(speed.value / unit, speed.sd / abs(unit))
 
 
 LEAST = 5  # samples: a local parabola and its error need as many
@@ -188,3 +224,77 @@ def nominal_times(recording: "Recording", anchor: "tuple[float, int] | None" = N
 def count_intervals(gaps: Array, step: float) -> Integers:
     """Return how many steps each gap is long, at least one."""
     return np.asarray(np.maximum(np.rint(gaps / step), 1).astype(np.int64))
+
+
+@dataclass(frozen=True)
+class PositionStep:
+    """From sample ``first`` to ``last`` the reading moved by ``size`` more than the mass did, for good."""
+
+    first: int
+    last: int
+    counts: int  # missing counts, positive towards +x; 0 in a record without counts
+    size: float  # the same in the unit of the position, m (or counts)
+
+
+def step_offsets(segment: NDArray[np.integer], steps: tuple[PositionStep, ...]) -> Array:
+    """Return the error of each sample due to earlier steps, m (or counts); a step lasts until its segment ends."""
+    offset = np.zeros(segment.size)
+    edges = np.append(np.flatnonzero(np.diff(segment.astype(np.int64)) != 0) + 1, segment.size) if steps else ()
+    for step in steps:
+        end = int(edges[np.searchsorted(edges, step.first, side="right")])
+        next_sample = min(step.last + 1, end)
+        offset[step.first : next_sample] += (
+            step.size * step_profile(step.last - step.first + 1)[: next_sample - step.first]
+        )
+        offset[next_sample:end] += step.size
+    return offset
+
+
+def without_steps(series: Series, offset: Array) -> Series:
+    """Return the record without its steps; ``offset`` is the result of `step_offsets`."""
+    if not offset.any():
+        return series
+    return replace(series, position=series.position - offset)
+
+
+def step_profile(width: int) -> Array:
+    """Return the share of a step of ``width`` samples that is complete at each of them."""
+    return np.arange(1, width + 1) / width
+
+
+@dataclass(frozen=True)
+class ImportGrid:
+    start: float  # first time, s
+    step: float  # s
+    usual: float  # interval of the recorded times, s
+    numbers: dict[int, int]  # number on the grid of some samples
+
+    def times(self, low: int, recorded: Array) -> Array:
+        """Return the times on the grid of the samples from ``low`` on, which `numbers` must contain."""
+        steps = np.concatenate(([0], np.cumsum(count_intervals(np.diff(recorded), self.usual))))
+        return np.asarray(self.start + (self.numbers[low] + steps) * self.step)
+
+
+def learn_grid(run: "RunReader", lows: Sequence[int]) -> ImportGrid:
+    """Learn the grid of a run, with the numbers of the samples ``lows``, which increase from 0.
+
+    The usual interval is the median over the stretches between ``lows``.
+    """
+    edges = [*lows, run.samples - 1]
+    usual = float(np.median([np.median(np.diff(_times(run, samples))) for samples in _stretches(edges)]))
+    numbers, number, start, end = {0: 0}, 0, 0.0, 0.0
+    for first, last in _stretches(edges):
+        time = _times(run, (first, last))
+        start = float(time[0]) if first == 0 else start
+        end = float(time[-1])
+        number += int(count_intervals(np.diff(time), usual).sum())
+        numbers[last] = number
+    return ImportGrid(start, (end - start) / number, usual, numbers)
+
+
+def _stretches(edges: Sequence[int]) -> list[tuple[int, int]]:
+    return [(first, last) for first, last in pairwise(edges) if last > first]
+
+
+def _times(run: "RunReader", samples: tuple[int, int]) -> Array:
+    return run.load(slice(samples[0], samples[1] + 1)).time

@@ -8,7 +8,7 @@ from processing.record.series import Series
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
-HIGHEST_ORDER = 20  # polynomial degree to which coefficients are tested (`polynomial.even_fit`)
+HIGHEST_ORDER = 20  # polynomial degree to which coefficients are tested (`processing.polynomial.even`)
 # Of a stated belt speed: range of stick speeds compatible with it, since sticks creep on a ramp; other sticks are used
 # instead of the stated speed.
 SLOWEST_STICKS, FASTEST_STICKS = 0.8, 1.05

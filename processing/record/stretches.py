@@ -9,8 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from processing.record.series import Series
-from processing.record.units import Units, power_of_two
+from processing.record.series import Series, Units, power_of_two
 from stickslip.compute.arrays import Array, Integers
 
 WINDOW = 2**11  # samples: the length of stretches is a multiple of it

@@ -9,7 +9,7 @@ import pytest
 import rig_sim
 from fitting import rank
 from fitting.scene import of_ranking
-from processing.record.finding import Finding
+from processing.record.motion import Finding
 from processing.smoothing import smooth
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.scenes.draws import draw_changes

@@ -10,7 +10,7 @@ import xarray
 import daq
 from daq.runfile import store
 from processing import cli, stage
-from processing.record.finding import Finding
+from processing.record.motion import Finding
 from processing.smoothing import smooth, smooth_file
 from processing.statistics import from_kinematics
 from stickslip.errors import InputError

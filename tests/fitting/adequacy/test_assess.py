@@ -11,7 +11,7 @@ import daq
 from fitting import job, rank
 from fitting.judge.adequacy import NOT_OF_SPEED
 from fitting.words import answer
-from processing.record.finding import Finding
+from processing.record.motion import Finding
 from processing.smoothing import smooth
 
 SHARED = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).resolve().parents[4] / "shared"))

@@ -1,10 +1,12 @@
 """A curve, its rest position and what follows them: moved together they give the same motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fitting.judge.curve import moved_to, unseen
-from fitting.model.path import FrictionSpline, follow, spline_curve, with_coefficients
+from fitting.model.path import FrictionSpline, follow, spline_curve
 from fitting.model.tangents import shared_tangents, spline_tangents
 from fitting.model.unknowns import PER_RUN, Global
 from stickslip.units import Measured
@@ -28,7 +30,7 @@ def test_a_rest_position_is_hidden_by_what_follows_it(one_window, contact, stick
     windows, local = one_window(stick=stick), (STUCK if stick else SLIP)[None, :]
 
     def path_with(u, coefficients):
-        path = follow(windows, with_coefficients(curve, coefficients), u, local)
+        path = follow(windows, replace(curve, spline=curve.spline.with_coefficients(coefficients)), u, local)
         assert path is not None
         return path
 

@@ -58,26 +58,27 @@ def test_a_ramp_whose_level_scatters_shows_a_small_ripple(simulated):
     assert found.amplitude == pytest.approx(0.0022, rel=0.4)
 
 
-@pytest.mark.parametrize("law", [3, pytest.param(5, marks=pytest.mark.slow)])
-def test_a_ripple_slower_than_the_cycles_is_not_taken_for_a_faster_one(simulated, law):
+@pytest.mark.parametrize(
+    ("law", "error"), [(3, 0.1), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((5, 0.1), (6, 0.15)))]
+)
+def test_a_ripple_slower_than_the_cycles_is_not_taken_for_a_faster_one(simulated, law, error):
     # It was found at 0.75 Hz, which the sticks meet at the same phases, or not at all: "none of the six" of a true law.
+    # On a ramp (law 6) it was found at 0.47 Hz.
     changes = (f"belt.ripple={AMPLITUDE}", "belt.ripple_hz=0.12", "scatter.Fs=0.1")
     found = found_in(simulated(f"friction.law={law}", *changes))
     assert found.omega == pytest.approx(2 * math.pi * 0.12, rel=0.05)
-    assert found.amplitude == pytest.approx(AMPLITUDE, rel=0.1)
+    assert found.amplitude == pytest.approx(AMPLITUDE, rel=error)
 
 
 FAST = ("friction.law=3", "spring.k=129", "friction.Fs=4.36", "friction.G_slip=0.7", "belt.speed=0.2", "scatter.Fs=0")
 
 
-def test_short_sticks_of_a_fast_mass_show_several_frequencies_alike(simulated):
+def test_short_sticks_of_a_fast_mass_show_the_frequency(simulated):
     # 50 ms were left out at the end of sticks of 55 ms: no ripple was found, and the true law was "none of the six".
-    kinematics = simulated(*FAST, "belt.ripple=0.003", "belt.ripple_hz=1.27", duration=8.0)
-    motion = frame.from_kinematics(kinematics, kinematics.recording.rig, None)
-    found = ripple.find_ripples(motion, cycles.segment_cycles(motion))
-    hertz = sorted(one.omega / (2 * math.pi) for one in found)
-    assert hertz[0] == pytest.approx(1.27, abs=0.01)
-    assert hertz[-1] - hertz[0] == pytest.approx(3.2, abs=0.1)  # cycles a second
+    # Then 1.93 and 4.47 Hz came before it, settled no nearer than to half of their peaks' width.
+    found = found_in(simulated(*FAST, "belt.ripple=0.003", "belt.ripple_hz=1.27", duration=8.0))
+    assert found.omega == pytest.approx(2 * math.pi * 1.27, rel=0.005)
+    assert found.amplitude == pytest.approx(0.003, rel=0.02)
 
 
 @pytest.mark.slow

@@ -13,17 +13,15 @@ import pytest
 
 from fitting.judge import departures
 from fitting.judge.departures import (
-    Score,
     amplitude,
     best_scale,
     find_candidates,
-    gains,
+    linear_steps,
     rank_candidates,
-    score,
     sigmas,
 )
 from fitting.judge.library import DEPARTURES
-from fitting.model.forces import FittedMotion
+from fitting.model.forces import FittedMotion, Forcing
 from fitting.model.path import follow
 from fitting.model.unknowns import Global
 
@@ -55,12 +53,11 @@ def test_the_departure_that_was_put_in_comes_first_with_its_size(base_of, name):
 def test_a_hard_spring_is_found_and_not_friction_by_position(base_of):
     """What used to happen: law 5 alone, k/m wrong by sixty standard errors, and not a word."""
     base = base_of(scatter=0.03, k3=0.05 * K / 0.177**2)
-    first, *others = rank_candidates([base], 7.67e-6 / math.sqrt(12))
-    assert first.departure.name == "spring-nonlinear"
+    ranked = {candidate.departure.name: candidate for candidate in rank_candidates([base], 7.67e-6 / math.sqrt(12))}
+    first = ranked["spring-nonlinear"]
+    assert all(0.9 * other.explained < first.explained for other in ranked.values())  # so it is fitted beside them
     assert first.size == pytest.approx([56.15], rel=0.05)
     assert first.explained > 0.8
-    # of equal explanations the one with the fewest parameters comes first
-    assert max(candidate.explained for candidate in others) > 0.96 * first.explained
 
 
 def test_a_contact_of_the_fitted_law_shows_no_departure(base_of):
@@ -70,8 +67,7 @@ def test_a_contact_of_the_fitted_law_shows_no_departure(base_of):
 @pytest.mark.parametrize(("size", "shown"), [(0.1, True), (-0.1, False)])
 def test_a_force_by_the_velocity_that_would_push_is_not_shown(base_of, monkeypatch, size, shown):
     """A guide of -0.31 N was the strongest departure of a LuGre contact."""
-    tested = Score(np.array([size]), np.array([[1e-6]]), gain=1e6, log_p=-200.0)
-    monkeypatch.setattr(departures, "score", lambda base, columns: tested)
+    monkeypatch.setattr(departures, "linear_steps", lambda *_: (np.full((1, 2), size), np.array([1e6])))
     names = {candidate.departure.name for candidate in find_candidates(base_of(scatter=0.03), 0.0)}
     assert "spring-nonlinear" in names
     assert ("guide-friction" in names) == ("drag-quadratic" in names) == shown
@@ -98,11 +94,9 @@ def test_the_drift_of_a_belt_is_relative_to_its_speed_without_it(base_of):
 
 def test_a_response_beyond_all_numbers_explains_nothing():
     """It was multiplied all the same: an overflow, with a warning on the terminal."""
-    numbers = {"raw": [1e300, np.inf, 1.0, 1.0], "total": [1e200, 1.0, 2.0, 0.0]}
+    numbers = {"raw": [1e300, np.inf, 1.0, 1.0], "gradient": [1e200, 1.0, 2.0, 0.0]}
     information = np.diag([1e300, np.inf, 1.0, 1.0])
-    scores = SimpleNamespace(
-        total_information=information, **{name: np.array(values) for name, values in numbers.items()}
-    )
+    scores = SimpleNamespace(information=information, **{name: np.array(values) for name, values in numbers.items()})
     base = SimpleNamespace(
         motion=None,
         respond=lambda forcings: np.zeros((3, 4)),
@@ -111,15 +105,15 @@ def test_a_response_beyond_all_numbers_explains_nothing():
     departure = SimpleNamespace(columns=2, forcing=lambda trajectory, scale: None)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert gains(base, departure, np.array([1.0, 2.0])) == pytest.approx([0.0, 2.0])
+        assert linear_steps(base, departure, np.array([1.0, 2.0]))[1] == pytest.approx([0.0, 2.0])
 
 
 def test_a_known_revolution_is_not_scanned(base_of):
     base = base_of(scatter=0.03)
     eccentricity = next(departure for departure in DEPARTURES if departure.name == "eccentricity")
     known = replace(base, motion=replace(base.motion, revolution=0.12566))
-    assert best_scale(known, eccentricity) == (0.12566, 1)
-    assert best_scale(base, eccentricity)[1] > 20
+    assert best_scale(known, eccentricity) == 0.12566
+    assert best_scale(base, eccentricity) != pytest.approx(0.12566, rel=1e-3)
 
 
 def test_a_thinned_record_chooses_the_same_scale(base_of):
@@ -127,12 +121,24 @@ def test_a_thinned_record_chooses_the_same_scale(base_of):
     departure = next(departure for departure in DEPARTURES if departure.name == "friction-by-mass-position")
     thin = base.thinned()
     assert thin.linear.residual.size < 0.5 * base.linear.residual.size
-    assert best_scale(thin, departure)[0] == pytest.approx(best_scale(base, departure)[0], rel=0.1)
+    assert best_scale(thin, departure) == pytest.approx(best_scale(base, departure), rel=0.1)
 
 
-def test_a_column_that_the_fit_already_adjusts_is_not_tested(base_of):
+@pytest.fixture
+def steps_along(base_of):
+    """Give a function that returns the gain of a step along readings that err by columns (N, k)."""
     base = base_of(scatter=0.03)
-    assert score(base.linear, base.linear.derivatives.columns(slice(1)) * 3.0) is None
+
+    def gain(columns):
+        departure = SimpleNamespace(columns=columns.shape[1], forcing=lambda *_: Forcing(reading=columns))
+        return float(linear_steps(base, departure, np.array([math.nan]))[1][0])
+
+    return base, gain
+
+
+def test_a_column_that_the_fit_already_adjusts_explains_nothing(steps_along):
+    base, gain = steps_along
+    assert gain(base.linear.derivatives.columns(slice(1)) * 3.0) == 0
 
 
 def test_more_trials_take_standard_deviations_away():
@@ -142,26 +148,10 @@ def test_more_trials_take_standard_deviations_away():
     assert sigmas(-1.0, 1e6) == 0.0
 
 
-def test_two_columns_that_do_the_same_end_in_no_error(base_of):
-    base = base_of(scatter=0.03)
+def test_two_columns_that_do_the_same_end_in_no_error(steps_along):
+    base, gain = steps_along
     column = np.sin(np.arange(base.linear.residual.size) * 0.01)[:, np.newaxis]
-    found = score(base.linear, np.hstack([column, column]))
-    assert found is None or np.isfinite(found.gain)
-
-
-def test_what_one_cycle_alone_shows_is_not_tested():
-    """What the other cycles show of it was rounding, and its inverse overflowed."""
-    information = np.full((8, 1, 1), 1e-20)
-    information[3] = 1e20
-    gradient = np.sqrt(information[:, :, 0])
-    whole, total = (1 - 2e-16) * information.sum(axis=0), gradient.sum(axis=0)
-    linear = SimpleNamespace(
-        scores=lambda columns: SimpleNamespace(
-            information=information, score=gradient, total_information=whole, total=total, raw=np.diag(whole)
-        )
-    )
-    with np.errstate(all="raise"):
-        assert score(linear, np.ones((8, 1))) is None
+    assert np.isfinite(gain(np.hstack([column, column])))
 
 
 @pytest.mark.parametrize(

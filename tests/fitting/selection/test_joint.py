@@ -310,6 +310,23 @@ def test_runs_of_two_contacts_accuse_no_rest_position_that_each_agrees_with(belt
 
 
 @pytest.mark.slow
+def test_runs_of_two_contacts_are_not_one_though_a_curve_describes_both(belt_rig):
+    # Each run has levels and a rest position of its own, so a logarithmic curve described both at 1.08 times the noise.
+    contacts = [belt_rig.Contact(Fs=1.1, gamma=8.0, belt=0.1), belt_rig.Contact(Fs=1.5, gamma=4.0, belt=0.2, seed=2)]
+    runs, time = [], np.arange(0.0, 25.0, 1 / 240)
+    for number, contact in enumerate(contacts):
+        noise = np.random.default_rng(number).normal(0.0, 2e-4, time.size)
+        made = belt_rig.simulate(replace(contact, c=0.02, scatter=0.03, duration=25.0), time) + noise
+        runs.append(Recording.from_arrays(time, made))
+    ranking = rank(runs, mass=0.3)
+    assert [finding.code for finding in ranking.findings] == ["not-one-contact"]
+    assert ranking.verdict.startswith("these runs are not one contact: law 5 describes each of them alone")
+    assert not ranking.laws_in_set
+    assert ranking.adequacy.verdict != "adequate"
+    assert all(row.weight is None and not row.in_set for row in ranking.rows)
+
+
+@pytest.mark.slow
 def test_levels_that_differ_between_runs_alone_determine_no_rest_position(belt_rig):
     # The levels of two runs trade against their rest positions: x0 was 15.0 +- 0.4 mm for 0.
     one = belt_rig.Contact(curve="stribeck", Fs=1.5, Fc=0.9, v_s=0.03, Fv=0.0, m=0.5, k=80.0, belt_start=1.0)

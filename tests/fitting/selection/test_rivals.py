@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fitting import job, rank
-from fitting.judge.curve import measured_target
 from fitting.judge.formulas import fit_formula, fit_formulas
 from fitting.laws import PUBLISHED, Competitors, Law
 from processing.smoothing import smooth
@@ -73,7 +72,7 @@ def test_a_true_law_on_an_encoder_has_no_rival_in_its_set(ranked):
 def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
     law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
-    found = fit_formula(law, curve, others=(), target=measured_target(curve))
+    found = fit_formula(law, curve, others=())
     at, step = found.solution, 1e-5
     for place in (at.u.size - 2, at.u.size - 1):
         sides = []
@@ -89,9 +88,7 @@ def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
 def test_a_curve_that_is_negative_is_not_fitted(ranked):
     curve = ranked(law=5, duration=10.0).adequacy.curve
     with pytest.raises(InputError, match="friction is negative"):
-        fit_formula(
-            Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve, others=(), target=measured_target(curve)
-        )
+        fit_formula(Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve, others=())
 
 
 def test_every_published_law_is_fitted_or_says_why_not(ranked):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.model.path import law_curve, positions
+from fitting.model.path import Curve, positions
 from fitting.model.unknowns import PER_CYCLE
 from fitting.model.windows import ShootingWindows
 
@@ -45,7 +45,7 @@ def predicted(
     static=1.0,
 ):
     u = np.array([K, np.log(F), V, shape, d, datum, c, fade, compliance, *ripple, static])
-    return positions(windows, law_curve(curve, ramp), u, local[None])
+    return positions(windows, Curve(curve, ramp), u, local[None])
 
 
 def start(x, v, stick=False, level=1.0, following=1.0):
@@ -166,7 +166,7 @@ def test_some_cycles_are_predicted_as_among_all():
     local = np.array([start(0.12, 0.15), start(-0.1, 0.2, stick=True), start(0.1, 0.05, level=1.1)])
     cycles = np.array([0, 2])
 
-    position = positions(windows, law_curve(2, True), u, local)
-    own = positions(windows.some(cycles), law_curve(2, True), u, local[cycles])
+    position = positions(windows, Curve(2, True), u, local)
+    own = positions(windows.some(cycles), Curve(2, True), u, local[cycles])
     assert np.array_equal(own, position[np.r_[0:50, 90:121]])
     assert windows.some(cycles).rows == (slice(0, 50), slice(50, 81))

@@ -1,6 +1,7 @@
 """The stepped path and its tangents: the fit's own positions, finite differences, and a spline that is a law."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from fitting.model import path
 from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP, Drag
-from fitting.model.path import Curve, FrictionSpline, follow, spline_curve, with_coefficients
+from fitting.model.path import Curve, FrictionSpline, follow, spline_curve
 from fitting.model.tangents import local_tangents, shared_tangents, spline_tangents, tangents
 from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
 
@@ -123,7 +124,7 @@ def test_tangents_of_spline_coefficients_are_differences(one_window, ramp):
         for h in (1e-5, -1e-5):
             moved = curve.spline.coefficients.copy()
             moved[j] += h
-            ends.append(follow(windows, with_coefficients(curve, moved), u, local).model)
+            ends.append(follow(windows, replace(curve, spline=curve.spline.with_coefficients(moved)), u, local).model)
         size = np.abs(found[:, j]).max()
         assert size > 1e-7  # m per m/s^2
         assert found[:, j] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-3 * size)

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from processing.polynomial.even_fit import coefficients, fit
+from processing.polynomial.even import coefficients, fit
 
 
 @cache

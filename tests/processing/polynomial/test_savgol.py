@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from processing.methods import registry
-from processing.polynomial import savgol, uneven
+from processing.polynomial import savgol
+from processing.polynomial import savgol as uneven
 from processing.record import series
 from processing.record.setting import Setting
 
@@ -71,7 +72,7 @@ def test_an_even_grid_and_explicit_times_give_the_same_fit():
     rng = np.random.default_rng(3)
     time, position = np.arange(500) * 1e-3, rng.standard_normal(500)
     by_convolution = savgol.fit(time, position, 41, 4)
-    by_times = uneven.fit(time, position, 41, 4)
+    by_times = uneven.fit_uneven(time, position, 41, 4)
     for one, two in zip(by_convolution, by_times, strict=True):
         assert np.abs(one - two).max(axis=1) == pytest.approx([0, 0, 0], abs=1e-9 * np.abs(two).max())
 
@@ -80,7 +81,7 @@ def test_uneven_times_agree_with_a_polynomial_fitted_to_each_window():
     rng = np.random.default_rng(4)
     time = np.cumsum(rng.uniform(0.5, 1.5, 120)) * 1e-3
     position = rng.standard_normal(120)
-    values, norms = uneven.fit(time, position, 15, 3)
+    values, norms = uneven.fit_uneven(time, position, 15, 3)
     for i in (0, 3, 60, 119):
         first = min(max(i - 7, 0), 105)
         own = slice(first, first + 15)

@@ -11,7 +11,7 @@ import daq
 import processing
 from daq.runfile import store
 from processing import stage
-from processing.record.finding import Finding
+from processing.record.motion import Finding
 
 SAMPLES = Path(__file__).resolve().parents[3] / "data_samples"
 

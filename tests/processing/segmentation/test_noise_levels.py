@@ -8,7 +8,7 @@ from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.record import series
 from processing.record.setting import Setting
-from processing.segmentation import noise_levels, smoother
+from processing.stick_slip import noise, smoother
 
 
 def test_a_reading_is_no_better_than_its_last_decimal(motion, imported, monkeypatch):
@@ -17,7 +17,7 @@ def test_a_reading_is_no_better_than_its_last_decimal(motion, imported, monkeypa
     thin = slice(None, None, 40)
     printed = np.round(true.x[thin], 9)
     seen = []
-    estimate = noise_levels.reestimate_noise
+    estimate = noise.reestimate_noise
 
     def kept(*arguments, **options):
         seen.append(estimate(*arguments, **options))

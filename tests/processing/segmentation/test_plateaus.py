@@ -9,8 +9,8 @@ import processing
 from daq.runfile.rig import Rig
 from processing.kalman import white_jerk
 from processing.record import series
-from processing.segmentation import plateaus
-from processing.segmentation.belt_speed import half_sample_mode
+from processing.stick_slip import plateaus
+from processing.stick_slip.plateaus import half_sample_mode
 from stickslip.errors import InputError
 from stickslip.units import Measured
 

@@ -5,8 +5,8 @@ import pytest
 
 from processing.kalman.stick_slip import LEAVE, MEET, SLIP, STICK
 from processing.record.series import Series
-from processing.segmentation.smoother import _shift_times
-from processing.segmentation.switching_times import SwitchingTimes, split_stretches
+from processing.stick_slip.corners import SwitchingTimes, split_stretches
+from processing.stick_slip.smoother import _shift_times
 
 
 @pytest.mark.parametrize("shift", [-1.0, 1.0])

@@ -5,14 +5,14 @@ higher density near its ends, where friction changes fast, than in its middle.  
 x and v are continuous and the acceleration drops to 0; at a break-away the jerk jumps (the acceleration too, where the
 break-away level differs from sliding friction).  A stick on an uneven belt is smoothed like a slip.
 
-1. A first motion (`processing.kalman.white_jerk`) shows sticks (`processing.segmentation.plateaus`), and rest before
+1. A first motion (`processing.kalman.white_jerk`) shows sticks (`processing.stick_slip.plateaus`), and rest before
    the belt starts.
-2. Noise levels (`processing.segmentation.noise_levels`) and switching times
-   (`processing.segmentation.switching_estimate`) are made more likely in turns.
-3. Model selection keeps the sticks that the record supports (`processing.segmentation.model_selection`).
+2. Noise levels (`processing.stick_slip.noise`) and switching times
+   (`processing.stick_slip.noise`) are made more likely in turns.
+3. Model selection keeps the sticks that the record supports (`processing.stick_slip.accept`).
 4. The motion and its errors are averaged over the uncertainty of the switching times (two nodes of Gauss and Hermite).
    One pass at their estimates is as accurate, but its errors cover 86 % near landings instead of 96 %.
-5. In a stick on an even belt velocity and error are those of straight lines (`processing.segmentation.line_fit`).
+5. In a stick on an even belt velocity and error are those of straight lines (`processing.stick_slip.line_fit`).
 
 Not modelled: corners within a slip other than kicks, and counts that hardly change.
 """
@@ -24,23 +24,11 @@ import numpy as np
 
 from processing.kalman import white_jerk
 from processing.kalman.corner_kernel import BETWEEN
-from processing.kalman.stick_slip import (
-    KICK,
-    LAND,
-    LEAVE,
-    MEET,
-    RIDE,
-    SLIP,
-    START,
-    STICK,
-    STOP,
-    NoiseLevels,
-)
+from processing.kalman.stick_slip import KICK, LAND, LEAVE, MEET, RIDE, SLIP, START, STICK, STOP, NoiseLevels
 from processing.record.motion import Corner, Motion
 from processing.record.series import Series
-from processing.segmentation import line_fit, plateaus
-from processing.segmentation.landing_snap import learn_mean_snap
-from processing.segmentation.model_selection import (
+from processing.stick_slip import line_fit, plateaus
+from processing.stick_slip.accept import (
     Gate,
     PlacedCorners,
     Span,
@@ -51,24 +39,20 @@ from processing.segmentation.model_selection import (
     learn_gate,
     stick_misfits,
 )
-from processing.segmentation.noise_levels import (
+from processing.stick_slip.corners import SwitchingTimes, group_by_stick, initial_switching_times, split_stretches
+from processing.stick_slip.noise import (
     Workspace,
     guess_levels,
+    learn_mean_snap,
     reestimate_noise,
+    refine_switching_times,
     smooth_stretch,
 )
-from processing.segmentation.phase_layout import speed_of_sticks, sticks_at_corners
-from processing.segmentation.switching_estimate import refine_switching_times
-from processing.segmentation.switching_times import (
-    SwitchingTimes,
-    group_by_stick,
-    initial_switching_times,
-    split_stretches,
-)
+from processing.stick_slip.plateaus import speed_of_sticks, sticks_at_corners
 from stickslip.compute.arrays import HOLE, Array, Mask, runs
 from stickslip.compute.compile import compiled
 
-KERNELS = ("processing.segmentation.line_fit",)
+KERNELS = ("processing.stick_slip.line_fit",)
 CORNER_NAMES = {
     LAND: "land",
     MEET: "land",

@@ -1,9 +1,8 @@
-"""The metric of the measured curve: the lowest coefficients follow a formula; published laws are found on their own."""
+"""Published laws are found on their own curves."""
 
 import numpy as np
 import pytest
 
-from fitting.judge.curve import followed
 from fitting.laws import PUBLISHED
 from fitting.search.formula import Target, find_starts
 
@@ -24,12 +23,3 @@ def test_a_published_law_is_found_on_its_own_curve(law):
     found = find_starts(law, Target.of(SPEEDS, friction, 1e-3))[0]
     assert found.values == pytest.approx(TRUE[law.name], rel=1e-3)
     assert found.misfit < 1e-2
-
-
-def test_an_unknown_without_curvature_does_not_follow_a_form():
-    """Where the search for the curve had failed (law 5, 10 samples a slip) a negative one made every form NaN."""
-    curvature = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, -1e-3]])
-    cross = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 3.0]])
-    found = followed(curvature, cross)
-    assert found[:2] == pytest.approx(np.linalg.inv(curvature[:2, :2]) @ cross[:, :2].T)
-    assert not found[2].any()

@@ -10,35 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from processing.kalman import white_jerk
-from processing.kalman.stick_slip import (
-    KICK,
-    LABELS,
-    LAND,
-    LEAVE,
-    MEET,
-    RIDE,
-    SLIP,
-    START,
-    STICK,
-    STOP,
-    NoiseLevels,
-)
+from processing.kalman.stick_slip import KICK, LABELS, LAND, LEAVE, MEET, RIDE, SLIP, START, STICK, STOP, NoiseLevels
 from processing.record.series import Series
-from processing.segmentation.noise_levels import (
+from processing.stick_slip.corners import SwitchingTimes, drop_corners, group_by_stick, span_sticks, split_stretches
+from processing.stick_slip.noise import (
     Workspace,
     filter_stretch,
     log_likelihood,
     merge_levels,
     null_model,
     reestimate_noise,
-)
-from processing.segmentation.switching_estimate import refine_switching_times
-from processing.segmentation.switching_times import (
-    SwitchingTimes,
-    drop_corners,
-    group_by_stick,
-    span_sticks,
-    split_stretches,
+    refine_switching_times,
 )
 from stickslip.compute.arrays import Array, Integers, Mask
 
