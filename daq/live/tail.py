@@ -15,6 +15,7 @@ import numpy as np
 from daq import protocols
 from daq.finalise.run import read_calibration
 from daq.protocols import blocks
+from daq.protocols.session import decode_whole
 from daq.runfile import journal, journal_header, journal_records
 from daq.runfile.belt_counter import BeltCount
 from daq.runfile.journal import Record
@@ -151,7 +152,7 @@ class JournalTail:
         if self._of_blocks:
             return self._unpack_blocks(reads)
         self._reads = [*self._reads, *reads]  # a fork may have the other one
-        stream = self._backend.decode(self._reads, self.header)
+        stream = decode_whole(self._backend, self._reads, self.header)
         self._ident = connections.replace_implausible(stream).ident or self._ident
         self._calibrate(stream)
         self._reads = _keep_last_lines(self._reads, self._backend.DELIMITER)

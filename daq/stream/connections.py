@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import protocols
+from daq.protocols import session
 from daq.runfile import journal
 from daq.runfile.rig import Rig
 from daq.runfile.run_data import SentAs
@@ -40,7 +41,7 @@ def decode_connections(recorded: journal.Journal) -> Iterator[Iterator[decode.St
     records = recorded.records
     cuts = [number for number, kind in enumerate(records.kinds) if kind == journal.REOPENED]
     for first, last in pairwise([0, *cuts, len(records)]):
-        pieces = backend.decode_pieces(_ConnectionReads(records, first, last), recorded.header)
+        pieces = backend.decode_pieces(_ConnectionReads(records, first, last), recorded.header, session.PIECE_BYTES)
         yield (cut_at_leaps(replace_implausible(stream), rate_hz) for stream in pieces)
 
 
