@@ -65,7 +65,7 @@ def check(request: RecordRequest) -> None:
         raise InputError("records of a QSB have fixed columns", "--columns", "leave it out: it is for text")
 
 
-def make_ident(decoder: str | None, interval: int = 1) -> frames.Ident:
+def make_ident(decoder: str | None) -> frames.Ident:
     """Return the identification common to every QSB."""
     return frames.Ident(
         firmware=(0, 0, 0),

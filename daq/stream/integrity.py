@@ -6,7 +6,7 @@ of the counters: nothing is carried over or filled in.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from daq.protocols import link_budget
 from daq.runfile.rig import Rig
 from daq.stream import connections
-from daq.stream.timeline import PartReason, Samples, join
+from daq.stream.timeline import PartReason, Samples, join, make_empty
 from daq.wire import counters, frames
 from daq.wire.quadrature import EDGES_PER_COUNT
 
@@ -32,16 +32,19 @@ class CheckedCounts:
     segment: NDArray[np.uint16] | NDArray[np.uint32]  # (n,) from 0
     flags: NDArray[np.uint16]  # (n,) status as sent, less the levels, and the host's checks (`daq.wire.counters`)
     lost: NDArray[np.int64]  # (n,) samples missing right before each one
-    illegal: int  # illegal transitions the board counted during this run
-    peak_count_rate: float  # fastest counting over `PEAK_OVER_S` (over a sample where that is longer), counts/s
-    reasons: tuple[SegmentReason, ...]  # what began each segment; irrelevant for the first one
-    starts: NDArray[np.int64]  # (s,) first sample of each segment
-    gap_s: NDArray[np.float64]  # (s,) from the last sample before each segment; 0 for the first one
-    leap_s: NDArray[np.float64]  # (s,) leap of the board's clock there, s; 0 where it did not
+    illegal: int = 0  # illegal transitions the board counted during this run
+    peak_count_rate: float = 0.0  # fastest counting over `PEAK_OVER_S` (a sample where that is longer), counts/s
+    reasons: tuple[SegmentReason, ...] = ()  # what began each segment; irrelevant for the first one
+    starts: NDArray[np.int64] = field(default_factory=make_empty)  # (s,) first sample of each segment
+    # (s,) from the last sample before each segment; 0 for the first one
+    gap_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # (s,) leap of the board's clock there, s; 0 where it did not
+    leap_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (p,) samples before which the board paused without a gap in its sequence, and for how long
-    paused: NDArray[np.int64]
-    paused_s: NDArray[np.float64]
-    source: NDArray[np.int64]  # (s,) number of the identification that each segment was sent under
+    paused: NDArray[np.int64] = field(default_factory=make_empty)
+    paused_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # (s,) number of the identification that each segment was sent under
+    source: NDArray[np.int64] = field(default_factory=make_empty)
 
 
 class CountSurvey:
@@ -151,7 +154,8 @@ class CountCheck:
         begins = fresh | invalid
         n = len(window)
         if n == 0:
-            return _check_nothing(self.peak_count_rate)
+            flags = np.zeros(0, dtype=np.uint16)
+            return CheckedCounts(make_empty(), flags, flags, make_empty(), peak_count_rate=self.peak_count_rate)
         self._last = window.take(np.arange(n) == n - 1)
         first = counters.wrap_signed(window.up.astype(np.int64) - window.down, bits) * scale
         if new.start:
@@ -249,13 +253,6 @@ def _follow(samples: Samples, last: Samples | None, rate_hz: float) -> _Continui
 def _expand(values: NDArray[Any], samples: Samples) -> NDArray[Any]:
     """Return for each sample the value of its identification."""
     return np.asarray(values[samples.source])
-
-
-def _check_nothing(peak_count_rate: float) -> CheckedCounts:
-    none = np.zeros(0, dtype=np.int64)
-    flags = none.astype(np.uint16)
-    seconds = none.astype(np.float64)
-    return CheckedCounts(none, flags, flags, none, 0, peak_count_rate, (), none, seconds, seconds, none, seconds, none)
 
 
 class _PeakRate:

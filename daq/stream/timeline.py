@@ -34,7 +34,7 @@ OPTIONAL = ("belt", "edge", "time_error")  # columns that a board need not send
 PartReason = Literal["reopened", "restarted", "jumped", "clock", "paused"]
 
 
-def _make_empty() -> NDArray[np.int64]:
+def make_empty() -> NDArray[np.int64]:
     return np.empty(0, np.int64)
 
 
@@ -63,9 +63,9 @@ class Samples:
     # (n,) the time as sent less ``ticks``; None where no time is interpolated
     time_error: NDArray[np.int64] | None = None
     # (n,) number of its identification in `Timeline.idents`
-    source: NDArray[np.int64] = field(default_factory=_make_empty)
+    source: NDArray[np.int64] = field(default_factory=make_empty)
     # (n,) sample periods from the start of the run, lost samples and gaps included
-    place: NDArray[np.int64] = field(default_factory=_make_empty)
+    place: NDArray[np.int64] = field(default_factory=make_empty)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -90,9 +90,9 @@ class Frames:
     first: int  # number of the first one, over all connections
     length: NDArray[np.int64]  # (f,); and the others as of `daq.wire.decode.Stream`
     crc_frame: NDArray[np.int64]
-    part_stamp_ns: NDArray[np.int64] = field(default_factory=_make_empty)
-    part_frame: NDArray[np.int64] = field(default_factory=_make_empty)
-    part_bytes: NDArray[np.int64] = field(default_factory=_make_empty)
+    part_stamp_ns: NDArray[np.int64] = field(default_factory=make_empty)
+    part_frame: NDArray[np.int64] = field(default_factory=make_empty)
+    part_bytes: NDArray[np.int64] = field(default_factory=make_empty)
     notices: tuple[tuple[int, str], ...] = ()
     unknown: int = 0
 
@@ -134,8 +134,8 @@ class _Part:
     prompt_s: float  # host's clock less the device's time since the first sample, the least of the first seconds
     start_s: float = 0.0  # time of its first sample in the run
     # device time and host's stamp of its last seconds
-    end_ticks: NDArray[np.int64] = field(default_factory=_make_empty)
-    end_ns: NDArray[np.int64] = field(default_factory=_make_empty)
+    end_ticks: NDArray[np.int64] = field(default_factory=make_empty)
+    end_ns: NDArray[np.int64] = field(default_factory=make_empty)
 
     def measure_s(self, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return device times as seconds since the part's first sample."""

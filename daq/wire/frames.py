@@ -156,11 +156,6 @@ def _unstuff_line(line: bytes) -> bytes:
     return body
 
 
-def deframe(line: bytes) -> bytes | None:
-    """Return the payload of the bytes between two delimiters, or None if COBS or the CRC is invalid."""
-    return _check_crc(_unstuff_line(line))
-
-
 def _check_crc(body: bytes) -> bytes | None:
     payload = body[:-2]
     if len(body) < SHORTEST_BODY or crc_hqx(payload, CRC_SEED) != body[-2] | body[-1] << 8:
