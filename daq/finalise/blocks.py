@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.protocols import blocks
 from daq.runfile import journal
-from daq.stream.integrity import CheckedCounts
+from daq.stream.integrity import CheckedCounts, SegmentReason
 from daq.stream.timeline import Frames, Piece, Samples
 from stickslip.compute.arrays import Array, Integers
 
@@ -85,13 +85,14 @@ def _build_piece(time: Array, index: Integers, stamp: Integers, number: int, *, 
 
 def _build_counts(values: Array | Integers, lost: Integers, rate: float, *, begins: bool) -> CheckedCounts:
     n, starts = len(values), np.zeros(int(begins and len(values) > 0), np.int64)
+    reopened: SegmentReason = "reopened"
     return CheckedCounts(
         count=values.astype(np.int64) if values.dtype.kind == "i" else np.zeros(n, np.int64),
         segment=np.zeros(n, np.uint16),
         flags=np.zeros(n, np.uint16),
         lost=lost,
         peak_count_rate=rate,
-        reasons=("reopened",) * len(starts),
+        reasons=(reopened,) * len(starts),
         starts=starts,
         gap_s=np.zeros(len(starts)),
         leap_s=np.zeros(len(starts)),
