@@ -57,10 +57,9 @@ class CurveCoordinates:
         """Derivatives (n, p + n) of the coefficients by the unknowns outside the curve, then its coordinates."""
         return np.hstack([np.broadcast_to(self.offset, (self.precision.size, self.offset.size)), self.matrix])
 
-    def coefficients(self, unknowns: Array) -> Array:
-        p = self.offset.size
-        moved = float(np.sum(self.offset * (unknowns[:p] - self.start)))
-        return np.asarray(np.einsum("ij,j->i", self.matrix, unknowns[p:]) + moved)
+    def coefficients(self, beside: Array, theta: Array) -> Array:
+        moved = float(np.sum(self.offset * (beside - self.start)))
+        return np.asarray(np.einsum("ij,j->i", self.matrix, theta) + moved)
 
     def unknowns(self, beside: Array, coefficients: Array) -> Array:
         """Return all unknowns (p + n,) from those beside the curve and its coefficients."""
@@ -143,15 +142,15 @@ class FreeCurve(FrictionCurve):
         self.start = self.basis.unknowns(beside, coefficients)[beside.size :]
 
     def on_path(self, theta: Array, beside: Array) -> Curve | None:
-        return spline_curve(self.spline.with_coefficients(self.coefficients(theta, beside)[0]), self.ramp)
+        return spline_curve(self._at(theta, beside), self.ramp)
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
-        found = spline_tangents(path, self.coefficients(theta, path.u[list(places)])[1])
+        found = spline_tangents(path, self.basis.slopes)
         found[:, : len(places)] += shared_tangents(path, places)
         return found
 
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
-        return self.spline.with_coefficients(self.coefficients(theta, beside)[0])(s)
+        return self._at(theta, beside)(s)
 
-    def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:
-        return self.basis.coefficients(np.concatenate([beside, theta])), self.basis.slopes
+    def _at(self, theta: Array, beside: Array) -> FrictionSpline:
+        return self.spline.with_coefficients(self.basis.coefficients(beside, theta))

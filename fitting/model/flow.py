@@ -1,19 +1,13 @@
-"""Kernels: friction per unit mass in each mode of the contact, for the curve of a law or for a spline.
+"""Kernels: the motion along the windows of a fit by the classical Runge-Kutta method, stored where tangents need it.
 
 The relative speed e = v_belt - x' is positive where the belt is faster; friction then pushes the mass along +x:
 
     slip   sign(e) level F n(s)             abs(e) = s + d + q n(s)
     ramp   static level F n(0) e/edge       edge = d + q n(0)
 
-n is the curve over F = Fs/m (a spline is its own curve per unit mass, F = 1), d the ramp's half-width, and q =
+n is the curve of a law over F = Fs/m (a spline is its own curve per unit mass, F = 1), d the ramp's half-width, and q =
 compliance F/K the speed that a compliant belt loses under the load F, which makes friction a function of the speed of
 the unloaded belt (`rig_sim.flow.modes`, droop).  Where a touch of the belt ends a step, n is continued to s < 0.
-
-Kernels: the acceleration of the mass in each mode, and one Runge-Kutta step of it.
-
-`fitting.model.flow` joins the steps.
-
-Kernels: the motion along the windows of a fit by the classical Runge-Kutta method, stored where tangents need it.
 
 A window is followed from its own start; friction is the cycle's level times the curve, less what the level has faded
 by.  A touch of the belt before ``earliest`` is no landing: the mass slips on as soon as the load exceeds its level, so

@@ -265,11 +265,6 @@ class Path:
         return np.repeat(np.arange(self.first_point.size - 1), np.diff(self.first_point))
 
     @cached_property
-    def cycle(self) -> Integers:
-        """Cycle of each point, shape (M,)."""
-        return np.asarray(self.windows.table[self.window, 0])
-
-    @cached_property
     def run(self) -> Integers:
         """Run of each point, shape (M,)."""
         return np.asarray(self.windows.table[self.window, 5])
@@ -282,8 +277,7 @@ class Path:
     @cached_property
     def side(self) -> Array:
         """1.0 where friction pushes the mass forwards in slip, -1.0 where backwards, 0.0 in stick; shape (M,)."""
-        slips = self.slips
-        return np.where(slips, np.where(self.mode == NEGATIVE, 1.0, -1.0), 0.0)
+        return np.where(self.slips, np.where(self.mode == NEGATIVE, 1.0, -1.0), 0.0)
 
     @cached_property
     def slips(self) -> Mask:

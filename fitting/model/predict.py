@@ -202,10 +202,15 @@ class Model:
 
     def evaluate(self, q: Array, local: Array, derivatives: bool) -> tuple[Array, Derivatives | None] | None:
         """As `fitting.least_squares.normal_equations.Evaluate`; rows are weighted by the root of their count."""
+        return self._evaluate_by(self.all_derivatives if derivatives else None, q, local)
+
+    def _evaluate_by(
+        self, derive: Callable[[Array, Array], Derivatives] | None, q: Array, local: Array
+    ) -> tuple[Array, Derivatives | None] | None:
         residual = self.residual(q, local)
         if residual is None:
             return None
-        found = self.all_derivatives(q, local) if derivatives else None
+        found = None if derive is None else derive(q, local)
         return residual if self._size is None else residual * self._size, found
 
     def some(self, q: Array, cycles: Integers) -> Evaluate:
@@ -214,14 +219,8 @@ class Model:
         if self._size is not None:
             part._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
 
-        def evaluate(_: Array, local: Array, derivatives: bool) -> tuple[Array, Derivatives | None] | None:
-            residual = part.residual(q, local)
-            if residual is None:
-                return None
-            found = part.derivatives(q, local, local_tangents) if derivatives else None
-            return residual if part._size is None else residual * part._size, found
-
-        return evaluate
+        derive = partial(part.derivatives, columns=local_tangents)
+        return lambda _, local, derivatives: part._evaluate_by(derive if derivatives else None, q, local)
 
     def path_in(self, block: Block, q: Array, local: Array) -> Path | None:
         if self.along or block.rows == slice(0, self.windows.time.size):

@@ -1,5 +1,7 @@
 """Tangents: derivatives of the position along a path by anything that acts on the mass, the belt or the reading.
 
+`tangents` integrates any columns; the others make those of a fit's unknowns: shared, the cycles' own, a spline's.
+
 A departure or a parameter p is a column: the acceleration a_p (m/s^2) and the change of the belt's speed b_p (m/s) that
 one unit of it makes at every point of a path.  With K = k/m, c/m (and the slope of a drag) and the slope
 of friction f' there,
@@ -12,8 +14,6 @@ by the same Runge-Kutta steps as the path.  Where the mode changes, the change c
 does there, and dx' jumps (saltation).
 
 Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of Non-smooth Mechanical Systems (2004), 7.2.
-
-The columns of a fit's unknowns: shared parameters, the cycles' own, and the coefficients of a spline.
 """
 
 from collections.abc import Sequence

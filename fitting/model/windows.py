@@ -1,12 +1,12 @@
-"""The samples of a fit: a stick window and a slip window of each cycle.
+"""The samples of a fit: a stick window and a slip window of each cycle; their nodes; wear.
 
-Wear: the decrease of the friction level from cycle to cycle, by a straight line through the cycles' levels.
+Wear is the decrease of the friction level from cycle to cycle, by a straight line through the cycles' levels.
 
 A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  The change of
 a level within one cycle is a separate parameter of the fit (`fitting.model.unknowns`, fade) and is not used for wear,
 since a contact may lose its strength only where it is formed anew.
 
-Every sample of a record, seen through fewer nodes: the last pass of a fit needs tangents at these alone.
+Nodes stand for every sample of a record: the last pass of a fit needs tangents at these alone.
 """
 
 import math
@@ -166,12 +166,14 @@ class ShootingWindows:
 
     def rms(self, residual: Array) -> Array:
         """Return the rms (cycles,) of each cycle's residuals (N,)."""
-        return np.array([math.sqrt(float(np.mean(residual[rows] ** 2))) for rows in self.rows])
+        return np.sqrt(self._mean_squares(residual))
+
+    def _mean_squares(self, residual: Array) -> Array:
+        return np.array([np.mean(residual[rows] ** 2) for rows in self.rows])
 
     def spoilt(self, residual: Array) -> NDArray[np.bool_]:
         """Return the cycles (cycles,) with residuals (N,) far above the median of their run."""
-        square = np.array([np.mean(residual[rows] ** 2) for rows in self.rows])
-        run = self.run
+        square, run = self._mean_squares(residual), self.run
         usual = np.array([np.median(square[run == one]) for one in range(int(run.max()) + 1)])
         return np.asarray(square > SPOILT * usual[run])
 
