@@ -60,6 +60,16 @@ class Task:
         """Return the same with shared unknowns fixed at the regression."""
         return replace(self, places=tuple(place for place in self.places if place % PER_RUN not in slots))
 
+    def predict(
+        self,
+        windows: ShootingWindows,
+        longest_step: float,
+        near: Path | None = None,
+        count: Array | None = None,
+    ) -> "Model":
+        model: type[Model] = self.curve.model or Model
+        return model(self, windows, longest_step, near, count)
+
     @property
     def resolution(self) -> float:
         return max(motion.resolution for motion in self.problem.motions)
