@@ -107,6 +107,8 @@ class Law:
         As `rig_sim.friction.formula` reads it.
     ramp : bool
         Whether slip begins beyond a ramp, as under laws 2, 4 and 6; else friction jumps.
+    rate : str
+        Rate z' of the state of a published law with memory, whose ``formula`` is friction of steady slip; else empty.
     start : mapping of str to float or str, optional
         First values of parameters, as text with a unit (``"30 mm/s"``) or in SI; those left out are found.
     bounds : mapping of str to (low, high), optional
@@ -142,6 +144,8 @@ class Law:
             raise InputError(what, "law", 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")')
         if not NAME.fullmatch(self.name) and (self.name, self.formula, self.ramp) not in OF_SIX:
             raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
+        if self.rate and self.name not in OF_MEMORY:
+            raise InputError(f"law {self.name} has a rate", "rate", f"only these have: {', '.join(OF_MEMORY)}")
         known = self.parameters
         if not known:
             raise InputError(f"law {self.name} has no parameter", "formula", "name at least the friction level")
@@ -538,7 +542,7 @@ class Competitors:
         named = _each_once([*_read(laws, "--laws"), *map(read_law, law)])
         behind = list(ramp)
         for name in behind:
-            check_known(name, [one.name for one in named if not one.number], "law", "--ramp")
+            check_known(name, [one.name for one in named if not (one.number or one.rate)], "law", "--ramp")
         return cls(
             tuple(one.behind_ramp() if one.name in behind else one for one in named),
             dict(_pairs(fix, "--fix")),  # type: ignore[arg-type]

@@ -151,7 +151,7 @@ def fit_formulas(
         asked = competitors.asks(law)
         fit: Fit | str = "the friction curve could not be measured"
         if law.rate:
-            fit = fit_memory(law, six[0].problem.runs) or "its motion cannot be followed"
+            fit = fit_memory(law, six[0].problem.runs)
         elif curve is not None:
             fit = _fit(law, curve, [*six, *(other for other in fits if not other.law.rate)], asked=asked)
         if isinstance(fit, str):

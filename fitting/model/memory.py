@@ -122,7 +122,7 @@ def creep(flow: MemoryFlow, u: Vector, h: float, fastest: float) -> Vector:
 def follow_window(
     law: int, p: Array, own: Array, spread: float, tolerance: float, time: Array, steps: Array, kept: Integers, x: Array
 ) -> bool:
-    """Follow one window to positions x (n,) at ``time`` (n,), s; return whether that is possible.
+    """Follow one window to positions and velocities x (2, n) at ``time`` (n,), s; return whether that is possible.
 
     ``kept`` are the number of ``steps`` and the one that lands (-1 for none); steps are chosen where the number is 0.
     """
@@ -153,7 +153,7 @@ def follow_window(
             if choosing and n == steps.size:
                 return False
             while i < time.size and time[i] <= t + h:
-                x[i] = u[0] + p[1] * (time[i] - t)
+                x[0, i], x[1, i] = u[0] + p[1] * (time[i] - t), p[1]
                 i += 1
             u = creep(flow, u, h, math.inf)
             if choosing:
@@ -191,7 +191,7 @@ def follow_window(
         if not (math.isfinite(stop[0]) and math.isfinite(stop[1]) and math.isfinite(after[2])):
             return False
         while i < time.size and time[i] <= t + h:
-            x[i] = motion_within(flow, h, (time[i] - t) / h, start, stop)[0]
+            x[0, i], x[1, i], _a = motion_within(flow, h, (time[i] - t) / h, start, stop)
             i += 1
         if choosing:
             if n == steps.size:
@@ -211,7 +211,7 @@ def follow_window(
     if choosing:
         kept[0] = n
     while i < time.size:
-        x[i] = start[0] + start[1] * (time[i] - t)
+        x[0, i], x[1, i] = start[0] + start[1] * (time[i] - t), start[1]
         i += 1
     return True
 
@@ -232,7 +232,7 @@ def follow_windows(
         run, begin, stop = table[w, 5], table[w, 2], table[w, 2] + table[w, 3]
         spread, tolerance = scale[run, 0], scale[run, 1]
         if not follow_window(
-            law, p[run], local[w], spread, tolerance, time[begin:stop], steps[w], kept[w], x[begin:stop]
+            law, p[run], local[w], spread, tolerance, time[begin:stop], steps[w], kept[w], x[:, begin:stop]
         ):
             return False
     return True
@@ -297,8 +297,13 @@ class MemoryModel(Model):
     def residual(self, q: Array, local: Array) -> Array | None:
         if self._last is None or not (np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1])):
             found = self._follow(self._parameters(q), local, self.windows, *new_steps(len(self.windows.rows)))
-            self._last = q.copy(), local.copy(), None if found is None else found - self.windows.position
+            self._last = q.copy(), local.copy(), None if found is None else found[0] - self.windows.position
         return self._last[2]
+
+    def motion_in(self, windows: ShootingWindows, q: Array, local: Array, run: int | None) -> Array | None:
+        p = self._parameters(q)
+        own = p if run is None else p[run : run + 1]
+        return self._follow(own, local, windows, *new_steps(len(windows.table)))
 
     def all_derivatives(self, q: Array, local: Array) -> Derivatives:
         return Derivatives(self.windows.blocks, partial(self._differences, q, local, q.size))
@@ -326,14 +331,14 @@ class MemoryModel(Model):
         x = self._follow(self._parameters(q), own, windows, steps, kept)
         if x is None:
             return None
-        found = np.zeros((x.size, shared + local.shape[1]))
+        found = np.zeros((x.shape[1], shared + local.shape[1]))
         for j, size in enumerate(self.sizes(q)[:shared] * DIFFERENCE):
             moved = q.copy()
             moved[j] += size
             there = self._follow(self._parameters(moved), own, windows, steps, kept)
             if there is None:
                 return None
-            found[:, j] = (there - x) / size
+            found[:, j] = (there[0] - x[0]) / size
         motion = self.task.problem.motions[0]
         for j, scale in enumerate((motion.travel, motion.belt_speed, 1.0, 1.0, motion.travel)):
             beside = own.copy()
@@ -341,7 +346,7 @@ class MemoryModel(Model):
             there = self._follow(self._parameters(q), beside, windows, steps, kept)
             if there is None:
                 return None
-            found[:, shared + j] = (there - x) / (DIFFERENCE * scale)
+            found[:, shared + j] = (there[0] - x[0]) / (DIFFERENCE * scale)
         return found if self._size is None else found * self._size[block.rows, None]
 
     def sizes(self, q: Array) -> Array:
@@ -363,7 +368,7 @@ class MemoryModel(Model):
         return p
 
     def _follow(self, p: Array, local: Array, windows: ShootingWindows, steps: Array, kept: Integers) -> Array | None:
-        motions, x = self.task.problem.motions, np.empty(windows.time.size)
+        motions, x = self.task.problem.motions, np.empty((2, windows.time.size))
         scale = np.array([(MEMORY_LENGTH * own.travel, TOLERANCE * own.travel) for own in motions])
         law = MEMORY_LAWS[self.task.curve.law.name].code  # type: ignore[union-attr]
         follow = compiled(follow_windows, (*KERNELS, __name__), _nrt=False)

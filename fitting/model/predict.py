@@ -198,6 +198,13 @@ class Model:
         acting, _ = self._acting(sizes)
         return follow(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
 
+    def motion_in(self, windows: ShootingWindows, q: Array, local: Array, run: int | None) -> Array | None:
+        """Return positions, m, and velocities, m/s, (2, N) in windows of all runs, or of one."""
+        u, theta, _ = self.task.split(q)
+        curve, own = self._curve(q, theta), u if run is None else u[PER_RUN * run : PER_RUN * (run + 1)]
+        path = None if curve is None else follow(windows, curve, own, local)
+        return None if path is None else np.array([path.position, path.velocity])[:, path.reached]
+
     def residual(self, q: Array, local: Array) -> Array | None:
         if self._last is not None and np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1]):
             return self._last[2]

@@ -10,8 +10,10 @@ from fitting.search.fit import Fit
 from fitting.search.passes import finish
 
 
-def fit_memory(law: Law, runs: Sequence[Run]) -> Fit | None:
-    """Return the best fit of a law with memory; None where no start can be followed."""
+def fit_memory(law: Law, runs: Sequence[Run]) -> Fit | str:
+    """Return the best fit of a law with memory, or why there is none."""
+    if any(run.ripple is not None or run.motion.compliance is not None for run in runs):
+        return "a belt that ripples or slows under load is not modelled with memory"
     tasks = memory_tasks(law, runs)
     settled = best_end(tasks[0][0], [(start, None) for _, start in tasks])
-    return None if settled is None else finish(settled) or settled
+    return "its motion cannot be followed" if settled is None else finish(settled) or settled

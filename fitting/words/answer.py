@@ -263,6 +263,8 @@ def _other_break_away(competition: Competition, number: int) -> list[Finding]:
     """Return that the break-aways of a run disagree with friction at rest under every law that is not excluded."""
     run, found = competition.runs[number], []
     for fit in competition.fits:
+        if fit.law.rate and fit.law.key in competition.compatible:
+            return []  # its motion contains the break-aways
         if fit.law.key in competition.compatible:
             level = fit.values.F * mass(run.motion, fit.for_run(number))
             rest = Measured(level, level * break_away_level_error(fit, run.motion, number))
