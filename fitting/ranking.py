@@ -114,7 +114,7 @@ def _compete(
     direct = [fit for fit in six if fit.law in competitors.laws and competitors.by_kernel(fit.law)]
     lost = {fit.law: name_better_limit(fit, six) for fit in direct}
     fits = [*(fit for fit in direct if not lost[fit.law]), *formulas]
-    if doubt and not screening.comes_near(formulas, runs):
+    if doubt and not screening.list_near(formulas, runs):
         law_fits.refuse(doubt, records)
     if sustained:
         followed = {*lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}

@@ -113,13 +113,9 @@ class Judged:
         return np.array([own.noise_m for own in self.slips])
 
     @property
-    def linearised(self) -> LinearisedFit | None:
-        return None if self.faults is None else LinearisedFit.at(self.fit)
-
-    @property
     def usual(self) -> LinearisedFit | None:
         """The linearised fit without the spoilt cycles."""
-        linear = self.linearised
+        linear = LinearisedFit.at(self.fit)
         return None if linear is None or self.faults is None else linear.without(self.faults)
 
 
@@ -165,8 +161,8 @@ def assess(
     if curve is not None and rejected and explain:
         departures = _departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
-    if rejected and explain and not departures and chosen.linearised is not None:
-        base = Base.at(chosen.fit, motions, revolution, chosen.linearised)
+    if rejected and explain and not departures:
+        base = Base.at(chosen.fit, motions, revolution)
         if base is not None:
             count_repeated, repeated = partial(_count_repeated, chosen), chosen.together.repeat
             fluctuation = fluctuation_share(base, repeated, count_repeated, float(np.max(noise)))

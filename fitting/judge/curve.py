@@ -275,7 +275,7 @@ SEED = 20_240  # the draws are the same for every record
 
 def covariances(linear: LinearisedFit) -> tuple[Array, Array]:
     """Return the covariance (p, p) of the shared unknowns by the noise, and by the scatter between cycles."""
-    noise = linear.covariance
+    noise = linear.reduced.covariance
     own = linear.gradients
     cycles = own.shape[0]
     meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + linear.priors.precision

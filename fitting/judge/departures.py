@@ -113,8 +113,8 @@ class Base:
 
     def misfit_beyond_noise(self, noise: float) -> float:
         """Return the cost of the residuals above that of the noise, m."""
-        weights = np.repeat(self.linear.weights, np.diff(self.linear.first))
-        return max(0.5 * float(np.sum(weights * (self.linear.residual**2 - noise**2))), 0.0)
+        expected = 0.5 * noise**2 * float(np.sum(self.linear.weights * np.diff(self.linear.first)))
+        return max(self.linear.cost - expected, 0.0)
 
 
 def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
@@ -333,7 +333,7 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
     if finished is None or base is None:
         return None
     linear = base.linear
-    before = 0.5 * float(np.sum(np.add.reduceat(fit.residual**2, linear.first[:-1]) * linear.weights))
+    before = replace(linear, residual=fit.residual).cost
     refit = Refit(without_level_errors(finished), base, before - linear.cost)
     dissipates = candidate.departure.drag is None or refit.size[0] > 0
     return refit if dissipates and refit.sigmas > LEAST_SIGMAS else None

@@ -58,7 +58,7 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     hopeless = seen.chi > noise_levels.LOST
     starts = starts[:1] if hopeless else starts
     by_error = attrgetter("geometric_mean_rms")
-    nearest = min(others, key=by_error)
+    nearest = min(others, key=by_error, default=host)
     inner = min((one for one in others if contained(law, one.law)), key=by_error, default=None)
     least = nearest.geometric_mean_rms
     tried = [(start, host.noise.without_fade) for start in starts]

@@ -92,7 +92,7 @@ def fit_runs(
         )
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
     doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
-    if not fits or doubt == screening.SINE_ALONE:
+    if not fits:
         refuse(doubt, records)
     if not doubt:
         screening.refuse_missing_frames(fits, records)

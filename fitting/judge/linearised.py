@@ -99,11 +99,6 @@ class LinearisedFit:
         """The problem with the cycles' unknowns eliminated: ``H`` is the information on the shared ones."""
         return SchurComplement(self.blocks)
 
-    @property
-    def covariance(self) -> Array:
-        """Covariance (p, p) of the shared unknowns for white noise."""
-        return self.reduced.covariance
-
     @cached_property
     def _pull(self) -> Array:
         """The step (cycles, q) by the gradients of the cycles' unknowns alone."""
@@ -166,7 +161,7 @@ class LinearisedFit:
         to_shared, to_local = self._gradients(cut(columns, self.derivatives.blocks))
         pull = self.reduced.local_step(to_local)
         beside = self.reduced.reduced_gradients(to_shared, pull).sum(axis=0)
-        follow = np.einsum("ij,jd->id", self.covariance, beside)
+        follow = np.einsum("ij,jd->id", self.reduced.covariance, beside)
         square, gradient = (
             sum(
                 self._product(columns[block.rows], other[block.rows], block).sum(axis=0)

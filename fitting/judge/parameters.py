@@ -79,6 +79,7 @@ class Parameter:
         limits: tuple[float, float] = NO_LIMITS,
         *,
         by_log: bool = False,
+        unit: str = "",
     ) -> "Parameter":
         """Return the interval of ``quantile`` standard errors within limits, by a factor if fitted by its logarithm."""
         if by_log and value > 0:
@@ -86,7 +87,7 @@ class Parameter:
             lo, hi = value / factor, value * factor
         else:
             lo, hi = value - quantile * stderr, value + quantile * stderr
-        return cls(value, stderr, max(lo, limits[0]), min(hi, limits[1]), "")
+        return cls(value, stderr, max(lo, limits[0]), min(hi, limits[1]), unit)
 
 
 def in_columns(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
@@ -321,8 +322,7 @@ def _differences(fit: Fit, known: "Known", own: Mapping[str, Parameter], quantil
             continue
         high, low = sorted(pair, key=lambda name: -values_of[name])
         variance = known.variance(lambda _, own, high=high, low=low: own[high] - own[low])  # type: ignore[misc]
-        item = Parameter.around(values_of[high] - values_of[low], math.sqrt(variance), quantile)
-        item = replace(item, unit="m s^-2")
+        item = Parameter.around(values_of[high] - values_of[low], math.sqrt(variance), quantile, unit="m s^-2")
         if _level_known(item):
             found[f"({high} - {low})/m"] = item
     return found
@@ -568,8 +568,8 @@ def _scaled(row: Derived, scale: Measured | None, known: Known, motion: Measured
         factor = scale.value**row.power
         variance = variance * factor**2 + (row.power * scale.value ** (row.power - 1) * value * scale.sd) ** 2
         value, low, high = value * factor, low * factor, high * factor
-    item = Parameter.around(value, math.sqrt(variance), quantile, (low, high), by_log=row.by_log)
-    return replace(item, unit=row.unit, trusted=row.apart, fixed=row.fixed)
+    item = Parameter.around(value, math.sqrt(variance), quantile, (low, high), by_log=row.by_log, unit=row.unit)
+    return replace(item, trusted=row.apart, fixed=row.fixed)
 
 
 def _wear_of(trend: Wear | None, level: Parameter | None, alpha: float) -> dict[str, Parameter]:
@@ -581,7 +581,5 @@ def _wear_of(trend: Wear | None, level: Parameter | None, alpha: float) -> dict[
     found = {}
     if level is not None:
         error = math.hypot(level.stderr * first.value, level.value * first.sd)
-        found["Fs0/m"] = replace(
-            Parameter.around(level.value * first.value, error, quantile, POSITIVE), unit=level.unit
-        )
-    return found | {"wear": replace(Parameter.around(rate.value, rate.sd, quantile), unit="s^-1")}
+        found["Fs0/m"] = Parameter.around(level.value * first.value, error, quantile, POSITIVE, unit=level.unit)
+    return found | {"wear": Parameter.around(rate.value, rate.sd, quantile, unit="s^-1")}

@@ -150,12 +150,10 @@ FEWEST_SAMPLES = 8  # samples in the usual slip, chosen: with 4, wrong laws win
 ENOUGH_SAMPLES = 20  # samples in the usual slip, chosen: with fewer, a refusal advises a higher rate
 BEYOND_NOISE = 20.0  # way in standard deviations of a position: a mass that moves by less does not move
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
-SINE_DISTANCE = 0.05  # distance from a sine over its amplitude: closer, a motion is one
 EVEN_SLIP = 0.1  # change of velocity in the middle half of a slip, over its speed; a spring makes 0.3 or more
 DIES_AWAY = 0.7  # speed in the last third over that at first, of a motion that dies away
-WORST_ERROR = 0.02  # error over a slip's length: a best law that usually errs by more describes something else
+WORST_ERROR = 0.02  # error over a slip's length: in stick-slip laws leave at most 0.004, also in a rough fit
 LEAST_FRICTION = 1e-3  # friction over the spring's pull in a slip: with less, nothing holds the mass
-SCREENED_ERROR = 0.03  # error of a rough fit over a slip's length; stick-slip leaves at most 0.004
 SCREENED_CYCLES = 8  # cycles of the record, evenly spread
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
 WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
@@ -296,7 +294,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
 
 def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained: bool) -> str:
     """Return why no law can describe the runs, from rough fits of a few cycles; "" once one law fits."""
-    if not sustained and all(_is_sine_alone(run) for run in runs):
+    if not sustained and all(not run.cut.starts_at_rest and _is_sine(run.motion) for run in runs):
         return SINE_ALONE
     few = [replace(run, cut=replace(run.cut, cycles=_spread_out(run.cut.used))) for run in runs]
     longest = max(_slip_length(run.motion, run.cut) for run in few)
@@ -304,9 +302,9 @@ def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained
         if law in laws or (law.kind.curve == "constant" and not sustained):
             task = law_task(law, few)
             fit = first_pass(task, regressed_start(task))
-            if fit is not None and fit.misfit < SCREENED_ERROR * longest:
+            if fit is not None and fit.misfit < WORST_ERROR * longest:
                 return ""
-    return _sine_or(NONE_NEAR, runs, sustained=sustained)
+    return NONE_NEAR
 
 
 def _spread_out(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
@@ -314,27 +312,16 @@ def _spread_out(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
     return tuple(cycles[place] for place in places)
 
 
-def _sine_or(what: str, runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return ``what``, or that the motion is a sine without a start-up, which is the same at any friction."""
-    alone = not sustained and all(_is_sine(run.motion) and not run.cut.starts_at_rest for run in runs)
-    return SINE_ALONE if what and alone else what
-
-
-def comes_near(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+def list_near(fits: Sequence[Fit], runs: Sequence[Run]) -> list[Fit]:
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
-    return any(fit.misfit < WORST_ERROR * longest for fit in fits)
+    return [fit for fit in fits if fit.misfit < WORST_ERROR * longest]
 
 
 def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
-    return _sine_or(_misfit(fits, runs, sustained=sustained), runs, sustained=sustained)
-
-
-def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
-    near = [fit for fit in fits if fit.misfit < WORST_ERROR * longest]
-    if not near:
+    best = min(list_near(fits, runs), key=lambda fit: fit.geometric_mean_rms, default=None)
+    if best is None:
         return NONE_NEAR
-    best = min(near, key=lambda fit: fit.geometric_mean_rms)
     if best.law.ramp and best.values.d > best.values.v_dr:
         return f"law {best.law.name} fits best, with a ramp wider than the belt speed"
     if sustained and best.values.F < LEAST_FRICTION * best.values.K * longest:
@@ -380,11 +367,7 @@ def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Ar
 
 
 def _is_sine(motion: MeasuredMotion) -> bool:
-    return _sine_residual(motion) < SINE_DISTANCE * float(np.std(motion.position))
-
-
-def _is_sine_alone(run: Run) -> bool:
-    return not run.cut.starts_at_rest and _sine_residual(run.motion) < constant_friction_limit(run.motion)
+    return _sine_residual(motion) < constant_friction_limit(motion)
 
 
 def _sine_residual(motion: MeasuredMotion) -> float:

@@ -57,12 +57,6 @@ class CurveCoordinates:
         """Derivatives (n, p + n) of the coefficients by the unknowns outside the curve, then its coordinates."""
         return np.hstack([np.broadcast_to(self.offset, (self.precision.size, self.offset.size)), self.matrix])
 
-    @property
-    def inverse_slopes(self) -> Array:
-        """Derivatives (n, p + n) of the coordinates by the unknowns outside the curve and by its coefficients."""
-        whole = self.inverse.sum(axis=1)
-        return np.hstack([-whole[:, None] * self.offset, self.inverse])
-
     def coefficients(self, unknowns: Array) -> Array:
         p = self.offset.size
         moved = float(np.sum(self.offset * (unknowns[:p] - self.start)))

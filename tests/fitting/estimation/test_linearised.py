@@ -55,7 +55,7 @@ def test_information_is_the_schur_complement(problem):
     H, _ = curvature(found, dense[:, :-MORE])
     total = found.reduced.H
     assert total == pytest.approx(np.linalg.inv(np.linalg.inv(H)[:SHARED, :SHARED]))
-    assert found.covariance == pytest.approx(np.linalg.inv(total))
+    assert found.reduced.covariance == pytest.approx(np.linalg.inv(total))
 
 
 def test_a_refit_leaves_what_dense_least_squares_leave(problem):
@@ -120,7 +120,7 @@ def test_a_fit_is_linearised_at_its_minimum(ranked):
     found = LinearisedFit.at(fit)
     assert found.residual == pytest.approx(fit.residual, abs=1e-12)
     gradient = found.gradients.sum(axis=0) + found.priors.gradient
-    gradient *= np.sqrt(np.diag(found.covariance))
+    gradient *= np.sqrt(np.diag(found.reduced.covariance))
     at_lower, at_upper = fit.q <= fit.least_squares.lower, fit.q >= fit.least_squares.upper
     names = np.array([Global(place).name for place in fit.places])
     assert set(names[at_lower | at_upper]) <= {"DAMPING"}
