@@ -1,10 +1,12 @@
 """Fits of laws with memory to records of rig_sim: the true parameters, as well as the study of design 17 knew them."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+import fitting
 import rig_sim
 from daq.runfile.rig import Rig
 from fitting.laws import MEMORY
@@ -36,14 +38,14 @@ STUDY = {
 
 
 @cache
-def run_of(law, seed=3):
+def record_of(law, seed=3, speed=0.22):
     content = {
         "name": "contact",
         "seed": seed,
         "mass": {"m": MASS},
         "spring": {"k": STIFFNESS},
         "damper": {"c": DAMPING},
-        "belt": {"speed": 0.22},
+        "belt": {"speed": speed},
         "friction": {"law": law, **CONTACTS[law]},
         "start": {"x": 0.05, "v": 0.0},
         "scatter": {"Fs": 0.02},
@@ -56,7 +58,12 @@ def run_of(law, seed=3):
         datum=Measured(0.0, 1e-4),
         damping=Measured(DAMPING, 0.1 * DAMPING),
     )
-    record = own_rig.as_recording(np.arange(position.size) / RATE, position, RATE, rig, law)
+    return own_rig.as_recording(np.arange(position.size) / RATE, position, RATE, rig, law), rig
+
+
+@cache
+def run_of(law, seed=3, speed=0.22):
+    record, rig = record_of(law, seed, speed)
     seen = from_kinematics(smooth(record), rig, None)
     return Run(seen, cycles.segment_cycles(seen))
 
@@ -98,3 +105,35 @@ def test_derivatives_over_kept_steps_are_those_of_the_motion(law):
         beside = [model.residual(q + sign * step * (np.arange(q.size) == j), start.local) for sign in (1.0, -1.0)]
         expected = (beside[0] - beside[1]) / (2 * step)
         assert np.sqrt(np.mean((found[:, j] - expected) ** 2)) < 5e-3 * np.sqrt(np.mean(expected**2)), j
+
+
+def test_two_belt_speeds_tell_a_from_b():
+    runs = [run_of("ageing", seed, speed) for seed, speed in ((3, 0.22), (4, 0.12))]
+    alone, both = fit_memory(MEMORY["ageing"], runs[:1]), fit_memory(MEMORY["ageing"], runs)
+    errors, true = [], truth("ageing")
+    for fit in (alone, both):
+        p, covariance = len(fit.places), SchurComplement(fit.solution.blocks).covariance
+        for name, theta, variance in zip(fit.task.curve.free, fit.theta, np.diag(covariance)[p:], strict=True):
+            assert abs(theta - np.log(true[name])) < 3 * np.sqrt(variance), name
+        errors.append(np.sqrt(np.diag(covariance)[p + fit.task.curve.free.index("a")]))
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_a_belt_that_slows_under_load_is_not_modelled_with_memory():
+    run = run_of("lugre")
+    slowing = replace(run, motion=replace(run.motion, compliance=Measured(0.1, 0.01)))
+    assert "slows" in fit_memory(MEMORY["lugre"], [slowing])
+
+
+@pytest.mark.parametrize("law", CONTACTS)
+def test_a_requested_law_with_memory_wins_and_its_scene_is_played(law, tmp_path):
+    ranking = fitting.rank(record_of(law)[0], laws=["1-6", law])
+    assert ranking.members == (law,)
+    row = ranking.best
+    assert row.as_json()["rate"] == MEMORY[law].rate
+    for name, value in CONTACTS[law].items():
+        if name not in ("F0", "v0"):
+            assert abs(row.parameters[name].value - value) < 4 * row.parameters[name].stderr, name
+    ranking.save_scene(tmp_path / "fitted.toml")
+    played = rig_sim.run(tmp_path / "fitted.toml", until=20.0, rate=RATE)
+    assert np.ptp(played.x[-2500:]) == pytest.approx(np.ptp(ranking.motion.measured), rel=0.1)
